@@ -1,0 +1,1 @@
+"""Encoded to one `.mocz` file and back."""

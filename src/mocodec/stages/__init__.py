@@ -1,0 +1,1 @@
+"""The arithmetic of coding: pairs of functions, arrays in, arrays out."""

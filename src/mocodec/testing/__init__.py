@@ -1,0 +1,1 @@
+"""For authors of codecs: CodecTests, strategies, synthetic motion."""
