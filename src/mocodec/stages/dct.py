@@ -1,0 +1,28 @@
+"""Truncated discrete cosine transform along time: M ⇄ M D̃ (Hou 2014, section IV-A).
+
+    samples (frames, …) ─forward─► spectrum (frequencies, …) ─inverse─► samples, without the frequencies left out
+
+The transform is orthonormal, so squared errors are the same on both sides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..motion import Floats
+
+
+def forward(samples: Floats, frequencies: int | None = None) -> Floats:
+    """The lowest `frequencies` DCT-II coefficients of each lane: (frames, …) → (frequencies, …); all where not given."""
+    from scipy import fft
+
+    return fft.dct(samples, axis=0, norm="ortho")[:frequencies]
+
+
+def inverse(spectrum: Floats, frames: int) -> Floats:
+    """Samples of the lowest frequencies: (frequencies, …) → (frames, …), the others being zero."""
+    from scipy import fft
+
+    if len(spectrum) == 0:
+        return np.zeros((frames, *spectrum.shape[1:]))
+    return fft.idct(spectrum, n=frames, axis=0, norm="ortho")
