@@ -4,9 +4,10 @@
     variances, noise ─precisions─► how finely to round each component
     basis, precision ─pack─► bytes ─unpack─► basis', orthonormal to the last bits of a float
 
-A component of variance λ turns an error δ of one of its entries into an error of variance λδ² in every sample. Coefficients
-rounded to steps of Δ, over T samples, spend their bits well when the entries are rounded to steps of Δ/√(λT): one more
-bit then buys the same error wherever it is spent. A weak component costs a bit or two an entry, where 16 were usual.
+A component of variance λ turns an error δ of one of its entries into an error of variance λδ² in every sample.
+Coefficients rounded to steps of Δ, over T samples, spend their bits well when the entries are rounded to steps of
+Δ/√(λT): one more bit then buys the same error wherever it is spent. A weak component costs a bit or two an entry,
+where 16 were usual.
 
 Orthogonality is used, not stored: each component is written in the coordinates that the Householder reflections of the
 components before it leave free, which is one number fewer each time and makes any rounded basis exactly orthonormal.
@@ -105,9 +106,9 @@ def _contexts(n: int, precision: Integers) -> Integers:
 
 
 def _mirror(entries: Integers) -> Floats:
-    """The Householder vector u with (I − 2uuᵀ) e₁ = entries / |entries|; the first entry is never positive, so u never vanishes.
+    """The Householder vector u with (I − 2uuᵀ) e₁ = entries / |entries|.
 
-    Entries that all rounded to zero stand for −e₁.
+    The first entry is never positive, so u never vanishes. Entries that all rounded to zero stand for −e₁.
     """
     u = entries.astype(np.float64)
     norm = float(np.sqrt(u @ u))

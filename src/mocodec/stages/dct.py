@@ -13,10 +13,10 @@ from ..motion import Floats
 
 
 def forward(samples: Floats, frequencies: int | None = None) -> Floats:
-    """The lowest `frequencies` DCT-II coefficients of each lane: (frames, …) → (frequencies, …); all where not given."""
+    """The lowest `frequencies` DCT-II coefficients of each lane: (frames, …) → (frequencies, …); all by default."""
     from scipy import fft
 
-    return fft.dct(samples, axis=0, norm="ortho")[:frequencies]
+    return np.asarray(fft.dct(samples, axis=0, norm="ortho"))[:frequencies]
 
 
 def inverse(spectrum: Floats, frames: int) -> Floats:
@@ -25,4 +25,4 @@ def inverse(spectrum: Floats, frames: int) -> Floats:
 
     if len(spectrum) == 0:
         return np.zeros((frames, *spectrum.shape[1:]))
-    return fft.idct(spectrum, n=frames, axis=0, norm="ortho")
+    return np.asarray(fft.idct(spectrum, n=frames, axis=0, norm="ortho"))

@@ -1,0 +1,145 @@
+"""A hard bound on the error: corrections of a prediction, so that no point is farther than max_error from where it was.
+
+    original − prediction ─correct─► whole numbers of a lattice ─pack─► bytes, of the cheaper form
+    prediction + lattice  ◄──────────────────────────────── unpack
+
+The lattice is cubic with its diagonal twice the bound, so that a lattice point lies within the bound (a 3-D Euclidean
+distance) of every error. Most errors are within it already and need nothing. Where one is not, its correction is chosen
+to hold for as many frames as it can, since errors of a transform coder are slow:
+
+    runs    a few stretches of a constant correction: where it starts, how long it lasts, what it is
+    dense   every error to the nearest lattice point, where most points need a correction
+
+The prediction must come from the real decoder; its floats agree to 1e-12 m between machines, and the bound keeps a
+slack of 1e-9 m for that.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entropy import coder, varint
+from ..errors import CannotEncode, Corrupt
+from ..motion import Floats
+
+Integers = NDArray[np.int64]
+
+RUNS, DENSE = 0, 1
+"""The first byte of a layer that is not empty."""
+
+NEIGHBOURS = np.array([(x, y, z) for x in (0, -1, 1) for y in (0, -1, 1) for z in (0, -1, 1)], np.int64)
+NEIGHBOURS = NEIGHBOURS[np.argsort(np.abs(NEIGHBOURS).sum(axis=1), kind="stable")]
+"""The lattice points that are tried for a run, nearest first."""
+
+
+def tolerance(max_error: float) -> float:
+    """The bound that the encoder works to: less than max_error by 1e-9 m, or by a thousandth of very small bounds."""
+    return max_error - min(1e-9, max_error / 1000)
+
+
+def lattice(max_error: float) -> float:
+    """The lattice's spacing in metres: no point of space is farther than `tolerance` from it."""
+    return 2 / math.sqrt(3) * tolerance(max_error)
+
+
+def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
+    """Bytes of the corrections; b"" where none is needed. Positions (frames, points, 3); NaN of the original is a gap.
+
+    max_error: metres, positive. Raises CannotEncode where the bound is too small for the numbers at hand.
+    """
+    error = np.nan_to_num(original - prediction, nan=0.0)
+    outside = np.einsum("fpc,fpc->fp", error, error) > tolerance(max_error) ** 2
+    if not outside.any():
+        return b""
+    largest = max(float(np.abs(prediction).max()), float(np.abs(error).max()))
+    if not largest < max_error * 2.0**40:
+        raise CannotEncode(f"a bound of {max_error:g} m is too small for positions of {largest:g} m")
+    step = lattice(max_error)
+    nearest = np.rint(error / step).astype(np.int64)
+    forms = [bytes([DENSE]) + coder.pack(nearest.reshape(len(nearest), -1))]
+    if outside.mean() < 0.5:
+        active = outside.any(axis=0)
+        corrections = np.zeros_like(nearest)
+        corrections[:, active] = _held(error[:, active] / step, nearest[:, active])
+        forms.append(bytes([RUNS]) + _pack_runs(corrections))
+    return min(forms, key=len)
+
+
+def unpack(data: bytes, prediction: Floats, max_error: float) -> Floats:
+    """The corrected positions, (frames, points, 3). Raises Corrupt."""
+    if not data:
+        return prediction
+    frames, points, _ = prediction.shape
+    if data[0] == DENSE:
+        corrections = coder.unpack(data[1:], (frames, 3 * points)).reshape(prediction.shape)
+    elif data[0] == RUNS:
+        corrections = _unpack_runs(data[1:], frames, points)
+    else:
+        raise Corrupt(f"a residual layer of unknown form {data[0]}")
+    return prediction + corrections * lattice(max_error)
+
+
+def _held(error: Floats, nearest: Integers) -> Integers:
+    """A correction for every frame of every point, (frames, points, 3) in lattice units, changed as seldom as can be.
+
+    error: in lattice units, where the bound is √3/2. Each correction is kept until it no longer holds, and followed by
+    the one of the neighbours of zero that then holds longest.
+    """
+    bound = 0.75
+    frames, points, _ = error.shape
+    holds = ((error[:, :, None] - NEIGHBOURS) ** 2).sum(axis=3) <= bound
+    lasts = np.zeros((points, len(NEIGHBOURS)), np.int64)
+    best = np.zeros((frames, points), np.int64)
+    some = np.zeros((frames, points), bool)
+    for frame in reversed(range(frames)):
+        lasts = (lasts + 1) * holds[frame]
+        best[frame] = lasts.argmax(axis=1)
+        some[frame] = holds[frame].any(axis=1)
+    fresh = np.where(some[:, :, None], NEIGHBOURS[best], nearest)
+    corrections = np.empty_like(nearest)
+    current = np.zeros((points, 3), np.int64)
+    for frame in range(frames):
+        still = ((error[frame] - current) ** 2).sum(axis=1) <= bound
+        current = np.where(still[:, None], current, fresh[frame])
+        corrections[frame] = current
+    return corrections
+
+
+def _pack_runs(corrections: Integers) -> bytes:
+    """Stretches of an equal correction, zero left out, point after point: frames since the last, length, correction."""
+    frames, points, _ = corrections.shape
+    track = corrections.transpose(1, 0, 2)
+    changes = np.ones((points, frames), bool)
+    changes[:, 1:] = (track[:, 1:] != track[:, :-1]).any(axis=2)
+    starts = np.flatnonzero(changes)
+    values = track.reshape(-1, 3)[starts]
+    lengths = np.diff(starts, append=points * frames)
+    some = values.any(axis=1)
+    starts, values, lengths = starts[some], values[some], lengths[some]
+    waits = starts - np.append(0, starts + lengths)[:-1]
+    rows = np.column_stack([waits, lengths - 1, values])
+    return varint.write([len(rows)]) + coder.pack(rows, _run_contexts(len(rows)))
+
+
+def _unpack_runs(data: bytes, frames: int, points: int) -> Integers:
+    (count,), at = varint.read(data, 1)
+    if count > frames * points:
+        raise Corrupt("a residual layer of more corrections than there are samples")
+    rows = coder.unpack(data[at:], (count, 5), _run_contexts(count))
+    waits, lengths, values = rows[:, 0], rows[:, 1] + 1, rows[:, 2:]
+    if count and (waits.min() < 0 or lengths.min() < 1 or max(waits.max(), lengths.max()) > frames * points):
+        raise Corrupt("a residual layer with a correction outside the frames")
+    stops = np.cumsum(waits + lengths)
+    if count and stops[-1] > frames * points:
+        raise Corrupt("a residual layer with a correction outside the frames")
+    track = np.zeros((points * frames, 3), np.int64)
+    inside = np.repeat(stops - np.cumsum(lengths), lengths) + np.arange(lengths.sum())
+    track[inside] = np.repeat(values, lengths, axis=0)
+    return track.reshape(points, frames, 3).transpose(1, 0, 2)
+
+
+def _run_contexts(count: int) -> Integers:
+    return np.broadcast_to(np.array([0, 1, 2, 2, 2]), (count, 5))
