@@ -1,1 +1,1 @@
-"""Bodies in space."""
+"""Bodies in space: rotations, skeletons and frames of reference."""

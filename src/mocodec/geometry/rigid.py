@@ -1,0 +1,93 @@
+"""Rotations as unit quaternions, w first; the last axis holds the four numbers, leading axes are free.
+
+Euler angles are read from left to right as intrinsic turns: order "zyx" is Rz · Ry · Rx (BVH's channels as written).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import BadInput
+from ..motion import Floats
+
+
+
+def multiply(a: Floats, b: Floats) -> Floats:
+    """a · b: first turn by b, then by a. (…, 4) each, broadcast."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def inverse(q: Floats) -> Floats:
+    """The opposite turn of a unit quaternion (…, 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: Floats, v: Floats) -> Floats:
+    """Vectors v (…, 3) turned by q (…, 4): v + 2 u × (u × v + w v), with u the vector part of q."""
+    u = q[..., 1:]
+    return v + 2.0 * np.cross(u, np.cross(u, v) + q[..., :1] * v)
+
+
+def about_axis(axis: str, angle: Floats) -> Floats:
+    """Turns by `angle` (…), radians, about "x", "y" or "z"; (…, 4)."""
+    result = np.zeros((*np.shape(angle), 4))
+    result[..., 0] = np.cos(np.asarray(angle) / 2)
+    result[..., 1 + _axis(axis)] = np.sin(np.asarray(angle) / 2)
+    return result
+
+
+def from_euler(order: str, angles: Floats) -> Floats:
+    """Quaternions (…, 4) of the turns about the axes of `order`, one to any number, angles (…, len(order)) in radians."""
+    result = np.zeros((*angles.shape[:-1], 4))
+    result[..., 0] = 1.0
+    for i, axis in enumerate(order):
+        turn = about_axis(axis, angles[..., i])
+        result = turn if i == 0 else multiply(result, turn)
+    return result
+
+
+def to_euler(order: str, q: Floats) -> Floats:
+    """Angles (…, 3) in radians whose `from_euler` is q, for an order of three different axes; the middle one is within
+    ±π/2. At ±π/2, where the outer two turn about the same axis, the last is 0."""
+    if sorted(order.lower()) != ["x", "y", "z"]:
+        raise BadInput(f"Euler angles need an order of x, y and z, not {order!r}")
+    i, j, k = (_axis(axis) for axis in order)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    m = to_matrix(q)
+    sin_middle = np.clip(sign * m[..., i, k], -1.0, 1.0)
+    locked = np.abs(sin_middle) > 1.0 - 1e-12
+    first = np.where(
+        locked,
+        np.arctan2(sign * m[..., k, j], m[..., j, j]),
+        np.arctan2(-sign * m[..., j, k], m[..., k, k]),
+    )
+    last = np.where(locked, 0.0, np.arctan2(-sign * m[..., i, j], m[..., i, i]))
+    return np.stack([first, np.arcsin(sin_middle), last], axis=-1)
+
+
+def to_matrix(q: Floats) -> Floats:
+    """Rotation matrices (…, 3, 3) of unit quaternions (…, 4)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _axis(letter: str) -> int:
+    index = "xyz".find(letter.lower())
+    if index < 0 or len(letter) != 1:
+        raise BadInput(f"an axis is x, y or z, not {letter!r}")
+    return index
