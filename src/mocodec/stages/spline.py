@@ -1,0 +1,185 @@
+"""Key frames: a trajectory kept at few frames, natural cubic splines for the rest. Liu & McMillan 2006, section 3.4.
+
+    trajectory ──keyframes──► Keyframes ──values there──► interpolate ──► every frame
+    Keyframes ──splits──► one bit for each interval: was it halved? ──from_splits──► Keyframes
+    values ──differences──► integers: how far each value is from the coarser levels' spline ──values──► values
+
+Key frames are found by halving, so they form levels: four frames evenly spaced, then the middles of their intervals, then
+the middles of those. The levels say where the key frames are in about two bits each, and predict their values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import Corrupt
+from ..motion import Floats
+from . import quantise
+
+Frames = NDArray[np.int64]
+FIRST = 4
+"""Control points to begin with: both ends, and a third and two thirds of the way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """Key frames of a run of `frames` frames, by level: each level halves intervals that the levels before it leave."""
+
+    frames: int
+    levels: tuple[Frames, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.levels))
+
+    @property
+    def by_level(self) -> Frames:
+        """Frame numbers in the order of the levels, which is the order that values are stored in."""
+        return np.concatenate(self.levels)
+
+
+def evenly(frames: int) -> Frames:
+    """The control points that every run begins with."""
+    return np.unique(np.rint(np.linspace(0, frames - 1, FIRST)).astype(np.int64))
+
+
+def interpolate(keyframes: Frames, values: Floats, at: Frames) -> Floats:
+    """The natural cubic spline through values (keys, k) at ascending key frames, evaluated at frames within: (at, k)."""
+    if len(keyframes) < 2:
+        return np.repeat(values, len(at), axis=0)
+    widths = np.diff(keyframes).astype(np.float64)[:, None]
+    curvature = _curvature(widths, values)
+    right = np.clip(np.searchsorted(keyframes, at, side="right"), 1, len(keyframes) - 1)
+    left = right - 1
+    width = widths[left]
+    b = (at - keyframes[left])[:, None] / width
+    a = 1.0 - b
+    bend = width**2 / 6
+    return (
+        a * values[left] + b * values[right]
+        + ((a**3 - a) * bend) * curvature[left] + ((b**3 - b) * bend) * curvature[right]
+    )  # fmt: skip
+
+
+def _curvature(widths: Floats, values: Floats) -> Floats:
+    """Second derivatives of the natural spline at its knots, zero at both ends."""
+    curvature = np.zeros_like(values)
+    if len(values) > 2 and values.shape[1]:
+        from scipy.linalg.lapack import dptsv
+
+        slopes = np.diff(values, axis=0) / widths
+        diagonal = (widths[:-1] + widths[1:])[:, 0] / 3
+        curvature[1:-1] = dptsv(diagonal, widths[1:-1, 0] / 6, np.diff(slopes, axis=0))[2]
+    return curvature
+
+
+def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
+    """Key frames (of frames, k) such that the spline through them is nowhere farther than `tolerance`, in the L2 norm.
+
+    Begin with four; wherever some frame between two key frames is too far off, the frame in their middle becomes one too.
+    """
+    frames = len(trajectory)
+    at = np.arange(frames)
+    keys = evenly(frames)
+    while len(keys) < frames:
+        off = interpolate(keys, trajectory[keys], at)
+        off -= trajectory
+        too_far = np.einsum("fk,fk->f", off, off) > tolerance**2
+        too_far[keys] = False
+        middles = (keys[:-1] + keys[1:])[np.add.reduceat(too_far, keys[:-1]) > 0] // 2
+        if not len(middles):
+            break
+        keys = np.sort(np.concatenate([keys, middles]))
+    chosen = np.zeros(frames, bool)
+    chosen[keys] = True
+    return Keyframes(frames, _halve(frames, lambda middles: chosen[middles]))
+
+
+def _halve(frames: int, ask: Callable[[Frames], NDArray[np.bool_]]) -> tuple[Frames, ...]:
+    """Levels of key frames: `ask` says which of a level's intervals, by their middles, are halved."""
+    levels = [evenly(frames)]
+    left, right = levels[0][:-1], levels[0][1:]
+    while True:
+        wide = right - left >= 2
+        left, right = left[wide], right[wide]
+        middles = (left + right) // 2
+        halved = ask(middles)
+        if not halved.any():
+            return tuple(levels)
+        left, middles, right = left[halved], middles[halved], right[halved]
+        levels.append(middles)
+        left, right = np.stack([left, middles], 1).ravel(), np.stack([middles, right], 1).ravel()
+
+
+def splits(keys: Keyframes) -> NDArray[np.uint8]:
+    """One bit for each interval that could have been halved, level by level."""
+    chosen = np.zeros(keys.frames, bool)
+    chosen[keys.by_level] = True
+    asked: list[Frames] = []
+
+    def ask(middles: Frames) -> NDArray[np.bool_]:
+        asked.append(middles)
+        return chosen[middles]
+
+    _halve(keys.frames, ask)
+    return chosen[np.concatenate(asked)].astype(np.uint8)
+
+
+def from_splits(bits: NDArray[np.uint8], frames: int) -> tuple[Keyframes, int]:
+    """The key frames of a run of `frames`, and how many of the bits they took. Raises Corrupt where the bits end too early."""
+    used = 0
+
+    def ask(middles: Frames) -> NDArray[np.bool_]:
+        nonlocal used
+        answer = bits[used : used + len(middles)]
+        if len(answer) < len(middles):
+            raise Corrupt(f"key frames of {frames} frames: their bits end too early")
+        used += len(middles)
+        return answer.astype(bool)
+
+    return Keyframes(frames, _halve(frames, ask)), used
+
+
+def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[NDArray[np.int64], Floats]:
+    """Integers (keys, k) for values (keys, k), both by level, and the values that the integers give back.
+
+    The first level is each value's difference from the one before it; every later one that from the spline through all
+    before it as they will be decoded: nothing adds up, and no value is farther than half a step from where it was.
+    """
+    numbers = np.zeros(wanted.shape, np.int64)
+
+    def predicted(start: int, stop: int, prediction: Floats) -> Floats:
+        numbers[start:stop] = quantise.forward(wanted[start:stop] - prediction, step)
+        return prediction + quantise.inverse(numbers[start:stop], step)
+
+    return numbers, _descend(keys, wanted.shape[1], predicted)
+
+
+def values(keys: Keyframes, numbers: NDArray[np.int64], step: float) -> Floats:
+    """The values (keys, k), by level, of `differences`."""
+    return _descend(keys, numbers.shape[1], lambda a, b, prediction: prediction + quantise.inverse(numbers[a:b], step))
+
+
+def _descend(keys: Keyframes, k: int, decode: Callable[[int, int, Floats], Floats]) -> Floats:
+    """Values level by level: `decode(start, stop, prediction)` gives those at [start, stop) of the order by level."""
+    known = np.zeros((len(keys), k))
+    frames = keys.by_level
+    stop = len(keys.levels[0])
+    for i in range(stop):
+        known[i : i + 1] = decode(i, i + 1, known[max(i - 1, 0)][None])
+    for level in keys.levels[1:]:
+        start, stop = stop, stop + len(level)
+        order = np.argsort(frames[:start])
+        prediction = interpolate(frames[:start][order], known[:start][order], level)
+        known[start:stop] = decode(start, stop, prediction)
+    return known
+
+
+def through(keys: Keyframes, by_level: Floats) -> Floats:
+    """Every frame of the run, (frames, k), from the values at its key frames, by level."""
+    frames = keys.by_level
+    order = np.argsort(frames)
+    return interpolate(frames[order], by_level[order], np.arange(keys.frames))
