@@ -1,0 +1,90 @@
+"""Imports point down only: the layers of docs/architecture.md, held by reading every import statement."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import mocodec
+
+PACKAGE = Path(mocodec.__file__).parent
+
+# From the top. A part may import what stands below it, and its neighbours in a row unless the row is marked apart.
+LAYERS = (
+    ("cli", "__main__"),
+    ("viewer",),
+    ("evaluation",),
+    ("testing", "archive", "plots"),
+    ("api",),
+    ("codecs", "container"),
+    ("stages", "entropy", "geometry", "formats", "metrics"),
+    ("motion", "pointcloud", "encoded", "errors", "data"),
+)
+APART = {("codecs", "container"), ("testing", "archive", "plots")}
+
+
+def part(parts: tuple[str, ...]) -> str:
+    """The part of the package that a module belongs to: the first name below mocodec."""
+    return parts[0] if parts else ""
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, part of mocodec) of every import of ours in a file, those inside functions too."""
+    module = path.relative_to(PACKAGE).with_suffix("").parts
+    here = module[:-1] if module[-1] == "__init__" else module
+    parent = module[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            targets = [tuple(alias.name.split(".")[1:]) for alias in node.names if alias.name.split(".")[0] == "mocodec"]
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            base = parent[: len(parent) - node.level + 1]
+            named = tuple(node.module.split(".")) if node.module else ()
+            targets = [(*base, *named)] if named or base else [(alias.name,) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "mocodec":
+            named = tuple(node.module.split(".")[1:])
+            targets = [named] if named else [(alias.name,) for alias in node.names]
+        else:
+            continue
+        for target in targets:
+            if part(target) != part(here):
+                yield node.lineno, part(target)
+
+
+def may_import(importer: str, imported: str) -> bool:
+    """Whether the layers allow it; the version may be read from anywhere."""
+    if imported == "__version__":
+        return True
+    row = {name: number for number, names in enumerate(LAYERS) for name in names}
+    if row[importer] == row[imported]:
+        return LAYERS[row[importer]] not in APART
+    return row[importer] < row[imported]
+
+
+def test_every_part_stands_in_a_layer() -> None:
+    known = {name for row in LAYERS for name in row} | {"__init__"}
+    found = {p.stem for p in PACKAGE.glob("*.py")} | {p.parent.name for p in PACKAGE.glob("*/__init__.py")}
+    assert found <= known, f"give these a place in LAYERS: {sorted(found - known)}"
+
+
+def test_imports_point_down_only() -> None:
+    wrong = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        importer = part(path.relative_to(PACKAGE).with_suffix("").parts)
+        if importer == "__init__":
+            continue
+        wrong += [
+            f"{path.relative_to(PACKAGE)}:{line} ({importer}) imports {imported}"
+            for line, imported in imports(path)
+            if imported and not may_import(importer, imported)
+        ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_rule_itself() -> None:
+    assert may_import("cli", "codecs")
+    assert may_import("codecs", "stages")
+    assert may_import("stages", "entropy")
+    assert not may_import("codecs", "container")
+    assert not may_import("stages", "codecs")
+    assert not may_import("motion", "metrics")
