@@ -36,6 +36,7 @@ DERIVED = {
     "EVENT": ("USED", "TIMES", "LABELS", "CONTEXTS", "DESCRIPTIONS", "SUBJECTS", "ICON_IDS", "GENERIC_FLAGS"),
     "ROTATION": ("DATA_START",),
 }
+OWN_GROUPS = ("POINT", "ANALOG", "EVENT", "TRIAL", "ROTATION", "FORCE_PLATFORM")  # ours to read: capitals, whatever the file has
 EVENT_FIELDS = {
     "LABELS": "label", "CONTEXTS": "context", "DESCRIPTIONS": "description", "SUBJECTS": "subject",
     "ICON_IDS": "icon_id", "GENERIC_FLAGS": "generic_flag",
@@ -194,10 +195,11 @@ def _parameters(data: bytes, section: int, processor: int) -> Parameters:
         name_end = at + 2 + abs(name_length)
         if name_end + 3 > len(data):
             raise BadInput(f"cut off or damaged: a parameter's record runs past the end at byte {at}")
-        name = _text(data[at + 2 : name_end]).upper()
+        name = _text(data[at + 2 : name_end])
         (step,) = struct.unpack_from(f"{order}H", data, name_end)
         body = name_end + 2
         if number < 0:
+            name = name.upper() if name.upper() in OWN_GROUPS else name
             note = _text(data[body + 1 : body + 1 + data[body]])
             group_names.setdefault(-number, name)
             result.groups.setdefault(name, {})
@@ -214,6 +216,7 @@ def _parameters(data: bytes, section: int, processor: int) -> Parameters:
         at = name_end + step
     for number, name, value, note, locked in records:
         group = group_names.setdefault(number, f"GROUP{number}")
+        name = name.upper() if group in OWN_GROUPS else name
         result.groups.setdefault(group, {})[name] = value
         if note:
             result.notes[f"{group}:{name}"] = note
@@ -469,6 +472,10 @@ STANDARD: dict[str, dict[str, Any]] = {
         "USED": np.zeros(1, np.int16), "TYPE": _none(np.int16), "ZERO": np.array([1, 0], np.int16),
         "CORNERS": _none(np.float32), "ORIGIN": _none(np.float32), "CHANNEL": _none(np.int16),
     },
+    "EVENT": {
+        "CONTEXTS": [], "ICON_IDS": _none(np.int16), "LABELS": [], "DESCRIPTIONS": [], "SUBJECTS": [],
+        "TIMES": np.empty((2, 0), np.float32), "GENERIC_FLAGS": _none(np.int16), "USED": np.zeros(1, np.int16),
+    },
 }  # fmt: skip
 
 
@@ -495,8 +502,8 @@ def _packed(motion: Motion) -> bytes:
     parameters = Parameters({name: dict(kept.get(name, {})) for name in ("POINT", "ANALOG", "FORCE_PLATFORM")})
     parameters.groups |= {name: dict(group) for name, group in kept.items() if name not in parameters.groups}
     for group, standard in STANDARD.items():
-        for name, value in standard.items():
-            parameters.groups[group].setdefault(name, value)
+        if group in parameters.groups:
+            parameters.groups[group] = standard | parameters.groups[group]
     analog_signal = extras.get("analog")
     samples = _frame_samples(analog_signal, frames, motion.rate, "analog") if analog_signal is not None else None
     per_frame, channels = samples.shape[1:] if samples is not None else (1, 0)

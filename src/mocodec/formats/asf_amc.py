@@ -1,0 +1,264 @@
+"""ASF/AMC: the skeleton and the motion of an Acclaim capture, as in Carnegie Mellon's database.
+
+    ASF  bones: direction and length, an axis frame C, degrees of freedom ─┐
+    AMC  per frame and bone: angles ─► M ─► own turn C · M · C⁻¹ ──────────┴─► forward kinematics ─► ends of bones
+
+Points are the root and the END of every bone, in the order of the ASF (31 in CMU's); this is what the field evaluates on.
+A bone's turn therefore moves its own offset too: `Skeleton.offsets` are in each bone's own frame here, not its parent's.
+Metres are value / (ASF length unit) × 0.0254. An AMC does not say its rate: 120 Hz, CMU's, unless told.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput
+from ..geometry import kinematics, rigid
+from ..motion import Floats, Motion, Skeleton
+from . import replace_whole
+from .text import decoded, numbers
+
+DEGREES_OF_FREEDOM = ("rx", "ry", "rz")
+CMU_RATE = 120.0
+
+
+@dataclass(frozen=True)
+class Bone:
+    """One bone as its ASF has it: the turn C of its axis frame, the order of its turns, and which of them move."""
+
+    name: str
+    offset: tuple[float, float, float]  # direction × length, in the file's units
+    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)  # degrees or radians, as the file counts
+    order: str = "xyz"  # first turn first
+    dof: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Acclaim:
+    """A skeleton file. bones[0] is the root, whose dof are the channels of its line in the AMC ("tx" … "rz")."""
+
+    bones: tuple[Bone, ...]
+    parents: tuple[int, ...]
+    length: float = 1.0  # the ASF's length unit
+    degrees: bool = True
+
+    @property
+    def unit_m(self) -> float:
+        """Metres in one unit."""
+        return 0.0254 / self.length
+
+    @property
+    def skeleton(self) -> Skeleton:
+        offsets = np.array([bone.offset for bone in self.bones]) * self.unit_m
+        return Skeleton(tuple(bone.name for bone in self.bones), self.parents, offsets)
+
+    def radians(self, values: Floats) -> Floats:
+        return np.radians(values) if self.degrees else values
+
+
+def read(path: str | Path, asf: str | Path | None = None, rate: float = CMU_RATE) -> Motion:
+    """An AMC with its ASF as a motion, metres, y up, with skeleton and rotations.
+
+    asf: the skeleton's file; otherwise the one beside the AMC whose name its name begins with, or the only one there.
+    rate: frames a second, which an AMC does not say. Raises BadInput.
+    """
+    path = Path(path)
+    acclaim = read_asf(_find_asf(path) if asf is None else asf)
+    first, values = _channels(path, acclaim)
+    frames = len(values[0])
+    rotations = np.empty((frames, len(acclaim.bones), 4))
+    for joint, (bone, channels) in enumerate(zip(acclaim.bones, values, strict=True)):
+        rotations[:, joint] = _own_turn(bone, channels, acclaim)
+    root = acclaim.bones[0]
+    moved = np.zeros((frames, 3))
+    for channel, name in enumerate(root.dof):
+        if name[0] == "t":
+            moved[:, "xyz".index(name[1])] = values[0][:, channel]
+    positions = kinematics.forward(acclaim.skeleton, rotations, moved * acclaim.unit_m, own_frame=True)
+    source = {"format": "amc", "units": "ASF", "unit_m": acclaim.unit_m, "first_frame": first}
+    skeleton = acclaim.skeleton
+    return Motion(positions, rate, skeleton.names, "y", skeleton, rotations, source)
+
+
+def read_asf(path: str | Path) -> Acclaim:
+    """The skeleton of an ASF file. Raises BadInput."""
+    path = Path(path)
+    if not path.is_file():
+        raise BadInput(f"{path}: no such skeleton file")
+    sections = _sections(decoded(path))
+    try:
+        return _acclaim(sections)
+    except (IndexError, KeyError, ValueError) as error:
+        what = error if isinstance(error, BadInput) else f"not an ASF that can be read ({error!r})"
+        raise BadInput(f"{path}: {what}") from None
+
+
+def _sections(text: str) -> dict[str, list[list[str]]]:
+    """The words of each line, by the keyword (":units", ":root", …) that they stand under."""
+    sections: dict[str, list[list[str]]] = {}
+    lines: list[list[str]] = []
+    for line in text.splitlines():
+        words = line.split("#", 1)[0].split()
+        if words and words[0].startswith(":"):
+            lines = sections.setdefault(words[0].lower(), [])
+            words = words[1:]
+        if words:
+            lines.append(words)
+    return sections
+
+
+def _acclaim(sections: dict[str, list[list[str]]]) -> Acclaim:
+    if ":bonedata" not in sections or ":hierarchy" not in sections:
+        raise BadInput("not an ASF: it has no :bonedata or no :hierarchy")
+    units = {words[0].lower(): words[1] for words in sections.get(":units", []) if len(words) > 1}
+    length = float(units.get("length", 1.0))
+    if not (math.isfinite(length) and length > 0):
+        raise BadInput(f"its length unit must be positive, not {length}")
+    root = {words[0].lower(): words[1:] for words in sections.get(":root", [])}
+    position, orientation = (_triple(root.get(key, ["0", "0", "0"])) for key in ("position", "orientation"))
+    channels = tuple(channel.lower() for channel in root.get("order", "TX TY TZ RX RY RZ".split()))
+    if sorted(set(channels)) != sorted(channels) or not set(channels) <= {"tx", "ty", "tz", "rx", "ry", "rz"}:
+        raise BadInput(f"the root's order {' '.join(channels)} has a channel that is not one of TX TY TZ RX RY RZ")
+    bones = {"root": Bone("root", position, orientation, _order(root.get("axis", ["XYZ"])[0]), channels)}
+    for bone in _bones(sections[":bonedata"]):
+        if bone.name in bones:
+            raise BadInput(f"bone {bone.name} is there twice")
+        bones[bone.name] = bone
+    above = _hierarchy(sections[":hierarchy"], bones)
+    ordered = ["root"]
+    for name in bones:  # as the file has them, each after its parent
+        chain = [name]
+        while above.get(chain[-1]) is not None and len(chain) <= len(bones):
+            chain.append(above[chain[-1]])
+        if chain[-1] != "root":
+            raise BadInput(f"bone {name} does not hang on the root")
+        ordered += [link for link in reversed(chain) if link not in ordered]
+    parents = (-1, *(ordered.index(above[name]) for name in ordered[1:]))
+    degrees = not units.get("angle", "deg").lower().startswith("rad")
+    return Acclaim(tuple(bones[name] for name in ordered), parents, length, degrees)
+
+
+def _bones(lines: list[list[str]]) -> list[Bone]:
+    bones: list[Bone] = []
+    fields: dict[str, list[str]] | None = None
+    for words in lines:
+        key = words[0].lower()
+        if key == "begin":
+            fields = {}
+        elif key == "end" and fields is not None:
+            dof = tuple(word.lower() for word in fields.get("dof", []))
+            if not set(dof) <= set(DEGREES_OF_FREEDOM) or len(set(dof)) != len(dof):
+                raise BadInput(f"bone {fields['name'][0]}: its dof {' '.join(dof)} are not some of rx ry rz")
+            along, length = np.array(_triple(fields["direction"])), float(fields["length"][0])
+            if not math.isfinite(length):
+                raise BadInput(f"bone {fields['name'][0]}: its length is {length}")
+            axis = fields.get("axis", ["0", "0", "0", "XYZ"])
+            order = _order(axis[3] if len(axis) > 3 else "XYZ")
+            x, y, z = (along * length).tolist()
+            bones.append(Bone(fields["name"][0], (x, y, z), _triple(axis), order, dof))
+            fields = None
+        elif fields is not None and key not in fields:
+            fields[key] = words[1:]
+    return bones
+
+
+def _hierarchy(lines: list[list[str]], bones: dict[str, Bone]) -> dict[str, str]:
+    above: dict[str, str] = {}
+    for parent, *children in lines:
+        if parent.lower() in ("begin", "end"):
+            continue
+        for child in children:
+            if parent not in bones or child not in bones or child == "root" or child in above:
+                raise BadInput(f"its hierarchy puts {child} under {parent}, which cannot be")
+            above[child] = parent
+    return above
+
+
+def _triple(words: list[str]) -> tuple[float, float, float]:
+    x, y, z = (float(word) for word in words[:3])
+    if not math.isfinite(x + y + z):
+        raise BadInput(f"{' '.join(words)} are not three numbers")
+    return x, y, z
+
+
+def _order(letters: str) -> str:
+    if sorted(letters.lower()) != ["x", "y", "z"]:
+        raise BadInput(f"an axis order is made of X, Y and Z, not {letters!r}")
+    return letters.lower()
+
+
+def _find_asf(amc: Path) -> Path:
+    """The ASF beside an AMC: of the longest name that the AMC's begins with, or the only one in the folder."""
+    there = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
+    named = [p for p in there if amc.stem.lower().startswith(p.stem.lower())]
+    if named:
+        return max(named, key=lambda p: len(p.stem))
+    if len(there) != 1:
+        what = "no .asf" if not there else f"{len(there)} .asf files, none with this name,"
+        raise BadInput(f"{amc}: {what} beside it; say which skeleton with asf=")
+    return there[0]
+
+
+def _channels(path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
+    """The number of the first frame, and for each bone its channels (frames, dof) as written."""
+    text = decoded(path)
+    start = re.search(r"^[ \t]*\d+[ \t]*$", text, re.MULTILINE)
+    if start is None or "root" not in text:
+        raise BadInput(f"{path}: not an AMC: it has no line with a frame's number")
+    if re.search(r"^\s*:RADIANS", text[: start.start()], re.MULTILINE | re.IGNORECASE) and acclaim.degrees:
+        raise BadInput(f"{path}: its angles are radians, its skeleton's degrees")
+    body = text[start.start() :]
+    names = NAMES.findall(body)
+    frames = names.count(names[0]) if names else 0
+    if frames == 0:
+        raise BadInput(f"{path}: not an AMC: its first frame names no bone")
+    layout = names[: len(names) // frames]
+    if len(set(layout)) != len(layout) or names != layout * frames:
+        raise BadInput(f"{path}: cut off or damaged: its frames do not all name the same bones, each once")
+    known = {bone.name: joint for joint, bone in enumerate(acclaim.bones)}
+    unknown = [name for name in layout if name not in known]
+    if unknown:
+        raise BadInput(f"{path}: bone {unknown[0]} is not in its skeleton; is this its ASF?")
+    still = [bone.name for bone in acclaim.bones if bone.dof and bone.name not in layout]
+    if still:
+        raise BadInput(f"{path}: bone {still[0]} can move in the skeleton and has no angles here; is this its ASF?")
+    widths = [len(acclaim.bones[known[name]].dof) for name in layout]
+    table = numbers(NAMES.sub("", body), path)
+    if table.size != frames * (1 + sum(widths)):
+        raise BadInput(
+            f"{path}: {table.size} numbers in {frames} frames, where the skeleton has {1 + sum(widths)} a frame: "
+            f"cut off, or another skeleton's"
+        )
+    table = table.reshape(frames, -1)
+    values: list[Floats] = [np.empty((frames, 0)) for _ in acclaim.bones]
+    at = 1
+    for name, width in zip(layout, widths, strict=True):
+        values[known[name]] = table[:, at : at + width]
+        at += width
+    return int(table[0, 0]), values
+
+
+NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
+
+
+def _own_turn(bone: Bone, channels: Floats, acclaim: Acclaim) -> Floats:
+    """C · M · C⁻¹ (frames, 4). The first letter of an order is the first turn, so it stands rightmost in the product."""
+    angles = np.zeros((len(channels), 3))
+    for channel, name in enumerate(bone.dof):
+        if name[0] == "r":
+            angles[:, bone.order[::-1].index(name[1])] = channels[:, channel]
+    frame = _axis_frame(bone, acclaim)
+    turn = rigid.from_euler(bone.order[::-1], acclaim.radians(angles))
+    return rigid.multiply(rigid.multiply(frame, turn), rigid.inverse(frame))
+
+
+def _axis_frame(bone: Bone, acclaim: Acclaim) -> Floats:
+    """C: the angles of an axis are by letter, x y z, whatever the order of the turns."""
+    by_turn = np.array([bone.axis["xyz".index(letter)] for letter in bone.order[::-1]])
+    return rigid.from_euler(bone.order[::-1], acclaim.radians(by_turn))
