@@ -1,9 +1,9 @@
 """mocodec stores, ships and streams human motion with an error that it measures and guarantees.
 
-    import mocodec as mc
-    m = mc.read("walk.c3d")
-    blob = mc.encode(m, max_error=0.002)
-    m2 = mc.decode(blob)
+import mocodec as mc
+m = mc.read("walk.c3d")
+blob = mc.encode(m, max_error=0.002)
+m2 = mc.decode(blob)
 """
 
 from __future__ import annotations
@@ -15,7 +15,13 @@ from .pointcloud import PointClouds
 
 __version__ = "0.1.0"
 
-CODEC_CLASSES = {"Liu2006": "liu2006", "Hou2014": "hou2014", "Tempo": "tempo", "Lossless": "lossless", "Lien2006": "lien2006"}
+CODEC_CLASSES = {
+    "Liu2006": "liu2006",
+    "Hou2014": "hou2014",
+    "Tempo": "tempo",
+    "Lossless": "lossless",
+    "Lien2006": "lien2006",
+}
 
 
 def __getattr__(name: str) -> object:
@@ -28,6 +34,6 @@ def __getattr__(name: str) -> object:
 
 
 __all__ = [
-    "BadInput", "CannotEncode", "Corrupt", "File", "MocodecError", "Motion", "PointClouds", "Signal", "Skeleton", "TooNew",
-    "Truncated", "UnknownCodec", "compare", "decode", "encode", "open", "read", "write",
+    "BadInput", "CannotEncode", "Corrupt", "File", "MocodecError", "Motion", "PointClouds", "Signal", "Skeleton",
+    "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode", "open", "read", "write",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 """The public verbs: read, write, encode, decode, open, compare.
 
-    file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motion ─write─► file
-                                     └─open─► slices, without reading the rest
+file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motion ─write─► file
+                                 └─open─► slices, without reading the rest
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def write(path: Path_, motion: Motion | PointClouds, **options: Any) -> None:
 def encode(motion: Motion | PointClouds, codec: Any = "tempo", **options: Any) -> bytes:
     """A motion as the bytes of a .mocz.
 
-    codec: a name, or an instance with settings such as `Hou2014(components=40)`. options: settings by keyword, among them
-    the targets `max_error`, `mean_error` (metres), `ratio`, `size`. Raises BadInput for a setting the codec does not
-    have, CannotEncode where it cannot do what was asked.
+    codec: a name, or an instance with settings such as `Hou2014(components=40)`. options: settings by keyword, among
+    them the targets `max_error`, `mean_error` (metres), `ratio`, `size`. Raises BadInput for a setting the codec does
+    not have, CannotEncode where it cannot do what was asked.
     """
     return container.pack(with_options(codec, **options).encode(motion))
 
@@ -65,7 +65,10 @@ def with_options(codec: Any, **options: Any) -> Any:
 
 
 def decode(source: bytes | Path_ | BinaryIO) -> Any:
-    """The motion (or point clouds) of a .mocz: bytes, a path or a file object. Raises Truncated, Corrupt, TooNew, UnknownCodec."""
+    """The motion (or point clouds) of a .mocz: bytes, a path or a file object.
+
+    Raises Truncated, Corrupt, TooNew, UnknownCodec.
+    """
     with open(source) as f:
         return f[:]
 

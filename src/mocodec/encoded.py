@@ -1,8 +1,8 @@
 """Encoded: all that codecs and the container hand each other.
 
-    shared bytes   what every chunk needs (a basis, a prior's name); equal bytes in many files are stored once
-    chunks         each a run of frames that decodes from the shared bytes, itself and `margin` neighbours on each side
-    about          a motion (or point clouds) of no frames: rate, names, axes, skeleton, source, extras
+shared bytes   what every chunk needs (a basis, a prior's name); equal bytes in many files are stored once
+chunks         each a run of frames that decodes from the shared bytes, itself and `margin` neighbours on each side
+about          a motion (or point clouds) of no frames: rate, names, axes, skeleton, source, extras
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Chunk:
 class Encoded(Generic[About]):
     """What a codec makes and takes back.
 
-    codec: its name on disk. about: all that the codec does not code, with no frames in it. shared: blobs that all chunks
-    need. chunks: in order, without holes; a reader's sequence loads a payload when it is asked for. margin: how many
-    neighbouring chunks on each side a chunk needs to decode. settings: the codec's settings that differ from its
+    codec: its name on disk. about: all that the codec does not code, with no frames in it. shared: blobs that all
+    chunks need. chunks: in order, without holes; a reader's sequence loads a payload when it is asked for. margin: how
+    many neighbouring chunks on each side a chunk needs to decode. settings: the codec's settings that differ from its
     defaults, JSON values, never needed to decode; `max_error` among them is a promise.
     """
 
@@ -73,7 +73,7 @@ def about(motion: Motion) -> Motion:
 
 
 def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0) -> Motion:
-    """The motion again: decoded positions of the frames from `start` on, with names, extras and the rest beside them."""
+    """The motion again: decoded positions of the frames from `start` on, with names, extras and the rest beside."""
     like = encoded.about
     whole = start == 0 and len(positions) == encoded.frames
     extras = like.extras if whole else extras_between(like.extras, start, start + len(positions), like.rate)

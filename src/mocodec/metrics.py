@@ -1,4 +1,4 @@
-"""Each measure of error once, with the paper's equation number. Lengths in metres; gaps are left out of every measure."""
+"""Each measure of error once, with the paper's equation number. Lengths in metres; gaps count in none of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def mean_distance(original: Floats, decoded: Floats) -> float:
 
 
 def distortion_percent(original: Floats, decoded: Floats) -> float:
-    """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ with the Frobenius norm and E(A) each coordinate's average. Liu & McMillan 2006, section 4."""
+    """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ in the Frobenius norm, E(A) each coordinate's average. Liu & McMillan 2006, s. 4."""
     spread = np.nansum((original - np.nanmean(original, axis=0)) ** 2)
     return float(100 * np.sqrt(np.nansum((original - decoded) ** 2) / spread)) if spread > 0 else 0.0
 
@@ -59,9 +59,7 @@ def compare(a: Motion, b: Motion, stored_bytes: int | None = None) -> Comparison
     Raises BadInput where they do not have the same frames and points.
     """
     if a.positions.shape != b.positions.shape:
-        raise BadInput(
-            f"cannot compare {len(a)} frames of {a.points} points with {len(b)} frames of {b.points} points"
-        )
+        raise BadInput(f"cannot compare {len(a)} frames of {a.points} points with {len(b)} frames of {b.points} points")
     if a.names != b.names and sorted(a.names) == sorted(b.names) and len(set(a.names)) == a.points:
         b = b.select(a.names)
     error = distances(a.positions, b.positions)

@@ -1,8 +1,8 @@
 """Motion: named points over time, in metres and hertz; what every reader makes and every codec takes.
 
-    positions (frames, points, 3) · rate · names · up          the motion itself; NaN = gap
-    skeleton, rotations                                        where the source has them
-    source, extras                                             what it takes to write the file back as it came
+positions (frames, points, 3) · rate · names · up          the motion itself; NaN = gap
+skeleton, rotations                                        where the source has them
+source, extras                                             what it takes to write the file back as it came
 """
 
 from __future__ import annotations
@@ -73,10 +73,11 @@ class Motion:
 
     positions (frames, points, 3) float64, metres, in the source's axes; a gap is NaN in all three coordinates.
     rate: frames a second. names: one per point. up: the vertical axis, "x", "y" or "z".
-    skeleton, rotations (frames, joints, 4; unit quaternions, w first, from the parent's frame): where the source has them.
+    skeleton, rotations (frames, joints, 4; unit quaternions, w first, from the parent's frame): where there are any.
     source: JSON values that say how the file was: `format`, `units`, `unit_m` (metres in one unit), `first_frame`, …
     extras: what codecs do not code and the container carries losslessly: a tree of dicts and lists with JSON values,
-    bytes, NumPy arrays and `Signal`s. `extras["events"]` is a list of dicts with `label` and `time_s` from the first frame.
+    bytes, NumPy arrays and `Signal`s. `extras["events"]` is a list of dicts with `label` and `time_s`, counted from the
+    first frame.
 
     Raises BadInput where these do not hold.
     """
@@ -165,7 +166,7 @@ class Motion:
         )
 
     def select(self, names: Iterable[str]) -> Motion:
-        """The points of these names, in this order; a skeleton survives only as a whole. Raises BadInput for an unknown name."""
+        """The points of these names, in this order; a skeleton stays only whole. Raises BadInput for unknown ones."""
         columns = point_columns(self.names, names)
         if columns == list(range(self.points)):
             return self

@@ -1,0 +1,166 @@
+"""`mocodec eval`: where every codec stands, ours and what a user could pick instead; the papers' tables and figures.
+
+mocodec eval -o DIR                     the data set, every coder, every target
+mocodec eval report DIR                 the pages again, from DIR/results.json
+mocodec eval liu2006 | hou2014 …        a paper's tables and figures
+mocodec eval fetch cmu --subjects 14    recordings from the CMU site
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from ..errors import BadInput
+
+PAPERS = ("liu2006", "hou2014", "lien2006")
+
+
+@click.group("eval", invoke_without_command=True)
+@click.option("-o", "--output", type=click.Path(file_okay=False), help="Folder for results.json and the report.")
+@click.option(
+    "--data", multiple=True, metavar="NAME|FOLDER", help="package, synthetic, shared, shared-all, or a folder."
+)
+@click.option("--quick", is_flag=True, help="A few recordings and coders: under two minutes.")
+@click.option("--codec", "chosen", multiple=True, metavar="NAME", help="Only these coders; may be repeated.")
+@click.option("--workers", type=click.IntRange(1), help="Processes at a time. Default: one a core.")
+@click.option("--again", is_flag=True, help="Measure everything again, results in the folder or not.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    output: str | None,
+    data: tuple[str, ...],
+    quick: bool,
+    chosen: tuple[str, ...],
+    workers: int | None,
+    again: bool,
+) -> None:
+    """Run codecs and rivals over recordings, and write DIR/results.json, DIR/report.html and DIR/report.md.
+
+    Without --data: the development recordings where they are, the one inside the package and synthetic motion. A run
+    that was stopped goes on where it was. Recordings that cannot be read are listed in the report, with the reason.
+    """
+    if ctx.invoked_subcommand is not None:
+        return
+    if output is None:
+        raise click.UsageError("eval needs a folder for its results: -o DIR")
+    from ..evaluation import datasets, rivals, runner
+
+    coders = coders_of(chosen, quick, (*runner.OURS, *rivals.RIVALS))
+    names = data or (("shared",) if datasets.SHARED.is_dir() else ()) + (
+        ("package", "synthetic") if not quick else ("package",)
+    )
+    recordings = [recording for name in names for recording in datasets.recordings(name, quick)]
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    work = runner.tasks(recordings, coders)
+    known = [] if again else runner.load(folder / "results.json")
+    records: list[runner.Record] = []
+    with progress(len(work)) as advance:
+        for done in runner.run(work, workers or os.cpu_count() or 1, known):
+            records += done
+            runner.save(folder / "results.json", records)
+            advance(f"{done[0].codec} on {done[0].file}" if done else "")
+    (folder / "machine.json").write_text(json.dumps(runner.machine(), indent=1) + "\n")
+    write_report(folder)
+
+
+@command.command("report")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False))
+def report_command(folder: str) -> None:
+    """Write the report of FOLDER again from its results.json."""
+    write_report(Path(folder))
+
+
+@command.group("fetch")
+def fetch_command() -> None:
+    """Fetch recordings from where they are published."""
+
+
+@fetch_command.command("cmu")
+@click.option("--subjects", required=True, metavar="14,15", help="Subjects of the CMU database.")
+@click.option(
+    "-o", "--output", default="cmu", show_default=True, type=click.Path(file_okay=False), help="Folder for them."
+)
+def fetch_cmu(subjects: str, output: str) -> None:
+    """Fetch subjects of the Carnegie Mellon database (mocap.cs.cmu.edu; created with funding from NSF EIA-0196217)."""
+    from ..evaluation import fetch
+
+    paths = fetch.cmu(subjects.split(","), Path(output), told=lambda path: click.echo(path, err=True))
+    click.echo(f"{len(paths)} files below {output}; measure on them with: mocodec eval --data {output} -o results")
+
+
+def paper_command(name: str) -> click.Command:
+    """A command that reproduces the tables and figures of one paper."""
+
+    @click.command(name, help=f"The tables and figures of {name}, ours beside the published.")
+    @click.option(
+        "--data", default="../shared/data", show_default=True, type=click.Path(), help="Folder of recordings."
+    )
+    @click.option(
+        "-o", "--output", default="docs/results", show_default=True, type=click.Path(), help="Folder for results."
+    )
+    def run(data: str, output: str) -> None:
+        module = importlib.import_module(f"mocodec.evaluation.papers.{name}")
+        for path in module.run(Path(data), Path(output)):
+            click.echo(str(path))
+
+    return run
+
+
+for _paper in PAPERS:
+    if (Path(__file__).parent.parent / "evaluation" / "papers" / f"{_paper}.py").exists():
+        command.add_command(paper_command(_paper))
+
+
+def coders_of(chosen: tuple[str, ...], quick: bool, known: tuple[str, ...]) -> list[str]:
+    """The coders to run. Raises a usage error for an unknown one."""
+    unknown = [name for name in chosen if name not in known]
+    if unknown:
+        raise click.UsageError(f"no coder named {', '.join(unknown)}; there are: {', '.join(known)}")
+    if chosen:
+        return list(chosen)
+    return ["tempo", "hou2014", "liu2006", "lossless", "sz3", "pcodec"] if quick else list(known)
+
+
+class progress:
+    """A bar on standard error on a terminal, nothing otherwise: `with progress(total) as advance: advance(what)`."""
+
+    def __init__(self, total: int) -> None:
+        self.total = total
+
+    def __enter__(self):
+        if not sys.stderr.isatty():
+            return lambda what: None
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (BarColumn(30), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+        self.bar = Progress(*columns, console=Console(stderr=True))
+        task = self.bar.add_task("", total=self.total)
+        self.bar.start()
+        return lambda what: self.bar.update(task, advance=1, description=what)
+
+    def __exit__(self, *_: object) -> None:
+        if hasattr(self, "bar"):
+            self.bar.stop()
+
+
+def write_report(folder: Path) -> None:
+    """DIR/report.html and DIR/report.md from DIR/results.json. Raises BadInput where there is none."""
+    from .. import formats
+    from ..evaluation import report, runner
+
+    records = runner.load(folder / "results.json")
+    if not records:
+        raise BadInput(f"{folder} holds no results.json with results")
+    machine_path = folder / "machine.json"
+    machine = json.loads(machine_path.read_text()) if machine_path.is_file() else {}
+    formats.replace_whole(folder / "report.md", report.markdown(records, machine).encode())
+    formats.replace_whole(folder / "report.html", report.page(records, machine).encode())
+    click.echo(f"{folder / 'report.html'}\n{folder / 'report.md'}")
