@@ -1,0 +1,5 @@
+"""`python -m mocodec`."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,72 @@
+"""`mocodec compare`: how far one recording is from another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .. import metrics
+from ..errors import BadInput
+from ..motion import Motion
+from . import files, quantities
+
+
+@click.command("compare")
+@click.argument("a", metavar="A")
+@click.argument("b", metavar="B")
+@click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
+@click.option(
+    "--plot", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw the error over time and per point."
+)
+@files.reader_options
+def command(a: str, b: str, as_json: bool, plot: str | None, **options: Any) -> None:
+    """Measure B against A; either may be a .mocz or any other recording.
+
+    The ratio is A's positions as float32 over the bytes of the .mocz, where one of the two is one.
+    """
+    with files.working(f"reading {a} and {b}"):
+        original, other = motion(a, **options), motion(b, **options)
+    result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
+    click.echo(result.to_json() if as_json else "\n".join(table(result)))
+    if plot:
+        from .. import plots
+
+        plots.save(plots.errors(original, other, f"{Path(b).name} against {Path(a).name}"), plot)
+
+
+def motion(name: str, **options: Any) -> Motion:
+    """Read a motion. Raises BadInput for point clouds."""
+    recording = files.read(name, **options)
+    if not isinstance(recording, Motion):
+        raise BadInput(f"{name} holds point clouds; compare measures motions point by point")
+    return recording
+
+
+def stored_bytes(name: str) -> int | None:
+    """Size of a .mocz file on disk."""
+    return Path(name).stat().st_size if files.is_mocz(name) and not files.is_url(name) else None
+
+
+def table(result: metrics.Comparison) -> list[str]:
+    """A comparison as lines for people; points in order of their largest error."""
+    where = f" at frame {result.max_at[0]}, {result.max_at[1]}" if result.max_at else ""
+    lines = [
+        f"{result.frames:,} frames, {result.points} points",
+        f"mean error  {quantities.length(result.mean_error)}",
+        f"p99 error   {quantities.length(result.p99_error)}",
+        f"max error   {quantities.length(result.max_error)}{where}",
+        f"rms         {quantities.length(result.rms)}",
+        f"d           {result.d_percent:.3g} %",
+        f"gaps        {'equal' if result.gaps_equal else 'NOT EQUAL'}",
+    ]
+    if result.ratio is not None:
+        lines.append(f"ratio       {result.ratio:.1f} : 1 against float32")
+    if result.per_point:
+        width = max(map(len, result.per_point))
+        lines += ["", f"{'point':{width}}  {'mean':>10}  {'p99':>10}  {'max':>10}"]
+        for name, error in sorted(result.per_point.items(), key=lambda item: -item[1]["max_error"]):
+            values = (quantities.length(error[key]) for key in ("mean_error", "p99_error", "max_error"))
+            lines.append(f"{name:{width}}  " + "  ".join(f"{value:>10}" for value in values))
+    return lines

@@ -1,0 +1,69 @@
+"""`mocodec encode`: a recording to a .mocz file, measured against what went in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .. import api, codecs, container, metrics
+from ..errors import BadInput
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from . import files, quantities
+
+DEFAULT = {Motion: "tempo", PointClouds: "lien2006"}
+
+
+@click.command("encode")
+@click.argument("source", metavar="IN")
+@click.option("-o", "--output", required=True, metavar="OUT.mocz", help='The file to write; "-" is standard output.')
+@click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; lien2006 for point clouds.")
+@click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
+@click.option("--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames: 1mm.")
+@click.option("--ratio", type=click.FloatRange(1), help="This many times smaller than float32 positions: 100.")
+@click.option("--size", type=quantities.SIZE, help="No larger than this: 50kB.")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; may be repeated.")
+@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+@files.reader_options
+def command(
+    source: str, output: str, codec: str | None, settings: tuple[str, ...], quiet: bool, **options: Any
+) -> None:
+    """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
+
+    Every file that is written has been decoded and measured first; the error is in the summary, on standard error.
+    """
+    targets = {name: options.pop(name) for name in ("max_error", "mean_error", "ratio", "size")}
+    if output != "-" and Path(output).suffix and not files.is_mocz(output):
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec decode` writes the formats of the field")
+    with files.working(f"reading {source}"):
+        recording = files.read(source, **options)
+    chosen = choose(codec or DEFAULT[type(recording)], settings, files.named(**targets))
+    with files.working(f"encoding {source} with {chosen.name}"):
+        blob = container.pack(chosen.encode(recording))
+        decoded = api.decode(blob)
+    files.write_bytes(output, blob)
+    if not quiet:
+        click.echo(summary(output, recording, decoded, len(blob)), err=True)
+        if isinstance(recording, Motion) and recording.rotations is not None:
+            click.echo("note: joint positions are stored; rotations are not stored yet", err=True)
+
+
+def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Any:
+    """The codec with these settings and targets. Raises a usage error for those that it does not have."""
+    kind = codecs.codec_class(codec)
+    try:
+        return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
+    except (BadInput, TypeError) as error:
+        raise click.UsageError(str(error)) from error
+
+
+def summary(output: str, recording: Motion | PointClouds, decoded: Motion | PointClouds, stored: int) -> str:
+    """One line: bytes, ratio and, for a motion, the error that was measured."""
+    name = "standard output" if output == "-" else output
+    line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
+    if isinstance(recording, Motion) and isinstance(decoded, Motion):
+        error = metrics.compare(recording, decoded, stored)
+        line += f", mean error {quantities.length(error.mean_error)}, max {quantities.length(error.max_error)}"
+    return line

@@ -1,0 +1,141 @@
+"""Files as the command line names them: a path, a URL, or "-" for standard input and output; the readers' options."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .. import api, formats
+from ..errors import BadInput
+from ..motion import Motion
+from ..pointcloud import PointClouds
+
+MAGIC_SUFFIX = ".mocz"
+
+READER_OPTIONS = (
+    click.option("--format", "format_", metavar="NAME", help='Format of "-", such as c3d or trc; a .mocz needs none.'),
+    click.option(
+        "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc, where none lies beside it."
+    ),
+    click.option("--skeleton", type=click.Path(), metavar="FILE", help="A skeleton for an .npz of poses alone."),
+    click.option(
+        "--rate", type=click.FloatRange(0, min_open=True), help="Frames a second, where the file does not say."
+    ),
+    click.option("--fps", type=click.FloatRange(0, min_open=True), help="The same, for a folder of point clouds."),
+    click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, where it does not say: mm, cm, m, in."),
+)
+
+
+def reader_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that go to a format's reader."""
+    for option in reversed(READER_OPTIONS):
+        command = option(command)
+    return command
+
+
+def named(**options: Any) -> dict[str, Any]:
+    """Those options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def is_mocz(name: str) -> bool:
+    """Whether a name is that of a .mocz file, here or behind a URL."""
+    return name.partition("?")[0].lower().endswith(MAGIC_SUFFIX)
+
+
+def is_url(name: str) -> bool:
+    """Whether it is to be fetched from the network."""
+    return name.startswith(("http://", "https://"))
+
+
+def standard_input() -> bytes:
+    """All of standard input."""
+    if sys.stdin.isatty():
+        raise click.UsageError('"-" reads standard input, but that is the terminal: pipe a file into it')
+    return sys.stdin.buffer.read()
+
+
+def source_of(name: str) -> Any:
+    """What `mocodec.open` takes for a name: a path, a URL, or the bytes of standard input."""
+    return standard_input() if name == "-" else name if is_url(name) else Path(name)
+
+
+def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
+    """Read any file that mocodec knows. Raises BadInput, and the container's errors for a .mocz."""
+    options = named(**options)
+    if is_url(name) or (name != "-" and format_ == MAGIC_SUFFIX[1:]):
+        return api.decode(source_of(name))
+    if name != "-":
+        path = Path(name)
+        if format_ and path.suffix.lower() != f".{format_.lower().lstrip('.')}":
+            raise BadInput(f"--format is for standard input; {name} is read by its suffix")
+        return api.read(path, **options)
+    data = standard_input()
+    if format_ is None or format_.lower() == MAGIC_SUFFIX[1:]:
+        try:
+            return api.decode(data)
+        except BadInput as error:
+            raise BadInput(f"standard input: {error}; say what it is with --format c3d, trc, …") from error
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"stdin.{format_.lower().lstrip('.')}"
+        path.write_bytes(data)
+        return api.read(path, **options)
+
+
+def write(name: str, motion: Motion | PointClouds, format_: str | None = None, **options: Any) -> None:
+    """Write by suffix, or for "-" in the format named. The file appears whole or not at all."""
+    if name != "-":
+        api.write(Path(name), motion, **options)
+        return
+    if format_ is None:
+        raise click.UsageError("standard output needs --format c3d, trc, npz, …")
+    refuse_terminal()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"stdout.{format_.lower().lstrip('.')}"
+        api.write(path, motion, **options)
+        sys.stdout.buffer.write(path.read_bytes())
+
+
+def write_bytes(name: str, data: bytes) -> None:
+    """Write bytes to a path, whole or not at all, or to standard output."""
+    if name == "-":
+        refuse_terminal()
+        sys.stdout.buffer.write(data)
+    else:
+        formats.replace_whole(Path(name), data)
+
+
+def refuse_terminal() -> None:
+    """Raises a usage error where standard output is a terminal."""
+    if sys.stdout.isatty():
+        raise click.UsageError("standard output is the terminal: pipe it on, or name a file with -o")
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """A line with a clock on standard error while work goes on; only on a terminal, and after half a second."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from threading import Timer
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn())
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
+    progress.add_task(what, total=None)
+    begin = Timer(0.5, progress.start)
+    begin.start()
+    try:
+        yield
+    finally:
+        begin.cancel()
+        begin.join()
+        progress.stop()

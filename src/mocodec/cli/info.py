@@ -1,0 +1,77 @@
+"""`mocodec info`: what a file holds, without decoding it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import click
+
+from .. import api
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from . import files
+
+
+@click.command("info")
+@click.argument("source", metavar="FILE")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@files.reader_options
+def command(source: str, as_json: bool, **options: Any) -> None:
+    """Show what FILE holds. Of a .mocz (a path, a URL or "-") only header and index are read."""
+    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"]):
+        with api.open(files.source_of(source)) as opened:
+            facts = opened.info
+    else:
+        facts = about(files.read(source, **options))
+    click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
+
+
+def about(recording: Motion | PointClouds) -> dict[str, Any]:
+    """What a file of the field holds, with the keys that a .mocz file has too."""
+    facts: dict[str, Any] = {
+        "frames": len(recording),
+        "rate": recording.rate,
+        "seconds": len(recording) / recording.rate,
+    }
+    if isinstance(recording, Motion):
+        facts["points"] = recording.points
+        facts["names"] = list(recording.names)
+        facts["skeleton"] = recording.skeleton is not None
+        facts["gaps"] = int(recording.gaps.sum())
+    else:
+        facts["points"] = sum(map(len, recording.positions))
+        facts["colours"] = recording.colours is not None
+    return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes": recording.raw_bytes}
+
+
+def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
+    """Facts as aligned lines for people; nested ones are indented."""
+    width = max((len(key) for key in facts), default=0) + 2
+    for key, value in facts.items():
+        label = " " * indent + f"{key.replace('_', ' '):{width}}"
+        if isinstance(value, Mapping):
+            yield label.rstrip()
+            yield from lines(value, indent + 2)
+        elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+            yield label + f"{len(value)}"
+        else:
+            yield label + shown(value)
+
+
+def shown(value: Any) -> str:
+    """A fact's value for people."""
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case None:
+            return "none"
+        case int():
+            return f"{value:,}"
+        case float():
+            return f"{value:.6g}"
+        case list() | tuple():
+            return ", ".join(shown(item) if isinstance(item, float) else str(item) for item in value) or "none"
+        case _:
+            return str(value)

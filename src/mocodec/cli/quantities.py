@@ -1,0 +1,124 @@
+"""Numbers with units, as they are typed and as they are shown: 2mm, 12.5s, 50kB, name=value."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import MISSING, Field, fields
+from typing import Any
+
+import click
+
+from ..errors import BadInput
+
+METRES = {"um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
+BYTES = {"": 1, "B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
+
+NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s.]*)")
+
+
+def split_unit(text: str) -> tuple[float, str] | None:
+    """ "2mm" → (2.0, "mm"); None where it is not a number with a unit."""
+    match = NUMBER.fullmatch(text.strip())
+    return (float(match[1]), match[2]) if match else None
+
+
+class Length(click.ParamType):
+    """A length above zero, in metres."""
+
+    name = "length"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        number, unit = split_unit(value) or (0.0, "")
+        if unit not in METRES:
+            self.fail(f"{value!r} is not a length; write it with its unit, such as 2mm, 0.3cm or 0.002m", param, ctx)
+        if not 0 < number < float("inf"):
+            self.fail(f"{value!r} must be above zero", param, ctx)
+        return number * METRES[unit]
+
+
+class Time(click.ParamType):
+    """A time from the first frame: (seconds, None) or, for "1500f", (None, frames)."""
+
+    name = "time"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float | None, int | None]:
+        if isinstance(value, tuple):
+            return value
+        number, unit = split_unit(value) or (-1.0, "")
+        if (unit not in SECONDS and unit != "f") or not 0 <= number < float("inf"):
+            self.fail(f"{value!r} is not a time; write it as 12.5s, 500ms, 1.5min, or 1500f for a frame", param, ctx)
+        if unit == "f":
+            if number != int(number):
+                self.fail(f"{value!r}: there is no such thing as part of a frame", param, ctx)
+            return None, int(number)
+        return number * SECONDS[unit], None
+
+
+class Size(click.ParamType):
+    """A size in bytes."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        if isinstance(value, int):
+            return value
+        number, unit = split_unit(value) or (-1.0, "")
+        if unit not in BYTES or not 1 <= number * BYTES[unit] < 2**63:
+            self.fail(f"{value!r} is not a size; write it as 50kB, 50000 or 2MiB", param, ctx)
+        return int(number * BYTES[unit])
+
+
+LENGTH, TIME, SIZE = Length(), Time(), Size()
+
+
+def setting(codec_class: Any, text: str) -> tuple[str, Any]:
+    """ "components=40" as a codec's setting, of the type of its default; a length may carry its unit.
+
+    Raises BadInput for a setting that the codec does not have or of the wrong type.
+    """
+    name, equals, value = text.partition("=")
+    name = name.strip().replace("-", "_")
+    known = {f.name: f for f in fields(codec_class)}
+    if not equals or name not in known:
+        raise BadInput(f"--set {text}: write name=value, where {codec_class.name} has the names {', '.join(known)}")
+    number, unit = split_unit(value) or (0.0, "")
+    if unit in METRES:
+        return name, number * METRES[unit]
+    try:
+        parsed = json.loads(value)
+    except ValueError:
+        parsed = value
+    return name, of_type(parsed, known[name], text)
+
+
+def of_type(value: Any, field: Field[Any], text: str) -> Any:
+    """The value in the type of the field's default. Raises BadInput where it is of another type."""
+    default = field.default_factory() if field.default_factory is not MISSING else field.default
+    if isinstance(value, list):
+        value = tuple(value)
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if default is None or default is MISSING or value is None or type(value) is type(default):
+        return value
+    raise BadInput(f"--set {text}: a value of type {type(default).__name__} is wanted, such as {default!r}")
+
+
+def length(metres: float) -> str:
+    """A length for people: "1.97 mm"."""
+    mm = metres * 1000
+    if mm == 0:
+        return "0 mm"
+    if mm >= 1000:
+        return f"{mm / 1000:.2f} m"
+    return f"{mm:.3g} mm" if mm >= 0.001 else f"{mm:.1e} mm"
+
+
+def size(count: int) -> str:
+    """A number of bytes for people: "12,345 bytes"."""
+    return f"{count:,} bytes"

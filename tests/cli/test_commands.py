@@ -1,0 +1,151 @@
+"""What a user types and what happens: each command's good path and its exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import metrics
+
+from .conftest import LOSSY, Command
+
+
+def test_a_file_goes_in_and_comes_back(command: Command, walk_trc: Path, walk_mocz: Path) -> None:
+    assert command("decode", walk_mocz, "-o", "back.trc").code == 0
+    a, b = mc.read(walk_trc), mc.read("back.trc")
+    assert b.names == a.names
+    assert b.rate == a.rate
+    assert (b.gaps == a.gaps).all()
+    assert metrics.compare(a, b).max_error <= 0.0021
+
+
+def test_encode_says_what_it_did_on_standard_error(command: Command, walk_trc: Path) -> None:
+    result = command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "--max-error", "0.2cm")
+    assert result.out == ""
+    assert "bytes" in result.err
+    assert ": 1 against float32" in result.err
+    assert "mm" in result.err
+    assert command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "-q").err == ""
+
+
+def test_the_same_file_twice(command: Command, walk_trc: Path) -> None:
+    for name in ("a.mocz", "b.mocz"):
+        command("encode", walk_trc, "-o", name, "--codec", LOSSY)
+    assert Path("a.mocz").read_bytes() == Path("b.mocz").read_bytes()
+
+
+def test_info(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
+    facts = json.loads(command("info", walk_mocz, "--json").out)
+    assert facts["frames"] == 240
+    assert facts["rate"] == 120
+    assert LOSSY in command("info", walk_mocz).out
+    source = json.loads(command("info", walk_trc, "--json").out)
+    assert source["names"] == facts["names"]
+    assert source["gaps"] == 30
+
+
+def test_verify_an_undamaged_file(command: Command, walk_mocz: Path) -> None:
+    result = command("verify", walk_mocz)
+    assert result.code == 0
+    assert "undamaged" in result.out
+    assert "2 mm" in result.out
+
+
+def test_verify_against_its_source(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
+    result = command("verify", walk_mocz, "--against", walk_trc, "--json")
+    report = json.loads(result.out)
+    assert result.code == 0
+    assert report["held"]
+    assert report["promise"] == {"max_error": 0.002}
+    assert 0 < report["max_error"] <= 0.002
+    assert "the promise holds" in command("verify", walk_mocz, "--against", walk_trc).out
+
+
+@pytest.mark.parametrize("change", ["moved", "shorter", "gap filled", "renamed"])
+def test_verify_against_another_recording_is_1(command: Command, walk_mocz: Path, walk: mc.Motion, change: str) -> None:
+    positions, names = walk.positions.copy(), walk.names
+    if change == "moved":
+        positions[50, 2, 0] += 0.01
+    elif change == "shorter":
+        positions = positions[:-1]
+    elif change == "gap filled":
+        positions[110, 3] = positions[99, 3]
+    else:
+        names = ("X", *names[1:])
+    mc.write("other.npz", mc.Motion(positions, walk.rate, names))
+    result = command("verify", walk_mocz, "--against", "other.npz")
+    assert result.code == 1
+    assert "broken:" in result.out
+    assert json.loads(command("verify", walk_mocz, "--against", "other.npz", "--json").out)["held"] is False
+
+
+def test_compare(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
+    result = command("compare", walk_trc, walk_mocz, "--json")
+    facts = json.loads(result.out)
+    assert facts["max_error"] <= 0.002
+    assert set(facts["per_point"]) == set(mc.read(walk_trc).names)
+    assert facts["ratio"] > 1
+    text = command("compare", walk_trc, walk_mocz).out
+    for word in ("mean error", "p99 error", "max error", "d  ", "ratio", "HEAD", "gaps        equal"):
+        assert word in text
+
+
+def test_compare_draws(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
+    pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
+    assert command("compare", walk_trc, walk_mocz, "--plot", "error.png").code == 0
+    assert Path("error.png").read_bytes().startswith(b"\x89PNG")
+    result = command("compare", walk_trc, walk_mocz, "--plot", "error.docx")
+    assert result.code == 3
+    assert not Path("error.docx").exists()
+
+
+def test_compare_recordings_that_do_not_fit(command: Command, walk_trc: Path, walk: mc.Motion) -> None:
+    mc.write("short.trc", walk[:10])
+    result = command("compare", walk_trc, "short.trc")
+    assert result.code == 3
+    assert "cannot compare" in result.err
+
+
+def test_cut_to_a_format(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
+    assert command("cut", walk_mocz, "--from", "0.5s", "--to", "1.25s", "-o", "part.npz").code == 0
+    part, whole = mc.read("part.npz"), mc.read(walk_mocz)
+    np.testing.assert_allclose(part.positions, whole.positions[60:150], atol=1e-12)
+    assert command("cut", walk_trc, "--from", "10f", "--to", "20f", "-o", "part.trc").code == 0
+    assert len(mc.read("part.trc")) == 10
+
+
+def test_cut_to_a_mocz_keeps_a_promise_that_is_true(
+    command: Command, walk_mocz: Path, walk_trc: Path, walk: mc.Motion
+) -> None:
+    result = command("cut", walk_mocz, "--from", "0.5s", "--to", "1.25s", "-o", "part.mocz")
+    assert result.code == 0, result.err
+    mc.write("part.npz", walk[60:150])
+    verified = command("verify", "part.mocz", "--against", "part.npz", "--json")
+    assert verified.code == 0, verified.out + verified.err
+    assert json.loads(verified.out)["promise"]["max_error"] == pytest.approx(0.003)
+
+
+def test_cut_of_all_chunks_codes_nothing_again(command: Command, walk_mocz: Path) -> None:
+    result = command("cut", walk_mocz, "--from", "0.5s", "--chunks", "-o", "part.mocz")
+    assert result.code == 0
+    assert "nothing coded again" in result.err
+    whole, part = mc.read(walk_mocz), mc.read("part.mocz")
+    np.testing.assert_allclose(part.positions, whole.positions[-len(part) :], atol=1e-9)
+
+
+def test_help_names_every_command_and_exit_code(command: Command) -> None:
+    result = command("--help")
+    assert result.code == 0
+    for word in ("encode", "decode", "info", "verify", "compare", "cut", "demo", "Exit codes"):
+        assert word in result.out
+    assert command().out == result.out
+    for name in ("encode", "decode", "info", "verify", "compare", "cut", "demo"):
+        assert command(name, "--help").code == 0
+
+
+def test_version(command: Command) -> None:
+    assert mc.__version__ in command("--version").out

@@ -1,0 +1,165 @@
+"""Trouble: one clear line on standard error, the documented exit code, no half-written output, no traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import cli
+
+from .conftest import LOSSY, Command, Result
+
+
+def assert_one_line(result: Result, code: int) -> None:
+    assert result.code == code, result.err
+    assert result.err.startswith("mocodec: ")
+    assert result.err.count("\n") == 1
+    assert "Traceback" not in result.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["encode"],
+        ["encode", "walk.trc"],
+        ["nonsense"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "2"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "-2mm"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "0mm"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--max-error", "nanmm"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", "h264"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--size", "lots"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--ratio", "0"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no_such=1"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no equals sign"],
+        ["encode", "walk.trc", "-o", "x.trc"],
+        ["cut", "walk.trc", "--from", "1s", "--to", "0.5s", "-o", "x.trc"],
+        ["cut", "walk.trc", "--from", "99s", "-o", "x.trc"],
+        ["cut", "walk.trc", "--from", "12", "-o", "x.trc"],
+        ["cut", "walk.trc", "--chunks", "-o", "x.trc"],
+    ],
+    ids=" ".join,
+)
+def test_usage_is_2(command: Command, walk_trc: Path, arguments: list[str]) -> None:
+    assert_one_line(command(*arguments), cli.USAGE)
+    assert os.listdir() == ["walk.trc"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["encode", "missing.c3d", "-o", "x.mocz"],
+        ["encode", "text.c3d", "-o", "x.mocz"],
+        ["encode", "text.trc", "-o", "x.mocz"],
+        ["encode", "text.bvh", "-o", "x.mocz"],
+        ["encode", "text.amc", "-o", "x.mocz"],
+        ["encode", "text.npz", "-o", "x.mocz"],
+        ["encode", "text.xyz", "-o", "x.mocz"],
+        ["encode", "empty.c3d", "-o", "x.mocz"],
+        ["encode", "walk.trc", "-o", "no/such/folder/x.mocz", "--codec", LOSSY],
+        ["decode", "missing.mocz", "-o", "x.trc"],
+        ["decode", "text.mocz", "-o", "x.trc"],
+        ["info", "missing.mocz"],
+        ["verify", "walk.trc"],
+        ["compare", "walk.trc", "missing.trc"],
+    ],
+    ids=" ".join,
+)
+def test_bad_input_is_3(command: Command, walk_trc: Path, arguments: list[str]) -> None:
+    for name in ("text.c3d", "text.trc", "text.bvh", "text.amc", "text.npz", "text.xyz", "text.mocz"):
+        Path(name).write_text("this is a shopping list: milk, eggs, flour\n" * 40)
+    Path("empty.c3d").touch()
+    before = sorted(os.listdir())
+    assert_one_line(command(*arguments), cli.BAD_INPUT)
+    assert sorted(os.listdir()) == before
+
+
+def test_nothing_to_encode_is_3(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+    mc.write("nothing.npz", mc.Motion(np.full((20, 3, 3), np.nan), 120))
+    mc.write("no_frames.npz", mc.Motion(np.zeros((0, 3, 3)), 120))
+    for name in ("nothing.npz", "no_frames.npz"):
+        assert_one_line(command("encode", name, "-o", "x.mocz", "--codec", LOSSY), cli.BAD_INPUT)
+    assert not Path("x.mocz").exists()
+
+
+@pytest.mark.parametrize("verb", ["info", "verify", "decode"])
+def test_damage_is_4(command: Command, walk_mocz: Path, verb: str) -> None:
+    data = walk_mocz.read_bytes()
+    output = ["-o", "x.trc"] if verb == "decode" else []
+    for kept in (len(data) - 1, len(data) // 2, 20):
+        Path("cut.mocz").write_bytes(data[:kept])
+        assert_one_line(command(verb, "cut.mocz", *output), cli.DAMAGED)
+    if verb != "info":  # which reads header and index only
+        flipped = bytearray(data)
+        flipped[len(data) // 2] ^= 0x10
+        Path("cut.mocz").write_bytes(flipped)
+        assert_one_line(command(verb, "cut.mocz", *output), cli.DAMAGED)
+    assert not Path("x.trc").exists()
+
+
+def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:
+    Path("x.mocz").write_text("precious")
+    assert command("encode", "missing.c3d", "-o", "x.mocz").code == cli.BAD_INPUT
+    assert Path("x.mocz").read_text() == "precious"
+
+
+def test_debug_shows_the_traceback(walk_trc: Path) -> None:
+    for arguments in (["--debug", "info", "missing.c3d"], ["info", "--debug", "missing.c3d"]):
+        with pytest.raises(mc.BadInput):
+            cli.run(arguments)
+
+
+def test_our_own_mistakes_are_one_line_too(command: Command, walk_trc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def mistake(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("division by\nzero")
+
+    monkeypatch.setattr("mocodec.api.read", mistake)
+    result = command("info", walk_trc)
+    assert_one_line(result, cli.BUG)
+    assert "--debug" in result.err
+
+
+# Real processes and pipes.
+
+
+def start(*arguments: object, **options: object) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-m", "mocodec", *map(str, arguments)], stderr=subprocess.PIPE, **options)  # type: ignore[call-overload]
+
+
+def test_pipes(walk_trc: Path) -> None:
+    def through(data: bytes, *arguments: str) -> bytes:
+        done = subprocess.run(
+            [sys.executable, "-m", "mocodec", *arguments], input=data, capture_output=True, check=True
+        )
+        return done.stdout
+
+    blob = through(walk_trc.read_bytes(), "encode", "-", "--format", "trc", "-o", "-", "--codec", LOSSY)
+    assert mc.decode(blob).names == mc.read(walk_trc).names
+    assert through(blob, "decode", "-", "-o", "-", "--format", "trc").startswith(b"PathFileType")
+    assert b"240" in through(blob, "info", "-")
+
+
+def test_a_broken_pipe_is_quiet(walk_trc: Path) -> None:
+    process = start("compare", walk_trc, walk_trc, "--json", stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    _, err = process.communicate(timeout=30)
+    assert err == b""
+    assert process.returncode in (0, cli.BROKEN_PIPE)
+
+
+def test_interrupt_is_quiet(walk_trc: Path) -> None:
+    process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    time.sleep(1.5)  # it waits for standard input
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert err.decode().splitlines() == ["mocodec: interrupted"]
+    assert process.returncode == cli.INTERRUPTED
