@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import MissingExtra
 from .published import PUBLISHED
+from .rivals import RIVALS
 from .runner import OURS, Record
 
 MEAN, HARD = "mean_error", "max_error"
@@ -262,10 +263,32 @@ def svg_of(figure: Any) -> str:
     return buffer.getvalue().split("?>", 1)[1].split(">", 1)[1].strip()
 
 
-def colour_of(name: str, names: Sequence[str]) -> Any:
+def colour_of(name: str) -> Any:
+    """The same colour for the same coder in every chart."""
     from matplotlib import colormaps
 
-    return COLOURS.get(name) or colormaps["tab20"](names.index(name) % 20)
+    return COLOURS.get(name) or colormaps["tab20"](sorted(RIVALS).index(name) * 2 + 1 if name in RIVALS else 14)
+
+
+def short(value: float) -> str:
+    """A number as an axis shows it: 0.2, 50, 20k, 1M."""
+    for unit, letter in ((1e6, "M"), (1e3, "k")):
+        if value >= unit:
+            return f"{value / unit:g}{letter}"
+    return f"{value:g}"
+
+
+def plain_logarithmic(axes: Any, which: str = "xy") -> None:
+    """Logarithmic axes with numbers a person reads, and a grid."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for letter in which:
+        getattr(axes, f"set_{letter}scale")("log")
+        axis = getattr(axes, f"{letter}axis")
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: short(value)))
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(True, which="both", alpha=0.2)
 
 
 def draw_curves(axes: Any, records: Sequence[Record], target: str) -> bool:
@@ -281,9 +304,9 @@ def draw_curves(axes: Any, records: Sequence[Record], target: str) -> bool:
             any_drawn = True
             x, y = zip(*points, strict=True)
             width = 2.4 if name in OURS else 1.1
-            axes.plot(x, y, "o-", color=colour_of(name, names), label=name, linewidth=width, markersize=4)
-    axes.set(xscale="log", yscale="log", ylabel="compression ratio (float32)")
-    axes.grid(True, which="both", alpha=0.2)
+            axes.plot(x, y, "o-", color=colour_of(name), label=name, linewidth=width, markersize=4)
+    axes.set_ylabel("compression ratio (float32)")
+    plain_logarithmic(axes)
     return any_drawn
 
 
@@ -341,10 +364,11 @@ def draw_speed(figure: Any, records: Sequence[Record]) -> bool:
             mine = cell(records, name, MEAN, 0.003)
             speed = float(np.median([getattr(r, f"{way}_fps") for r in mine]))
             ratio = geometric([r.ratio for r in mine])
-            axes.plot(speed, ratio, "o", color=colour_of(name, names), markersize=8 if name in OURS else 5)
+            axes.plot(speed, ratio, "o", color=colour_of(name), markersize=8 if name in OURS else 5)
             axes.annotate(name, (speed, ratio), textcoords="offset points", xytext=(5, 4), fontsize=7)
-        axes.set(xscale="log", yscale="log", xlabel=f"{way}, frames/s")
-        axes.grid(True, which="both", alpha=0.2)
+        axes.set_xlabel(f"{way}, frames/s")
+        plain_logarithmic(axes)
+        axes.tick_params(axis="x", labelsize=7)
     figure.axes[0].set_ylabel("ratio at mean 0.3 cm")
     return True
 
