@@ -7,6 +7,7 @@ about          a motion (or point clouds) of no frames: rate, names, axes, skele
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
@@ -62,8 +63,8 @@ class Encoded(Generic[About]):
 
     def covering(self, start: int, stop: int) -> Sequence[Chunk]:
         """The chunks that frames [start, stop) need, margins included; payloads of no others are read."""
-        first = next((i for i, c in enumerate(self.chunks) if c.stop > start), len(self.chunks))
-        last = next((i for i, c in enumerate(self.chunks) if c.start >= stop), len(self.chunks))
+        first = bisect_right(self.chunks, start, key=lambda chunk: chunk.stop)
+        last = bisect_left(self.chunks, stop, key=lambda chunk: chunk.start)
         return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
 
 

@@ -8,8 +8,9 @@ source, extras                                             what it takes to writ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -199,8 +200,30 @@ def point_columns(all_names: Sequence[str], wanted: Iterable[str]) -> list[int]:
     return [where[name] for name in wanted]
 
 
-def extras_between(extras: Mapping[str, Any], start: int, stop: int, rate: float) -> dict[str, Any]:
+class Deferred(Mapping[str, Any]):
+    """Extras that are fetched when they are first looked at: so that opening a file and taking a slice of it need not."""
+
+    def __init__(self, load: Callable[[], dict[str, Any]]) -> None:
+        self._load = load
+
+    @cached_property
+    def _loaded(self) -> dict[str, Any]:
+        return self._load()
+
+    def __getitem__(self, key: str) -> Any:
+        return self._loaded[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loaded)
+
+    def __len__(self) -> int:
+        return len(self._loaded)
+
+
+def extras_between(extras: Mapping[str, Any], start: int, stop: int, rate: float) -> Mapping[str, Any]:
     """Extras of frames [start, stop): signals cut, events outside dropped and the others' times shifted."""
+    if isinstance(extras, Deferred):
+        return Deferred(lambda: dict(extras_between(dict(extras), start, stop, rate)))
 
     def cut(value: Any) -> Any:
         if isinstance(value, Signal):

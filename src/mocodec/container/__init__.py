@@ -1,1 +1,8 @@
-"""Encoded to one `.mocz` file and back."""
+"""Encoded to one `.mocz` file and back: `pack` or `Writer`, `Reader`. docs/format.md is the format in words."""
+
+from __future__ import annotations
+
+from .reader import Reader
+from .writer import Writer, pack
+
+__all__ = ["Reader", "Writer", "pack"]

@@ -1,0 +1,227 @@
+"""Arrays on disk, bit for bit: the shortest of a few ways that are all undone exactly.
+
+    array ──► constant: one item
+          ──► as it is | by column | by column, differences, bytes of equal weight together | whole steps of one number
+          ──► raw | deflate | LZMA
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CannotEncode, Corrupt
+from .wire import Cursor, blob, deflate, inflate, text, varint
+
+Array = NDArray[Any]
+
+RAW, DEFLATE, LZMA, CONSTANT = 0, 1, 2, 3
+PLAIN, SHUFFLED, DELTA, STEPS = 0, 1, 2, 3
+KINDS = "biufcSUmM"
+MAX_DIMENSIONS = 16
+SAMPLE_BYTES = 1 << 17
+LZMA_LIMIT_BYTES = 1 << 26
+LZMA_DICTIONARY = 1 << 22
+
+
+class Budget:
+    """How many bytes may still be unpacked. Raises Corrupt beyond, before anything is allocated."""
+
+    def __init__(self, limit: int) -> None:
+        self.left = limit
+
+    def take(self, size: int, what: str) -> None:
+        self.left -= size
+        if self.left < 0:
+            raise Corrupt(f"{what}: unpacks to more than the header announces")
+
+
+def pack(array: Array) -> bytes:
+    """dtype, dimensions, transform and coder, then a blob (one item where all items are equal). Raises CannotEncode for objects."""
+    if array.dtype.kind not in KINDS or array.dtype.itemsize == 0 or array.dtype.itemsize > 1 << 20:
+        raise CannotEncode(f"an array of dtype {array.dtype} cannot be stored; numbers, strings and times can")
+    if array.dtype.kind in "fc" and array.dtype.itemsize > (8 if array.dtype.kind == "f" else 16):
+        raise CannotEncode(f"an array of dtype {array.dtype} is not the same on all machines; convert it to float64 first")
+    shape = array.shape
+    array = np.ascontiguousarray(array).reshape(shape)
+    head = text(array.dtype.str) + varint(array.ndim) + b"".join(map(varint, shape))
+    data = array.tobytes()
+    item = data[: array.dtype.itemsize]
+    if data == item * array.size:
+        return head + bytes([CONSTANT]) + item
+    transform = min(_transforms(array), key=lambda t: (_estimate(array, t), t))
+    return head + min(_coded(array, transform), key=len)
+
+
+def unpack(cursor: Cursor, budget: Budget | None = None) -> Array:
+    """The inverse of `pack`. Raises Corrupt where it would unpack to more than the budget (16 MB without one)."""
+    budget = budget or Budget(1 << 24)
+    dtype = _dtype(cursor)
+    dimensions = cursor.varint()
+    if dimensions > MAX_DIMENSIONS:
+        raise cursor.corrupt(f"an array of {dimensions} dimensions")
+    shape = tuple(cursor.varint() for _ in range(dimensions))
+    if any(n >= 1 << 40 for n in shape):
+        raise cursor.corrupt("an array's dimension is out of range")
+    size = math.prod(shape) * dtype.itemsize
+    budget.take(size, cursor.what)
+    form = cursor.byte()
+    coder, transform = form & 3, form >> 2
+    if transform > STEPS or (coder == CONSTANT and transform):
+        raise cursor.corrupt("an array is in a form that is reserved")
+    if coder == CONSTANT:
+        item = cursor.take(dtype.itemsize if size else 0)
+        return np.frombuffer(item * (size // dtype.itemsize), dtype).reshape(shape).copy()
+    step = cursor.float64() if transform == STEPS else 0.0
+    if transform == STEPS:
+        if dtype.kind != "f":
+            raise cursor.corrupt("steps of an array that is not of floats")
+        size = size // dtype.itemsize * 4
+        budget.take(size, cursor.what)
+    data = _decode(cursor, coder, size)
+    return _inverse(data, dtype, shape, transform, step)
+
+
+def nbytes(array: Array) -> int:
+    """What unpacking takes from a budget, at most."""
+    return array.nbytes + array.size * 4
+
+
+def _dtype(cursor: Cursor) -> np.dtype[Any]:
+    code = cursor.text()
+    try:
+        dtype = np.dtype(code)
+    except Exception:
+        raise cursor.corrupt("an array's dtype is unknown") from None
+    if dtype.kind not in KINDS or dtype.str != code or not 0 < dtype.itemsize <= 1 << 20:
+        raise cursor.corrupt("an array's dtype is unknown")
+    return dtype
+
+
+def _transforms(array: Array) -> list[int]:
+    """Those that apply: bytes of strings are not regrouped, and only floats that are whole multiples of one step have one."""
+    if array.dtype.kind == "S":
+        return [PLAIN]
+    steps = [STEPS] if array.dtype.kind == "f" and _step(array) else []
+    return [PLAIN, SHUFFLED, DELTA, *steps]
+
+
+def _estimate(array: Array, transform: int) -> int:
+    rows = max(1, SAMPLE_BYTES * len(array) // array.nbytes) if array.ndim else 1
+    sample = array[:rows] if array.ndim else array
+    return len(zlib.compress(_forward(sample, transform, _step(array) if transform == STEPS else 0.0), 6))
+
+
+def _coded(array: Array, transform: int) -> list[bytes]:
+    step = _step(array) if transform == STEPS else 0.0
+    data = _forward(array, transform, step)
+    head = struct.pack("<d", step) if transform == STEPS else b""
+    forms = [(RAW, data), (DEFLATE, deflate(data))]
+    if 64 < len(data) <= LZMA_LIMIT_BYTES:
+        forms.append((LZMA, _lzma(data)))
+    return [bytes([coder | transform << 2]) + head + blob(packed) for coder, packed in forms]
+
+
+def _decode(cursor: Cursor, coder: int, size: int) -> bytes:
+    packed = cursor.blob()
+    if coder == RAW:
+        if len(packed) != size:
+            raise cursor.corrupt("an array's bytes do not fill it")
+        return packed
+    return inflate(packed, size, cursor.what) if coder == DEFLATE else _unlzma(packed, size, cursor.what)
+
+
+def _filters() -> list[dict[str, int]]:
+    import lzma
+
+    return [{"id": lzma.FILTER_LZMA2, "preset": 2, "dict_size": LZMA_DICTIONARY}]
+
+
+def _lzma(data: bytes) -> bytes:
+    import lzma
+
+    return lzma.compress(data, lzma.FORMAT_RAW, filters=_filters())
+
+
+def _unlzma(data: bytes, size: int, what: str) -> bytes:
+    import lzma
+
+    unpacker = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_filters())
+    try:
+        out = unpacker.decompress(data, size)
+        rest = b"" if unpacker.eof else unpacker.decompress(b"", 1)
+    except (lzma.LZMAError, EOFError) as error:
+        raise Corrupt(f"{what}: {error}") from None
+    if len(out) != size or rest or not unpacker.eof or unpacker.unused_data:
+        raise Corrupt(f"{what}: does not unpack to the {size} bytes announced")
+    return out
+
+
+def _word(dtype: np.dtype[Any]) -> int:
+    """Bytes of the numbers that an item consists of."""
+    if dtype.kind == "c":
+        return dtype.itemsize // 2
+    return 4 if dtype.kind == "U" else dtype.itemsize
+
+
+def _columns(words: Array) -> Array:
+    """First axis (time) last, so that each channel's samples stand together."""
+    return np.ascontiguousarray(np.moveaxis(words, 0, -1)) if words.ndim > 1 else words
+
+
+def _forward(array: Array, transform: int, step: float) -> bytes:
+    if transform == PLAIN:
+        return array.tobytes()
+    if transform == STEPS:
+        words: Array = np.rint(array.astype(np.float64) / step).astype(np.int64).astype(np.uint32)
+    else:
+        width = _word(array.dtype)
+        order = array.dtype.str[0] if array.dtype.str[0] in "<>" else "<"
+        parts = array.dtype.itemsize // width
+        words = np.frombuffer(array.tobytes(), f"{order}u{width}").astype(f"<u{width}")
+        words = words.reshape(*array.shape, parts) if parts > 1 else words.reshape(array.shape)
+    columns = _columns(np.atleast_1d(words))
+    if transform != SHUFFLED:
+        columns = np.diff(columns, axis=-1, prepend=columns.dtype.type(0))
+    return columns.reshape(-1, 1).view(np.uint8).T.tobytes()
+
+
+def _inverse(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], transform: int, step: float) -> Array:
+    if transform == PLAIN:
+        return np.frombuffer(data, dtype).reshape(shape).copy()
+    width = 4 if transform == STEPS else _word(dtype)
+    parts = 1 if transform == STEPS else dtype.itemsize // width
+    full = (*shape, parts) if parts > 1 else shape or (1,)
+    columns_shape = (*full[1:], full[0])
+    columns = np.frombuffer(data, np.uint8).reshape(width, -1).T.copy().view(f"<u{width}").reshape(columns_shape)
+    if transform != SHUFFLED:
+        columns = np.cumsum(columns, axis=-1, dtype=columns.dtype)
+    words = np.ascontiguousarray(np.moveaxis(columns, -1, 0))
+    if transform == STEPS:
+        return (words.view("<i4").astype(np.float64) * step).astype(dtype).reshape(shape)
+    order = dtype.str[0] if dtype.str[0] in "<>" else "<"
+    return np.frombuffer(words.astype(f"{order}u{width}").tobytes(), dtype).reshape(shape).copy()
+
+
+def _step(array: Array) -> float:
+    """The number of which all values are whole multiples to the last bit, as a converter's counts times its scale; else 0."""
+    values = array.reshape(-1).astype(np.float64)
+    if not np.isfinite(values).all():
+        return 0.0
+    sample = np.unique(np.abs(values[:: max(1, values.size >> 14)]))
+    gaps = np.diff(np.concatenate([[0.0], sample[sample > 0]]))
+    largest = np.abs(values).max()
+    gap = gaps[gaps > largest * 1e-9].min(initial=np.inf)
+    if not np.isfinite(gap) or largest / gap >= 1 << 31:
+        return 0.0
+    for candidate in (gap, largest / np.rint(largest / gap), float(np.float32(largest / np.rint(largest / gap)))):
+        with np.errstate(over="ignore"):
+            again = (np.rint(values / candidate) * candidate).astype(array.dtype)
+        if np.abs(values / candidate).max() < (1 << 31) - 1 and again.tobytes() == array.tobytes():
+            return float(candidate)
+    return 0.0

@@ -1,0 +1,267 @@
+"""Every record of a `.mocz`, described once: written, read and printed from the same list of fields.
+
+    file     HEAD magic · version · length · HEADER · checksum     extras?     chunk …     index     tail
+    chunk    CHUNK frames, length · payload · checksum
+    index    0 · INDEX (nothing for one chunk) · checksum · length · magic
+
+docs/format.md says the same in words, with the reasons.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from ..errors import UnknownCodec
+from ..motion import UP_AXES, Skeleton
+from . import names, skeletons, values
+from .tables import CODEC_IDS, RATES
+from .wire import Cursor, text, varint
+
+MAGIC = b"mocz"
+END_MAGIC = b"cz"
+VERSION = 1
+CHECKSUM_BYTES = 4
+HEAD_BYTES = len(MAGIC) + 1
+MAX_HEADER_BYTES = 1 << 28
+MAX_CHUNK_FRAMES = 1 << 24
+MAX_FRAMES = 1 << 40
+MAX_PAYLOAD_BYTES = 1 << 30
+MAX_MARGIN = 1 << 16
+KINDS = ("motion", "clouds")
+
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field: its name in the record, how it is written and read, what it means, and when it is there.
+
+    write(value, record) gives bytes; read(cursor, record) the value; `record` holds the fields that stood before.
+    present: the bit of the first field, `flags`, that says the field is there; only: the kind of data that has it.
+    """
+
+    name: str
+    write: Callable[[Any, Mapping[str, Any]], bytes]
+    read: Callable[[Cursor, Mapping[str, Any]], Any]
+    meaning: str
+    present: int | None = None
+    only: str | None = None
+
+    def missing(self, record: Mapping[str, Any], flags: int) -> bool:
+        return (self.present is not None and not flags >> self.present & 1) or (
+            self.only is not None and self.only != record["kind"]
+        )
+
+
+def write(fields: tuple[Field, ...], record: Mapping[str, Any]) -> bytes:
+    """The record's bytes."""
+    return b"".join(part for _, part in parts(fields, record))
+
+
+def parts(fields: tuple[Field, ...], record: Mapping[str, Any]) -> list[tuple[str, bytes]]:
+    """Each field's name and bytes: what `info` counts."""
+    flags = record.get("flags", 0)
+    return [(f.name, f.write(record[f.name], record)) for f in fields if not f.missing(record, flags)]
+
+
+def read(fields: tuple[Field, ...], cursor: Cursor) -> Values:
+    """The record; a field that is not there is None. Raises Corrupt, Truncated."""
+    record: Values = {}
+    for f in fields:
+        if f.name == "flags":
+            record.update(_unpack_flags(f.read(cursor, record)))
+        else:
+            record[f.name] = None if f.missing(record, record.get("flags", 0)) else f.read(cursor, record)
+    return record
+
+
+def describe(fields: tuple[Field, ...], record: Mapping[str, Any]) -> list[Values]:
+    """One line a field, for people: name, bytes, meaning."""
+    meanings = {f.name: f.meaning for f in fields}
+    return [{"field": name, "bytes": len(data), "meaning": meanings[name]} for name, data in parts(fields, record)]
+
+
+# flags: what the first byte of a header packs
+
+
+def flags(kind: str, up: str, present: Mapping[int, bool]) -> int:
+    """bit 0 kind, bits 1–2 the vertical axis, bits 3–7 which optional fields are there."""
+    return KINDS.index(kind) | UP_AXES.index(up) << 1 | sum(there << bit for bit, there in present.items())
+
+
+def _read_flags(cursor: Cursor, _: Mapping[str, Any]) -> int:
+    value = cursor.byte()
+    if value >> 1 & 3 == 3:
+        raise cursor.corrupt("a vertical axis that is reserved")
+    return value
+
+
+def _unpack_flags(value: int) -> Values:
+    return {"flags": value, "kind": KINDS[value & 1], "up": UP_AXES[value >> 1 & 3]}
+
+
+# kinds of fields: write beside read
+
+
+def _number(limit: int) -> tuple[Callable[..., bytes], Callable[..., int]]:
+    def read_number(cursor: Cursor, _: Mapping[str, Any]) -> int:
+        value = cursor.varint()
+        if value > limit:
+            raise cursor.corrupt(f"{value} where at most {limit} may stand")
+        return value
+
+    return (lambda value, _: varint(value)), read_number
+
+
+def _write_codec(name: str, _: Mapping[str, Any]) -> bytes:
+    number = next((n for n, known in CODEC_IDS.items() if known == name), 0)
+    return varint(number) if number else b"\0" + text(name)
+
+
+def _read_codec(cursor: Cursor, _: Mapping[str, Any]) -> str:
+    number = cursor.varint()
+    if number and number not in CODEC_IDS:
+        raise UnknownCodec(f"the file was made by codec number {number}, which this mocodec does not have: upgrade it")
+    return CODEC_IDS[number] if number else cursor.text()
+
+
+def _write_rate(rate: float, _: Mapping[str, Any]) -> bytes:
+    for number, (top, bottom) in enumerate(RATES[1:], 1):
+        if top / bottom == rate:
+            return varint(number)
+    fraction = Fraction(rate).limit_denominator(10_000)
+    if 0 < fraction.numerator < 1 << 31 and fraction.numerator / fraction.denominator == rate:
+        return b"\0" + varint(fraction.denominator) + varint(fraction.numerator)
+    return b"\0\0" + struct.pack("<d", rate)
+
+
+def _read_rate(cursor: Cursor, _: Mapping[str, Any]) -> float:
+    number = cursor.varint()
+    if number >= len(RATES):
+        raise cursor.corrupt("a frame rate that is reserved")
+    top, bottom = RATES[number]
+    if not number:
+        bottom = cursor.varint()
+        if bottom == 0:
+            rate = cursor.float64()
+            if not 0 < rate < float("inf"):
+                raise cursor.corrupt("a frame rate that is not positive")
+            return rate
+        top = cursor.varint()
+        if top == 0:
+            raise cursor.corrupt("a frame rate that is not positive")
+    return top / bottom
+
+
+def _write_skeleton(skeleton: Skeleton, record: Mapping[str, Any]) -> bytes:
+    return skeletons.pack(skeleton, record["names"], exact=record["codec"] == "lossless")
+
+
+def _write_shared(blobs: tuple[bytes, ...], _: Mapping[str, Any]) -> bytes:
+    return varint(len(blobs)) + b"".join(varint(len(data) << 1) + data for data in blobs)
+
+
+def _read_shared(cursor: Cursor, _: Mapping[str, Any]) -> tuple[bytes, ...]:
+    return tuple(_read_shared_blob(cursor) for _ in range(cursor.count()))
+
+
+def _read_shared_blob(cursor: Cursor) -> bytes:
+    head = cursor.varint()
+    if head & 1:
+        raise cursor.corrupt("shared bytes kept elsewhere, which this version does not read")
+    return cursor.take(head >> 1)
+
+
+def _json(what: str) -> tuple[Callable[..., bytes], Callable[..., Any]]:
+    def read_dict(cursor: Cursor, _: Mapping[str, Any]) -> dict[str, Any]:
+        value = values.unpack(cursor)
+        if not isinstance(value, dict):
+            raise cursor.corrupt(f"{what} that are no table")
+        return value
+
+    return (lambda value, _: values.pack(value, what)), read_dict
+
+
+def _read_sizes(cursor: Cursor, _: Mapping[str, Any]) -> tuple[int, int]:
+    return cursor.varint(), cursor.varint()
+
+
+MARGIN, SKELETON, SETTINGS, SOURCE, EXTRAS = 3, 4, 5, 6, 7
+
+HEADER = (
+    Field("flags", lambda value, _: bytes([value]), _read_flags, "kind, vertical axis, which fields follow"),
+    Field("codec", _write_codec, _read_codec, "number in the table of codecs, or 0 and a name"),
+    Field("rate", _write_rate, _read_rate, "frames a second"),
+    Field("margin", *_number(MAX_MARGIN), "neighbouring chunks that a chunk needs on each side", present=MARGIN),
+    Field("names", lambda value, _: names.pack(value), lambda c, _: names.unpack(c), "of the points", only="motion"),
+    Field("channels", *_number(3), "bit 0 colours, bit 1 normals", only="clouds"),
+    Field(
+        "skeleton",
+        _write_skeleton,
+        lambda c, record: skeletons.unpack(c, record["names"]),
+        "tree and offsets",
+        present=SKELETON,
+        only="motion",
+    ),
+    Field("settings", *_json("settings"), "of the codec, where they differ from its defaults", present=SETTINGS),
+    Field("source", *_json("source"), "how the file was that the motion came from", present=SOURCE),
+    Field(
+        "extras",
+        lambda sizes, _: varint(sizes[0]) + varint(sizes[1]),
+        _read_sizes,
+        "bytes of the extras section, and bytes that it unpacks to",
+        present=EXTRAS,
+    ),
+    Field("shared", _write_shared, _read_shared, "bytes that all chunks need"),
+)
+
+CHUNK = (
+    Field("frames", *_number(MAX_CHUNK_FRAMES), "frames of the chunk, at least 1; 0 starts the index"),
+    Field("length", *_number(MAX_PAYLOAD_BYTES), "bytes of the payload"),
+)
+
+
+def _write_runs(frames: list[int], _: Mapping[str, Any]) -> bytes:
+    """(how many chunks, frames of each), in turn, until all chunks have had theirs."""
+    out = varint(len(frames))
+    at = 0
+    while at < len(frames):
+        end = at
+        while end < len(frames) and frames[end] == frames[at]:
+            end += 1
+        out += varint(end - at) + varint(frames[at])
+        at = end
+    return out
+
+
+def _read_runs(cursor: Cursor, _: Mapping[str, Any]) -> list[int]:
+    count = cursor.count()  # each chunk's length, at least a byte, follows
+    frames: list[int] = []
+    while len(frames) < count:
+        run, each = cursor.varint(), cursor.varint()
+        if not 0 < run <= count - len(frames) or not 0 < each <= MAX_CHUNK_FRAMES:
+            raise cursor.corrupt("a run of chunks is out of range")
+        frames += [each] * run
+    return frames
+
+
+def _read_lengths(cursor: Cursor, record: Mapping[str, Any]) -> list[int]:
+    lengths = [cursor.varint() for _ in record["frames"]]
+    if max(lengths, default=0) > MAX_PAYLOAD_BYTES:
+        raise cursor.corrupt("a payload is out of range")
+    return lengths
+
+
+INDEX = (
+    Field("frames", _write_runs, _read_runs, "how many chunks, then runs of (chunks, frames of each)"),
+    Field("lengths", lambda value, _: b"".join(map(varint, value)), _read_lengths, "bytes of each payload"),
+)
+
+
+def chunk_bytes(frames: int, length: int) -> int:
+    """What a chunk takes in the file, its frame and checksum included."""
+    return len(varint(frames)) + len(varint(length)) + length + CHECKSUM_BYTES

@@ -1,0 +1,265 @@
+"""A tree of values on disk: JSON values, bytes, arrays and signals, each with its type, in one byte where it can be.
+
+    byte      0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
+              10 large integer · 11 array · 12 signal · 32…95 the integers 0…63 · 96…127 a string of 0…31 bytes ·
+              128…255 a word of the table
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from ..errors import CannotEncode
+from ..motion import Signal
+from . import arrays
+from .arrays import Array, Budget
+from .tables import WORDS
+from .wire import Cursor, blob, deflate, inflate, text, varint, zigzag
+
+NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, ARRAY, SIGNAL = range(13)
+SMALL, SHORT, WORD = 32, 96, 128
+WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
+DICTIONARY = "\0".join(WORDS).encode()
+MAX_DEPTH = 64
+MAX_TREE_BYTES = 1 << 26
+SPARE_BYTES = 1 << 28
+UNPACK_RATIO = 1024
+"""Extras may unpack to SPARE_BYTES, or to so many times what they take in the file: more is taken for an attack."""
+
+
+def pack(tree: Any, what: str) -> bytes:
+    """A tree of JSON values. Raises CannotEncode for anything else in it."""
+    return _wrapped(_Writer(what, arrays_allowed=False).all(tree))
+
+
+def unpack(cursor: Cursor) -> Any:
+    """The inverse of `pack`. Raises Corrupt, Truncated."""
+    return _tree(cursor, Budget(MAX_TREE_BYTES), None)
+
+
+def pack_extras(tree: Any) -> tuple[bytes, int]:
+    """The extras section: the tree, then its arrays; and the number of bytes that it unpacks to. Raises CannotEncode."""
+    writer = _Writer("extras", arrays_allowed=True)
+    stream = writer.all(tree)
+    packed = _wrapped(stream) + b"".join(map(arrays.pack, writer.arrays))
+    size = len(stream) + sum(map(arrays.nbytes, writer.arrays))
+    if size > unpack_limit(len(packed)):
+        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, more than a reader would believe; store fewer")
+    return packed, size
+
+
+def unpack_extras(data: bytes, size: int) -> Any:
+    """The inverse of `pack_extras`; allocates no more than announced. Raises Corrupt, Truncated."""
+    cursor = Cursor(data, "extras")
+    budget = Budget(min(size, unpack_limit(len(data))))
+    tree = _tree(cursor, budget, budget)
+    cursor.done()
+    return tree
+
+
+def unpack_limit(stored: int) -> int:
+    return SPARE_BYTES + UNPACK_RATIO * stored
+
+
+def _wrapped(stream: bytes) -> bytes:
+    """varint 2·length + deflated; where deflated, the deflated blob follows, else the stream itself."""
+    packed = deflate(stream, DICTIONARY)
+    if len(packed) + len(varint(len(packed))) < len(stream):
+        return varint(len(stream) << 1 | 1) + blob(packed)
+    return varint(len(stream) << 1) + stream
+
+
+def _tree(cursor: Cursor, budget: Budget, arrays_budget: Budget | None) -> Any:
+    head = cursor.varint()
+    budget.take(head >> 1, cursor.what)
+    stream = inflate(cursor.blob(), head >> 1, cursor.what, DICTIONARY) if head & 1 else cursor.take(head >> 1)
+    inner = Cursor(stream, cursor.what)
+    reader = _Reader(inner, cursor, arrays_budget)
+    tree = reader.value(0)
+    inner.done()
+    return reader.settle(tree) if reader.waiting else tree
+
+
+class _Writer:
+    def __init__(self, what: str, arrays_allowed: bool) -> None:
+        self.what = what
+        self.arrays: list[Array] = []
+        self.arrays_allowed = arrays_allowed
+
+    def all(self, tree: Any) -> bytes:
+        out = bytearray()
+        self.value(out, tree, 0)
+        if len(out) > MAX_TREE_BYTES:
+            raise CannotEncode(f"{self.what} are {len(out)} bytes of text and structure; a file holds {MAX_TREE_BYTES}")
+        return bytes(out)
+
+    def value(self, out: bytearray, value: Any, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            raise CannotEncode(f"{self.what} are nested deeper than {MAX_DEPTH} levels")
+        if isinstance(value, np.generic) and not isinstance(value, (float, str, bytes)):
+            value = value.item()
+        if value is None or isinstance(value, bool):
+            out.append({None: NULL, False: FALSE, True: TRUE}[value])
+        elif isinstance(value, int):
+            self.integer(out, int(value))
+        elif isinstance(value, float):
+            self.float(out, float(value))
+        elif isinstance(value, str):
+            self.string(out, str(value))
+        elif isinstance(value, Mapping):
+            mapping = cast(Mapping[Any, Any], value)
+            out += bytes([DICT]) + varint(len(mapping))
+            for key, item in mapping.items():
+                if not isinstance(key, str):
+                    raise CannotEncode(f"{self.what} have a key that is not a string: {key!r}")
+                self.string(out, key)
+                self.value(out, item, depth + 1)
+        elif self.arrays_allowed and isinstance(value, (bytes, bytearray, memoryview)):
+            out += bytes([BYTES]) + blob(bytes(value))
+        elif self.arrays_allowed and isinstance(value, np.ndarray):
+            out.append(ARRAY)
+            self.arrays.append(value)
+        elif self.arrays_allowed and isinstance(value, Signal):
+            out.append(SIGNAL)
+            for part in (float(value.rate), list(value.labels), list(value.units), np.asarray(value.values)):
+                self.value(out, part, depth + 1)
+        elif isinstance(value, Sequence) and not isinstance(value, (bytes, bytearray, memoryview)):
+            out += bytes([LIST]) + varint(len(value))
+            for item in value:
+                self.value(out, item, depth + 1)
+        else:
+            raise CannotEncode(f"{self.what} hold a {type(value).__name__}, which a file cannot carry: {value!r:.60}")
+
+    def integer(self, out: bytearray, value: int) -> None:
+        if 0 <= value < SHORT - SMALL:
+            out.append(SMALL + value)
+        elif abs(value) < 1 << 61:
+            out += bytes([INTEGER]) + varint(zigzag(value))
+        else:
+            out += bytes([LARGE]) + blob(value.to_bytes(value.bit_length() // 8 + 1, "little", signed=True))
+
+    def float(self, out: bytearray, value: float) -> None:
+        short = decimal(value)
+        if short is not None and len(short) < 8:
+            out += bytes([DECIMAL]) + short
+        else:
+            out += bytes([FLOAT64]) + struct.pack("<d", value)
+
+    def string(self, out: bytearray, value: str) -> None:
+        data = value.encode("utf-8", "surrogatepass")
+        if value in WORD_NUMBER:
+            out.append(WORD + WORD_NUMBER[value])
+        elif len(data) < WORD - SHORT:
+            out += bytes([SHORT + len(data)]) + data
+        else:
+            out += bytes([STRING]) + text(value)
+
+
+def decimal(value: float) -> bytes | None:
+    """A float as digits and a power of ten, where that gives the same float: 0.002 is 2 and −3. None for others."""
+    match = re.fullmatch(r"(-?)([0-9]+)(?:\.([0-9]+))?(?:e([-+][0-9]+))?", repr(value))
+    if match is None or (value == 0 and match[1]):
+        return None
+    fraction = (match[3] or "").rstrip("0")
+    digits = int(match[2] + fraction)
+    power = int(match[4] or 0) - len(fraction)
+    while digits and digits % 10 == 0:
+        digits, power = digits // 10, power + 1
+    return varint(zigzag(-digits if match[1] else digits)) + varint(zigzag(power)) if digits < 1 << 53 else None
+
+
+def from_decimal(cursor: Cursor) -> float:
+    digits, power = cursor.signed(), cursor.signed()
+    if abs(power) > 400 or abs(digits) >= 1 << 53:
+        raise cursor.corrupt("a decimal number is out of range")
+    return float(f"{digits}e{power}")
+
+
+class _Reader:
+    """Reads the tree; arrays stand after it, so they are put in once the tree is whole."""
+
+    def __init__(self, stream: Cursor, section: Cursor, arrays_budget: Budget | None) -> None:
+        self.stream = stream
+        self.section = section
+        self.budget = arrays_budget
+        self.waiting = False
+
+    def value(self, depth: int) -> Any:
+        stream = self.stream
+        if depth > MAX_DEPTH + 1:
+            raise stream.corrupt("nested too deep")
+        tag = stream.byte()
+        if tag >= WORD:
+            if tag - WORD >= len(WORDS):
+                raise stream.corrupt("a word of the table that is reserved")
+            return WORDS[tag - WORD]
+        if tag >= SHORT:
+            return self.decoded(stream.take(tag - SHORT))
+        if tag >= SMALL:
+            return tag - SMALL
+        if tag in (NULL, FALSE, TRUE):
+            return {NULL: None, FALSE: False, TRUE: True}[tag]
+        if tag == INTEGER:
+            return stream.signed()
+        if tag == DECIMAL:
+            return from_decimal(stream)
+        if tag == FLOAT64:
+            return stream.float64()
+        if tag == STRING:
+            return stream.text()
+        if tag == LIST:
+            return [self.value(depth + 1) for _ in range(stream.count())]
+        if tag == DICT:
+            return self.dict(depth)
+        if tag == LARGE:
+            return int.from_bytes(stream.blob(), "little", signed=True)
+        if self.budget is not None and tag == BYTES:
+            return stream.blob()
+        if self.budget is not None and tag in (ARRAY, SIGNAL):
+            self.waiting = True
+            return _Waiting(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
+        raise stream.corrupt(f"a value of type {tag}, which is reserved")
+
+    def decoded(self, data: bytes) -> str:
+        try:
+            return data.decode("utf-8", "surrogatepass")
+        except UnicodeDecodeError:
+            raise self.stream.corrupt("a string is not UTF-8") from None
+
+    def dict(self, depth: int) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for _ in range(self.stream.count(2)):
+            key = self.value(MAX_DEPTH + 1)
+            if not isinstance(key, str) or key in result:
+                raise self.stream.corrupt("a key is not a string, or stands twice")
+            result[key] = self.value(depth + 1)
+        return result
+
+    def settle(self, value: Any) -> Any:
+        """The same tree with its arrays read, in the order in which they stand in it."""
+        if isinstance(value, dict):
+            return {key: self.settle(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [self.settle(item) for item in value]
+        if not isinstance(value, _Waiting):
+            return value
+        if value.signal is None:
+            return arrays.unpack(self.section, self.budget)
+        rate, labels, units, samples = map(self.settle, value.signal)
+        if not (isinstance(rate, float) and isinstance(samples, np.ndarray)):
+            raise self.stream.corrupt("a signal without rate or samples")
+        if not all(isinstance(part, list) and all(isinstance(s, str) for s in part) for part in (labels, units)):
+            raise self.stream.corrupt("a signal's labels or units are not strings")
+        return Signal(samples, rate, tuple(labels), tuple(units))
+
+
+class _Waiting:
+    """Stands in the tree for an array, or for a signal's four parts, until the arrays are read."""
+
+    def __init__(self, signal: list[Any] | None) -> None:
+        self.signal = signal

@@ -1,0 +1,117 @@
+"""Encoded to the bytes of a `.mocz`, front to back: header, extras, chunk after chunk, and last of all the index."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+from ..encoded import Chunk, Encoded
+from ..errors import CannotEncode
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from . import records, values
+from .records import CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION
+from .wire import checksum, varint
+
+
+def pack(encoded: Encoded[Any]) -> bytes:
+    """All of it as the bytes of a `.mocz`; the same bytes every time. Raises CannotEncode for what a file cannot hold."""
+    file = io.BytesIO()
+    writer = Writer(
+        file,
+        about=encoded.about,
+        codec=encoded.codec,
+        settings=encoded.settings,
+        margin=encoded.margin,
+        shared=encoded.shared,
+    )
+    for chunk in encoded.chunks:
+        writer.add(chunk)
+    writer.close()
+    return file.getvalue()
+
+
+class Writer:
+    """Writes a `.mocz` to a file object that need not seek: header at once, each chunk as it comes, the index at `close`.
+
+    about, codec, settings, margin, shared: as in `Encoded`. What was written before a crash can be salvaged.
+    Raises CannotEncode for what a file cannot hold.
+    """
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        *,
+        about: Motion | PointClouds,
+        codec: str,
+        settings: Mapping[str, Any] | None = None,
+        margin: int = 0,
+        shared: tuple[bytes, ...] = (),
+    ) -> None:
+        self.file = file
+        self.stop = 0
+        self.frames: list[int] = []
+        self.lengths: list[int] = []
+        header, extras = header_record(about, codec, settings or {}, margin, shared)
+        body = records.write(HEADER, header)
+        if len(body) > records.MAX_HEADER_BYTES:
+            raise CannotEncode(f"a header of {len(body)} bytes; a file holds {records.MAX_HEADER_BYTES}")
+        head = MAGIC + bytes([VERSION]) + varint(len(body)) + body
+        file.write(head + checksum(head))
+        if extras:
+            file.write(extras + checksum(extras))
+
+    def add(self, chunk: Chunk) -> None:
+        """The next chunk: frames follow those of the chunk before."""
+        payload = bytes(chunk.payload)
+        if chunk.start != self.stop:
+            raise CannotEncode(f"the next chunk starts at frame {chunk.start}, not where the last one stopped")
+        if not 0 < chunk.frames <= records.MAX_CHUNK_FRAMES or len(payload) > records.MAX_PAYLOAD_BYTES:
+            raise CannotEncode(f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range")
+        frame = records.write(CHUNK, {"frames": chunk.frames, "length": len(payload)})
+        self.file.write(frame + payload + checksum(frame, payload))
+        self.stop += chunk.frames
+        self.frames.append(chunk.frames)
+        self.lengths.append(len(payload))
+
+    def close(self) -> None:
+        """Writes the index. The file object stays open: it is the caller's."""
+        body = b"\0"
+        if len(self.frames) != 1:
+            body += records.write(INDEX, {"frames": self.frames, "lengths": self.lengths})
+        index = body + checksum(body)
+        self.file.write(index + varint(len(index))[::-1] + END_MAGIC)
+
+
+def header_record(
+    about: Motion | PointClouds, codec: str, settings: Mapping[str, Any], margin: int, shared: tuple[bytes, ...]
+) -> tuple[dict[str, Any], bytes]:
+    """The header's fields, and the extras section that they announce."""
+    extras, extras_size = values.pack_extras(about.extras) if about.extras else (b"", 0)
+    skeleton = about.skeleton if isinstance(about, Motion) else None
+    present = {
+        records.MARGIN: margin > 0,
+        records.SKELETON: skeleton is not None,
+        records.SETTINGS: bool(settings),
+        records.SOURCE: bool(about.source),
+        records.EXTRAS: bool(extras),
+    }
+    kind = "motion" if isinstance(about, Motion) else "clouds"
+    record: dict[str, Any] = {
+        "flags": records.flags(kind, about.up, present),
+        "kind": kind,
+        "codec": codec,
+        "rate": about.rate,
+        "margin": margin,
+        "skeleton": skeleton,
+        "settings": dict(settings),
+        "source": dict(about.source),
+        "extras": (len(extras), extras_size),
+        "shared": tuple(shared),
+    }
+    if isinstance(about, Motion):
+        record["names"] = about.names
+    else:
+        record["channels"] = (about.colours is not None) | (about.normals is not None) << 1
+    return record, extras
