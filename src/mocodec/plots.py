@@ -103,7 +103,8 @@ def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7
     frames = np.linspace(0, len(original) - 1, poses + 2).round().astype(int)[1:-1]
     up = "xyz".index(original.up)
     across = widest(original.positions, up)
-    step = 0.75 * np.nanmax(np.ptp(np.nan_to_num(original.positions[frames], nan=np.nan), axis=1)[:, up])
+    tall = [np.ptp(body[~np.isnan(body)]) for body in original.positions[frames, :, up] if not np.isnan(body).all()]
+    step = 0.75 * max(tall, default=1.0)
     for place, frame in enumerate(frames):
         middle = np.nanmean(original.positions[frame], axis=0) if not original.gaps[frame].all() else np.zeros(3)
         for motion, style in (
@@ -136,7 +137,8 @@ def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7
 def widest(positions: Floats, up: int) -> int:
     """The level axis along which the points of one frame spread more: a body is drawn against it."""
     level = [axis for axis in range(3) if axis != up]
-    spread = [np.nanmean(np.nanstd(positions[:: max(1, len(positions) // 50), :, axis], axis=1)) for axis in level]
+    seen = positions[~np.isnan(positions).all(axis=(1, 2))]
+    spread = [np.sum(np.nanvar(seen[:: max(1, len(seen) // 50), :, axis], axis=1)) for axis in level]
     return level[int(np.argmax(spread))]
 
 

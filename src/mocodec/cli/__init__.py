@@ -97,10 +97,13 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns its exit code. Errors become one line on standard error, unless --debug."""
     asked = {"debug": False}
     try:
-        result = mocodec.main(list(arguments) or ["--help"], "mocodec", standalone_mode=False, obj=asked)
+        with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=asked) as ctx:
+            result = mocodec.invoke(ctx)
         sys.stdout.flush()
         return result if isinstance(result, int) else DONE
-    except (KeyboardInterrupt, click.Abort):
+    except click.exceptions.Exit as done:
+        return done.exit_code
+    except KeyboardInterrupt:
         return complain("interrupted", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains once more at exit

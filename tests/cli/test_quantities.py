@@ -1,0 +1,92 @@
+"""Numbers with units, as typed and as shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import click
+import pytest
+
+from mocodec.cli import quantities
+from mocodec.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of every type."""
+
+    name: ClassVar[str] = "example"
+    components: int = 30
+    tolerance: float = 0.001
+    feet: tuple[str, ...] = ("LHEE",)
+    closed: bool = False
+    how: str = "ppca"
+    max_error: float | None = None
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [("2mm", 0.002), ("0.3cm", 0.003), ("0.002m", 0.002), ("500um", 0.0005), (".5 mm", 0.0005), ("1e-3m", 0.001)],
+)
+def test_lengths(text: str, metres: float) -> None:
+    assert quantities.LENGTH.convert(text, None, None) == pytest.approx(metres)
+
+
+@pytest.mark.parametrize("text", ["2", "mm", "2 parsec", "-1mm", "0mm", "1e999m", "nanmm", "", "2mm3"])
+def test_no_lengths(text: str) -> None:
+    with pytest.raises(click.BadParameter):
+        quantities.LENGTH.convert(text, None, None)
+
+
+def test_times() -> None:
+    assert quantities.TIME.convert("12.5s", None, None) == (12.5, None)
+    assert quantities.TIME.convert("1.5min", None, None) == (90, None)
+    assert quantities.TIME.convert("1500f", None, None) == (None, 1500)
+    for text in ("12", "-1s", "1.5f", "soon"):
+        with pytest.raises(click.BadParameter):
+            quantities.TIME.convert(text, None, None)
+
+
+def test_sizes() -> None:
+    assert quantities.SIZE.convert("50kB", None, None) == 50_000
+    assert quantities.SIZE.convert("2MiB", None, None) == 2 * 2**20
+    assert quantities.SIZE.convert("700", None, None) == 700
+    for text in ("0", "50 kilos", "1e99GB"):
+        with pytest.raises(click.BadParameter):
+            quantities.SIZE.convert(text, None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value"),
+    [
+        ("components=40", "components", 40),
+        ("tolerance=2mm", "tolerance", 0.002),
+        ("tolerance=2", "tolerance", 2.0),
+        ('feet=["LHEE","LTOE"]', "feet", ("LHEE", "LTOE")),
+        ("closed=true", "closed", True),
+        ("how=pca", "how", "pca"),
+        ("max-error=3mm", "max_error", 0.003),
+    ],
+)
+def test_settings(text: str, name: str, value: object) -> None:
+    assert quantities.setting(Settings, text) == (name, value)
+
+
+@pytest.mark.parametrize(
+    "text", ["components", "component=1", "components=many", "components=1.5", "closed=1", "feet=3"]
+)
+def test_no_settings(text: str) -> None:
+    with pytest.raises(BadInput, match=text.partition("=")[0]):
+        quantities.setting(Settings, text)
+
+
+def test_shown() -> None:
+    assert [quantities.length(m) for m in (0, 2e-8, 0.00123456, 0.5, 3)] == [
+        "0 mm",
+        "2.0e-05 mm",
+        "1.23 mm",
+        "500 mm",
+        "3.00 m",
+    ]
+    assert quantities.size(12345) == "12,345 bytes"

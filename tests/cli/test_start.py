@@ -1,0 +1,14 @@
+"""`mocodec --help` imports little: what is slow to import waits until a command needs it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+HEAVY = ("scipy", "rich", "matplotlib", "ezc3d", "asyncio")
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = f"import sys, mocodec.cli as c; c.run(['encode', '--help']); print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
