@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..entropy import coder
+from ..entropy import coder, varint
 from ..errors import Corrupt
 from ..motion import Floats
 
@@ -27,8 +27,6 @@ Integers = NDArray[np.int64]
 
 FINEST = 96
 """The largest precision: entries are multiples of 2^(−precision / 2), here of 2^−48."""
-
-LANES = 8
 
 
 def fit(covariance: Floats, components: int | None = None) -> tuple[Floats, Floats]:
@@ -54,55 +52,74 @@ def precisions(variances: Floats, noise: float) -> Integers:
     return np.clip(np.rint(half_octaves), 0, FINEST).astype(np.int64)
 
 
-def pack(basis: Floats, precision: Integers) -> bytes:
-    """Bytes of an orthonormal basis (n, k), rounded to `precision` (k,). Neither n nor the precision is stored."""
-    n, k = basis.shape
-    rest = np.array(basis, np.float64)
-    entries: list[Integers] = []
-    for i in range(k):
-        direction = rest[i:, i]
-        if direction[0] > 0:
-            direction = -direction
-        entries.append(np.rint(direction * _scale(precision[i])).astype(np.int64))
-        _reflect(rest[i:, i + 1 :], _mirror(entries[-1]))
-    contexts = _contexts(n, precision)
-    values = np.zeros(contexts.shape, np.int64)
-    values.flat[: _count(n, k)] = np.concatenate([*entries, np.zeros(0, np.int64)])
-    return coder.pack(values, contexts)
+def rounded(basis: Floats, precision: Integers) -> Floats:
+    """The basis that `unpack` will give for this one, without the bytes between."""
+    return _compose(_decompose(basis, precision), len(basis))
 
 
-def unpack(data: bytes, dimensions: int, precision: Integers) -> Floats:
+def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> bytes:
+    """Bytes of an orthonormal basis (n, k), rounded to `precision` (k,). Neither n nor the precision is stored.
+
+    alike (n,): for each dimension an earlier one that moves much the same (the same axis of the point next to it on the
+    body), or −1: the leading components are stored as differences between them, as many as that pays for.
+    """
+    entries = _decompose(basis, precision)
+    differences = _differences(entries, alike)
+    sizes = np.log2(1 + np.abs(np.stack([entries, differences]))).sum(axis=1)
+    saved = np.cumsum(np.append(0, sizes[0] - sizes[1]))
+    leading = int(saved.argmax()) if alike is not None else 0
+    values = np.concatenate([differences[:, :leading], entries[:, leading:]], axis=1)
+    return varint.write([leading]) + coder.pack(values)
+
+
+def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | None = None) -> Floats:
     """The basis (dimensions, components) that `pack` stored with this precision. Raises Corrupt."""
     n, k = dimensions, len(precision)
     if k > n:
         raise Corrupt(f"a basis of {k} components for {n} dimensions")
-    contexts = _contexts(n, precision)
-    values = coder.unpack(data, contexts.shape, contexts).ravel()
-    mirrors: list[Floats] = []
+    (leading,), at = varint.read(data, 1)
+    if leading > (0 if alike is None else k):
+        raise Corrupt("a basis with differences between dimensions that are not there")
+    values = coder.unpack(data[at:], (n, k))
+    if alike is not None:
+        _sum_differences(values[:, :leading], alike)
+    return _compose(values, n)
+
+
+def _decompose(basis: Floats, precision: Integers) -> Integers:
+    """Rounded entries, (n, k), zero above the diagonal: row r of column i is in the coordinates that i mirrors left."""
+    n, k = basis.shape
+    rest = np.array(basis, np.float64)
+    entries = np.zeros((n, k), np.int64)
     for i in range(k):
-        start = _count(n, i)
-        mirrors.append(_mirror(values[start : start + n - i]))
+        direction = rest[i:, i]
+        if direction[0] > 0:
+            direction = -direction
+        entries[i:, i] = np.rint(direction * 2.0 ** (int(precision[i]) / 2))
+        _reflect(rest[i:, i + 1 :], _mirror(entries[i:, i]))
+    return entries
+
+
+def _compose(entries: Integers, n: int) -> Floats:
+    """The orthonormal basis of rounded entries."""
+    k = entries.shape[1]
     basis = np.eye(n, k)
     for i in reversed(range(k)):
-        _reflect(basis[i:, i:], mirrors[i])
+        _reflect(basis[i:, i:], _mirror(entries[i:, i]))
     return basis
 
 
-def _scale(precision: int) -> float:
-    return 2.0 ** (int(precision) / 2)
+def _differences(entries: Integers, alike: Integers | None) -> Integers:
+    """Entries less those of the dimension alike."""
+    if alike is None:
+        return entries
+    return entries - np.where((alike >= 0)[:, None], entries[alike], 0)
 
 
-def _count(n: int, k: int) -> int:
-    """Entries of the first k components: n, n − 1, …"""
-    return n * k - k * (k - 1) // 2
-
-
-def _contexts(n: int, precision: Integers) -> Integers:
-    """The expected size of each entry in half-octaves, (steps, LANES): 1/√(free coordinates) in units of the step."""
-    free = np.maximum(n - np.arange(len(precision)), 1)
-    size = np.maximum(precision - np.floor(np.log2(free)).astype(np.int64), -4) + 4
-    by_entry = np.repeat(size, free)
-    return np.append(by_entry, np.zeros(-len(by_entry) % LANES, np.int64)).reshape(-1, LANES)
+def _sum_differences(values: Integers, alike: Integers) -> None:
+    """Undo `_differences`, in place."""
+    for row in np.flatnonzero(alike >= 0):
+        values[row] += values[alike[row]]
 
 
 def _mirror(entries: Integers) -> Floats:
