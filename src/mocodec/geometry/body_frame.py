@@ -1,9 +1,9 @@
-"""A frame that follows the body: origin at one marker, heading by two others, the vertical kept. Liu & McMillan 2006, section 3.1.
+"""A frame that follows the body: origin at one marker, heading by two, the vertical kept. Liu & McMillan 2006, 3.1.
 
     three normalisation markers ──of──► BodyFrame      positions ──into──► normalised ──out_of──► positions
 
-The markers are C7 and the two shoulders where the labels say which these are, the neck and shoulders of a skeleton, and otherwise the
-three points that stay farthest apart and most rigid to each other.
+The markers are C7 and the two shoulders where the labels say which these are, the neck and shoulders of a skeleton, and
+otherwise the three points that stay farthest apart and most rigid to each other.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ ORIGINS = (
     "CHEST", "SPINE3", "SPINE2", "SPINE1", "T10", "CLAV", "STRN",
 )  # fmt: skip
 SHOULDERS = (
-    "SHO", "SHD", "ACR", "ACROMION", "ACROMIUM", "AC", "SHOULDERJOINT", "ARM", "UPPERARM", "UPARM", "SHOULDER", "HUMERUS",
-    "COLLAR", "CLAVICLE",
+    "SHO", "SHD", "ACR", "ACROMION", "ACROMIUM", "AC", "SHOULDERJOINT", "ARM", "UPPERARM", "UPARM", "SHOULDER",
+    "HUMERUS", "COLLAR", "CLAVICLE",
 )  # fmt: skip
 """Parts of plain labels, best first."""
 
 LEVEL_M = 1e-6
-"""Shoulders straight above each other give no heading: below this length on the ground the heading is that of the world."""
+"""Shoulders above each other give no heading: below this length on the ground it is that of the world."""
 
 CANDIDATES = 64
 SAMPLES = 64
 
 
 class BodyFrame(NamedTuple):
-    """origin (frames, 3); heading (frames, 2): cosine and sine of the angle about the vertical; up: index of that axis."""
+    """origin (frames, 3); heading (frames, 2): cosine and sine of the turn about the vertical; up: that axis."""
 
     origin: Floats
     heading: Floats
@@ -47,7 +47,7 @@ def plain(label: str) -> str:
 
 
 def side_and_part(label: str) -> tuple[str, str]:
-    """ "L" or "R" (or "") and the part of the body of a label: "LeftToeBase" → ("L", "TOEBASE"), "Heel.R" → ("R", "HEEL")."""
+    """Side, "L", "R" or "", and part of the body: "LeftToeBase" → ("L", "TOEBASE"), "Heel.R" → ("R", "HEEL")."""
     name = plain(label)
     for pattern in (r"(?P<side>LEFT|RIGHT)(?P<part>.+)", r"(?P<part>.+)(?P<side>LEFT|RIGHT)"):
         if match := re.fullmatch(pattern, name):
@@ -110,12 +110,12 @@ def _by_label(names: Sequence[str], present: Floats) -> tuple[int, int, int] | N
 
 
 def _by_geometry(positions: Floats, present: Floats, up: str) -> tuple[int, int, int]:
-    """Left and right: the pair that is longest on the ground, less what its distance varies; origin: the point most rigid to both."""
+    """Left and right: the pair farthest apart on the ground and most rigid; origin: the point most rigid to both."""
     columns = np.argsort(-np.minimum(present, 0.9), kind="stable")[:CANDIDATES]
     sample = np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int))
-    from ..stages import gaps
-
-    points = gaps.fill(positions[sample][:, columns])[0]
+    points = positions[sample][:, columns]
+    middle = np.nan_to_num(points).sum(axis=0) / np.maximum((~np.isnan(points)).sum(axis=0), 1)
+    points = np.where(np.isnan(points), middle, points)
     apart = points[:, :, None] - points[:, None]
     distance = np.sqrt((apart**2).sum(axis=-1))
     level = np.delete(apart, UP_AXES.index(up), axis=-1)

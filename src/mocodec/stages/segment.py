@@ -1,7 +1,7 @@
 """Cutting a motion along time: into clips of equal length (Hou), or where the poses change their distribution (Liu).
 
-    equal_length   frames, length ──► slices
-    ppca           poses ──► slices, and the distance curves that the cuts were read from (Liu & McMillan 2006, figure 3)
+equal_length   frames, length ──► slices
+ppca           poses ──► slices, and the distance curves that the cuts were read from (Liu & McMillan 2006, figure 3)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def equal_length(frames: int, length: int) -> list[slice]:
 
 
 class Curve(NamedTuple):
-    """One search for a cut: H at each end of the model, as frames of the whole sequence, and where it cut, if it did."""
+    """One search for a cut: H for each end of the model, a frame of the sequence, and where it cut, if it did."""
 
     frames: NDArray[np.int64]
     distances: Floats
@@ -49,9 +49,9 @@ def ppca(
     """Segments of simple motion, by probabilistic PCA. Liu & McMillan 2006, section 3.2, after Barbič et al. 2004.
 
     poses (frames, dimensions), metres. Model the first `initial` frames (K) as a Gaussian whose leading directions hold
-    the fraction `kept` (τ) of the variance; H is the average squared Mahalanobis distance of the next `ahead` frames (T);
-    grow K by `step` (Δ) and repeat; cut at the peak that rises more than `rise` (R) above the valley before it. Go on behind the
-    cut until fewer than K + T frames remain. No segment is shorter than the lesser of K and T, unless it is the only one.
+    the fraction `kept` (τ) of the variance; H is the average squared Mahalanobis distance of the next `ahead` frames
+    (T); grow K by `step` (Δ) and repeat; cut at the peak that rises more than `rise` (R) above the valley before it. Go
+    on behind the cut until fewer than K + T frames remain. No segment but an only one is shorter than both K and T.
 
     Sums are carried along, so that time grows linearly with frames however long a segment is.
     """
@@ -114,9 +114,15 @@ def _search(
 
 
 def _distance(
-    mean: Floats, second_moment: Floats, outside: float, ahead: Floats, ahead_outside: float, dimensions: int, kept: float
+    mean: Floats,
+    second_moment: Floats,
+    outside: float,
+    ahead: Floats,
+    ahead_outside: float,
+    dimensions: int,
+    kept: float,
 ) -> float:
-    """H: the average of (x − μ)ᵀ C⁻¹ (x − μ), with C = W Wᵀ + σ²I: p leading variances, and σ² the average of the rest."""
+    """H: the average of (x − μ)ᵀ C⁻¹ (x − μ), C = W Wᵀ + σ²I: p leading variances, σ² the average of the rest."""
     variances, directions = np.linalg.eigh(second_moment - np.outer(mean, mean))
     variances, directions = np.maximum(variances[::-1], 0.0), directions[:, ::-1]
     whole = variances.sum() + outside

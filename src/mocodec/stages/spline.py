@@ -4,8 +4,8 @@
     Keyframes ──splits──► one bit for each interval: was it halved? ──from_splits──► Keyframes
     values ──differences──► integers: how far each value is from the coarser levels' spline ──values──► values
 
-Key frames are found by halving, so they form levels: four frames evenly spaced, then the middles of their intervals, then
-the middles of those. The levels say where the key frames are in about two bits each, and predict their values.
+Key frames are found by halving, so they form levels: four frames evenly spaced, then the middles of their intervals,
+then the middles of those. The levels say where the key frames are in about two bits each, and predict their values.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def evenly(frames: int) -> Frames:
 
 
 def interpolate(keyframes: Frames, values: Floats, at: Frames) -> Floats:
-    """The natural cubic spline through values (keys, k) at ascending key frames, evaluated at frames within: (at, k)."""
+    """The natural cubic spline through values (keys, k) at ascending key frames, at frames within: (at, k)."""
     if len(keyframes) < 2:
         return np.repeat(values, len(at), axis=0)
     widths = np.diff(keyframes).astype(np.float64)[:, None]
@@ -68,18 +68,19 @@ def _curvature(widths: Floats, values: Floats) -> Floats:
     """Second derivatives of the natural spline at its knots, zero at both ends."""
     curvature = np.zeros_like(values)
     if len(values) > 2 and values.shape[1]:
-        from scipy.linalg.lapack import dptsv
+        from scipy.linalg import get_lapack_funcs
 
+        (ptsv,) = get_lapack_funcs(("ptsv",), dtype=np.float64)
         slopes = np.diff(values, axis=0) / widths
         diagonal = (widths[:-1] + widths[1:])[:, 0] / 3
-        curvature[1:-1] = dptsv(diagonal, widths[1:-1, 0] / 6, np.diff(slopes, axis=0))[2]
+        curvature[1:-1] = ptsv(diagonal, widths[1:-1, 0] / 6, np.diff(slopes, axis=0))[2]
     return curvature
 
 
 def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
     """Key frames (of frames, k) such that the spline through them is nowhere farther than `tolerance`, in the L2 norm.
 
-    Begin with four; wherever some frame between two key frames is too far off, the frame in their middle becomes one too.
+    Begin with four; wherever a frame between two key frames is too far off, the frame in their middle becomes one too.
     """
     frames = len(trajectory)
     at = np.arange(frames)
@@ -129,7 +130,7 @@ def splits(keys: Keyframes) -> NDArray[np.uint8]:
 
 
 def from_splits(bits: NDArray[np.uint8], frames: int) -> tuple[Keyframes, int]:
-    """The key frames of a run of `frames`, and how many of the bits they took. Raises Corrupt where the bits end too early."""
+    """The key frames of a run of `frames`, and how many bits they took. Raises Corrupt where the bits end early."""
     used = 0
 
     def ask(middles: Frames) -> NDArray[np.bool_]:
