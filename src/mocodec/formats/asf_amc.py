@@ -14,7 +14,6 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -262,3 +261,82 @@ def _axis_frame(bone: Bone, acclaim: Acclaim) -> Floats:
     """C: the angles of an axis are by letter, x y z, whatever the order of the turns."""
     by_turn = np.array([bone.axis["xyz".index(letter)] for letter in bone.order[::-1]])
     return rigid.from_euler(bone.order[::-1], acclaim.radians(by_turn))
+
+
+def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> None:
+    """Write an AMC, angles as its ASF counts them.
+
+    asf: the skeleton to write for, by default the one that `read` would find beside the AMC; where there is none a new
+    one is written beside it, with every bone free about x, y and z. Angles are within ±180° (the middle one ±90°) and
+    make the same turns. Raises BadInput for a motion that did not come from an AMC, one without rotations, or another
+    skeleton's.
+    """
+    path = Path(path)
+    skeleton, rotations = motion.skeleton, motion.rotations
+    if skeleton is None or rotations is None:
+        raise BadInput(
+            f"{path}: an AMC needs a skeleton and rotations, which this motion does not have; "
+            "a .mocz does not store rotations yet: write a .c3d, .trc or .npz"
+        )
+    if motion.source.get("format") != "amc" or skeleton.names[0] != "root":
+        raise BadInput(f"{path}: only what was read from an .amc can be written as one; write a .bvh")
+    if asf is None:
+        try:
+            asf = _find_asf(path)
+        except BadInput:
+            asf = path.with_suffix(".asf")
+            replace_whole(asf, _asf_text(skeleton, motion.source["unit_m"]).encode("utf-8"))
+    acclaim = read_asf(asf)
+    if acclaim.skeleton.names != skeleton.names or not np.allclose(acclaim.skeleton.offsets, skeleton.offsets, atol=1e-6):
+        raise BadInput(f"{path}: {asf} is another skeleton than this motion's; name the right one with asf=")
+    moved = motion.positions[:, 0] - skeleton.offsets[0]
+    columns = [_angles(bone, rotations[:, j], moved, acclaim) for j, bone in enumerate(acclaim.bones)]
+    lines = [":FULLY-SPECIFIED", ":DEGREES" if acclaim.degrees else ":RADIANS"]
+    first = int(motion.source.get("first_frame", 1))
+    form = "\n".join(f"{b.name}{' %.8g' * len(b.dof)}" for b in acclaim.bones if b.dof)
+    for frame, row in enumerate(np.concatenate(columns, axis=1).tolist()):
+        lines += [str(first + frame), form % tuple(row)]
+    replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
+
+
+def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Floats:
+    """The channels (frames, dof) of a bone: the inverse of `_own_turn`. Raises BadInput where its dof do not suffice."""
+    frame = _axis_frame(bone, acclaim)
+    turn = rigid.multiply(rigid.multiply(rigid.inverse(frame), own_turn), frame)
+    angles = rigid.to_euler(bone.order[::-1], turn)
+    stuck = [bone.order[::-1].index(axis) for axis in "xyz" if f"r{axis}" not in bone.dof]
+    free = [i for i in range(3) if i not in stuck]
+    if len(stuck) == 2:  # one axis: the whole circle, which three angles would split
+        axis = "xyz".index(bone.order[::-1][free[0]])
+        angles = np.zeros_like(angles)
+        half = np.arctan2(turn[:, 1 + axis], turn[:, 0])
+        angles[:, free[0]] = (2 * half + np.pi) % (2 * np.pi) - np.pi
+    made = rigid.from_euler(bone.order[::-1], np.where(np.isin(np.arange(3), stuck), 0.0, angles))
+    if np.abs(np.abs(np.sum(made * turn, axis=1)) - 1.0).max(initial=0.0) > 1e-6:
+        raise BadInput(f"bone {bone.name} turns about axes that its skeleton does not let it turn about")
+    values = np.degrees(angles) if acclaim.degrees else angles
+    columns = [
+        moved[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, bone.order[::-1].index(dof[1])]
+        for dof in bone.dof
+    ]
+    return np.stack(columns, axis=1) if columns else np.empty((len(own_turn), 0))
+
+
+def _asf_text(skeleton: Skeleton, unit_m: float) -> str:
+    """A skeleton file whose bones have no axis frames and turn about x, y and z."""
+    length = 0.0254 / unit_m
+    lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg", ":root"]
+    x, y, z = (skeleton.offsets[0] / unit_m).tolist()
+    lines += ["   order TX TY TZ RX RY RZ", "   axis XYZ", f"   position {x:.10g} {y:.10g} {z:.10g}", "   orientation 0 0 0"]
+    lines.append(":bonedata")
+    for number, (name, offset) in enumerate(zip(skeleton.names[1:], skeleton.offsets[1:] / unit_m, strict=True), 1):
+        size = float(np.linalg.norm(offset))
+        x, y, z = (offset / size).tolist() if size else (0.0, 1.0, 0.0)
+        lines += ["  begin", f"     id {number}", f"     name {name}", f"     direction {x:.10g} {y:.10g} {z:.10g}"]
+        lines += [f"     length {size:.10g}", "     axis 0 0 0 XYZ", "    dof rx ry rz", "  end"]
+    lines += [":hierarchy", "  begin"]
+    for parent, name in enumerate(skeleton.names):
+        children = [skeleton.names[j] for j, p in enumerate(skeleton.parents) if p == parent]
+        if children:
+            lines.append(f"    {name} {' '.join(children)}")
+    return "\n".join([*lines, "  end", ""])

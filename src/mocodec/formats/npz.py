@@ -1,0 +1,162 @@
+"""NPZ: arrays by name, as NumPy writes them.
+
+    positions                  ours, and the plainest: (frames, points, 3) in metres, with rate | fps, names, up
+    joints, jtr, Jtr, keypoints3d, joint_positions    the same under the names that learning people use
+    markers, labels, frame_rate                       AMASS's and MoSh's marker files
+    poses, trans, betas        AMASS's body model parameters: need SMPL's licensed body, so they are refused by name
+
+Arrays are read without pickle, each checked against the archive's own size before it is read.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from ..motion import Motion, Skeleton
+from . import replace_whole
+from .c3d import UNITS_M, guess_up
+
+POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
+RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
+NAMES = ("names", "labels", "joint_names", "marker_names")
+MAX_BYTES = 1 << 34  # of one array unpacked: 16 GiB
+MAX_RATIO = 1100  # the most that deflate packs into a byte is about 1,032
+
+
+def read(
+    path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None
+) -> Motion:
+    """Positions of an NPZ as a motion.
+
+    rate: frames a second where the file does not say. unit: of the positions, metres unless told (millimetres for a
+    `markers` file that extends over more than 100). up: the vertical axis; the file's `up`, or guessed. A sample that is
+    not a number, or a marker exactly at the origin of a `markers` file, is a gap. Raises BadInput.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            arrays = _Arrays(archive, path)
+            return _motion(arrays, rate, unit, up)
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
+            OverflowError, SyntaxError, TypeError, MemoryError, zipfile.zlib.error) as error:  # fmt: skip
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(f"{path}: not an NPZ that can be read ({error})") from None
+
+
+class _Arrays:
+    """The arrays of an archive, each loaded when asked for."""
+
+    def __init__(self, archive: zipfile.ZipFile, path: str | Path) -> None:
+        self.archive, self.path = archive, path
+        self.names = {Path(info.filename).stem: info for info in archive.infolist() if info.filename.endswith(".npy")}
+
+    def first(self, names: tuple[str, ...]) -> str | None:
+        return next((name for name in names if name in self.names), None)
+
+    def load(self, name: str) -> NDArray[Any]:
+        """Raises BadInput for an array of objects, and for one larger than the archive can hold."""
+        info = self.names[name]
+        if info.file_size > min(MAX_BYTES, MAX_RATIO * info.compress_size + 4096):
+            raise BadInput(f"{self.path}: array {name!r} claims {info.file_size} bytes, more than its archive can hold")
+        data = io.BytesIO(self.archive.read(info))
+        version = np.lib.format.read_magic(data)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(data)
+        if dtype.hasobject:
+            raise BadInput(f"{self.path}: array {name!r} holds Python objects; save it as numbers or text")
+        if math.prod(shape) * dtype.itemsize != info.file_size - data.tell():
+            raise BadInput(f"{self.path}: array {name!r} is cut off or damaged")
+        data.seek(0)
+        return np.lib.format.read_array(data, allow_pickle=False)
+
+
+def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> Motion:
+    path = arrays.path
+    key = arrays.first(POSITIONS)
+    if key is None:
+        if "poses" in arrays.names:
+            raise BadInput(
+                f"{path}: has body model parameters (poses, trans, betas) and no positions; run the SMPL body model, "
+                "whose licence is yours to get, and save its joints as 'joints' beside 'mocap_framerate'"
+            )
+        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {', '.join(arrays.names) or 'none'}")
+    positions = arrays.load(key)
+    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
+        raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
+    positions = positions.astype(np.float64)
+    if rate is None:
+        rate_key = arrays.first(RATES)
+        if rate_key is None:
+            raise BadInput(f"{path}: does not say its rate; say it with rate= (keys that are known: {', '.join(RATES)})")
+        rate = float(arrays.load(rate_key).reshape(-1)[0])
+    names: tuple[str, ...] = ()
+    names_key = arrays.first(NAMES)
+    if names_key is not None:
+        texts = arrays.load(names_key).reshape(-1)
+        if texts.dtype.kind in "US" and len(texts) == positions.shape[1]:
+            names = tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in texts.tolist())
+    gaps = np.isnan(positions).any(axis=2)
+    if key == "markers":
+        gaps |= (positions == 0).all(axis=2)
+    positions[gaps] = np.nan
+    units, unit_m = _unit(arrays, key, positions, unit)
+    positions *= unit_m
+    source: dict[str, Any] = {"format": "npz", "units": units, "unit_m": unit_m}
+    if up is None and "up" in arrays.names:
+        up = str(arrays.load("up").reshape(-1)[0])
+    if up is None:
+        up = guess_up(positions)
+        source["up_guessed"] = True
+    skeleton, rotations = None, None
+    if {"parents", "offsets"} <= arrays.names.keys():
+        parents = arrays.load("parents").reshape(-1).astype(int).tolist()
+        filled = names or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
+        skeleton = Skeleton(filled, tuple(parents), arrays.load("offsets").astype(np.float64))
+        if "rotations" in arrays.names:
+            rotations = arrays.load("rotations").astype(np.float64)
+    if "source" in arrays.names:
+        source = json.loads(str(arrays.load("source").reshape(-1)[0]))
+        if not isinstance(source, dict):
+            raise BadInput(f"{path}: its 'source' is not a JSON object")
+    return Motion(positions, rate, names, up, skeleton, rotations, source)
+
+
+def _unit(arrays: _Arrays, key: str, positions: NDArray[np.float64], unit: str | None) -> tuple[str, float]:
+    if unit is None and "unit" in arrays.names:
+        unit = str(arrays.load("unit").reshape(-1)[0])
+    if unit is None:
+        there = positions[~np.isnan(positions[:, :, 0])]
+        unit = "mm" if key == "markers" and there.size and np.ptp(there, axis=0).max() > 100 else "m"
+    if unit.lower() not in UNITS_M:
+        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
+    return unit, UNITS_M[unit.lower()]
+
+
+def write(path: str | Path, motion: Motion) -> None:
+    """Write positions (float64, metres, gaps NaN), rate, names, up and, where there are any, skeleton and rotations.
+
+    `source` goes along as JSON; extras (analog channels, events, parameters) have no place in an NPZ.
+    """
+    arrays: dict[str, NDArray[Any]] = {
+        "positions": motion.positions,
+        "rate": np.array(motion.rate),
+        "names": np.array(motion.names, dtype=np.str_),
+        "up": np.array(motion.up),
+        "source": np.array(json.dumps(dict(motion.source), sort_keys=True)),
+    }
+    if motion.skeleton is not None:
+        arrays |= {"parents": np.array(motion.skeleton.parents), "offsets": motion.skeleton.offsets}
+        if motion.rotations is not None:
+            arrays["rotations"] = motion.rotations
+    out = io.BytesIO()
+    np.savez_compressed(out, allow_pickle=False, **arrays)
+    replace_whole(path, out.getvalue())

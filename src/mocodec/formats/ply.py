@@ -1,0 +1,282 @@
+"""PLY: frames of coloured points, one file a frame, in a folder, a glob or a single file.
+
+    folder | glob | file.ply ──read──► PointClouds ──write──► folder of frame_000000.ply | one file.ply
+
+PLY carries neither time nor unit: `fps` and `units` are given to the reader, or stand in the comments that `write`
+leaves (`comment rate 15`, `comment units m`).
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import BadInput, Truncated
+from ..pointcloud import PointClouds
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+HEADER_LIMIT = 1 << 16
+UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+
+class Element(NamedTuple):
+    """One element of a PLY header: its fields as NumPy types, and whether any of them is a list."""
+
+    name: str
+    size: int
+    fields: list[tuple[str, str]]
+    has_list: bool
+
+
+class Header(NamedTuple):
+    encoding: str
+    elements: list[Element]
+    comments: dict[str, str]
+    size: int
+
+
+def read(
+    path: str | PathLike[str], *, fps: float | None = None, units: str | None = None, up: str | None = None
+) -> PointClouds:
+    """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
+
+    fps: frames a second. units: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
+    three may stand in the files' comments. Points whose coordinates are NaN are kept; properties that are neither
+    position, colour nor normal are listed in `source["ignored"]`. Raises BadInput, Truncated.
+    """
+    files = frame_files(path)
+    frames = [read_frame(file) for file in files]
+    comments = frames[0][1].comments
+    rate = fps if fps is not None else comments.get("rate")
+    if rate is None:
+        raise BadInput(f"{path}: PLY files carry no frame rate; say it, for instance fps=15 (--fps 15)")
+    units = units or comments.get("units", "m")
+    if units not in UNITS_M:
+        raise BadInput(f"{path}: unknown unit {units!r}; known are {', '.join(UNITS_M)}")
+    first = frames[0][0].dtype
+    names = first.names or ()
+    colour = next((c for c in COLOURS if set(c) <= set(names)), None)
+    normal = NORMAL if set(NORMAL) <= set(names) else None
+    for file, (values, _) in zip(files, frames, strict=True):
+        for what in filter(None, (POSITION, colour, normal)):
+            if not set(what) <= set(values.dtype.names or ()):
+                raise BadInput(f"{file}: has no {', '.join(what)}, which the first frame has")
+            if not all(np.isfinite(values[name]).all() for name in what if what is colour):
+                raise BadInput(f"{file}: has colours that are not numbers")
+    positions = [columns(values, POSITION) * UNITS_M[units] for values, _ in frames]
+    used = {*POSITION, *(colour or ()), *(normal or ())}
+    source: dict[str, Any] = {
+        "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": UNITS_M[units],
+        "double": bool(first["x"].itemsize == 8),
+    }  # fmt: skip
+    if ignored := [n for n in names if n not in used]:
+        source["ignored"] = ignored
+    try:
+        return PointClouds(
+            positions=positions,
+            rate=float(rate),
+            colours=[as_bytes(columns(values, colour)) for values, _ in frames] if colour else None,
+            normals=[columns(values, normal) for values, _ in frames] if normal else None,
+            up=up or comments.get("up", "y"),
+            source=source,
+        )
+    except ValueError as error:
+        raise BadInput(f"{path}: {error}") from None
+
+
+def write(
+    path: str | PathLike[str], clouds: PointClouds, *, encoding: str | None = None, overwrite: bool = False
+) -> None:
+    """Write frames as `frame_000000.ply` … into a folder, or a single frame as one .ply file.
+
+    encoding: "ascii", "binary_little_endian" or "binary_big_endian"; as the source was, unless given. Coordinates go
+    back to the source's unit. Raises BadInput where the folder already holds .ply files, unless `overwrite`, which
+    removes them.
+    """
+    from . import replace_whole
+
+    encoding = encoding or str(clouds.source.get("encoding", "binary_little_endian"))
+    if encoding not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise BadInput(f"unknown PLY encoding {encoding!r}")
+    target = Path(path)
+    if target.suffix.lower() == ".ply":
+        if len(clouds) != 1:
+            raise BadInput(f"{target}: {len(clouds)} frames do not fit one .ply file; name a folder")
+        replace_whole(target, frame_bytes(clouds, 0, encoding))
+        return
+    if target.is_file():
+        raise BadInput(f"{target}: is a file, not a folder")
+    target.mkdir(parents=True, exist_ok=True)
+    if old := sorted(target.glob("*.ply")):
+        if not overwrite:
+            raise BadInput(f"{target}: already holds {len(old)} .ply files; name an empty folder or say overwrite")
+        for file in old:
+            file.unlink()
+    for frame in range(len(clouds)):
+        replace_whole(target / f"frame_{frame:06d}.ply", frame_bytes(clouds, frame, encoding))
+
+
+def frame_files(path: str | PathLike[str]) -> list[Path]:
+    """The .ply files that a folder, glob or single path names, in natural order: frame_2 before frame_10."""
+    text = os.fspath(path)
+    if Path(text).is_dir():
+        files = [p for p in Path(text).iterdir() if p.suffix.lower() == ".ply" and p.is_file()]
+    elif Path(text).is_file():
+        files = [Path(text)]
+    else:
+        files = [Path(p) for p in glob.glob(text) if p.lower().endswith(".ply")]
+    if not files:
+        raise BadInput(f"{text}: no .ply file there")
+    return sorted(files, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+
+
+def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
+    """The vertices of one file as a structured array, and its header. Raises BadInput, Truncated."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}") from None
+    header = parse_header(data, path)
+    body = data[header.size :]
+    names = [element.name for element in header.elements]
+    if "vertex" not in names:
+        raise BadInput(f"{path}: has no vertices")
+    before, vertex = header.elements[: names.index("vertex")], header.elements[names.index("vertex")]
+    if vertex.has_list:
+        raise BadInput(f"{path}: vertices with list properties are not supported")
+    if not set(POSITION) <= {name for name, _ in vertex.fields}:
+        raise BadInput(f"{path}: vertices without x, y and z")
+    if header.encoding == "ascii":
+        return ascii_vertices(body, sum(e.size for e in before), vertex, path), header
+    if any(e.has_list and e.size for e in before):
+        raise BadInput(f"{path}: a list element stands before the vertices; save the vertices first")
+    order = "<" if header.encoding == "binary_little_endian" else ">"
+    skip = sum(e.size * record(e, order).itemsize for e in before if not e.has_list)
+    dtype = record(vertex, order)
+    if skip + vertex.size * dtype.itemsize > len(body):
+        raise Truncated(f"{path}: ends before its {vertex.size} vertices")
+    return np.frombuffer(body, dtype, vertex.size, skip), header
+
+
+def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) -> np.ndarray[Any, np.dtype[Any]]:
+    """Vertices of an ASCII file, all numbers parsed at once."""
+    width = len(vertex.fields)
+    if vertex.size * width * 2 > len(body) + 1:
+        raise Truncated(f"{path}: ends before its {vertex.size} vertices")
+    lines = body.split(b"\n", skip_lines + vertex.size)[skip_lines : skip_lines + vertex.size]
+    try:
+        flat = np.array(b" ".join(lines).split(), dtype=np.float64)
+    except ValueError:
+        raise BadInput(f"{path}: a vertex that is not a number") from None
+    if flat.size < vertex.size * width:
+        raise Truncated(f"{path}: ends before its {vertex.size} vertices")
+    if flat.size != vertex.size * width:
+        raise BadInput(f"{path}: vertices with more than {width} values")
+    values = np.empty(vertex.size, record(vertex, "<"))
+    for (name, kind), column in zip(vertex.fields, flat.reshape(vertex.size, width).T, strict=True):
+        if kind[0] in "iu":
+            limits = np.iinfo(kind)
+            if not ((column >= limits.min) & (column <= limits.max)).all():
+                raise BadInput(f"{path}: {name} outside what its type holds")
+        values[name] = column.astype(kind)
+    return values
+
+
+def parse_header(data: bytes, path: Path) -> Header:
+    """The header up to and with `end_header`. Raises BadInput, Truncated."""
+    if data[:3] != b"ply":
+        raise BadInput(f"{path}: not a PLY file")
+    end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:HEADER_LIMIT])
+    if not end:
+        raise Truncated(f"{path}: the header does not end")
+    encoding, elements, comments = "", list[Element](), dict[str, str]()
+    for line in data[: end.end()].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        try:
+            match words:
+                case ["format", kind, _]:
+                    encoding = kind
+                case ["comment" | "obj_info", key, value]:
+                    comments.setdefault(key, value)
+                case ["element", name, count]:
+                    elements.append(Element(name, int(count), [], False))
+                    if int(count) < 0:
+                        raise ValueError
+                case ["property", "list", _, _, _]:
+                    elements[-1] = elements[-1]._replace(has_list=True)
+                case ["property", kind, name]:
+                    if name in dict(elements[-1].fields):
+                        raise ValueError
+                    elements[-1].fields.append((name, TYPES[kind]))
+                case _:
+                    pass
+        except (KeyError, IndexError, ValueError):
+            raise BadInput(f"{path}: bad header line {line!r}") from None
+    if encoding not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise BadInput(f"{path}: unknown PLY encoding {encoding!r}")
+    return Header(encoding, elements, comments, end.end())
+
+
+def record(element: Element, order: str) -> np.dtype[Any]:
+    return np.dtype([(name, order + kind) for name, kind in element.fields])
+
+
+def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(n, 3) float64 of three named fields; colours in their own type's range become 0 to 255."""
+    out = np.empty((len(values), len(names)))
+    for i, name in enumerate(names):
+        with np.errstate(invalid="ignore"):  # a signalling NaN is still a NaN
+            out[:, i] = values[name]
+        if values.dtype[name].kind == "f" and name not in POSITION + NORMAL:
+            out[:, i] *= 255.0
+        elif values.dtype[name].kind == "u" and values.dtype[name].itemsize == 2:
+            out[:, i] /= 257.0
+    return out
+
+
+def as_bytes(colours: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Colours 0 to 255 as uint8; NaN becomes black."""
+    return np.clip(np.rint(np.nan_to_num(colours)), 0, 255).astype(np.uint8)
+
+
+def frame_bytes(clouds: PointClouds, frame: int, encoding: str) -> bytes:
+    """One frame as a PLY file."""
+    order = ">" if encoding == "binary_big_endian" else "<"
+    kind = "f8" if clouds.source.get("double") else "f4"
+    unit = float(clouds.source.get("unit_m", 1.0))
+    fields = [(name, order + kind) for name in POSITION]
+    parts = [np.asarray(clouds.positions[frame], np.float64) / unit]
+    if clouds.normals is not None:
+        fields += [(name, order + "f4") for name in NORMAL]
+        parts.append(np.asarray(clouds.normals[frame], np.float64))
+    if clouds.colours is not None:
+        fields += [(name, "u1") for name in COLOURS[0]]
+        parts.append(np.asarray(clouds.colours[frame], np.float64))
+    names = {"f4": "float", "f8": "double", "u1": "uchar"}
+    head = ["ply", f"format {encoding} 1.0", f"comment rate {clouds.rate:.17g}"]
+    head += [f"comment units {clouds.source.get('units', 'm')}", f"comment up {clouds.up}"]
+    head += [f"element vertex {len(clouds.positions[frame])}"]
+    head += [f"property {names[kind.lstrip('<>')]} {name}" for name, kind in fields] + ["end_header", ""]
+    values = np.empty(len(clouds.positions[frame]), fields)
+    for name, column in zip(values.dtype.names or (), np.concatenate(parts, axis=1).T, strict=True):
+        values[name] = column
+    if encoding != "ascii":
+        return "\n".join(head).encode() + values.tobytes()
+    rows = (" ".join(map(str, row)) for row in values.tolist())
+    if kind == "f4":
+        digits = " ".join("%d" if k == "u1" else "%.9g" for _, k in fields)
+        rows = (digits % row for row in values.tolist())
+    return ("\n".join(head) + "\n".join(rows) + ("\n" if len(values) else "")).encode()
