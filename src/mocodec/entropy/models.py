@@ -1,0 +1,144 @@
+"""Probabilities for the coder, in integers only: tables of frequencies, tokens for unbounded numbers, a family of laws.
+
+    number ──► sign, token, mantissa      token 0 … 15 = the magnitude itself; above, four tokens to an octave
+    neighbours' tokens ──► expected size ──► one law of `family`, a ladder of ever wider ones
+
+Every law is Lomax's, P(|v| ≥ a) = (s / (s + a − ½))⁴: what is left of a Laplace law whose scale is known only roughly,
+which is how it is here. Its tail is heavy enough for jumps, and it can be computed exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PRECISION = 14  # bits of a probability
+TOTAL = 1 << PRECISION
+
+DIRECT = 16  # magnitudes that are tokens of their own
+TOKENS = DIRECT + 4 * 59  # up to 2^63
+
+TAIL = 4  # exponent of the laws
+SCALE_UNIT = 1024  # a law's s is an integer in units of 1/1024
+LADDER = (40, 50, 63)  # s of the first three laws; each three on are twice as wide
+LAWS, LAWS_LARGE = 54, 210  # laws for magnitudes up to about 2^14, and up to 2^62
+
+
+class Tables:
+    """Static probability tables: what a symbol costs under each of several laws.
+
+    weights: for each table the symbols' integer weights, of any sum; tables may have different numbers of symbols, at
+    least two and at most 65,535. A symbol of weight zero cannot be coded. Frequencies sum to 2^14 in each table.
+    """
+
+    def __init__(self, weights: Sequence[Sequence[int] | NDArray[Any]]) -> None:
+        self.count = len(weights)
+        self.width = max(len(w) for w in weights)
+        self.sizes = np.array([len(w) for w in weights])
+        frequencies = np.zeros((self.count, self.width), np.uint32)
+        starts = np.zeros((self.count, self.width), np.uint32)
+        self.symbol = np.zeros(self.count << PRECISION, np.uint8 if self.width <= 256 else np.uint16)
+        for table, row in enumerate(weights):
+            frequency = normalised([int(w) for w in row])
+            bounds = np.cumsum([0, *frequency])
+            frequencies[table, : len(frequency)] = frequency
+            starts[table, : len(frequency)] = bounds[:-1]
+            self.symbol[table << PRECISION : (table + 1) << PRECISION] = np.repeat(
+                np.arange(len(frequency), dtype=self.symbol.dtype), frequency
+            )
+        self.frequency, self.start = frequencies.ravel(), starts.ravel()  # at table × width + symbol
+
+    @cached_property
+    def lists(self) -> tuple[list[int], list[int], list[int]]:
+        """frequency, start and symbol as lists: what a loop over single symbols reads fastest."""
+        return self.frequency.tolist(), self.start.tolist(), self.symbol.tolist()
+
+
+def normalised(weights: Sequence[int]) -> list[int]:
+    """Frequencies that sum to 2^14, at least 1 wherever a weight is not zero, at most 2^14 − 1."""
+    used = [i for i, w in enumerate(weights) if w > 0]
+    if len(used) == 1:  # a frequency of 2^14 would overflow the coder's 32 bits
+        used.append(used[0] + 1 if used[0] + 1 < len(weights) else used[0] - 1)
+    room, total = TOTAL - len(used), sum(weights)
+    frequency, below = [0] * len(weights), 0
+    for i in used:
+        upto = below + weights[i]
+        frequency[i] = 1 + room * upto // total - room * below // total
+        below = upto
+    return frequency
+
+
+def tokens(magnitudes: NDArray[np.uint64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Token and number of mantissa bits of each magnitude below 2^63."""
+    shift = np.zeros(magnitudes.shape, np.uint8)
+    rest = magnitudes >> np.uint64(3)
+    for step in (32, 16, 8, 4, 2, 1):
+        big = rest >= np.uint64(1 << step)
+        shift[big] += np.uint8(step)
+        rest[big] >>= np.uint64(step)
+    shift[magnitudes >= DIRECT] += 1
+    shift[magnitudes < DIRECT] = 0
+    top = (magnitudes >> shift.astype(np.uint64)).astype(np.int64)  # 4 … 7 where there is a mantissa
+    return np.where(shift > 0, 4 * shift.astype(np.int64) + top + 4, top).astype(np.uint8), shift
+
+
+def mantissa_bits(token: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Number of mantissa bits that follow each token."""
+    return np.where(token < DIRECT, 0, (np.maximum(token, DIRECT) - DIRECT) // 4 + 2).astype(np.uint8)
+
+
+def token_floor(token: int) -> int:
+    """The smallest magnitude of a token."""
+    return token if token < DIRECT else (4 + token % 4) << ((token - DIRECT) // 4 + 2)
+
+
+@cache
+def family(laws: int) -> Tables:
+    """The first `laws` laws of the ladder, and a last table for excess.
+
+    The last symbol of a law stands for its token and all above; then follows by how much, under the table of excess.
+    """
+    weights = [_law(q) for q in range(laws)]
+    return Tables([*weights, [(1 << 20) // (e + 1) ** 2 for e in range(max(map(len, weights)))]])
+
+
+def _law(q: int) -> list[int]:
+    scale = LADDER[q % 3] << q // 3
+    one = 1 << 62
+    survival, weights = one, []
+    for token in range(1, TOKENS):
+        beyond = one * scale**TAIL // (scale + SCALE_UNIT * token_floor(token) - SCALE_UNIT // 2) ** TAIL
+        weights.append(max(1, survival - beyond))
+        survival = beyond
+        if survival * (TOTAL // 2) < one and token > 1:
+            break
+    return [*weights, max(1, survival)]
+
+
+@cache
+def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]:
+    """The law for each expected token in sixteenths, 0 … 16 × 255.
+
+    silent: the law where all neighbours are zero. offset: how many rungs wider than usual all others are.
+    """
+    result = np.zeros(16 * 256, np.uint8)
+    result[0] = silent
+    law, scale = 0, 0
+    for expected in range(1, len(result)):
+        token = min(expected // 16, TOKENS - 2)
+        low, high = token_floor(token), token_floor(token + 1)
+        magnitude16 = 16 * low + (high - low) * (expected - 16 * token if expected < 16 * TOKENS else 0)
+        scale = (4 * SCALE_UNIT // 16) * magnitude16 * 15 // 16 + SCALE_UNIT // 2  # s = 4 (15/16 |v| + 1/8)
+        while law < LAWS_LARGE and _rung(law) < scale:
+            law += 1
+        result[expected] = min(max(law + offset, 0), laws - 1)
+    return result
+
+
+def _rung(q: int) -> int:
+    """The widest s for which law q is the nearest."""
+    return (LADDER[q % 3] << q // 3) * 9 // 8
