@@ -66,9 +66,9 @@ def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
     ):
         per_point.barh(rows, values, color=colour, label=label)
     per_point.set_yticks(rows, known, fontsize=7)
-    per_point.invert_yaxis()
+    per_point.set_ylim(len(known) - 0.4, -0.6)
     per_point.set_xlabel("error of each point, mm")
-    per_point.legend(frameon=False, loc="lower right")
+    legend_above(per_point)
     for axes in (over_time, per_point):
         axes.spines[["top", "right"]].set_visible(False)
     return picture
@@ -92,7 +92,12 @@ def draw_error_over_time(axes: Axes, mm: Floats, rate: float) -> None:
     axes.set_ylabel("error, mm")
     axes.set_ylim(bottom=0)
     axes.margins(x=0)
-    axes.legend(frameon=False, loc="upper right")
+    legend_above(axes)
+
+
+def legend_above(axes: Axes) -> None:
+    """The legend in one line above the axes, where it covers nothing."""
+    axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=3, fontsize=8)
 
 
 def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7) -> Figure:
@@ -126,7 +131,7 @@ def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7
         )
     figures.plot([], [], color=FAINT, linewidth=3.5, label="original")
     figures.plot([], [], color=OURS, linewidth=1.0, label="decoded")
-    figures.legend(frameon=False, loc="upper right", fontsize=8)
+    legend_above(figures)
     figures.set_aspect("equal")
     figures.set_axis_off()
     draw_error_over_time(curve, 1000 * metrics.distances(original.positions, decoded.positions), original.rate)

@@ -82,6 +82,7 @@ def test_no_settings(text: str) -> None:
 
 
 def test_shown() -> None:
+    assert [quantities.bound(m) for m in (0.002, 0.003, 0.0015)] == ["2 mm", "3 mm", "1.5 mm"]
     assert [quantities.length(m) for m in (0, 2e-8, 0.00123456, 0.5, 3)] == [
         "0 mm",
         "2.0e-05 mm",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -103,6 +104,25 @@ def test_damage_is_4(command: Command, walk_mocz: Path, verb: str) -> None:
         Path("cut.mocz").write_bytes(flipped)
         assert_one_line(command(verb, "cut.mocz", *output), cli.DAMAGED)
     assert not Path("x.trc").exists()
+
+
+def test_salvage_writes_what_is_left(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+    assert command("encode", walk_trc, "-o", "walk.mocz", "--codec", "lossless", "--set", "chunk_seconds=0.5").code == 0
+    data = bytearray(Path("walk.mocz").read_bytes())
+    assert json.loads(command("info", "walk.mocz", "--json").out)["chunks"]["count"] == 4
+    data[len(data) // 2] ^= 0x10
+    Path("hurt.mocz").write_bytes(data)
+    Path("short.mocz").write_bytes(data[: len(data) // 2])
+    for name in ("hurt.mocz", "short.mocz"):
+        result = command("decode", name, "-o", "left.npz", "--salvage")
+        assert result.code == cli.DAMAGED
+        left = mc.read("left.npz")
+        assert len(left) <= len(walk)
+        kept = ~left.gaps
+        assert kept[:60].sum() == 60 * 7
+        np.testing.assert_allclose(left.positions[kept], walk.positions[: len(left)][kept], atol=1e-6)
+    assert "60 frames are gaps" in command("decode", "hurt.mocz", "-o", "left.npz", "--salvage").err
+    assert command("decode", "walk.mocz", "-o", "all.npz", "--salvage").code == 0
 
 
 def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:

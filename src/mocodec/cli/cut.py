@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from .. import api, codecs, container
-from ..encoded import Encoded, extras_between
+from ..encoded import Chunk, Encoded, extras_between
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion, source_from
 from . import files, quantities
@@ -102,7 +102,7 @@ def copy(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] | None:
         return None
     if (start, stop) != whole_chunks(encoded, start, stop):
         return None
-    kept = [dataclasses.replace(c, start=c.start - start) for c in encoded.chunks if start <= c.start < stop]
+    kept = [Chunk(c.start - start, c.frames, c.payload) for c in encoded.chunks if start <= c.start < stop]
     about = encoded.about
     about = dataclasses.replace(
         about,
@@ -133,5 +133,5 @@ def recode(opened: api.File, start: int, stop: int) -> tuple[Encoded[Any], str]:
     except BadInput as error:
         raise CannotEncode(f"the cut must be coded again, and that failed: {error}; try --chunks") from error
     promised = {name: (1 + RECODING_SHARE) * bound for name, bound in bounds.items()}
-    grown = "".join(f", promised {n.replace('_', ' ')} now {quantities.length(b)}" for n, b in promised.items())
+    grown = "".join(f", promised {n.replace('_', ' ')} now {quantities.bound(b)}" for n, b in promised.items())
     return dataclasses.replace(again, settings={**again.settings, **promised}), f"coded again{grown}"

@@ -2,25 +2,60 @@
 
 from __future__ import annotations
 
-import click
+import dataclasses
+from typing import Any
 
-from .. import api
-from . import files
+import click
+import numpy as np
+
+from .. import api, container
+from ..encoded import restore
+from ..errors import BadInput, Corrupt
+from ..motion import Motion
+from . import DAMAGED, files
 
 
 @click.command("decode")
 @click.argument("source", metavar="IN.mocz")
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="OUT",
-    help="The file to write; its suffix is the format. A folder for point clouds.",
-)
-@click.option("--format", "format_", metavar="NAME", help='Format for "-o -": c3d, trc, npz, …')
-def command(source: str, output: str, format_: str | None) -> None:
-    """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds."""
+@click.option("-o", "--output", required=True, metavar="OUT", help="The file to write; its suffix is the format.")
+@click.option("--format", "format_", metavar="NAME", help='The format for "-o -": c3d, trc, npz, …')
+@click.option("--salvage", is_flag=True, help="Of a damaged file, write what is left; lost frames become gaps.")
+def command(source: str, output: str, format_: str | None, salvage: bool) -> int | None:
+    """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
+
+    With --salvage a file that is damaged or cut short gives what can be had of it, and the exit code is still 4.
+    """
+    lost: list[str] = []
     with files.working(f"decoding {source}"):
-        recording = api.decode(files.source_of(source))
+        if salvage:
+            recording, lost = what_is_left(container.Reader(files.source_of(source), salvage=True))
+        else:
+            recording = api.decode(files.source_of(source))
     with files.working(f"writing {output}"):
         files.write(output, recording, format_)
+    for line in lost:
+        click.echo(f"mocodec: {source}: {line}", err=True)
+    return DAMAGED if lost else None
+
+
+def what_is_left(reader: container.Reader) -> tuple[Motion, list[str]]:
+    """The motion of a damaged file, with gaps where frames are lost, and what is lost, in words.
+
+    Raises Corrupt where nothing is left, BadInput for point clouds.
+    """
+    with api.File(reader) as opened:
+        if len(opened.shape) != 3:
+            raise BadInput("--salvage is for motions, not point clouds")
+        runs = reader.whole()
+        lost = [*reader.problems, *(message for _, message in reader.damage())]
+        if not runs:
+            raise Corrupt("nothing can be salvaged: " + "; ".join(lost))
+        positions = np.full(opened.shape, np.nan)
+        for start, stop in runs:
+            positions[start:stop] = opened[start:stop].positions
+        encoded: Any = opened.encoded
+        if any(number is None for number, _ in reader.damage()):
+            encoded = dataclasses.replace(encoded, about=dataclasses.replace(encoded.about, extras={}))
+        missing = opened.shape[0] - sum(stop - start for start, stop in runs)
+        lost += [f"{missing} frames are gaps"] if missing else []
+        return restore(encoded, positions), lost

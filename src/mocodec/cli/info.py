@@ -31,6 +31,7 @@ def command(source: str, as_json: bool, **options: Any) -> None:
 def about(recording: Motion | PointClouds) -> dict[str, Any]:
     """What a file of the field holds, with the keys that a .mocz file has too."""
     facts: dict[str, Any] = {
+        "kind": "motion" if isinstance(recording, Motion) else "clouds",
         "frames": len(recording),
         "rate": recording.rate,
         "seconds": len(recording) / recording.rate,
@@ -43,7 +44,7 @@ def about(recording: Motion | PointClouds) -> dict[str, Any]:
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
-    return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes": recording.raw_bytes}
+    return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
 
 
 def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:

@@ -110,13 +110,18 @@ def of_type(value: Any, field: Field[Any], text: str) -> Any:
 
 
 def length(metres: float) -> str:
-    """A length for people: "1.97 mm"."""
+    """A measured length for people, to three digits: "1.97 mm"."""
     mm = metres * 1000
     if mm == 0:
         return "0 mm"
     if mm >= 1000:
         return f"{mm / 1000:.2f} m"
-    return f"{mm:.3g} mm" if mm >= 0.001 else f"{mm:.1e} mm"
+    return f"{f'{mm:#.3g}'.rstrip('.')} mm" if mm >= 0.001 else f"{mm:.1e} mm"
+
+
+def bound(metres: float) -> str:
+    """A length that was asked for, as short as it can be said: "2 mm"."""
+    return f"{metres * 1000:.6g} mm"
 
 
 def size(count: int) -> str:

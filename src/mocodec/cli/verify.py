@@ -67,8 +67,7 @@ def hold(
     for name, measured in (("max_error", result.max_error), ("mean_error", result.mean_error)):
         if name in promise and measured > promise[name] * SLACK:
             broken.append(
-                f"{name.replace('_', ' ')} is {quantities.length(measured)}, "
-                f"promised {quantities.length(promise[name])}"
+                f"{name.replace('_', ' ')} is {quantities.length(measured)}, promised {quantities.bound(promise[name])}"
             )
     return asdict(result), broken
 
@@ -88,5 +87,5 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
 def shown(name: str, value: float) -> str:
     """A promised value for people."""
     if name.endswith("error"):
-        return quantities.length(value)
+        return quantities.bound(value)
     return quantities.size(int(value)) if name == "size" else f"{value:g}"
