@@ -3,8 +3,8 @@
     ASF  bones: direction and length, an axis frame C, degrees of freedom ─┐
     AMC  per frame and bone: angles ─► M ─► own turn C · M · C⁻¹ ──────────┴─► forward kinematics ─► ends of bones
 
-Points are the root and the END of every bone, in the order of the ASF (31 in CMU's); this is what the field evaluates on.
-A bone's turn therefore moves its own offset too: `Skeleton.offsets` are in each bone's own frame here, not its parent's.
+Points are the root and the END of every bone, in the order of the ASF (31 in CMU's), as the field evaluates them. A
+bone's turn therefore moves its own offset too: `Skeleton.offsets` are in each bone's own frame here, not its parent's.
 Metres are value / (ASF length unit) × 0.0254. An AMC does not say its rate: 120 Hz, CMU's, unless told.
 """
 
@@ -121,7 +121,7 @@ def _acclaim(sections: dict[str, list[list[str]]]) -> Acclaim:
         raise BadInput(f"its length unit must be positive, not {length}")
     root = {words[0].lower(): words[1:] for words in sections.get(":root", [])}
     position, orientation = (_triple(root.get(key, ["0", "0", "0"])) for key in ("position", "orientation"))
-    channels = tuple(channel.lower() for channel in root.get("order", "TX TY TZ RX RY RZ".split()))
+    channels = tuple(channel.lower() for channel in root.get("order", ["TX", "TY", "TZ", "RX", "RY", "RZ"]))
     if sorted(set(channels)) != sorted(channels) or not set(channels) <= {"tx", "ty", "tz", "rx", "ry", "rz"}:
         raise BadInput(f"the root's order {' '.join(channels)} has a channel that is not one of TX TY TZ RX RY RZ")
     bones = {"root": Bone("root", position, orientation, _order(root.get("axis", ["XYZ"])[0]), channels)}
@@ -247,7 +247,7 @@ NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
 def _own_turn(bone: Bone, channels: Floats, acclaim: Acclaim) -> Floats:
-    """C · M · C⁻¹ (frames, 4). The first letter of an order is the first turn, so it stands rightmost in the product."""
+    """C · M · C⁻¹ (frames, 4). The first letter of an order is the first turn: it stands rightmost in the product."""
     angles = np.zeros((len(channels), 3))
     for channel, name in enumerate(bone.dof):
         if name[0] == "r":
@@ -287,7 +287,8 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
             asf = path.with_suffix(".asf")
             replace_whole(asf, _asf_text(skeleton, motion.source["unit_m"]).encode("utf-8"))
     acclaim = read_asf(asf)
-    if acclaim.skeleton.names != skeleton.names or not np.allclose(acclaim.skeleton.offsets, skeleton.offsets, atol=1e-6):
+    its = acclaim.skeleton
+    if its.names != skeleton.names or not np.allclose(its.offsets, skeleton.offsets, atol=1e-6):
         raise BadInput(f"{path}: {asf} is another skeleton than this motion's; name the right one with asf=")
     moved = motion.positions[:, 0] - skeleton.offsets[0]
     columns = [_angles(bone, rotations[:, j], moved, acclaim) for j, bone in enumerate(acclaim.bones)]
@@ -300,7 +301,7 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
 
 
 def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Floats:
-    """The channels (frames, dof) of a bone: the inverse of `_own_turn`. Raises BadInput where its dof do not suffice."""
+    """The channels (frames, dof) of a bone: the inverse of `_own_turn`. Raises BadInput if its dof do not suffice."""
     frame = _axis_frame(bone, acclaim)
     turn = rigid.multiply(rigid.multiply(rigid.inverse(frame), own_turn), frame)
     angles = rigid.to_euler(bone.order[::-1], turn)
@@ -325,9 +326,10 @@ def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Fl
 def _asf_text(skeleton: Skeleton, unit_m: float) -> str:
     """A skeleton file whose bones have no axis frames and turn about x, y and z."""
     length = 0.0254 / unit_m
-    lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg", ":root"]
     x, y, z = (skeleton.offsets[0] / unit_m).tolist()
-    lines += ["   order TX TY TZ RX RY RZ", "   axis XYZ", f"   position {x:.10g} {y:.10g} {z:.10g}", "   orientation 0 0 0"]
+    lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg"]
+    lines += [":root", "   order TX TY TZ RX RY RZ", "   axis XYZ"]
+    lines += [f"   position {x:.10g} {y:.10g} {z:.10g}", "   orientation 0 0 0"]
     lines.append(":bonedata")
     for number, (name, offset) in enumerate(zip(skeleton.names[1:], skeleton.offsets[1:] / unit_m, strict=True), 1):
         size = float(np.linalg.norm(offset))

@@ -22,7 +22,7 @@ from ..motion import Floats, Motion, Skeleton
 from . import replace_whole
 from .text import decoded, numbers
 
-UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # in the order in which they are tried
+UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # tried in this order
 PLAUSIBLE_HEIGHT_M = (0.8, 2.4)
 CHANNELS = {f"{axis}position": axis for axis in "XYZ"} | {f"{axis}rotation": axis.lower() for axis in "XYZ"}
 
@@ -67,7 +67,7 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
     if table.size != frames * width or not width:
         what = "cut off: " if table.size < frames * width else ""
         raise BadInput(
-            f"{path}: {what}{frames} frames of {width} channels are {frames * width} numbers, the file holds {table.size}"
+            f"{path}: {what}{frames} frames of {width} channels are {frames * width} numbers, it has {table.size}"
         )
     offsets = np.array([joint.offset for joint in joints])
     names = _names([joint.name for joint in joints])
@@ -108,7 +108,7 @@ def _hierarchy(text: str) -> list[Joint]:
         elif key == "CHANNELS":
             letters = [CHANNELS.get(word[:1].upper() + word[1:].lower()) for word in words[2:]]
             if None in letters or len(letters) != int(words[1]) or len(set(letters)) != len(letters):
-                raise BadInput(f"joint {joints[stack[-1]].name} has channels that cannot be read: {' '.join(words[1:])}")
+                raise BadInput(f"joint {joints[stack[-1]].name} has unreadable channels: {' '.join(words[1:])[:80]}")
             joints[stack[-1]].channels = "".join(filter(None, letters))
         elif key != "HIERARCHY":
             raise BadInput(f"its hierarchy has the unknown word {words[0][:40]!r}")
@@ -150,7 +150,8 @@ def _unit(unit: str | float | None, rest: Skeleton, path: str | Path) -> tuple[s
         try:
             unit = float(unit)
         except ValueError:
-            raise BadInput(f"{path}: unit {unit!r} is not a number of metres and none of {', '.join(UNITS_M)}") from None
+            known = ", ".join(UNITS_M)
+            raise BadInput(f"{path}: unit {unit!r} is neither a number of metres nor one of {known}") from None
     if unit is not None:
         if not 0 < unit < float("inf"):
             raise BadInput(f"{path}: a unit is a positive number of metres, not {unit}")
@@ -242,7 +243,8 @@ def _spread(runs: list[str], skeleton: Skeleton, has_child: set[int]) -> list[st
         specs += [spec] * int(count or 1)
     if len(specs) == len(skeleton):
         return specs
-    ends = [name.rstrip("0123456789").endswith("_end") and joint not in has_child for joint, name in enumerate(skeleton.names)]
+    named_end = [name.rstrip("0123456789").endswith("_end") for name in skeleton.names]
+    ends = [named and joint not in has_child for joint, named in enumerate(named_end)]
     if len(specs) + sum(ends) != len(skeleton):
         raise BadInput(f"channels of {len(specs)} joints do not fit a skeleton of {len(skeleton)}")
     given = iter(specs)

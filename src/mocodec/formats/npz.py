@@ -14,6 +14,7 @@ import io
 import json
 import math
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..motion import Motion, Skeleton
 from . import replace_whole
-from .c3d import UNITS_M, guess_up
+from .conventions import UNITS_M, guess_up
 
 POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
 RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
@@ -38,15 +39,15 @@ def read(
     """Positions of an NPZ as a motion.
 
     rate: frames a second where the file does not say. unit: of the positions, metres unless told (millimetres for a
-    `markers` file that extends over more than 100). up: the vertical axis; the file's `up`, or guessed. A sample that is
-    not a number, or a marker exactly at the origin of a `markers` file, is a gap. Raises BadInput.
+    `markers` file that extends over more than 100). up: the vertical axis; the file's `up`, or guessed. A sample that
+    is not a number, or a marker exactly at the origin of a `markers` file, is a gap. Raises BadInput.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = _Arrays(archive, path)
             return _motion(arrays, rate, unit, up)
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
-            OverflowError, SyntaxError, TypeError, MemoryError, zipfile.zlib.error) as error:  # fmt: skip
+            OverflowError, SyntaxError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: not an NPZ that can be read ({error})") from None
@@ -88,7 +89,8 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
                 f"{path}: has body model parameters (poses, trans, betas) and no positions; run the SMPL body model, "
                 "whose licence is yours to get, and save its joints as 'joints' beside 'mocap_framerate'"
             )
-        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {', '.join(arrays.names) or 'none'}")
+        there = ", ".join(arrays.names) or "none"
+        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {there}")
     positions = arrays.load(key)
     if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
         raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
@@ -96,7 +98,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     if rate is None:
         rate_key = arrays.first(RATES)
         if rate_key is None:
-            raise BadInput(f"{path}: does not say its rate; say it with rate= (keys that are known: {', '.join(RATES)})")
+            raise BadInput(f"{path}: does not say its rate; say it with rate= (known keys: {', '.join(RATES)})")
         rate = float(arrays.load(rate_key).reshape(-1)[0])
     names: tuple[str, ...] = ()
     names_key = arrays.first(NAMES)

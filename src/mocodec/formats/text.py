@@ -28,10 +28,9 @@ def numbers(text: str, path: str | Path) -> Floats:
         warnings.simplefilter("error")
         try:
             values = np.fromstring(text, sep=" ")
-            whole = bool(np.isfinite(values).all())
         except (DeprecationWarning, ValueError):
-            whole = False
-    if not whole:
+            values = np.array([np.nan])
+    if not np.isfinite(values).all():
         raise BadInput(f"{path}: {_first_bad(text)!r} stands where a number should be")
     return values
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import BadInput
 from ..motion import Floats, Motion
 from . import replace_whole
-from .c3d import UNITS_M, guess_up
+from .conventions import UNITS_M, guess_up
 from .text import decoded, numbers
 
 KEYS = (
@@ -27,7 +27,9 @@ KEYS = (
 def read(path: str | Path, up: str | None = None) -> Motion:
     """A TRC file as a motion, metres. A marker without all three coordinates at a frame is a gap there.
 
-    up: the vertical axis, which a TRC does not say; guessed from the motion unless told. Raises BadInput.
+    Columns beyond the named ones, where some programs put reflections that they could not identify, become points P34,
+    P35, …; NumMarkers of those programs counts something else, so the columns decide. up: the vertical axis, which a
+    TRC does not say; guessed from the motion unless told. Raises BadInput.
     """
     lines = decoded(path).split("\n")
     if not lines[0].startswith("PathFileType"):
@@ -48,9 +50,11 @@ def read(path: str | Path, up: str | None = None) -> Motion:
         what = "cut off: " if len(rows) < frames else ""
         raise BadInput(f"{path}: {what}its header promises {frames} frames, the file holds {len(rows)}")
     names = _marker_names(lines[names_at], max(map(len, rows), default=2))
-    if not names or len(names) > max(markers, len(lines[names_at].split("\t"))):
+    if len(names) < markers and any(map(str.strip, lines[names_at + 1].split("\t")[2 + 3 * len(names) :])):
+        names += tuple(f"P{i + 1}" for i in range(len(names), markers))
+    if not names or frames * len(names) > 64 * sum(map(len, rows)) + 4096:
         raise BadInput(f"{path}: {markers} markers are promised, there are columns for {len(names)}")
-    markers = len(names)  # NumMarkers of some programs also counts markers that are not in the file
+    markers = len(names)
     table = _table(rows, 2 + 3 * markers, path)
     unit_m = UNITS_M[units.lower()]
     positions = (table[:, 2:] * unit_m).reshape(frames, markers, 3)

@@ -35,7 +35,7 @@ def forward(
     turns = np.empty((joints, frames, 4))
     for joint, parent in enumerate(skeleton.parents):
         own = rotations[:, joint]
-        offset = sliding.get(joint, skeleton.offsets[joint])
+        offset = sliding[joint] if joint in sliding else skeleton.offsets[joint]
         if parent < 0:
             positions[:, joint] = root_positions + offset
             turns[joint] = own

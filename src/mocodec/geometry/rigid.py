@@ -11,7 +11,6 @@ from ..errors import BadInput
 from ..motion import Floats
 
 
-
 def multiply(a: Floats, b: Floats) -> Floats:
     """a · b: first turn by b, then by a. (…, 4) each, broadcast."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
@@ -47,7 +46,7 @@ def about_axis(axis: str, angle: Floats) -> Floats:
 
 
 def from_euler(order: str, angles: Floats) -> Floats:
-    """Quaternions (…, 4) of the turns about the axes of `order`, one to any number, angles (…, len(order)) in radians."""
+    """Quaternions (…, 4) of turns about the axes of `order`, any number of them; angles (…, len(order)) in radians."""
     result = np.zeros((*angles.shape[:-1], 4))
     result[..., 0] = 1.0
     for i, axis in enumerate(order):

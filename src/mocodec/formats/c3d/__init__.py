@@ -1,0 +1,13 @@
+"""C3D: markers, analog channels, events and parameters of a capture (www.c3d.org, the user guide of 2008).
+
+    512-byte header · parameter section · data: per frame, 4 words a point (x y z, cameras and residual), then analog
+                      └─ read into a tree       └─ NumPy views of the file's bytes
+
+Every count is checked against the file's size before anything is allocated. Intel, DEC and MIPS files, integer and
+float, are read; Intel float files are written. What is kept and how: docs/formats.md.
+"""
+
+from .reading import analog, read
+from .writing import write
+
+__all__ = ["analog", "read", "write"]
