@@ -3,8 +3,9 @@
     number ──► sign, token, mantissa      token 0 … 15 = the magnitude itself; above, four tokens to an octave
     neighbours' tokens ──► expected size ──► one law of `family`, a ladder of ever wider ones
 
-Every law is Lomax's, P(|v| ≥ a) = (s / (s + a − ½))⁴: what is left of a Laplace law whose scale is known only roughly,
-which is how it is here. Its tail is heavy enough for jumps, and it can be computed exactly.
+A law says P(|v| ≥ a) = (1 + (β x + γ x²) / 12)⁻¹², x = (a − ½) / σ. With γ = 0 that is Lomax's, what is left of a Laplace
+law whose scale is known only roughly, which is how it is here; the second shape comes near to a normal law. Tails are heavy
+enough for jumps, and both are computed exactly, in integers.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ TOTAL = 1 << PRECISION
 DIRECT = 16  # magnitudes that are tokens of their own
 TOKENS = DIRECT + 4 * 59  # up to 2^63
 
-TAIL = 4  # exponent of the laws
-SCALE_UNIT = 1024  # a law's s is an integer in units of 1/1024
-LADDER = (40, 50, 63)  # s of the first three laws; each three on are twice as wide
+SHAPES = ((25, 0), (16, 5))  # β and γ in twenty-fifths: Lomax, nearly normal
+EXPONENT = 12
+SCALE_UNIT = 4096  # a law's σ is an integer in these units
+LADDER = (40, 50, 63)  # σ of the first three laws; each three on are twice as wide
 LAWS, LAWS_LARGE = 54, 210  # laws for magnitudes up to about 2^14, and up to 2^62
 
 
@@ -97,21 +99,23 @@ def token_floor(token: int) -> int:
 
 
 @cache
-def family(laws: int) -> Tables:
-    """The first `laws` laws of the ladder, and a last table for excess.
+def family(laws: int, shape: int) -> Tables:
+    """The first `laws` laws of the ladder in one of SHAPES, and a last table for excess.
 
     The last symbol of a law stands for its token and all above; then follows by how much, under the table of excess.
     """
-    weights = [_law(q) for q in range(laws)]
+    weights = [_law(q, shape) for q in range(laws)]
     return Tables([*weights, [(1 << 20) // (e + 1) ** 2 for e in range(max(map(len, weights)))]])
 
 
-def _law(q: int) -> list[int]:
-    scale = LADDER[q % 3] << q // 3
+def _law(q: int, shape: int) -> list[int]:
+    scale, (linear, square) = LADDER[q % 3] << q // 3, SHAPES[shape]
     one = 1 << 62
+    flat = 25 * EXPONENT * scale**2
     survival, weights = one, []
     for token in range(1, TOKENS):
-        beyond = one * scale**TAIL // (scale + SCALE_UNIT * token_floor(token) - SCALE_UNIT // 2) ** TAIL
+        a = SCALE_UNIT * token_floor(token) - SCALE_UNIT // 2
+        beyond = one * flat**EXPONENT // (flat + a * (linear * scale + square * a)) ** EXPONENT
         weights.append(max(1, survival - beyond))
         survival = beyond
         if survival * (TOTAL // 2) < one and token > 1:
@@ -132,7 +136,7 @@ def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]
         token = min(expected // 16, TOKENS - 2)
         low, high = token_floor(token), token_floor(token + 1)
         magnitude16 = 16 * low + (high - low) * (expected - 16 * token if expected < 16 * TOKENS else 0)
-        scale = (4 * SCALE_UNIT // 16) * magnitude16 * 15 // 16 + SCALE_UNIT // 2  # s = 4 (15/16 |v| + 1/8)
+        scale = SCALE_UNIT * (15 * magnitude16 + 32) // 256  # σ = 15/16 |v| + 1/8
         while law < LAWS_LARGE and _rung(law) < scale:
             law += 1
         result[expected] = min(max(law + offset, 0), laws - 1)
@@ -140,5 +144,5 @@ def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]
 
 
 def _rung(q: int) -> int:
-    """The widest s for which law q is the nearest."""
+    """The widest σ for which law q is the nearest."""
     return (LADDER[q % 3] << q // 3) * 9 // 8
