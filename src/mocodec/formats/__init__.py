@@ -25,6 +25,8 @@ FORMATS = {
     ".ply": "mocodec.formats.ply",
 }
 
+LONGEST_MESSAGE = 400  # letters; one line, whatever names a damaged file has
+
 
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     """Read a file, or a folder of .ply, by its suffix; the options are those of the format's own `read`.
@@ -65,6 +67,12 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
         return function(path, *args, **options)
     except OSError as error:
         raise BadInput(f"{path}: {error.strerror or error}") from error
+    except BadInput as error:
+        message = str(error)
+        if message.isprintable() and len(message) <= LONGEST_MESSAGE:
+            raise
+        printable = "".join(letter if letter.isprintable() else " " for letter in message)
+        raise BadInput(printable[:LONGEST_MESSAGE]) from None
 
 
 def replace_whole(path: str | PathLike[str], data: bytes) -> None:

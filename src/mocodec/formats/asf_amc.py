@@ -304,20 +304,14 @@ def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Fl
     """The channels (frames, dof) of a bone: the inverse of `_own_turn`. Raises BadInput if its dof do not suffice."""
     frame = _axis_frame(bone, acclaim)
     turn = rigid.multiply(rigid.multiply(rigid.inverse(frame), own_turn), frame)
-    angles = rigid.to_euler(bone.order[::-1], turn)
-    stuck = [bone.order[::-1].index(axis) for axis in "xyz" if f"r{axis}" not in bone.dof]
-    free = [i for i in range(3) if i not in stuck]
-    if len(stuck) == 2:  # one axis: the whole circle, which three angles would split
-        axis = "xyz".index(bone.order[::-1][free[0]])
-        angles = np.zeros_like(angles)
-        half = np.arctan2(turn[:, 1 + axis], turn[:, 0])
-        angles[:, free[0]] = (2 * half + np.pi) % (2 * np.pi) - np.pi
-    made = rigid.from_euler(bone.order[::-1], np.where(np.isin(np.arange(3), stuck), 0.0, angles))
-    if np.abs(np.abs(np.sum(made * turn, axis=1)) - 1.0).max(initial=0.0) > 1e-6:
-        raise BadInput(f"bone {bone.name} turns about axes that its skeleton does not let it turn about")
+    order = "".join(axis for axis in bone.order[::-1] if f"r{axis}" in bone.dof)
+    try:
+        angles = rigid.to_euler(order, turn)
+    except BadInput as error:
+        raise BadInput(f"bone {bone.name} cannot turn so in this skeleton: {error}") from None
     values = np.degrees(angles) if acclaim.degrees else angles
     columns = [
-        moved[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, bone.order[::-1].index(dof[1])]
+        moved[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, order.index(dof[1])]
         for dof in bone.dof
     ]
     return np.stack(columns, axis=1) if columns else np.empty((len(own_turn), 0))

@@ -56,10 +56,19 @@ def from_euler(order: str, angles: Floats) -> Floats:
 
 
 def to_euler(order: str, q: Floats) -> Floats:
-    """Angles (…, 3) in radians whose `from_euler` is q, for an order of three different axes; the middle one is within
-    ±π/2. At ±π/2, where the outer two turn about the same axis, the last is 0."""
-    if sorted(order.lower()) != ["x", "y", "z"]:
-        raise BadInput(f"Euler angles need an order of x, y and z, not {order!r}")
+    """Angles (…, len(order)) in radians whose `from_euler` is q, for an order of one to three different axes.
+
+    Of three, the middle angle is within ±π/2; at ±π/2, where the outer two turn about the same axis, the last is 0.
+    Raises BadInput where fewer than three axes cannot make the turn.
+    """
+    order = order.lower()
+    if len(set(order)) != len(order) or not set(order) <= set("xyz"):
+        raise BadInput(f"Euler angles need an order of different axes x, y, z, not {order!r}")
+    if len(order) < 3:
+        angles = _to_fewer(order, q)
+        if np.abs(np.abs(np.sum(from_euler(order, angles) * q, axis=-1)) - 1.0).max(initial=0.0) > 1e-6:
+            raise BadInput(f"turns about {' and '.join(order) or 'no axis'} alone do not make these rotations")
+        return angles
     i, j, k = (_axis(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     m = to_matrix(q)
@@ -72,6 +81,15 @@ def to_euler(order: str, q: Floats) -> Floats:
     )
     last = np.where(locked, 0.0, np.arctan2(-sign * m[..., i, j], m[..., i, i]))
     return np.stack([first, np.arcsin(sin_middle), last], axis=-1)
+
+
+def _to_fewer(order: str, q: Floats) -> Floats:
+    """Angles about no, one or two axes; of two, the axis between them stands still, so both have the whole circle."""
+    if len(order) == 2:
+        between = next(axis for axis in "xyz" if axis not in order)
+        return to_euler(order[0] + between + order[1], q)[..., ::2]
+    half = [np.arctan2(q[..., 1 + _axis(axis)], q[..., 0]) for axis in order]
+    return np.stack([(2 * h + np.pi) % (2 * np.pi) - np.pi for h in half], axis=-1) if half else q[..., :0]
 
 
 def to_matrix(q: Floats) -> Floats:

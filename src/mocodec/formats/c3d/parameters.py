@@ -25,7 +25,7 @@ OWN_GROUPS = ("POINT", "ANALOG", "EVENT", "TRIAL", "ROTATION", "FORCE_PLATFORM")
 
 # What follows from the motion itself: written from it, and not kept beside it.
 DERIVED = {
-    "POINT": ("USED", "FRAMES", "LONG_FRAMES", "DATA_START", "RATE", "UNITS", "LABELS"),
+    "POINT": ("USED", "FRAMES", "DATA_START", "RATE", "UNITS", "LABELS"),
     "ANALOG": ("USED", "RATE", "LABELS", "UNITS"),
     "EVENT": ("USED", "TIMES", "LABELS", "CONTEXTS", "DESCRIPTIONS", "SUBJECTS", "ICON_IDS", "GENERIC_FLAGS"),
     "ROTATION": ("DATA_START",),

@@ -60,7 +60,7 @@ def _packed(motion: Motion) -> bytes:
         trial = parameters.groups.setdefault("TRIAL", {})
         trial["ACTUAL_START_FIELD"] = counts(first & 0xFFFF, first >> 16)
         trial["ACTUAL_END_FIELD"] = counts(last & 0xFFFF, last >> 16)
-    if frames > 0xFFFF:
+    if frames > 0xFFFF or "LONG_FRAMES" in point:
         point["LONG_FRAMES"] = np.array([frames], np.float32)
     analog_group["USED"] = counts(channels)
     analog_group["RATE"] = np.array([motion.rate * per_frame if channels else 0], np.float32)
