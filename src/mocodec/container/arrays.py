@@ -1,8 +1,8 @@
 """Arrays on disk, bit for bit: the shortest of a few ways that are all undone exactly.
 
-    array ──► constant: one item
-          ──► as it is | by column | by column, differences, bytes of equal weight together | whole steps of one number
-          ──► raw | deflate | LZMA
+array ──► constant: one item
+      ──► as it is | by column | by column, differences, bytes of equal weight together | whole steps of one number
+      ──► raw | deflate | LZMA
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class Budget:
 
 
 def pack(array: Array) -> bytes:
-    """dtype, dimensions, transform and coder, then a blob (one item where all items are equal). Raises CannotEncode for objects."""
-    if array.dtype.kind not in KINDS or array.dtype.itemsize == 0 or array.dtype.itemsize > 1 << 20:
-        raise CannotEncode(f"an array of dtype {array.dtype} cannot be stored; numbers, strings and times can")
-    if array.dtype.kind in "fc" and array.dtype.itemsize > (8 if array.dtype.kind == "f" else 16):
-        raise CannotEncode(f"an array of dtype {array.dtype} is not the same on all machines; convert it to float64 first")
+    """dtype, dimensions, transform and coder, then a blob (one item where all items are equal).
+
+    Raises CannotEncode for objects and for dtypes that differ between machines.
+    """
+    require_storable(array)
     shape = array.shape
     array = np.ascontiguousarray(array).reshape(shape)
     head = text(array.dtype.str) + varint(array.ndim) + b"".join(map(varint, shape))
@@ -58,16 +58,21 @@ def pack(array: Array) -> bytes:
     return head + min(_coded(array, transform), key=len)
 
 
+def require_storable(array: Array) -> None:
+    """Raises CannotEncode for dtypes that `pack` does not take."""
+    if array.dtype.kind not in KINDS or array.dtype.itemsize == 0 or array.dtype.itemsize > 1 << 20:
+        raise CannotEncode(f"an array of dtype {array.dtype} cannot be stored; numbers, strings and times can")
+    if array.dtype.kind in "fc" and array.dtype.itemsize > (8 if array.dtype.kind == "f" else 16):
+        raise CannotEncode(f"an array of dtype {array.dtype} differs between machines; convert it to float64 first")
+    if array.ndim > MAX_DIMENSIONS:
+        raise CannotEncode(f"an array of {array.ndim} dimensions cannot be stored; {MAX_DIMENSIONS} at most can")
+
+
 def unpack(cursor: Cursor, budget: Budget | None = None) -> Array:
     """The inverse of `pack`. Raises Corrupt where it would unpack to more than the budget (16 MB without one)."""
     budget = budget or Budget(1 << 24)
-    dtype = _dtype(cursor)
-    dimensions = cursor.varint()
-    if dimensions > MAX_DIMENSIONS:
-        raise cursor.corrupt(f"an array of {dimensions} dimensions")
-    shape = tuple(cursor.varint() for _ in range(dimensions))
-    if any(n >= 1 << 40 for n in shape):
-        raise cursor.corrupt("an array's dimension is out of range")
+    dtype = dtype_of(cursor.text(), cursor)
+    shape = read_shape(cursor)
     size = math.prod(shape) * dtype.itemsize
     budget.take(size, cursor.what)
     form = cursor.byte()
@@ -92,8 +97,20 @@ def nbytes(array: Array) -> int:
     return array.nbytes + array.size * 4
 
 
-def _dtype(cursor: Cursor) -> np.dtype[Any]:
-    code = cursor.text()
+def read_shape(cursor: Cursor) -> tuple[int, ...]:
+    dimensions = cursor.varint()
+    if dimensions > MAX_DIMENSIONS:
+        raise cursor.corrupt(f"an array of {dimensions} dimensions")
+    shape = tuple(cursor.varint() for _ in range(dimensions))
+    if any(n >= 1 << 40 for n in shape):
+        raise cursor.corrupt("an array's dimension is out of range")
+    return shape
+
+
+def dtype_of(code: object, cursor: Cursor) -> np.dtype[Any]:
+    """The dtype that a NumPy type string stands for. Raises Corrupt."""
+    if not isinstance(code, str):
+        raise cursor.corrupt("an array's dtype is unknown")
     try:
         dtype = np.dtype(code)
     except Exception:
@@ -104,7 +121,7 @@ def _dtype(cursor: Cursor) -> np.dtype[Any]:
 
 
 def _transforms(array: Array) -> list[int]:
-    """Those that apply: bytes of strings are not regrouped, and only floats that are whole multiples of one step have one."""
+    """Those that apply: strings are not regrouped; only floats that are whole multiples of one step have one."""
     if array.dtype.kind == "S":
         return [PLAIN]
     steps = [STEPS] if array.dtype.kind == "f" and _step(array) else []
@@ -209,7 +226,7 @@ def _inverse(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], transfor
 
 
 def _step(array: Array) -> float:
-    """The number of which all values are whole multiples to the last bit, as a converter's counts times its scale; else 0."""
+    """The number of which all values are whole multiples to the last bit (counts times a scale); 0 if there is none."""
     values = array.reshape(-1).astype(np.float64)
     if not np.isfinite(values).all():
         return 0.0

@@ -1,8 +1,8 @@
 """Names of points on disk: runs of the vocabulary, numbered names, or deflated text; a common subject prefix once.
 
-    names ──► prefix "Male:" · the rest ──► the shortest of   runs: (place in VOCABULARY, how many) or a string, in turn
-                                                             numbered: stem, first number, how many: P1 P2 … P41
-                                                             text: joined by newlines, deflate with NAME_DICTIONARY
+names ──► prefix "Male:" · the rest ──► the shortest of   runs: (place in VOCABULARY, how many) or a string, in turn
+                                                         numbered: stem, first number, how many: P1 P2 … P41
+                                                         text: joined by newlines, deflate with NAME_DICTIONARY
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MAX_TEXT_BYTES = 1 << 22
 
 
 def pack(names: Sequence[str]) -> bytes:
-    """varint 8·count + 4·(has prefix) + form, the prefix, then the form's fields. Raises CannotEncode for too many or too long."""
+    """varint 8·count + 4·(has prefix) + form, the prefix, the form's fields. Raises CannotEncode for too many."""
     if len(names) > MAX_NAMES:
         raise CannotEncode(f"{len(names)} points; a file holds at most {MAX_NAMES}")
     candidates = []

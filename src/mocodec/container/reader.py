@@ -1,7 +1,7 @@
 """A `.mocz` opened for random access: header and index at once; extras and each chunk when they are asked for.
 
-    source ──► head (one block) ──► header          tail (one block) ──► index ──► where each chunk is
-    chunks[k] ──► its bytes ──► checksum ──► payload: damage in one chunk is met by who needs that chunk, by no one else
+source ──► head (one block) ──► header          tail (one block) ──► index ──► where each chunk is
+chunks[k] ──► its bytes ──► checksum ──► payload: damage in one chunk is met by who needs that chunk, by no one else
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..errors import BadInput, Corrupt, MocodecError, TooNew, Truncated
 from ..motion import Deferred, Motion
 from ..pointcloud import PointClouds
 from . import records, values
-from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEAD_BYTES, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
+from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
 from .sources import BLOCK_BYTES, Source, source
 from .wire import MAX_VARINT_BYTES, Cursor, checksum, varint
 
@@ -29,10 +29,9 @@ FRAME_BYTES = 2 * MAX_VARINT_BYTES
 class Layout(NamedTuple):
     """Where things are, in bytes from the start of the file."""
 
-    header: int
     extras: int
     chunks: int
-    index: int
+    index_at: int
     end: int
 
 
@@ -73,7 +72,7 @@ class StoredChunks(Sequence[Chunk]):
         return StoredChunk(self, range(len(self))[index])
 
     def payload(self, number: int) -> bytes:
-        """Raises Corrupt where frame, payload or checksum of the chunk are damaged, Truncated where they are not there."""
+        """Raises Corrupt where the chunk's frame, payload or checksum are damaged, Truncated where they are missing."""
         data = self.source.read(self.offsets[number], self.offsets[number + 1] - self.offsets[number])
         frame = records.write(CHUNK, {"frames": self.frames[number], "length": self.lengths[number]})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
@@ -117,11 +116,11 @@ class Reader:
             self.problems.append(str(error))
             frames, lengths, index = _walk(self.source, chunks_at)
             end = self.source.size
-        self.layout = Layout(0, header_end, chunks_at, index, end)
+        self.layout = Layout(header_end, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
         self.encoded: Encoded[Any] = Encoded(
             codec=self.header["codec"],
-            about=self._about(),
+            about=cast(Motion, self._about()),
             chunks=self.chunks,
             shared=self.header["shared"],
             margin=self.header["margin"] or 0,
@@ -156,10 +155,7 @@ class Reader:
         data = self.source.read(self.layout.extras, stored + CHECKSUM_BYTES)
         if checksum(data[:stored]) != data[stored:]:
             raise Corrupt("the extras (what the codec does not code) are damaged; the motion itself can still be read")
-        extras = values.unpack_extras(data[:stored], size)
-        if not isinstance(extras, dict):
-            raise Corrupt("the extras are no table")
-        return extras
+        return values.unpack_extras(data[:stored], size)
 
     def verify(self) -> None:
         """Reads all of it. Raises Corrupt (or Truncated) that names every part that is damaged."""
@@ -205,14 +201,14 @@ class Reader:
         frames = self.chunks.starts[-1]
         points = about.points if isinstance(about, Motion) else None
         fields = {part["field"]: part["bytes"] for part in self.fields()}
-        framing = layout.index - layout.chunks - sum(self.chunks.lengths)
+        framing = layout.index_at - layout.chunks - sum(self.chunks.lengths)
         sizes = {
             "header": layout.extras - sum(fields.get(name, 0) for name in SEPARATE),
             **{name: fields.get(name, 0) for name in SEPARATE},
             "extras": layout.chunks - layout.extras,
             "chunks": sum(self.chunks.lengths),
             "framing": framing,
-            "index": layout.end - layout.index,
+            "index": layout.end - layout.index_at,
         }
         raw = None if points is None else frames * points * 12
         promise = (header["settings"] or {}).get("max_error")
@@ -366,7 +362,7 @@ def _read_index(where: Source, chunks_at: int, index: int, end: int) -> tuple[li
 
 
 def _walk(where: Source, chunks_at: int) -> tuple[list[int], list[int], int]:
-    """Chunk after chunk from the front, without the index: frames, payload bytes, and where the last complete one ends."""
+    """Chunk after chunk from the front, without the index: frames, payload bytes, where the last complete one ends."""
     frames: list[int] = []
     lengths: list[int] = []
     at = chunks_at

@@ -176,16 +176,6 @@ def _read_shared_blob(cursor: Cursor) -> bytes:
     return cursor.take(head >> 1)
 
 
-def _json(what: str) -> tuple[Callable[..., bytes], Callable[..., Any]]:
-    def read_dict(cursor: Cursor, _: Mapping[str, Any]) -> dict[str, Any]:
-        value = values.unpack(cursor)
-        if not isinstance(value, dict):
-            raise cursor.corrupt(f"{what} that are no table")
-        return value
-
-    return (lambda value, _: values.pack(value, what)), read_dict
-
-
 def _read_sizes(cursor: Cursor, _: Mapping[str, Any]) -> tuple[int, int]:
     return cursor.varint(), cursor.varint()
 
@@ -207,8 +197,20 @@ HEADER = (
         present=SKELETON,
         only="motion",
     ),
-    Field("settings", *_json("settings"), "of the codec, where they differ from its defaults", present=SETTINGS),
-    Field("source", *_json("source"), "how the file was that the motion came from", present=SOURCE),
+    Field(
+        "settings",
+        lambda value, _: values.pack(value, "settings"),
+        lambda c, _: values.unpack(c),
+        "of the codec, where they differ from its defaults",
+        present=SETTINGS,
+    ),
+    Field(
+        "source",
+        lambda value, _: values.pack_source(value),
+        lambda c, _: values.unpack_source(c),
+        "how the file was that the motion came from",
+        present=SOURCE,
+    ),
     Field(
         "extras",
         lambda sizes, _: varint(sizes[0]) + varint(sizes[1]),

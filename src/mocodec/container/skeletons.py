@@ -24,7 +24,7 @@ STEP_M = 1e-5
 """Offsets are rounded to this: a hundredth of a millimetre, below what a body can be measured to."""
 MAX_STEPS = 1 << 31
 EXACT, OWN_NAMES, MIRROR, TREE = 1, 2, 2, 4
-"""Flags: bit 0 exact offsets, bit 1 joints have names other than the points; shifts: mirror axis (0 none, x, y, z), tree."""
+"""Flags: bit 0 exact offsets, bit 1 joints have names of their own; shifts: mirror axis (0 none, x, y, z), tree."""
 
 Vector = tuple[int, int, int]
 SIDES = (("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"))

@@ -33,7 +33,7 @@ def source(where: Any) -> Source:
         return PathFile(cast("str | os.PathLike[str]", where))
     if hasattr(where, "read"):
         return _file_object(where)
-    raise BadInput(f"a .mocz is opened from a path, URL, bytes or a binary file object, not from {type(where).__name__}")
+    raise BadInput(f"open a .mocz from a path, URL, bytes or a binary file object, not from {type(where).__name__}")
 
 
 class Bytes:
@@ -54,7 +54,7 @@ class PathFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.path.abspath(path)
         try:
-            self.file: BinaryIO | None = open(self.path, "rb")
+            self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (held until close)
             self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
             raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
@@ -119,7 +119,7 @@ def _whole(data: bytes, count: int) -> bytes:
 
 
 class Url:
-    """A file on a web server that answers range requests (RFC 9110, 14). From one that does not, all of it is fetched at once."""
+    """A file on a web server, by range requests (RFC 9110, 14). From a server without them all is fetched at once."""
 
     def __init__(self, url: str) -> None:
         if not re.match(r"https?://", url, re.IGNORECASE):

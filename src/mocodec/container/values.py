@@ -1,30 +1,33 @@
 """A tree of values on disk: JSON values, bytes, arrays and signals, each with its type, in one byte where it can be.
 
-    byte      0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
-              10 large integer · 11 array · 12 signal · 32…95 the integers 0…63 · 96…127 a string of 0…31 bytes ·
-              128…255 a word of the table
+0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
+10 large integer · 11 array · 12 signal · 13 small array
+32…95 the integers 0…63 · 96…127 a string of 0…31 bytes · 128…255 a word of the table
 """
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, cast
 
 import numpy as np
 
 from ..errors import CannotEncode
 from ..motion import Signal
-from . import arrays
+from . import arrays, tables
 from .arrays import Array, Budget
-from .tables import WORDS
+from .tables import SOURCES, WORDS
 from .wire import Cursor, blob, deflate, inflate, text, varint, zigzag
 
-NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, ARRAY, SIGNAL = range(13)
+NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, ARRAY, SIGNAL, SMALL_ARRAY = range(14)
 SMALL, SHORT, WORD = 32, 96, 128
 WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
-DICTIONARY = "\0".join(WORDS).encode()
+SMALL_ARRAY_BYTES = 64
+"""Arrays up to this size stand in the tree as they are, where deflate sees them beside their neighbours."""
 MAX_DEPTH = 64
 MAX_TREE_BYTES = 1 << 26
 SPARE_BYTES = 1 << 28
@@ -32,28 +35,56 @@ UNPACK_RATIO = 1024
 """Extras may unpack to SPARE_BYTES, or to so many times what they take in the file: more is taken for an attack."""
 
 
-def pack(tree: Any, what: str) -> bytes:
-    """A tree of JSON values. Raises CannotEncode for anything else in it."""
+def pack(tree: Mapping[str, Any], what: str) -> bytes:
+    """A dict of JSON values. Raises CannotEncode for anything else in it."""
     return _wrapped(_Writer(what, arrays_allowed=False).all(tree))
 
 
-def unpack(cursor: Cursor) -> Any:
+def unpack(cursor: Cursor) -> dict[str, Any]:
     """The inverse of `pack`. Raises Corrupt, Truncated."""
     return _tree(cursor, Budget(MAX_TREE_BYTES), None)
 
 
-def pack_extras(tree: Any) -> tuple[bytes, int]:
-    """The extras section: the tree, then its arrays; and the number of bytes that it unpacks to. Raises CannotEncode."""
+def pack_source(source: Mapping[str, Any]) -> bytes:
+    """A source: the number of the usual one that it is most like, then a dict of what differs or follows."""
+    candidates = []
+    for number, usual in enumerate(SOURCES):
+        rest = {key: value for key, value in source.items() if key not in usual or not _same(usual[key], value)}
+        if list({**usual, **rest}) == list(source):
+            candidates.append(varint(number) + pack(rest, "source"))
+    return min(candidates, key=len)
+
+
+def unpack_source(cursor: Cursor) -> dict[str, Any]:
+    """The inverse of `pack_source`. Raises Corrupt, Truncated."""
+    number = cursor.varint()
+    if number >= len(SOURCES):
+        raise cursor.corrupt("a usual source that is reserved")
+    return {**SOURCES[number], **unpack(cursor)}
+
+
+def _same(a: Any, b: Any) -> bool:
+    return type(a) is type(b) and a == b
+
+
+@cache
+def dictionary() -> bytes:
+    """What deflate is primed with: the stream of typical extras. Frozen by its checksum in the tests."""
+    return _Writer("the dictionary", arrays_allowed=True).all(tables.typical_extras())
+
+
+def pack_extras(tree: Mapping[str, Any]) -> tuple[bytes, int]:
+    """The extras section (the tree, then its arrays) and how many bytes it unpacks to. Raises CannotEncode."""
     writer = _Writer("extras", arrays_allowed=True)
     stream = writer.all(tree)
     packed = _wrapped(stream) + b"".join(map(arrays.pack, writer.arrays))
     size = len(stream) + sum(map(arrays.nbytes, writer.arrays))
     if size > unpack_limit(len(packed)):
-        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, more than a reader would believe; store fewer")
+        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, which a reader would refuse; store fewer")
     return packed, size
 
 
-def unpack_extras(data: bytes, size: int) -> Any:
+def unpack_extras(data: bytes, size: int) -> dict[str, Any]:
     """The inverse of `pack_extras`; allocates no more than announced. Raises Corrupt, Truncated."""
     cursor = Cursor(data, "extras")
     budget = Budget(min(size, unpack_limit(len(data))))
@@ -68,20 +99,19 @@ def unpack_limit(stored: int) -> int:
 
 def _wrapped(stream: bytes) -> bytes:
     """varint 2·length + deflated; where deflated, the deflated blob follows, else the stream itself."""
-    packed = deflate(stream, DICTIONARY)
+    packed = deflate(stream, dictionary())
     if len(packed) + len(varint(len(packed))) < len(stream):
         return varint(len(stream) << 1 | 1) + blob(packed)
     return varint(len(stream) << 1) + stream
 
 
-def _tree(cursor: Cursor, budget: Budget, arrays_budget: Budget | None) -> Any:
+def _tree(cursor: Cursor, budget: Budget, arrays_budget: Budget | None) -> dict[str, Any]:
     head = cursor.varint()
     budget.take(head >> 1, cursor.what)
-    stream = inflate(cursor.blob(), head >> 1, cursor.what, DICTIONARY) if head & 1 else cursor.take(head >> 1)
+    stream = inflate(cursor.blob(), head >> 1, cursor.what, dictionary()) if head & 1 else cursor.take(head >> 1)
     inner = Cursor(stream, cursor.what)
     reader = _Reader(inner, cursor, arrays_budget)
-    tree = reader.value(0)
-    inner.done()
+    tree = reader.items(0, None)
     return reader.settle(tree) if reader.waiting else tree
 
 
@@ -91,9 +121,9 @@ class _Writer:
         self.arrays: list[Array] = []
         self.arrays_allowed = arrays_allowed
 
-    def all(self, tree: Any) -> bytes:
+    def all(self, tree: Mapping[str, Any]) -> bytes:
         out = bytearray()
-        self.value(out, tree, 0)
+        self.items(out, tree, 0)
         if len(out) > MAX_TREE_BYTES:
             raise CannotEncode(f"{self.what} are {len(out)} bytes of text and structure; a file holds {MAX_TREE_BYTES}")
         return bytes(out)
@@ -114,16 +144,11 @@ class _Writer:
         elif isinstance(value, Mapping):
             mapping = cast(Mapping[Any, Any], value)
             out += bytes([DICT]) + varint(len(mapping))
-            for key, item in mapping.items():
-                if not isinstance(key, str):
-                    raise CannotEncode(f"{self.what} have a key that is not a string: {key!r}")
-                self.string(out, key)
-                self.value(out, item, depth + 1)
+            self.items(out, mapping, depth)
         elif self.arrays_allowed and isinstance(value, (bytes, bytearray, memoryview)):
             out += bytes([BYTES]) + blob(bytes(value))
         elif self.arrays_allowed and isinstance(value, np.ndarray):
-            out.append(ARRAY)
-            self.arrays.append(value)
+            self.array(out, value)
         elif self.arrays_allowed and isinstance(value, Signal):
             out.append(SIGNAL)
             for part in (float(value.rate), list(value.labels), list(value.units), np.asarray(value.values)):
@@ -134,6 +159,23 @@ class _Writer:
                 self.value(out, item, depth + 1)
         else:
             raise CannotEncode(f"{self.what} hold a {type(value).__name__}, which a file cannot carry: {value!r:.60}")
+
+    def items(self, out: bytearray, mapping: Mapping[Any, Any], depth: int) -> None:
+        for key, item in mapping.items():
+            if not isinstance(key, str):
+                raise CannotEncode(f"{self.what} have a key that is not a string: {key!r}")
+            self.string(out, key)
+            self.value(out, item, depth + 1)
+
+    def array(self, out: bytearray, array: Array) -> None:
+        arrays.require_storable(array)
+        if array.nbytes > SMALL_ARRAY_BYTES:
+            out.append(ARRAY)
+            self.arrays.append(array)
+            return
+        out.append(SMALL_ARRAY)
+        self.string(out, array.dtype.str)
+        out += varint(array.ndim) + b"".join(map(varint, array.shape)) + array.tobytes()
 
     def integer(self, out: bytearray, value: int) -> None:
         if 0 <= value < SHORT - SMALL:
@@ -215,11 +257,13 @@ class _Reader:
         if tag == LIST:
             return [self.value(depth + 1) for _ in range(stream.count())]
         if tag == DICT:
-            return self.dict(depth)
+            return self.items(depth, self.stream.count(2))
         if tag == LARGE:
             return int.from_bytes(stream.blob(), "little", signed=True)
         if self.budget is not None and tag == BYTES:
             return stream.blob()
+        if self.budget is not None and tag == SMALL_ARRAY:
+            return self.small_array()
         if self.budget is not None and tag in (ARRAY, SIGNAL):
             self.waiting = True
             return _Waiting(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
@@ -231,9 +275,18 @@ class _Reader:
         except UnicodeDecodeError:
             raise self.stream.corrupt("a string is not UTF-8") from None
 
-    def dict(self, depth: int) -> dict[str, Any]:
+    def small_array(self) -> Array:
+        dtype = arrays.dtype_of(self.value(MAX_DEPTH + 1), self.stream)
+        shape = arrays.read_shape(self.stream)
+        size = math.prod(shape) * dtype.itemsize
+        if size > SMALL_ARRAY_BYTES:
+            raise self.stream.corrupt("a small array that is not small")
+        return np.frombuffer(self.stream.take(size), dtype).reshape(shape).copy()
+
+    def items(self, depth: int, count: int | None) -> dict[str, Any]:
+        """So many keys and values, or all that the stream holds."""
         result: dict[str, Any] = {}
-        for _ in range(self.stream.count(2)):
+        while self.stream.left if count is None else len(result) < count:
             key = self.value(MAX_DEPTH + 1)
             if not isinstance(key, str) or key in result:
                 raise self.stream.corrupt("a key is not a string, or stands twice")

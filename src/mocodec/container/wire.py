@@ -168,7 +168,7 @@ class BitReader:
 
 
 def deflate(data: bytes, dictionary: bytes = b"") -> bytes:
-    """Raw deflate (RFC 1951), primed with a dictionary. Any deflate stream is valid; the bytes may differ between zlibs."""
+    """Raw deflate (RFC 1951), primed with a dictionary. Bytes may differ between zlibs; all of them are valid."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15, 9, zlib.Z_DEFAULT_STRATEGY, dictionary)
     return packer.compress(data) + packer.flush()
 

@@ -16,7 +16,7 @@ from .wire import checksum, varint
 
 
 def pack(encoded: Encoded[Any]) -> bytes:
-    """All of it as the bytes of a `.mocz`; the same bytes every time. Raises CannotEncode for what a file cannot hold."""
+    """The bytes of a `.mocz`; the same every time. Raises CannotEncode for what a file cannot hold."""
     file = io.BytesIO()
     writer = Writer(
         file,
@@ -33,7 +33,7 @@ def pack(encoded: Encoded[Any]) -> bytes:
 
 
 class Writer:
-    """Writes a `.mocz` to a file object that need not seek: header at once, each chunk as it comes, the index at `close`.
+    """Writes a `.mocz` to a file object that need not seek: header at once, each chunk as it comes, index at `close`.
 
     about, codec, settings, margin, shared: as in `Encoded`. What was written before a crash can be salvaged.
     Raises CannotEncode for what a file cannot hold.
