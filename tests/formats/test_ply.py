@@ -1,0 +1,120 @@
+"""PLY: what is written comes back, files of other programs are understood, and broken ones raise."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from mocodec.errors import BadInput, MocodecError
+from mocodec.formats import ply
+from mocodec.pointcloud import PointClouds
+
+ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
+
+
+def clouds(frames: int = 3, colours: bool = True, normals: bool = False) -> PointClouds:
+    rng = np.random.default_rng(1)
+    sizes = [50, 0, 3, 7][:frames]
+    return PointClouds(
+        positions=[rng.normal(size=(n, 3)).astype(np.float32).astype(np.float64) for n in sizes],
+        rate=15.0,
+        colours=[rng.integers(0, 256, (n, 3)).astype(np.uint8) for n in sizes] if colours else None,
+        normals=[rng.normal(size=(n, 3)).astype(np.float32).astype(np.float64) for n in sizes] if normals else None,
+        up="z",
+    )
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(("colours", "normals"), [(True, False), (False, False), (True, True)])
+def test_round_trip(tmp_path, encoding, colours, normals):
+    original = clouds(colours=colours, normals=normals)
+    ply.write(tmp_path / "out", original, encoding=encoding)
+    back = ply.read(tmp_path / "out")
+    assert back.rate == 15.0
+    assert back.up == "z"
+    for what in ("positions", "colours", "normals"):
+        a, b = getattr(original, what), getattr(back, what)
+        assert (a is None) == (b is None)
+        for x, y in zip(a or (), b or (), strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_nan_points_and_doubles_survive(tmp_path, encoding):
+    points = np.array([[1 / 3, 2.0, 3.0], [np.nan] * 3])
+    ply.write(tmp_path / "a.ply", PointClouds([points], 10.0, source={"double": True}), encoding=encoding)
+    back = ply.read(tmp_path / "a.ply")
+    np.testing.assert_array_equal(back.positions[0], points)
+
+
+def test_units_and_rate_are_asked_for(tmp_path):
+    file = tmp_path / "x.ply"
+    head = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    file.write_bytes(head + b"end_header\n1000 0 5\n")
+    with pytest.raises(BadInput, match="fps"):
+        ply.read(file)
+    np.testing.assert_allclose(ply.read(file, fps=30, units="mm").positions[0], [[1.0, 0.0, 0.005]])
+    with pytest.raises(BadInput, match="unit"):
+        ply.read(file, fps=30, units="furlong")
+
+
+def test_unit_goes_back(tmp_path):
+    original = PointClouds([np.array([[1.0, 2.0, 3.0]])], 5.0, source={"units": "mm", "unit_m": 0.001})
+    ply.write(tmp_path / "x.ply", original, encoding="ascii")
+    assert "1000 2000 3000" in (tmp_path / "x.ply").read_text()
+    np.testing.assert_allclose(ply.read(tmp_path / "x.ply").positions[0], [[1.0, 2.0, 3.0]])
+
+
+def test_natural_order_and_glob(tmp_path):
+    for i in (10, 9, 100):
+        ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
+    assert [p[0, 0] for p in ply.read(tmp_path).positions] == [9, 10, 100]
+    assert len(ply.read(tmp_path / "f1*.ply")) == 2
+
+
+def test_other_elements_and_properties(tmp_path):
+    file = tmp_path / "x.ply"
+    lines = ["ply", "format binary_big_endian 1.0", "obj_info made elsewhere today", "element camera 2"]
+    lines += ["property double f", "element vertex 2", "property uchar alpha"]
+    lines += [f"property float {c}" for c in ("red", "green", "blue")] + [f"property double {c}" for c in "xyz"]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header", ""]
+    header = "\r\n".join(lines).encode()
+    row = np.zeros(2, [("alpha", "u1"), *[(c, ">f4") for c in "rgb"], *[(c, ">f8") for c in "xyz"]])
+    row["r"], row["z"] = 1.0, [4.0, 5.0]
+    face = b"\x03" + np.arange(3, dtype=">i4").tobytes()
+    file.write_bytes(header + np.zeros(2, ">f8").tobytes() + row.tobytes() + face)
+    back = ply.read(file, fps=1)
+    np.testing.assert_array_equal(back.positions[0], [[0, 0, 4], [0, 0, 5]])
+    assert back.colours is not None
+    np.testing.assert_array_equal(back.colours[0], [[255, 0, 0]] * 2)
+    assert back.source["ignored"] == ["alpha"]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_prefix_and_flip_raises_or_reads(tmp_path, encoding):
+    ply.write(tmp_path / "x.ply", clouds(1)[0:1], encoding=encoding)
+    whole = (tmp_path / "x.ply").read_bytes()
+    cut = tmp_path / "cut.ply"
+    for size in range(0, len(whole) - 1, 7):
+        cut.write_bytes(whole[:size])
+        if encoding == "ascii" and size > whole.index(b"end_header") + 100:
+            continue
+        with pytest.raises(MocodecError):
+            ply.read(cut)
+    rng = np.random.default_rng(2)
+    for at in rng.integers(0, len(whole), 150):
+        cut.write_bytes(whole[:at] + bytes([whole[at] ^ 0x15]) + whole[at + 1 :])
+        with contextlib.suppress(MocodecError):
+            ply.read(cut, fps=1)
+
+
+def test_folders_are_not_overwritten_by_accident(tmp_path):
+    ply.write(tmp_path / "out", clouds())
+    with pytest.raises(BadInput, match="already"):
+        ply.write(tmp_path / "out", clouds())
+    ply.write(tmp_path / "out", clouds(2), overwrite=True)
+    assert len(ply.read(tmp_path / "out")) == 2
+    with pytest.raises(BadInput, match=r"no \.ply"):
+        ply.read(tmp_path / "nothing", fps=1)
