@@ -3,7 +3,8 @@
     positions with NaN ──fill──► positions without, mask ──pack──► bytes
     positions without, mask ◄──unpack── bytes         apply ──► positions with NaN
 
-A mask is stored as the lengths of the runs, present and missing in turn, of the points that have any gap.
+A mask is stored as the lengths of its runs, present and missing in turn, point after point or frame after frame, whichever
+is shorter: a marker that hides now and then is the one case, frames that were lost as a whole the other.
 """
 
 from __future__ import annotations
@@ -69,41 +70,40 @@ def pack(mask: Mask) -> bytes:
     """A mask (frames, points) as bytes; b"" where nothing is missing."""
     if not mask.any():
         return b""
-    frames, points = mask.shape
-    some = mask.any(axis=0)
-    columns = mask[:, some].T
-    edges = np.ones((columns.shape[0], frames + 1), bool)  # one row per point: a run starts where its edge is set
-    edges[:, 0] = columns[:, 0]
-    edges[:, 1:frames] = columns[:, 1:] != columns[:, :-1]
-    edges[:, frames] = False
-    counts = edges.sum(axis=1)
-    starts = np.nonzero(edges)[1]
-    numbers = np.concatenate([np.diff(np.flatnonzero(some), prepend=-1) - 1, counts - 1, starts])
-    head = np.array([int(some.sum())], np.int64)
-    return coder.pack(np.concatenate([head, numbers])[:, None]) + len(numbers).to_bytes(4, "little")
+    return min((_pack_runs(mask.T, 0), _pack_runs(mask, 1)), key=len)
 
 
 def unpack(data: bytes, shape: tuple[int, int]) -> Mask:
-    """The mask of this shape from its bytes. Raises Corrupt."""
+    """The mask of this shape (frames, points) from its bytes. Raises Corrupt."""
     frames, points = shape
-    mask = np.zeros((frames, points), bool)
     if not data:
-        return mask
-    length = int.from_bytes(data[-4:], "little")
-    if len(data) < 5 or length > frames * points + 2 * points:
-        raise Corrupt("gaps: more runs than the frames can hold")
-    numbers = coder.unpack(data[:-4], (length + 1, 1))[:, 0]
-    n = int(numbers[0])
-    if not 0 < n <= points or len(numbers) < 1 + 2 * n or np.abs(numbers).max() > frames * points:
-        raise Corrupt("gaps: more points than the motion has")
-    columns = np.cumsum(numbers[1 : n + 1] + 1) - 1
-    counts = numbers[n + 1 : 2 * n + 1] + 1
-    starts = numbers[2 * n + 1 :]
-    if (columns < 0).any() or columns.max() >= points or len(np.unique(columns)) < n:
-        raise Corrupt("gaps: a point that the motion does not have")
-    if (counts < 1).any() or counts.sum() != len(starts) or (starts < 0).any() or (starts >= frames).any():
-        raise Corrupt("gaps: a run that starts outside the frames")
-    edges = np.zeros((n, frames), np.int8)
-    edges[np.repeat(np.arange(n), counts), starts] = 1
-    mask[:, columns] = (np.cumsum(edges, axis=1) % 2 == 1).T
-    return mask
+        return np.zeros((frames, points), bool)
+    number, size = 0, 0
+    while True:
+        if size == len(data) or size == 9:
+            raise Corrupt("gaps end too early")
+        number |= (data[size] & 127) << 7 * size
+        size += 1
+        if data[size - 1] < 128:
+            break
+    count, by_frame = number >> 1, number & 1
+    if not 0 < count <= frames * points:
+        raise Corrupt("gaps: more than the frames can hold")
+    runs = coder.unpack(data[size:], (count, 2)).ravel()
+    if runs.min() < 0 or (runs[1:] == 0).any() or runs.max() > frames * points or runs.sum() > frames * points:
+        raise Corrupt("gaps: longer than the motion")
+    edges = np.zeros(frames * points + 1, np.int8)
+    edges[np.cumsum(runs)] = np.tile(np.array([1, -1], np.int8), count)
+    flat = np.cumsum(edges[:-1], dtype=np.int8).astype(bool)
+    return flat.reshape(frames, points) if by_frame else flat.reshape(points, frames).T.copy()
+
+
+def _pack_runs(mask: Mask, by_frame: int) -> bytes:
+    """How many gaps, and for each how long nothing was missing before it, and how long it is, all rows end to end."""
+    flat = np.concatenate([[False], mask.ravel(), [False]])
+    runs = np.diff(np.flatnonzero(flat[1:] != flat[:-1]), prepend=0).reshape(-1, 2)
+    number, head = len(runs) << 1 | by_frame, bytearray()
+    while number > 127:
+        head.append(number & 127 | 128)
+        number >>= 7
+    return bytes([*head, number]) + coder.pack(runs)
