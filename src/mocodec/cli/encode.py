@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from .. import api, codecs, container, metrics
-from ..errors import BadInput
+from ..errors import BadInput, CannotEncode
 from ..motion import Motion
 from ..pointcloud import PointClouds
-from . import files, quantities
+from . import files, quantities, verify
 
 DEFAULT = {Motion: "tempo", PointClouds: "lien2006"}
 
@@ -42,10 +42,15 @@ def command(
     chosen = choose(codec or DEFAULT[type(recording)], settings, files.named(**targets))
     with files.working(f"encoding {source} with {chosen.name}"):
         blob = container.pack(chosen.encode(recording))
-        decoded = api.decode(blob)
+        with api.open(blob) as opened:
+            decoded, facts = opened[:], opened.info
+    if isinstance(recording, Motion):
+        _, broken = verify.hold(files.named(**targets), recording, decoded, len(blob))
+        if broken:
+            raise CannotEncode(f"{chosen.name} does not keep its promise, nothing was written: {'; '.join(broken)}")
     files.write_bytes(output, blob)
     if not quiet:
-        click.echo(summary(output, recording, decoded, len(blob)), err=True)
+        click.echo(summary(output, recording, decoded, facts), err=True)
         if isinstance(recording, Motion) and recording.rotations is not None:
             click.echo("note: joint positions are stored; rotations are not stored yet", err=True)
 
@@ -59,11 +64,15 @@ def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> 
         raise click.UsageError(str(error)) from error
 
 
-def summary(output: str, recording: Motion | PointClouds, decoded: Motion | PointClouds, stored: int) -> str:
+def summary(output: str, recording: Motion | PointClouds, decoded: Any, facts: dict[str, Any]) -> str:
     """One line: bytes, ratio and, for a motion, the error that was measured."""
     name = "standard output" if output == "-" else output
+    stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
     line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
-    if isinstance(recording, Motion) and isinstance(decoded, Motion):
+    if extras > stored / 10:
+        points = recording.raw_bytes / (stored - extras)
+        line += f" ({points:.1f} : 1 without the {extras:,} bytes of analog channels, parameters and the like)"
+    if isinstance(recording, Motion):
         error = metrics.compare(recording, decoded, stored)
         line += f", mean error {quantities.length(error.mean_error)}, max {quantities.length(error.max_error)}"
     return line

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 import click
+import numpy as np
 
 from .. import api, container, metrics
 from ..errors import BadInput
-from ..motion import Motion
+from ..motion import Motion, Signal
 from . import PROMISE_BROKEN, files, quantities
 
 SLACK = 1 + 1e-9  # a bound met exactly may differ in the last bit of a sum
@@ -24,7 +26,8 @@ SLACK = 1 + 1e-9  # a bound met exactly may differ in the last bit of a sum
 def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promise holds.
 
-    A promise is the max-error or mean-error that it was encoded for; names, rate and gaps are promised always.
+    A promise is the max-error, mean-error, ratio or size that it was encoded for; names, rate, gaps and what was beside
+    the points are promised always.
     """
     reader = container.Reader(files.source_of(file))
     with files.working(f"verifying {file}"), api.File(reader) as opened:
@@ -64,12 +67,36 @@ def hold(
         broken.append(f"the source has {source.rate:g} Hz, the file {decoded.rate:g} Hz")
     if not result.gaps_equal:
         broken.append("the gaps differ")
+    broken += [f"extras differ: {name}" for name in differing(source.extras, decoded.extras)]
     for name, measured in (("max_error", result.max_error), ("mean_error", result.mean_error)):
         if name in promise and measured > promise[name] * SLACK:
             broken.append(
                 f"{name.replace('_', ' ')} is {quantities.length(measured)}, promised {quantities.bound(promise[name])}"
             )
+    if "size" in promise and stored_bytes and stored_bytes > promise["size"]:
+        broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
+    if "ratio" in promise and result.ratio and result.ratio < promise["ratio"]:
+        broken.append(f"the ratio is {result.ratio:.1f}, promised {promise['ratio']:g}")
     return asdict(result), broken
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    """The names of what two motions have beside their points and do not share."""
+    return sorted(name for name in {*a, *b} if name not in a or name not in b or not same(a[name], b[name]))
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two trees of extras are equal; NaN equals NaN."""
+    if isinstance(a, Signal) and isinstance(b, Signal):
+        facts = (a.rate, tuple(a.labels), tuple(a.units)) == (b.rate, tuple(b.labels), tuple(b.units))
+        return facts and same(a.values, b.values)
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return not differing(a, b)
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return type(a) is type(b) and (a == b or a != a)
 
 
 def lines(report: dict[str, Any], against: str | None) -> list[str]:
