@@ -12,5 +12,6 @@
 """
 
 from .codec import Liu2006
+from .rivals import global_pca, piecewise_pca, statistics
 
-__all__ = ["Liu2006"]
+__all__ = ["Liu2006", "global_pca", "piecewise_pca", "statistics"]

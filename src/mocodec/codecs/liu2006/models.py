@@ -8,7 +8,7 @@ Segment ──pack──► bytes ──unpack──► Segment
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,6 @@ Integers = NDArray[np.int64]
 
 TRIPLE = np.array([[1, 1, 1], [0, -1, 1], [-2, 1, 1]]) / np.sqrt([[3], [2], [6]])
 """Three markers as their middle, left to right, and origin to shoulders: orthonormal, so errors stay what they are."""
-
-LANES = 8
 
 MARGIN = 1 << 16
 """No blend reaches farther into a neighbour, in frames."""
@@ -51,12 +49,15 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class PoseModel:
-    """Poses (frames, dimensions) of a group of markers: mean, principal components and the track of the projections."""
+    """Poses (frames, dimensions) of a group of markers: mean, principal components and the track of the projections.
+
+    components: the basis before it was rounded to `precision`, which is what its bytes are made from.
+    """
 
     mean_numbers: Integers
     mean: Floats
+    components: Floats
     precision: Integers
-    packed_basis: bytes
     basis: Floats
     track: Track
 
@@ -113,12 +114,11 @@ def fit(poses: Floats, own: slice, pca_tolerance: float, spline_tolerance: float
     mean_numbers = quantise.forward(mean, noise)
     mean = quantise.inverse(mean_numbers, noise)
     precision = np.maximum.accumulate(basis.precisions(variances, noise)[::-1])[::-1]
-    packed = basis.pack(components, precision)
-    components = basis.unpack(packed, len(mean), precision)
+    rounded = basis.rounded(components, precision)
 
-    wanted = (poses[keys.by_level] - mean) @ components
+    wanted = (poses[keys.by_level] - mean) @ rounded
     numbers, values = spline.differences(keys, wanted, quantise.step(rung))
-    return PoseModel(mean_numbers, mean, precision, packed, components, Track(keys, rung, numbers, values))
+    return PoseModel(mean_numbers, mean, components, precision, rounded, Track(keys, rung, numbers, values))
 
 
 def components_needed(variances: Floats, tolerance: float, markers: int) -> int:
@@ -152,91 +152,63 @@ def _untriple(trajectory: Floats) -> Floats:
 
 # ── storing ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 #
-# payload = lengths · head · splits · numbers · one basis for each group · gaps · residual
+# payload = lengths · head · splits · key values of the markers · means · then for each group: basis, key values ·
+#           gaps · residual
 # head    = before, after, rung of the markers, then for each group: rung, components, precision, its falls
 # splits  = the bits that say where key frames are: markers, then each group
-# numbers = key values of the markers, then for each group: mean, key values
 
 
 def pack(segment: Segment, gaps: bytes = b"", residual: bytes = b"") -> bytes:
     """The payload of a segment's chunk."""
     head = [segment.before, segment.after, varint.signed(segment.markers.rung)]
+    tracks = [segment.markers, *(model.track for model in segment.groups)]
+    sections = [coder.pack(segment.markers.numbers), coder.pack(_means(segment.groups))]
     for model in segment.groups:
         head += [varint.signed(model.track.rung), len(model.precision), *_falls(model.precision)]
-    tracks = [segment.markers, *(model.track for model in segment.groups)]
+        sections += [basis.pack(model.components, model.precision), coder.pack(model.track.numbers)]
     splits = np.packbits(np.concatenate([spline.splits(track.keys) for track in tracks])).tobytes()
-    numbers = [segment.markers.numbers.ravel()]
-    for model in segment.groups:
-        numbers += [model.mean_numbers, model.track.numbers.ravel()]
-    contexts = _contexts(tracks, [len(model.mean) for model in segment.groups])
-    values = np.zeros(contexts.shape, np.int64)
-    flat = np.concatenate(numbers)
-    values.flat[: len(flat)] = flat
-    bases = [model.packed_basis for model in segment.groups]
-    return join([varint.write(head), splits, coder.pack(values, contexts), *bases, gaps, residual])
+    return join([varint.write(head), splits, *sections, gaps, residual])
 
 
 def unpack(payload: bytes, start: int, stop: int, roles: Roles) -> tuple[Segment, bytes, bytes]:
     """A segment of frames [start, stop), and the bytes of its gaps and residual. Raises Corrupt."""
-    groups = roles.groups
-    packed_head, packed_splits, packed_numbers, *bases, gaps, residual = split(payload, 5 + len(groups))
-    (before, after, rung), at = varint.read(packed_head, 3)
-    rung = _rung(rung)
+    widths = [3 * len(columns) for columns in roles.groups]
+    head, splits, markers, means, *sections = split(payload, sections_of(roles))
+    (before, after, rung), at = varint.read(head, 3)
     if before + after > 2 * MARGIN:
         raise Corrupt("liu2006: a segment that reaches farther than any blend")
-    shapes: list[tuple[int, Integers]] = []
-    for columns in groups:
-        (group_rung, k), at = varint.read(packed_head, 2, at)
-        if k > 3 * len(columns):
-            raise Corrupt(f"liu2006: {k} components of {3 * len(columns)} coordinates")
-        falls, at = varint.read(packed_head, k, at)
-        shapes.append((_rung(group_rung), _rise(falls)))
+    bits = np.unpackbits(np.frombuffer(splits, np.uint8))
+    keys, used = spline.from_splits(bits, stop - start)
+    track = _unpack_track(markers, keys, _rung(rung), 3 * len(roles.normalisation))
 
-    bits = np.unpackbits(np.frombuffer(packed_splits, np.uint8))
-    keys: list[spline.Keyframes] = []
-    for frames in (stop - start, *[before + stop - start + after] * len(groups)):
-        found, used = spline.from_splits(bits, frames)
-        keys.append(found)
-        bits = bits[used:]
-
-    width = 3 * len(roles.normalisation)
-    tracks = [Track(keys[0], rung, np.zeros((len(keys[0]), width), np.int64), np.zeros(0))]
-    for (rung, precision), found in zip(shapes, keys[1:], strict=True):
-        tracks.append(Track(found, rung, np.zeros((len(found), len(precision)), np.int64), np.zeros(0)))
-    contexts = _contexts(tracks, [3 * len(group) for group in groups])
-    flat = coder.unpack(packed_numbers, contexts.shape, contexts).ravel()
-
-    def take(shape: tuple[int, ...]) -> Integers:
-        nonlocal flat
-        taken, flat = flat[: (size := int(np.prod(shape)))].reshape(shape), flat[size:]
-        return taken
-
-    markers = _restored(tracks[0], take)
+    mean_numbers = coder.unpack(means, (sum(widths) // 3, 3)).ravel()
     models: list[PoseModel] = []
-    for columns, (rung, precision), packed, track in zip(groups, shapes, bases, tracks[1:], strict=True):
-        mean_numbers = take((3 * len(columns),))
-        mean = quantise.inverse(mean_numbers, _noise(rung, track.keys))
-        components = basis.unpack(packed, len(mean), precision)
-        models.append(PoseModel(mean_numbers, mean, precision, packed, components, _restored(track, take)))
-    return Segment(start, stop, before, after, markers, tuple(models)), gaps, residual
+    for width, packed_basis, packed_values in zip(widths, sections[:-2:2], sections[1:-2:2], strict=True):
+        (rung, k), at = varint.read(head, 2, at)
+        falls, at = varint.read(head, min(k, width + 1), at)
+        precision = _rise(falls)
+        keys, more = spline.from_splits(bits[used:], before + stop - start + after)
+        used += more
+        components = basis.unpack(packed_basis, width, precision)
+        own, mean_numbers = mean_numbers[:width], mean_numbers[width:]
+        mean = quantise.inverse(own, _noise(_rung(rung), keys))
+        values = _unpack_track(packed_values, keys, _rung(rung), k)
+        models.append(PoseModel(own, mean, components, precision, components, values))
+    return Segment(start, stop, before, after, track, tuple(models)), *sections[-2:]
 
 
-def _restored(track: Track, take: Callable[[tuple[int, ...]], Integers]) -> Track:
-    numbers = take(track.numbers.shape)
-    return Track(track.keys, track.rung, numbers, spline.values(track.keys, numbers, quantise.step(track.rung)))
+def sections_of(roles: Roles) -> int:
+    """How many sections a payload has."""
+    return 6 + 2 * len(roles.groups)
 
 
-def _contexts(tracks: Sequence[Track], means: Sequence[int]) -> Integers:
-    """A context for each number, (steps, LANES): which track and how early a level, or a mean."""
-    kinds: list[Integers] = []
-    for i, track in enumerate(tracks):
-        if i:
-            kinds.append(np.zeros(means[i - 1], np.int64))
-        level = np.repeat(np.arange(len(track.keys.levels)), [len(level) for level in track.keys.levels])
-        kind = 1 + 4 * min(i, 2) + np.minimum(level, 3)
-        kinds.append(np.repeat(kind, track.numbers.shape[1]))
-    flat = np.concatenate(kinds)
-    return np.append(flat, np.zeros(-len(flat) % LANES, np.int64)).reshape(-1, LANES)
+def _means(groups: Sequence[PoseModel]) -> Integers:
+    return np.concatenate([np.zeros(0, np.int64), *(model.mean_numbers for model in groups)]).reshape(-1, 3)
+
+
+def _unpack_track(data: bytes, keys: spline.Keyframes, rung: int, k: int) -> Track:
+    numbers = coder.unpack(data, (len(keys), k))
+    return Track(keys, rung, numbers, spline.values(keys, numbers, quantise.step(rung)))
 
 
 def _falls(precision: Integers) -> list[int]:

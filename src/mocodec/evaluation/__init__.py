@@ -1,0 +1,1 @@
+"""Data sets, runs and tables: how the codecs are measured, against each other and against the papers."""

@@ -1,0 +1,1 @@
+"""The tables and figures of the three papers, ours beside the published: a module for each, with `run`."""
