@@ -1,6 +1,6 @@
 """Positions without loss: float32 bit for bit, in the units of the source, for those who must.
 
-    positions ─► units of the source ─► on a grid? ── yes ─► integers k, x = k · step ───────────┐
+    positions ─► units of the source ─► on a grid? ── yes ─► integers k, x = k / steps ──────────┐
                  as float32                    └─ no ──► bit patterns in numeric order ─────────►├─► residual ─► entropy
                                     one linear predictor for the recording, in fixed point ──────┘
 
@@ -31,7 +31,7 @@ ORDER = 8  # taps of the predictor
 TAP_BITS = 14  # fraction bits of a tap
 LEVEL_BITS = 40  # bits of a position in the predictor's fixed point; × taps of up to 2^18 stays within int64
 GRID_LARGEST = 1 << 36
-DECIMAL_STEPS = (1.0, 0.1, 0.01, 0.001, 1e-4, 1e-5, 1e-6)
+STEPS_IN_UNIT = tuple(10.0**digits for digits in range(8))  # what a text of so many decimals holds
 HEADER = struct.Struct("<Bdd" + "i" * (ORDER - 1) + "bI")
 ON_GRID, FLOAT32 = 1, 0
 
@@ -49,7 +49,7 @@ class Lossless:
         if not self.chunk_seconds > 0:
             raise BadInput("chunk_seconds must be positive")
         filled, mask = gaps.fill(motion.positions)
-        form, unit, step, values = numbers(filled, ~mask, float(motion.source.get("unit_m", 1.0)))
+        form, unit, steps, values = numbers(filled, ~mask, float(motion.source.get("unit_m", 1.0)))
         ranks = rows(values) if form == ON_GRID else in_order(rows(values))
         scale = fixed_point_scale(form, values)
         taps = fit(rows(values).astype(np.float64))
@@ -61,7 +61,7 @@ class Lossless:
             chunks.append(
                 Chunk(clip.start, len(residual), struct.pack("<I", len(holes)) + holes + coder.pack(residual))
             )
-        shared = HEADER.pack(form, unit, step, *taps.tolist(), scale, clip_frames)
+        shared = HEADER.pack(form, unit, steps, *taps.tolist(), scale, clip_frames)
         return Encoded(self.name, about(motion), tuple(chunks), (shared,), settings=base.settings(self))
 
     @staticmethod
@@ -71,7 +71,7 @@ class Lossless:
         points = encoded.about.points
         if len(encoded.shared) != 1 or len(encoded.shared[0]) != HEADER.size:
             raise Corrupt("lossless: its header is missing or of another size")
-        form, unit, step, *taps, scale, _ = HEADER.unpack(encoded.shared[0])
+        form, unit, steps, *taps, scale, _ = HEADER.unpack(encoded.shared[0])
         if form not in (ON_GRID, FLOAT32) or not -1100 < scale < 1100:
             raise Corrupt("lossless: no such form")
         chunks = list(encoded.covering(start, stop))
@@ -80,7 +80,7 @@ class Lossless:
         at = 0
         for chunk, (values, mask) in zip(chunks, ranks, strict=True):
             with np.errstate(all="ignore"):
-                numbers_ = values * step if form == ON_GRID else from_order(values).astype(np.float64)
+                numbers_ = values / steps if form == ON_GRID else from_order(values).astype(np.float64)
                 decoded = (numbers_ * unit).reshape(chunk.frames, points, 3)
             positions[at : at + chunk.frames] = gaps.apply(decoded, mask)
             at += chunk.frames
@@ -92,7 +92,7 @@ class Lossless:
 
 
 def numbers(positions: Floats, present: NDArray[np.bool_], unit: float) -> tuple[int, float, float, NDArray[Any]]:
-    """Form, unit, step and values such that value (× step) × unit is each present position, bit for bit in float32.
+    """Form, unit, steps in a unit and values such that value / steps × unit is each present position, bit for bit in float32.
 
     In the units of the source where that gives the very float64 back, in metres otherwise. Raises CannotEncode beyond
     the range of float32.
@@ -101,11 +101,11 @@ def numbers(positions: Floats, present: NDArray[np.bool_], unit: float) -> tuple
     some = samples[:: max(1, len(samples) // 500)]
     with np.errstate(all="ignore"):
         for chosen in (unit, 1.0):
-            for step in DECIMAL_STEPS:
-                if all(np.array_equal((np.rint(x / chosen / step) * step) * chosen, x) for x in (some, samples)):
-                    k = np.rint(positions / chosen / step)
+            for steps in STEPS_IN_UNIT:
+                if all(np.array_equal((np.rint(x / chosen * steps) / steps) * chosen, x) for x in (some, samples)):
+                    k = np.rint(positions / chosen * steps)
                     if np.abs(k).max() < GRID_LARGEST:
-                        return ON_GRID, chosen, step, k.astype(np.int64)
+                        return ON_GRID, chosen, steps, k.astype(np.int64)
             if all(
                 np.array_equal((x / chosen).astype(np.float32).astype(np.float64) * chosen, x) for x in (some, samples)
             ):
