@@ -267,8 +267,7 @@ def _read_header(where: Source) -> tuple[dict[str, Any], int]:
     if not block.startswith(MAGIC):
         if MAGIC.startswith(block):
             raise Truncated(f"the file ends after {len(block)} bytes" if block else "the file is empty")
-        tail = where.read(max(0, where.size - len(END_MAGIC)), min(where.size, len(END_MAGIC)))
-        if tail == END_MAGIC:
+        if _has_end(where):
             raise Corrupt("the first bytes of the file are damaged")
         raise BadInput("this is not a .mocz file")
     cursor = Cursor(block, "the header", at=len(MAGIC))
@@ -278,14 +277,14 @@ def _read_header(where: Source) -> tuple[dict[str, Any], int]:
     if length > records.MAX_HEADER_BYTES:
         raise Corrupt(f"a header of {length} bytes, more than may be")
     if end > where.size:
-        raise (_too_new(version) if version > VERSION else Truncated("the file ends within its header"))
+        raise Corrupt("the header's length is damaged") if _has_end(where) else Truncated("the file ends in its header")
     if end > len(block):
         block += where.read(len(block), end - len(block))
     head, crc = block[: end - CHECKSUM_BYTES], block[end - CHECKSUM_BYTES : end]
     if checksum(head) != crc:
         raise Corrupt("the header is damaged: its checksum does not hold")
     if version > VERSION:
-        raise _too_new(version)
+        raise TooNew(f"format version {version}; this mocodec reads up to version {VERSION}: upgrade it")
     if version == 0:
         raise Corrupt("format version 0, which is reserved")
     cursor = Cursor(head, "the header", at=cursor.at)
@@ -299,8 +298,9 @@ def _read_header(where: Source) -> tuple[dict[str, Any], int]:
     return header, end
 
 
-def _too_new(version: int) -> TooNew:
-    return TooNew(f"format version {version}; this mocodec reads up to version {VERSION}: upgrade it")
+def _has_end(where: Source) -> bool:
+    """Whether the last bytes are those of a file that was finished: then it is damaged, not cut off."""
+    return where.size >= len(END_MAGIC) and where.read(where.size - len(END_MAGIC), len(END_MAGIC)) == END_MAGIC
 
 
 def _find_index(where: Source, chunks_at: int) -> tuple[int, int]:
