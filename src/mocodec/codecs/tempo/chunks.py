@@ -1,0 +1,127 @@
+"""A chunk's bytes: which engine made them, its numbers, its corrections, its gaps.
+
+    byte: engine, has corrections, has gaps · [length, gaps] · [step, length, corrections] · the engine's bytes
+
+    transform   coefficients of the body's curves: few bytes at any error that is not tiny
+    direct      every sample on a grid, predicted in time: for motion that is no body's, and for tiny errors
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...encoded import Chunk
+from ...entropy import varint
+from ...errors import Corrupt
+from ...motion import Floats
+from ...stages import gaps
+from . import body, coefficients, corrections, direct
+from .model import POSE, Model, step_size
+
+TRANSFORM, DIRECT = 0, 1
+ENGINES = 2
+CORRECTED, GAPPED = 4, 8
+FINE = 256
+"""Steps of the direct engine and of corrections are 2^(n / 256) metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What a chunk is made of."""
+
+    engine: int
+    numbers: bytes
+    step: int = 0
+    corrections: bytes = b""
+    gaps: bytes = b""
+
+    def pack(self) -> bytes:
+        flags = self.engine | CORRECTED * bool(self.corrections) | GAPPED * bool(self.gaps)
+        out = bytes([flags])
+        if self.gaps:
+            out += varint.write([len(self.gaps)]) + self.gaps
+        if self.engine == DIRECT or self.corrections:
+            out += varint.write([varint.signed(self.step)])
+        if self.corrections:
+            out += varint.write([len(self.corrections)]) + self.corrections
+        return out + self.numbers
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Parts:
+        """Raises Corrupt."""
+        if not payload or payload[0] & ~(ENGINES - 1 | CORRECTED | GAPPED):
+            raise Corrupt("tempo: a chunk of no known kind")
+        engine = payload[0] & (ENGINES - 1)
+        at, step, moved, missing = 1, 0, b"", b""
+        if payload[0] & GAPPED:
+            missing, at = _blob(payload, at)
+        if engine == DIRECT or payload[0] & CORRECTED:
+            (folded,), at = varint.read(payload, 1, at)
+            step = varint.unsigned(folded)
+            if abs(step) > 200 * FINE:
+                raise Corrupt("tempo: a chunk whose step is out of range")
+        if payload[0] & CORRECTED:
+            moved, at = _blob(payload, at)
+        return cls(engine, payload[at:], step, moved, missing)
+
+
+def _blob(payload: bytes, at: int) -> tuple[bytes, int]:
+    (length,), at = varint.read(payload, 1, at)
+    if at + length > len(payload):
+        raise Corrupt("tempo: a chunk that ends within its parts")
+    return payload[at : at + length], at + length
+
+
+def fine_step(size: float) -> int:
+    """The number of the largest fine step that is no larger than this size."""
+    n = int(np.floor(np.log2(size) * FINE))
+    while fine_size(n) > size:
+        n -= 1
+    return n
+
+
+def fine_size(step: int) -> float:
+    return 2.0 ** (step / FINE)
+
+
+def dequantised(values: np.ndarray, step: int) -> Floats:
+    """Coefficients from whole numbers: a magnitude stands for the middle of what it was rounded from, a little inwards."""
+    sizes = np.full(values.shape[1], float(step_size(step)))
+    sizes[0] = 1.0
+    inward = np.where(np.arange(values.shape[1]) < POSE, 0.0, INWARD)
+    return (values - np.sign(values) * inward) * sizes
+
+
+INWARD = 0.05
+"""How far inside of its cell's middle, in steps, a coefficient probably is: small ones are more likely than large."""
+
+
+def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
+    """The positions (frames, points, 3), y up, of chunks, side by side; NaN in their gaps. Raises Corrupt."""
+    parts = [Parts.unpack(c.payload) for c in chunks]
+    transformed = [i for i, p in enumerate(parts) if p.engine == TRANSFORM]
+    found: dict[int, tuple[np.ndarray, int]] = {}
+    if transformed:
+        numbers = coefficients.unpack(
+            model, [chunks[i].frames for i in transformed], [parts[i].numbers for i in transformed]
+        )
+        found = dict(zip(transformed, numbers, strict=True))
+    points = len(model.points.names)
+    out = []
+    for i, (chunk, p) in enumerate(zip(chunks, parts, strict=True)):
+        if p.engine == TRANSFORM:
+            positions = model.synthesise(dequantised(*found[i]), chunk.frames)
+        else:
+            values = direct.unpack(p.numbers, (chunk.frames, 3 * points))
+            positions = values.reshape(chunk.frames, points, 3) * fine_size(p.step)
+        if p.corrections:
+            moved = corrections.unpack(p.corrections, chunk.frames, points)
+            corrections.apply(positions, moved, fine_size(p.step))
+        out.append(gaps.apply(positions, gaps.unpack(p.gaps, (chunk.frames, points))))
+    return out
+
+
+__all__ = ["DIRECT", "TRANSFORM", "Parts", "body", "decode", "dequantised", "fine_size", "fine_step"]

@@ -1,0 +1,189 @@
+"""Quantised coefficients of chunks as bytes, and back.
+
+    coefficients, step, threshold ─pack─► bytes            bytes of many chunks ─unpack─► coefficients of all of them
+
+Both step through the frequencies from the lowest; at each, the rows inside the zone are coded in turn on a few lanes,
+each with the table that the coefficients below it call for. What symbols leave over, and signs, are raw bits, and ride
+in the lanes' first states as far as they fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...entropy import varint
+from ...errors import Corrupt
+from . import bits, contexts, lanes, symbols
+from .model import Model
+
+Integers = NDArray[np.int64]
+
+THRESHOLD_UNIT = 16
+"""Zones are stored in half octaves."""
+MAX_STEP = 2048
+LANES = (1, 2, 4, 8, 12, 16, 24, 32)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What both sides know before the first symbol of a chunk."""
+
+    frames: int
+    step: int
+    threshold: int
+    lanes: int
+    expected: Integers
+    reach: Integers
+
+    @property
+    def frequencies(self) -> int:
+        return len(self.expected)
+
+    def order(self) -> list[Integers]:
+        """For each frequency the rows that are coded, in steps of `lanes`: (steps, lanes); idle lanes hold −1."""
+        steps = []
+        for k in range(self.frequencies):
+            rows = np.flatnonzero(self.reach > k)
+            padded = np.full(-(-len(rows) // self.lanes) * self.lanes, -1)
+            padded[: len(rows)] = rows
+            steps.append(padded.reshape(-1, self.lanes))
+        return steps
+
+
+def plan(model: Model, frames: int, step: int, threshold: int, lane_code: int) -> Plan:
+    logs = model.expected(frames, step)
+    reach = contexts.zone(logs, threshold * THRESHOLD_UNIT)
+    return Plan(frames, step, threshold, LANES[lane_code], logs[: reach.max()], reach)
+
+
+def threshold_for(model: Model, values: Integers, step: int) -> int:
+    """The highest threshold whose zone holds every coefficient (frames, rows) that is not zero."""
+    logs = model.expected(len(values), step)
+    falling = np.maximum.accumulate(logs[::-1], axis=0)[::-1]
+    coded = values != 0
+    return int(falling[coded].min() // THRESHOLD_UNIT) if coded.any() else int(logs.max() // THRESHOLD_UNIT + 1)
+
+
+def cost(model: Model, values: Integers, step: int, threshold: int) -> float:
+    """About how many bits `pack` will take for coefficients (frames, rows)."""
+    p = plan(model, len(values), step, threshold, 0)
+    inside = np.arange(p.frequencies)[:, None] < p.reach
+    symbol = symbols.of(np.abs(values[: p.frequencies]))
+    chosen = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])
+    return float(model.prior.coder.cost()[chosen, symbol][inside].sum() + symbols.raw_count(symbol[inside]))
+
+
+def pack(model: Model, values: Integers, step: int, threshold: int) -> bytes:
+    """Whole numbers (frames, rows), zero outside the threshold's zone, as bytes."""
+    frames = len(values)
+    p = plan(model, frames, step, threshold, 0)
+    inside = np.arange(p.frequencies)[:, None] < p.reach
+    lane_code = _lanes_for(int(inside.sum()), int((values != 0).sum()))
+    p = plan(model, frames, step, threshold, lane_code)
+    head = varint.write([lane_code | varint.signed(threshold) << 3, step + MAX_STEP])
+    if not p.frequencies:
+        return head
+    known = values[: p.frequencies]
+    symbol = symbols.of(np.abs(known))
+    chosen = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])
+    order = p.order()
+    rows = np.concatenate(order)
+    frequency = np.repeat(np.arange(p.frequencies), [len(o) for o in order])[:, None]
+    idle = rows < 0
+    coder = model.prior.coder
+    raw = symbols.raw(known[inside], symbol[inside])
+    riding = np.zeros(16 * p.lanes, np.uint8)
+    riding[: len(raw)] = raw[: len(riding)]
+    states, words = lanes.encode(
+        np.where(idle, 0, symbol[frequency, rows]),
+        np.where(idle, coder.idle, chosen[frequency, rows]),
+        coder,
+        bits.unpack(riding, np.full(p.lanes, 16)),
+    )
+    sizes = np.array([int(s).bit_length() for s in states])
+    first = np.concatenate([bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)])
+    return head + np.packbits(first).tobytes() + words.astype("<u2").tobytes() + np.packbits(raw[len(riding) :]).tobytes()
+
+
+def _lanes_for(coded: int, raw: int) -> int:
+    """A lane costs about half a byte and saves time; it should carry 16 raw bits."""
+    fitting = min(raw // 16, coded // 96)
+    return int(np.searchsorted(LANES, max(1, fitting), side="right") - 1)
+
+
+def unpack(model: Model, frames: Sequence[int], payloads: Sequence[bytes]) -> list[tuple[Integers, int]]:
+    """The coefficients (frequencies, rows) and the step of each payload, all decoded side by side. Raises Corrupt."""
+    plans: list[Plan] = []
+    states: list[Integers] = []
+    words: list[NDArray[np.uint16]] = []
+    rests: list[bytes] = []
+    for count, payload in zip(frames, payloads, strict=True):
+        (head, step), at = varint.read(payload, 2)
+        threshold = varint.unsigned(head >> 3)
+        if step > 2 * MAX_STEP or abs(threshold) > 4096:
+            raise Corrupt("tempo: a chunk whose step is out of range")
+        p = plan(model, count, step - MAX_STEP, threshold, head & 7)
+        plans.append(p)
+        state, at = _read_states(payload, at, p.lanes) if p.frequencies else (np.full(1, lanes.LOWEST), at)
+        states.append(state)
+        rests.append(payload[at:])
+        words.append(np.frombuffer(payload, "<u2", (len(payload) - at) // 2, at))
+    stream = lanes.Lanes(states, words, model.prior.coder)
+    found = _decode(model, plans, stream)
+    result = []
+    for p, symbol, used, riding, rest in zip(plans, found, *stream.finish(), rests, strict=True):
+        known = symbol[: p.frequencies]
+        inside = np.arange(p.frequencies)[:, None] < p.reach
+        count = symbols.raw_count(known[inside])
+        first = bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if p.frequencies else np.zeros(0, np.uint8)
+        beyond = max(0, count - len(first))
+        if len(rest) != 2 * used + (beyond + 7) // 8:
+            raise Corrupt("tempo: a chunk that does not end where it should")
+        later = np.unpackbits(np.frombuffer(rest, np.uint8, offset=2 * used), count=beyond)
+        values = np.zeros((p.frequencies, model.rows), np.int64)
+        values[inside] = symbols.values(known[inside], np.concatenate([first, later])[:count])
+        result.append((values, p.step))
+    return result
+
+
+def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:
+    area = np.unpackbits(np.frombuffer(payload, np.uint8, min(4 * count + (count + 1) // 2, len(payload) - at), at))
+    sizes = bits.unpack(area, np.full(count, 4)) + 16
+    end = 4 * count + int(sizes.sum())
+    if end > len(area):
+        raise Corrupt("tempo: a chunk that ends within its head")
+    return bits.unpack(area[4 * count :], sizes) + (1 << sizes), at + (end + 7) // 8
+
+
+def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray[np.int64]:
+    """The symbols (chunks, frequencies, rows) of all chunks."""
+    chunks, rows = len(plans), model.rows
+    longest = max(p.frequencies for p in plans)
+    width = stream.state.shape[1]
+    idle = model.prior.coder.idle
+    base = np.zeros((longest, chunks, rows), np.int64)
+    orders = [p.order() for p in plans]
+    for j, p in enumerate(plans):
+        base[: p.frequencies, j] = contexts.base(p.expected)
+    symbol = np.zeros((longest, chunks, rows + 1), np.int64)
+    magnitude = np.zeros((longest + 3, chunks, rows), np.int64)
+    chosen = np.full((chunks, rows + 1), idle)
+    firsts = contexts.ceiling(symbols.FIRSTS)
+    each = np.arange(chunks)[:, None]
+    for k in range(longest):
+        chosen[:, :rows] = contexts.tables(
+            base[k], magnitude[k + 2], magnitude[k + 1], magnitude[k], contexts.shape_of(k)
+        )
+        here = [o[k] if k < len(o) else np.zeros((0, 1), np.int64) for o in orders]
+        steps = np.full((max(map(len, here)), chunks, width), rows)
+        for j, h in enumerate(here):
+            steps[: len(h), j, : h.shape[1]] = np.where(h < 0, rows, h)
+        for where in steps:
+            symbol[k, each, where] = stream.take(chosen[each, where])
+        symbol[k, :, rows] = 0
+        magnitude[k + 3] = firsts[symbol[k, :, :rows]]
+    return symbol[:, :, :rows].swapaxes(0, 1)

@@ -1,0 +1,119 @@
+"""How large each coefficient will probably be, from the prior and from what is decoded already: the coder's contexts.
+
+    spreads of the prior, rate, chunk length, step ─expect─► log₂ of the expected magnitude of every coefficient
+    expected magnitudes ─zone─► which coefficients are coded at all
+    expected magnitudes, coded neighbours ─Contexts─► the table for each coefficient, frequency by frequency
+
+The coefficients of a chunk are (frequencies, rows). A row's magnitude at one frequency is expected to be its prior's
+spread, times how much larger its neighbours at the frequencies below came out than the prior expected of them:
+
+    expected · (α + Σ w |neighbour|) / (α + Σ w · expected neighbour)
+
+All arithmetic is on integers: logarithms in 1/32 of an octave, magnitudes in 1/16.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int64]
+
+OCTAVE = 32
+BANDS_MHZ = (0, 200, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000, 11000, 16000, 22000, 32000, 45000, 60000)
+"""Frequencies (mHz) at which the prior knows the spread of each row. Its DC is known apart."""
+
+CLASS_WIDTH, CLASS_LOWEST, CLASSES = 10, -256, 56
+"""Tables are chosen by the expected magnitude, in classes of 10/32 octave from 2⁻⁸ on."""
+SHAPES = 3
+"""Each class has a table for the mean (frequency 0), for the next three frequencies, and for the rest."""
+
+ALPHA = 12
+SAME, SAME_2, SAME_3, NEXT, NEXT_2, BESIDE = 16, 16, 8, 11, 6, 6
+"""Sixteenths: the same row one, two and three frequencies below; one and two rows aside, one below; one aside, two below."""
+
+_LOG = np.array([round(OCTAVE * math.log2(1 + i / 256)) for i in range(256)], np.int64)
+_EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512, 1024)], np.int64)
+
+
+def log2(numbers: NDArray[np.integer]) -> Integers:
+    """log₂ of whole numbers ≥ 1 in 1/32 octave, the same on every machine."""
+    mantissa, exponent = np.frexp(numbers.astype(np.float64))  # exact: takes a float apart
+    return (exponent.astype(np.int64) - 1) * OCTAVE + _LOG[((mantissa - 0.5) * 512).astype(np.int64)]
+
+
+def exp2(logs: Integers) -> Integers:
+    """Sixteen times 2^(log/32), as a whole number."""
+    return _EXP[np.clip(logs, -512, 1023) + 512]
+
+
+_BAND_LOGS = log2(np.array(BANDS_MHZ[1:]))
+_NUMERATOR_LOGS = log2(np.arange(1, 1 << 16))
+_CEILING = 300
+"""Magnitudes beyond this count as this in a context."""
+
+
+def expect(spreads: Integers, means: Integers, frames: int, rate: float, step: int | Integers) -> Integers:
+    """log₂ of the expected magnitude in steps, in 1/32 octave: (frames, rows).
+
+    spreads (rows, bands): log₂ of the mean magnitude of the coefficients at each band, at 120 Hz, metres.
+    means (rows,): the same of the mean over a chunk. step: log₂ of the step in metres, in 1/32 octave, of each row.
+    """
+    millihertz = round(rate * 1000)
+    tall = np.zeros((frames, len(spreads)), np.int64)
+    tall[0] = means + log2(np.array([frames])) // 2
+    if frames > 1:
+        k = np.arange(1, frames, dtype=np.int64)
+        at = log2(np.maximum(k * millihertz // (2 * frames), 1))
+        band = np.clip(np.searchsorted(_BAND_LOGS, at, side="right") - 1, 0, len(_BAND_LOGS) - 2)
+        low, high = _BAND_LOGS[band], _BAND_LOGS[band + 1]
+        along = np.clip(at, low, high) - low
+        left, right = spreads[:, band + 1], spreads[:, band + 2]
+        tall[1:] = (left + (right - left) * along // (high - low)).T
+        tall[1:] += (log2(np.array([max(millihertz, 1)])) - log2(np.array([120_000]))) // 2
+    return tall - step
+
+
+def zone(expected: Integers, threshold: int) -> Integers:
+    """How many frequencies of each row are coded, (rows,): up to the last that is expected to reach the threshold."""
+    reach = expected >= threshold
+    return np.where(reach.any(axis=0), len(expected) - reach[::-1].argmax(axis=0), 0)
+
+
+def base(expected: Integers) -> Integers:
+    """What the prior alone gives to each context, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
+    e = np.pad(np.minimum(exp2(expected), 16 * _CEILING), ((3, 0), (0, 0)))
+    return expected - log2(_neighbourhood(e[2:-1], e[1:-2], e[:-3]) // 16 + ALPHA)
+
+
+def _neighbourhood(below: Integers, below_2: Integers, below_3: Integers) -> Integers:
+    """Σ w |neighbour| from the magnitudes (…, rows) at the three frequencies below."""
+    total = SAME * below + SAME_2 * below_2 + SAME_3 * below_3
+    total[..., 1:] += NEXT * below[..., :-1] + BESIDE * below_2[..., :-1]
+    total[..., :-1] += NEXT * below[..., 1:] + BESIDE * below_2[..., 1:]
+    total[..., 2:] += NEXT_2 * below[..., :-2]
+    total[..., :-2] += NEXT_2 * below[..., 2:]
+    return total
+
+
+def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Integers, shape: int) -> Integers:
+    """The table for each row at one frequency, from `base` there and the magnitudes at the three below."""
+    logs = base_here + _NUMERATOR_LOGS[np.minimum(_neighbourhood(below, below_2, below_3), 60_000) + ALPHA - 1]
+    return np.clip((logs - CLASS_LOWEST) // CLASS_WIDTH, 0, CLASSES - 1) + shape * CLASSES
+
+
+def shape_of(frequency: int) -> int:
+    return 0 if frequency == 0 else 1 if frequency < 4 else 2
+
+
+def ceiling(magnitudes: Integers) -> Integers:
+    return np.minimum(magnitudes, _CEILING)
+
+
+def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
+    """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
+    m = np.pad(ceiling(magnitudes), ((3, 0), (0, 0)))
+    shapes = np.array([shape_of(k) for k in range(len(expected))])[:, None]
+    return tables(base(expected), m[2:-1], m[1:-2], m[:-3], shapes)  # type: ignore[arg-type]

@@ -1,0 +1,98 @@
+"""The engine for what no transform suits: samples on a grid, each predicted from its neighbours in time.
+
+    positions ──round to a grid──► whole numbers ──interpolate, coarse to fine──► residuals ──► bytes
+
+The grid's cells lie within the bound, so the bound holds without search, whatever the motion. A frame between two known
+ones is predicted by the cubic through the four nearest, as in SZ3 (Zhao et al. 2021), but in whole numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...entropy import coder
+from ...errors import CannotEncode
+from ...motion import Floats
+
+Integers = NDArray[np.int64]
+
+LARGEST = 1 << 50
+
+
+def cell(bound: float) -> float:
+    """The side of a cube whose corners are within the bound of its middle, with room for rounding."""
+    return bound * 2 / 3**0.5 * (1 - 1e-9)
+
+
+def quantise(positions: Floats, step: float) -> Integers:
+    """Whole numbers of steps, (frames, points, 3). Raises CannotEncode where they are too large to hold."""
+    scaled = positions / step
+    if not (np.abs(scaled) < LARGEST).all():
+        raise CannotEncode(f"positions of up to {np.abs(positions).max():.3g} m cannot be held in steps of {step:.3g} m")
+    return np.rint(scaled).astype(np.int64)
+
+
+def pack(values: Integers) -> bytes:
+    """Whole numbers (frames, lanes) as bytes."""
+    order, level = _order(len(values))
+    return coder.pack(_residuals(values)[order], contexts=np.repeat(level[:, None], values.shape[1], axis=1))
+
+
+def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
+    """The whole numbers (frames, lanes) of `pack`. Raises Corrupt."""
+    order, level = _order(shape[0])
+    residuals = np.empty(shape, np.int64)
+    residuals[order] = coder.unpack(data, shape, contexts=np.repeat(level[:, None], shape[1], axis=1))
+    values = residuals
+    for _, middle, around in _levels(shape[0]):
+        values[middle] += _predict(values, middle, around)
+    return values
+
+
+def _residuals(values: Integers) -> Integers:
+    out = values.copy()
+    for _, middle, around in _levels(len(values)):
+        out[middle] -= _predict(values, middle, around)
+    return out
+
+
+def _order(frames: int) -> tuple[Integers, Integers]:
+    """The frames in the order in which they are predicted, and the level of each."""
+    parts = [(level, middle) for level, middle, _ in _levels(frames)]
+    return np.concatenate([m for _, m in parts]), np.concatenate([np.full(len(m), level) for level, m in parts])
+
+
+def _levels(frames: int) -> Iterator[tuple[int, Integers, int]]:
+    """Level, the frames that it adds, and how far away their known neighbours are (0: the frame before, or none)."""
+    stride = 1
+    while stride < frames - 1:
+        stride *= 2
+    yield 0, np.zeros(1, np.int64), 0
+    level = 1
+    if frames > 1:
+        yield level, np.array([min(stride, frames - 1)]), stride
+    while stride > 1:
+        stride //= 2
+        level += 1
+        middle = np.arange(stride, frames, 2 * stride)
+        middle = middle[middle < frames - 1] if stride > 1 or frames > 2 else middle
+        middle = middle[middle != frames - 1]
+        if len(middle):
+            yield level, middle, stride
+
+
+def _predict(values: Integers, middle: Integers, around: int) -> Integers:
+    """What the known frames `around` and 3 · `around` away from the middle ones make of them."""
+    if around == 0:
+        return np.zeros((1, values.shape[1]), np.int64)
+    if len(middle) == 1 and middle[0] + around >= len(values) and middle[0] in (len(values) - 1,):
+        return values[:1]
+    last = len(values) - 1
+    before, after = values[middle - around], values[np.minimum(middle + around, last)]
+    line = before + after
+    has_cubic = (middle >= 3 * around) & (middle + 3 * around <= last)
+    outer = values[np.maximum(middle - 3 * around, 0)] + values[np.minimum(middle + 3 * around, last)]
+    return np.where(has_cubic[:, None], (9 * line - outer + 8) >> 4, (line + 1) >> 1)

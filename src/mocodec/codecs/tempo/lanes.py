@@ -1,0 +1,115 @@
+"""Interleaved range coding (rANS) with static integer tables, many lanes of many chunks at a time.
+
+    symbols + the table of each ─encode─► words, states        states carry raw bits on top, so that lanes cost nothing
+    words, states ─Lanes.take(tables)─► symbols, one per lane, as often as there are steps
+
+A lane's state x lies in [2¹⁶, 2³²). Coding a symbol of frequency f (of 2¹²) from c on: x → ⌊x/f⌋·2¹² + x mod f + c;
+16 bits move out to a word when x would grow too large (Duda, "Asymmetric numeral systems", 2013; the lanes of one
+chunk share one sequence of words, in the order in which the decoder asks for them). The encoder may start each lane at
+2¹⁶ + any 16 bits: the decoder finds them there at the end, so up to 16 raw bits a lane ride along.
+
+All arithmetic is on integers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import Corrupt
+
+Integers = NDArray[np.int64]
+
+PRECISION = 12
+TOTAL = 1 << PRECISION
+LOWEST = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """Frequencies (tables, symbols) that sum to 2¹² in each row; one more table, `idle`, codes nothing at no cost."""
+
+    frequencies: Integers
+    starts: Integers
+    packed: NDArray[np.uint64]
+
+    @classmethod
+    def of(cls, frequencies: NDArray[np.integer]) -> Tables:
+        rows = np.concatenate([np.asarray(frequencies, np.int64), np.zeros((1, frequencies.shape[1]), np.int64)])
+        rows[-1, 0] = TOTAL
+        assert (rows.sum(axis=1) == TOTAL).all() and (rows >= 0).all()
+        starts = np.cumsum(rows, axis=1) - rows
+        symbols = np.repeat(np.tile(np.arange(rows.shape[1]), len(rows)), rows.ravel())
+        at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL
+        within = np.tile(np.arange(TOTAL), len(rows)) - starts[at, symbols]
+        packed = (symbols << 32 | within << 16 | rows[at, symbols]).astype(np.uint64)
+        return cls(rows, starts, packed)
+
+    @property
+    def idle(self) -> int:
+        return len(self.frequencies) - 1
+
+    def cost(self) -> NDArray[np.float64]:
+        """Bits of each symbol in each table, (tables, symbols); a symbol that a table cannot code costs 1000."""
+        return np.where(self.frequencies > 0, PRECISION - np.log2(np.maximum(self.frequencies, 1)), 1e3)
+
+
+def encode(symbols: Integers, tables: Integers, coder: Tables, raw: Integers) -> tuple[Integers, NDArray[np.uint16]]:
+    """Symbols (steps, lanes) with the table of each, and 16 raw bits a lane (lanes,) → final states (lanes,), words."""
+    frequency = coder.frequencies[tables, symbols]
+    start = coder.starts[tables, symbols]
+    assert (frequency > 0).all()
+    state = LOWEST + raw.astype(np.int64)
+    words: list[NDArray[np.int64]] = []
+    for f, c in zip(frequency[::-1], start[::-1], strict=True):
+        full = state >= f << (32 - PRECISION)
+        if full.any():
+            words.append((state[full] & 0xFFFF)[::-1])
+            state = np.where(full, state >> 16, state)
+        state = (state // f << PRECISION) + state % f + c
+    sequence = np.concatenate(words)[::-1] if words else np.zeros(0, np.int64)
+    return state, sequence.astype(np.uint16)
+
+
+class Lanes:
+    """The decoder's side: lanes of several chunks side by side, each chunk with its own words."""
+
+    def __init__(self, states: Sequence[Integers], words: Sequence[NDArray[np.uint16]], coder: Tables) -> None:
+        """states: one (lanes,) array a chunk, padded here to the same number of lanes."""
+        width = max(map(len, states))
+        self.state = np.full((len(states), width), LOWEST, np.uint64)
+        longest = max(map(len, words))
+        self.words = np.zeros((len(states), longest + width), np.uint64)
+        self.lengths = np.array([len(w) for w in words])
+        for j, (s, w) in enumerate(zip(states, words, strict=True)):
+            self.state[j, : len(s)] = s
+            self.words[j, : len(w)] = w
+        self.flat = self.words.ravel()
+        self.rows = np.arange(len(states))[:, None] * self.words.shape[1] - 1
+        self.limit = self.words.shape[1] - width
+        self.used = np.zeros((len(states), 1), np.int64)
+        self.packed = coder.packed
+
+    def take(self, tables: Integers) -> Integers:
+        """The next symbol of every lane, (chunks, lanes), given the table of each."""
+        x = self.state
+        entry = self.packed[(tables << PRECISION) | (x & np.uint64(TOTAL - 1)).astype(np.int64)]
+        x = (entry & np.uint64(0xFFFF)) * (x >> np.uint64(PRECISION)) + (entry >> np.uint64(16) & np.uint64(0xFFFF))
+        empty = x < LOWEST
+        if empty.any():
+            count = np.cumsum(empty, axis=1)
+            word = self.flat[self.rows + self.used + count]
+            x = np.where(empty, x << np.uint64(16) | word, x)
+            self.used = np.minimum(self.used + count[:, -1:], self.limit)
+        self.state = x
+        return (entry >> np.uint64(32)).astype(np.int64)
+
+    def finish(self) -> tuple[list[int], list[Integers]]:
+        """How many words each chunk used, and the raw bits that rode along, (lanes,) a chunk. Raises Corrupt."""
+        used = self.used[:, 0]
+        if (used > self.lengths).any() or (self.state >> np.uint64(17)).any() or (self.state < LOWEST).any():
+            raise Corrupt("tempo: the coded numbers do not end where they should")
+        return used.tolist(), list((self.state - np.uint64(LOWEST)).astype(np.int64))

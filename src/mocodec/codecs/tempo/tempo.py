@@ -1,0 +1,257 @@
+"""Tempo: mocodec's own codec for named points, small at any error and true to its bound.
+
+    positions ─gaps.fill─► ─body frame─► heading · place · pose ─DCT over the chunk─► ─basis of a prior─► coefficients
+    coefficients ─quantise─► whole numbers ─contexts─► rANS ─► bytes
+    bytes ─decode─► what is too far off ─corrections─► bytes               a promise is checked by decoding
+
+A chunk (about 4 s) decodes alone: the prior that ships with the package carries the bases and the coder's statistics.
+Where this suits a motion badly, a chunk is coded directly on a grid instead; the smaller of the two is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ...encoded import Chunk, Encoded, about, restore
+from ...errors import BadInput, CannotEncode, Corrupt
+from ...motion import Floats, Motion
+from ...stages import gaps
+from ..base import require_frames, settings
+from . import body, chunks, coefficients, corrections, direct, model, prior
+from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
+from .contexts import OCTAVE
+
+DEFAULT_MAX_ERROR = 0.005
+BATCH = 64
+"""Chunks decoded side by side: enough to be fast, few enough to be small in memory."""
+DEAD = 0.35
+DEAD_BOUND = 0.42
+
+
+@dataclass(frozen=True)
+class Tempo:
+    """Settings. At most one target; without any, no point of any frame is moved by more than 5 mm.
+
+    max_error, mean_error: metres. ratio: against float32 positions. size: bytes of payload. chunk_seconds: 0.5 to 10.
+    """
+
+    name: ClassVar[str] = "tempo"
+
+    max_error: float | None = None
+    mean_error: float | None = None
+    ratio: float | None = None
+    size: int | None = None
+    chunk_seconds: float = 4.0
+
+    def __post_init__(self) -> None:
+        targets = {t: getattr(self, t) for t in ("max_error", "mean_error", "ratio", "size") if getattr(self, t) is not None}
+        if len(targets) > 1:
+            raise BadInput(f"tempo takes one target, not {' and '.join(targets)}")
+        if any(not (np.isfinite(v) and v > 0) for v in targets.values()):
+            raise BadInput(f"a target must be positive: {targets}")
+        if not 0.5 <= self.chunk_seconds <= 10:
+            raise BadInput("chunk_seconds must lie between 0.5 and 10")
+
+    def encode(self, motion: Motion) -> Encoded[Motion]:
+        """Raises CannotEncode where the positions are too large to be held to the target."""
+        require_frames(motion)
+        filled, mask = gaps.fill(motion.positions)
+        positions = body.level(filled, motion.up)
+        kind, known = model_for(motion.names, motion.rate)
+        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds)
+        pieces = [Piece(known, positions[a:b], mask[a:b], transformable=kind != UNKNOWN) for a, b in bounds]
+        if self.mean_error is not None:
+            payloads = to_mean(pieces, self.mean_error)
+        elif self.ratio is not None or self.size is not None:
+            payloads = to_size(pieces, self.size or motion.raw_bytes / (self.ratio or 1))
+        else:
+            payloads = [p.within(self.max_error or DEFAULT_MAX_ERROR) for p in pieces]
+        stored = settings(self)
+        if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
+            stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
+        return Encoded(
+            self.name,
+            about(motion),
+            [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
+            shared=(bytes([kind]) + known.prior.id,),
+            settings=stored,
+        )
+
+    @staticmethod
+    def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        start, stop = encoded.range(frames)
+        like = encoded.about
+        positions = np.empty((stop - start, like.points, 3))
+        known = model_of(encoded.shared, like)
+        covering = encoded.covering(start, stop)
+        for first in range(0, len(covering), BATCH):
+            batch = covering[first : first + BATCH]
+            for chunk, part in zip(batch, chunks.decode(known, batch), strict=True):
+                a, b = max(start, chunk.start), min(stop, chunk.stop)
+                positions[a - start : b - start] = body.unlevel(part[a - chunk.start : b - chunk.start], like.up)
+        return restore(encoded, positions, start)
+
+
+KNOWN, UNKNOWN = 0, 1
+
+
+def model_for(names: tuple[str, ...], rate: float) -> tuple[int, model.Model]:
+    known = model.of_names(names, prior.shipped(), rate)
+    return (KNOWN, known) if known is not None else (UNKNOWN, model.plain(names, prior.shipped(), rate))
+
+
+def model_of(shared: tuple[bytes, ...], like: Motion) -> model.Model:
+    """The model that a file was coded with. Raises Corrupt, UnknownCodec."""
+    if len(shared) != 1 or len(shared[0]) < 1 + prior.ID_BYTES or shared[0][0] > UNKNOWN:
+        raise Corrupt("tempo: the shared bytes are not its own")
+    used = prior.named(shared[0][1 : 1 + prior.ID_BYTES])
+    if shared[0][0] == UNKNOWN:
+        return model.plain(like.names, used, like.rate)
+    found = model.of_names(like.names, used, like.rate)
+    if found is None:
+        raise Corrupt("tempo: the names of the points are not those of the prior")
+    return found
+
+
+def chunk_bounds(frames: int, rate: float, seconds: float) -> list[tuple[int, int]]:
+    """Frames cut into equal chunks of about `seconds`."""
+    count = max(1, round(frames / (rate * seconds)))
+    edges = [frames * i // count for i in range(count + 1)]
+    return list(zip(edges[:-1], edges[1:], strict=True))
+
+
+class Piece:
+    """One chunk on its way: its samples, and their coefficients once."""
+
+    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask, transformable: bool) -> None:
+        self.model = known
+        self.positions = positions
+        self.mask = mask
+        self.gaps = gaps.pack(mask)
+        self.spectrum = known.analyse(positions) if transformable else None
+
+    def quantised(self, step: int, dead: float) -> np.ndarray:
+        assert self.spectrum is not None
+        scaled = self.spectrum / 2.0 ** (step / OCTAVE)
+        scaled[:, 0] = self.spectrum[:, 0]
+        whole = np.sign(scaled) * np.floor(np.abs(scaled) + dead)
+        whole[:, : model.POSE] = np.round(scaled[:, : model.POSE])
+        return whole.astype(np.int64)
+
+    def decoded(self, values: np.ndarray, step: int, threshold: int) -> Floats:
+        known = coefficients.plan(self.model, len(values), step, threshold, 0).frequencies
+        return self.model.synthesise(chunks.dequantised(values[:known], step), len(values))
+
+    def errors(self, decoded: Floats) -> Floats:
+        """Distances (frames, points) of decoded positions, 0 in gaps."""
+        d = self.positions - decoded
+        return np.where(self.mask, 0.0, np.sqrt((d**2).sum(axis=2)))
+
+    def transformed(self, step: int, dead: float) -> tuple[np.ndarray, int, Floats]:
+        """Whole numbers, threshold, and the positions that they decode to."""
+        values = self.quantised(step, dead)
+        threshold = coefficients.threshold_for(self.model, values, step)
+        return values, threshold, self.decoded(values, step, threshold)
+
+    def directly(self, step: int) -> bytes:
+        values = direct.quantise(self.positions, fine_size(step)).reshape(len(self.positions), -1)
+        return Parts(DIRECT, direct.pack(values), step, gaps=self.gaps).pack()
+
+    def within(self, bound: float) -> bytes:
+        """The smallest payload found that decodes to within the bound at every sample."""
+        best = self.directly(fine_step(direct.cell(bound)))
+        if self.spectrum is None:
+            return best
+        estimates = {}
+        centre = round(np.log2(bound) * OCTAVE)
+        for offset in (16, 32, 48):
+            values, threshold, decoded = self.transformed(centre + offset, DEAD_BOUND)
+            found = self.found(decoded, bound)
+            size = coefficients.cost(self.model, values, centre + offset, threshold) / 8 + len(corrections.pack(found))
+            estimates[offset] = size
+        offset = min(estimates, key=lambda o: estimates[o])
+        if estimates[offset] < len(best) * 1.1:
+            values, threshold, decoded = self.transformed(centre + offset, DEAD_BOUND)
+            payload = Parts(
+                TRANSFORM,
+                coefficients.pack(self.model, values, centre + offset, threshold),
+                fine_step(direct.cell(bound)),
+                corrections.pack(self.found(decoded, bound)),
+                self.gaps,
+            ).pack()
+            if len(payload) < len(best) and self.holds(payload, bound):
+                best = payload
+        return best
+
+    def found(self, decoded: Floats, bound: float) -> corrections.Corrections:
+        d = self.positions - decoded
+        d[self.mask] = 0.0
+        return corrections.find(d, np.full(d.shape[1], bound * (1 - 1e-9)), fine_size(fine_step(direct.cell(bound))))
+
+    def holds(self, payload: bytes, bound: float) -> bool:
+        decoded = chunks.decode(self.model, [Chunk(0, len(self.positions), payload)])[0]
+        return bool((np.isnan(decoded[..., 0]) == self.mask).all() and self.errors(decoded).max() <= bound)
+
+    def at_step(self, step: int) -> bytes:
+        if self.spectrum is None:
+            return self.directly(step * chunks.FINE // OCTAVE)
+        values, threshold, _ = self.transformed(step, DEAD)
+        return Parts(TRANSFORM, coefficients.pack(self.model, values, step, threshold), gaps=self.gaps).pack()
+
+    def mean_at(self, step: int) -> float:
+        if self.spectrum is None:
+            size = fine_size(step * chunks.FINE // OCTAVE)
+            return float(self.errors(direct.quantise(self.positions, size) * size).sum())
+        return float(self.errors(self.transformed(step, DEAD)[2]).sum())
+
+
+def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
+    """Payloads at the largest common step whose mean error is within the target."""
+    samples = sum(int((~p.mask).sum()) for p in pieces)
+    step = _largest(lambda s: sum(p.mean_at(s) for p in pieces) / samples <= target, round(np.log2(target * 2) * OCTAVE))
+    return [p.at_step(step) for p in pieces]
+
+
+def to_size(pieces: list[Piece], size: float) -> list[bytes]:
+    """Payloads at the smallest common step whose bytes are within the size. Raises CannotEncode."""
+    def packed(step: int) -> list[bytes]:
+        return [p.at_step(step) for p in pieces]
+
+    step = -_largest(lambda s: sum(map(len, packed(-s))) <= size, round(-np.log2(0.004) * OCTAVE))
+    result = packed(step)
+    if sum(map(len, result)) > size:
+        raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
+    return result
+
+
+def _largest(holds: Callable[[int], bool], start: int) -> int:
+    """The largest whole number near `start` for which this holds, if it holds for all below."""
+    width, low, high = 16, None, None
+    at = start
+    while low is None or high is None:
+        if abs(at) >= coefficients.MAX_STEP:
+            break
+        if holds(at):
+            low, at = at, at + width
+        else:
+            high, at = at, at - width
+        width *= 2
+        if low is not None and high is not None:
+            break
+        width = min(width, 512)
+    low = at if low is None else low
+    high = at if high is None else high
+    while high - low > 1:
+        middle = (low + high) // 2
+        if holds(middle):
+            low = middle
+        else:
+            high = middle
+    return int(np.clip(low, 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))
+
+
+__all__ = ["Tempo"]

@@ -1,0 +1,195 @@
+"""How the prior is learned: mean pose, a basis for each band of frequencies, spreads, and the coder's tables.
+
+    recordings of people ──► mean pose ──► poses in the body frame ──DCT──► covariance of each band ──► bases
+                              spectra in those bases ──► spreads ──► coefficients at several steps ──► tables
+
+Each recording counts by the square root of its length, so that neither long nor many takes of one person rule.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ... import formats
+from ...motion import Floats, Motion
+from . import body, contexts, lanes, symbols
+from .model import EDGES_MHZ, POSE, Model
+from .prior import PointSet, Prior, read
+
+CHUNK_SECONDS = 4.0
+BETWEEN_PEOPLE = 0.06
+"""How much people's different proportions count in the basis of the lowest band, against how they move."""
+FLIP_M = 0.25
+"""A recording in which a point moves this far in one frame has errors in it, and teaches nothing."""
+STEPS = tuple(range(-320, -96, 16))
+"""log₂ of the steps (m) at which the tables are learned, in 1/32 octave: about 1 mm to 12 cm."""
+
+
+def people(folder: Path, leave_out: Sequence[str] = ()) -> dict[str, list[Motion]]:
+    """The recordings of each person: one folder of .amc a person."""
+    found = {}
+    for person in sorted(p for p in folder.iterdir() if p.is_dir() and p.name not in leave_out):
+        motions = [formats.read(f) for f in sorted(person.glob("*.amc"))]
+        found[person.name] = [m for m in motions if isinstance(m, Motion) and not _flips(m)]
+    return found
+
+
+def _flips(motion: Motion) -> bool:
+    return bool(np.abs(np.diff(motion.positions, axis=0)).max() > FLIP_M)
+
+
+def chunk_bounds(frames: int, rate: float, seconds: float = CHUNK_SECONDS) -> list[tuple[int, int]]:
+    """Frames cut into equal chunks of about `seconds`."""
+    count = max(1, round(frames / (rate * seconds)))
+    edges = [frames * i // count for i in range(count + 1)]
+    return list(zip(edges[:-1], edges[1:], strict=True))
+
+
+def train(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
+    """The prior's file."""
+    motions = [m for person in recordings.values() for m in person]
+    points = point_set(motions)
+    tables = coder_tables([points], [motions])
+    return write([points], tables)
+
+
+def write(sets: Sequence[PointSet], tables: np.ndarray) -> bytes:
+    arrays: dict[str, np.ndarray] = {"sets": np.arange(len(sets)), "tables": tables.astype(np.uint16)}
+    for i, s in enumerate(sets):
+        arrays[f"{i}.names"] = np.array(s.names)
+        arrays[f"{i}.pose"] = s.pose.astype(np.float32)
+        arrays[f"{i}.bases"] = np.array(s.bases, np.float32)
+        arrays[f"{i}.spreads"] = s.spreads.astype(np.int16)
+        arrays[f"{i}.means"] = s.means.astype(np.int16)
+    out = io.BytesIO()
+    np.savez_compressed(out, allow_pickle=False, **arrays)
+    return out.getvalue()
+
+
+def point_set(motions: Sequence[Motion]) -> PointSet:
+    """Mean pose, bases and spreads of recordings of one set of points."""
+    names = motions[0].names
+    sample = np.concatenate([_centred(body.level(m.positions[::8], m.up)) for m in motions])
+    pose = body.mean_pose(sample).astype(np.float32).astype(np.float64)
+    dimensions = 3 * len(names)
+    empty = np.zeros((len(EDGES_MHZ) + 1, dimensions, dimensions))
+    flat = PointSet(
+        names, pose, tuple(np.eye(dimensions) for _ in empty), np.zeros((POSE + dimensions, 18), int), np.zeros(0, int)
+    )
+    prior = Prior(b"", (flat,), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
+    spectra = [list(_spectra(Model(flat, prior, m.rate), m)) for m in motions]
+    means = np.array([np.mean([s[0] / np.sqrt(len(s)) for s in of_one], axis=0) for of_one in spectra])
+    covariance = empty
+    for motion, of_one, mean in zip(motions, spectra, means, strict=True):
+        model = Model(flat, prior, motion.rate)
+        for s in of_one:
+            s = s.copy()
+            s[0] -= mean * np.sqrt(len(s))
+            for c, band in zip(covariance, model.bands(len(s)), strict=True):
+                c += s[band, POSE:].T @ s[band, POSE:] / np.sqrt(len(of_one))
+    between = np.cov(means[:, POSE:].T)
+    bases = [_basis(c / np.trace(c) + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0))) for c in covariance]
+    low = covariance[0] / np.trace(covariance[0]) + BETWEEN_PEOPLE * between / np.trace(between)
+    bases[0] = _basis(low + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0)))
+    fitted = replace(flat, bases=tuple(bases))
+    return replace(fitted, **_spreads(fitted, prior, motions))
+
+
+def _centred(positions: Floats) -> Floats:
+    return positions - positions.mean(axis=1, keepdims=True)
+
+
+def _spectra(model: Model, motion: Motion) -> Iterable[Floats]:
+    positions = body.level(motion.positions, motion.up)
+    for start, stop in chunk_bounds(len(positions), motion.rate):
+        yield model.analyse(positions[start:stop])
+
+
+def _basis(covariance: Floats) -> Floats:
+    """Orthonormal rows, strongest first; the three directions that move the mean of all points are left out."""
+    _, vectors = np.linalg.eigh(covariance)
+    return vectors[:, ::-1].T[:-3].astype(np.float32).astype(np.float64)
+
+
+def _spreads(points: PointSet, prior: Prior, motions: Sequence[Motion]) -> dict[str, np.ndarray]:
+    bands = np.array(contexts.BANDS_MHZ[1:])
+    rows = POSE + len(points.bases[0])
+    total, count = np.full((rows, len(bands)), 1e-9), np.full(len(bands), 1e-9)
+    means, weight = np.full(rows, 1e-9), 1e-9
+    for motion in motions:
+        model = Model(replace(points, spreads=np.zeros((rows, 18), int)), prior, motion.rate)
+        spectra = list(_spectra(model, motion))
+        for s in spectra:
+            w = 1 / np.sqrt(len(spectra))
+            f = np.arange(1, len(s)) * motion.rate * 500 / len(s)
+            near = np.abs(np.log(f[:, None] / bands)).argmin(axis=1)
+            np.add.at(total.T, near, np.abs(s[1:]) * w * np.sqrt(120 / motion.rate))
+            np.add.at(count, near, w)
+            means += np.abs(s[0]) * w / np.sqrt(len(s))
+            weight += w
+    logs = np.round(contexts.OCTAVE * np.log2(total / count)).astype(int)
+    return {
+        "spreads": np.concatenate([logs[:, :1], logs], axis=1),
+        "means": np.round(contexts.OCTAVE * np.log2(means / weight)).astype(int),
+    }
+
+
+def coder_tables(sets: Sequence[PointSet], motions: Sequence[Sequence[Motion]], steps: Sequence[int] = STEPS) -> np.ndarray:
+    """Frequencies (tables, symbols) of the symbols met in each context, out of 2¹²."""
+    counts = np.zeros((contexts.SHAPES * contexts.CLASSES, symbols.SYMBOLS))
+    prior = Prior(b"", tuple(sets), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
+    for points, of_set in zip(sets, motions, strict=True):
+        for motion in of_set:
+            model = Model(points, prior, motion.rate)
+            for s in list(_spectra(model, motion))[:6]:
+                for step in steps:
+                    values = quantised(s, step)
+                    expected = model.expected(len(s), step)
+                    known = (expected > -400).any(axis=1).sum()
+                    symbol = symbols.of(np.abs(values[:known]))
+                    chosen = contexts.all_tables(expected[:known], symbols.FIRSTS[symbol])
+                    np.add.at(counts, (chosen.ravel(), symbol.ravel()), 1)
+    return frequencies(_smoothed(counts))
+
+
+def quantised(coefficients: Floats, step: int, dead: float = 0.35) -> np.ndarray:
+    """Whole numbers of steps, rounding towards zero where a value is less than 1 − dead above the one below."""
+    size = 2.0 ** (step / contexts.OCTAVE)
+    scaled = coefficients.copy()
+    scaled[:, 1:] /= size
+    whole = np.sign(scaled) * np.floor(np.abs(scaled) + dead)
+    whole[:, 0] = scaled[:, 0]
+    return whole.astype(np.int64)
+
+
+def _smoothed(counts: np.ndarray) -> np.ndarray:
+    """Classes with few symbols lean on the classes beside them."""
+    shaped = counts.reshape(contexts.SHAPES, contexts.CLASSES, -1)
+    out = shaped.copy()
+    for reach in range(1, contexts.CLASSES):
+        few = out.sum(axis=2, keepdims=True) < 500
+        if not few.any():
+            break
+        left, right = np.roll(shaped, reach, axis=1), np.roll(shaped, -reach, axis=1)
+        left[:, :reach] = 0
+        right[:, -reach:] = 0
+        out += np.where(few, left + right, 0)
+    return out.reshape(counts.shape)
+
+
+def frequencies(counts: np.ndarray) -> np.ndarray:
+    """Whole numbers ≥ 1 that sum to 2¹² in each row, in proportion to the counts."""
+    rows = []
+    for row in counts + 0.02:
+        f = np.maximum(1, np.floor(row / row.sum() * lanes.TOTAL).astype(int))
+        f[f.argmax()] += lanes.TOTAL - f.sum()
+        rows.append(f)
+    return np.array(rows)
+
+
+__all__ = ["people", "read", "train"]
