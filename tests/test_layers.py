@@ -36,7 +36,9 @@ def imports(path: Path) -> Iterator[tuple[int, str]]:
     parent = module[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            targets = [tuple(alias.name.split(".")[1:]) for alias in node.names if alias.name.split(".")[0] == "mocodec"]
+            targets = [
+                tuple(alias.name.split(".")[1:]) for alias in node.names if alias.name.split(".")[0] == "mocodec"
+            ]
         elif isinstance(node, ast.ImportFrom) and node.level:
             base = parent[: len(parent) - node.level + 1]
             named = tuple(node.module.split(".")) if node.module else ()
