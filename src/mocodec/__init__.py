@@ -8,6 +8,8 @@ m2 = mc.decode(blob)
 
 from __future__ import annotations
 
+from typing import Any
+
 from .api import File, compare, decode, encode, open, read, write
 from .errors import BadInput, CannotEncode, Corrupt, MocodecError, TooNew, Truncated, UnknownCodec
 from .motion import Motion, Signal, Skeleton
@@ -24,7 +26,7 @@ CODEC_CLASSES = {
 }
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     """The codecs' classes, imported when first used."""
     if name in CODEC_CLASSES:
         from .codecs import codec_class

@@ -7,21 +7,23 @@ file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motio
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, Self, cast
 
 from . import codecs, container, formats
 from .encoded import Encoded
 from .errors import BadInput
 from .metrics import compare
-from .motion import Motion, frame_range, point_columns
+from .motion import Deferred, Motion, frame_range, point_columns
 from .pointcloud import PointClouds
 
 __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 
 Path_ = str | PathLike[str]
+Source = bytes | bytearray | memoryview | Path_ | BinaryIO
 TARGETS = ("max_error", "mean_error", "ratio", "size")
 
 
@@ -31,7 +33,9 @@ def read(path: Path_, **options: Any) -> Motion | PointClouds:
     options go to the format's reader (`asf=` for an .amc). Raises BadInput, and the container's errors for a .mocz.
     """
     if Path(path).suffix.lower() == ".mocz":
-        return decode(Path(path))
+        if options:
+            raise BadInput(f"{path}: a .mocz is read without options, not with {', '.join(options)}")
+        return decode(path)
     return formats.read(path, **options)
 
 
@@ -43,13 +47,20 @@ def write(path: Path_, motion: Motion | PointClouds, **options: Any) -> None:
         formats.write(path, motion, **options)
 
 
-def encode(motion: Motion | PointClouds, codec: Any = "tempo", **options: Any) -> bytes:
-    """A motion as the bytes of a .mocz.
+def encode(motion: Motion | PointClouds, codec: Any = None, **options: Any) -> bytes:
+    """A motion, or point clouds, as the bytes of a .mocz.
 
-    codec: a name, or an instance with settings such as `Hou2014(components=40)`. options: settings by keyword, among
-    them the targets `max_error`, `mean_error` (metres), `ratio`, `size`. Raises BadInput for a setting the codec does
-    not have, CannotEncode where it cannot do what was asked.
+    codec: a name, or an instance with settings such as `Hou2014(components=40)`; unless given, "tempo" for motion and
+    "lien2006" for point clouds. options: settings by keyword, among them the targets `max_error`, `mean_error`
+    (metres), `ratio`, `size`. Raises BadInput for a setting the codec does not have, CannotEncode where it cannot do
+    what was asked.
     """
+    if not isinstance(cast(object, motion), (Motion, PointClouds)):
+        raise BadInput(
+            f"encode takes a Motion or PointClouds, not {type(motion).__name__}; see Motion(positions, rate)"
+        )
+    if codec is None:
+        codec = "tempo" if isinstance(motion, Motion) else "lien2006"
     return container.pack(with_options(codec, **options).encode(motion))
 
 
@@ -64,18 +75,25 @@ def with_options(codec: Any, **options: Any) -> Any:
     return dataclasses.replace(chosen, **options)
 
 
-def decode(source: bytes | Path_ | BinaryIO) -> Any:
-    """The motion (or point clouds) of a .mocz: bytes, a path or a file object.
+def decode(source: Source) -> Any:
+    """The motion (or point clouds) of a .mocz: bytes, a path, a URL or a file object; extras and all.
 
-    Raises Truncated, Corrupt, TooNew, UnknownCodec.
+    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
     with open(source) as f:
-        return f[:]
+        motion = f[:]
+        if isinstance(motion.extras, Deferred):
+            motion = dataclasses.replace(motion, extras=dict(motion.extras))
+        return motion
 
 
-def open(source: Any) -> File:
-    """Open a .mocz for random access: a path, URL, bytes or file object. Reads header and index only."""
-    return File(container.Reader(source))
+def open(source: Source, salvage: bool = False) -> File:
+    """Open a .mocz for random access: a path (str or PathLike), an http(s) URL, bytes or a binary file object.
+
+    Reads header and index only. salvage: open what is left of a file that was cut off; see `File.whole`.
+    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
+    """
+    return File(container.Reader(source, salvage))
 
 
 class File:
@@ -84,7 +102,11 @@ class File:
     def __init__(self, reader: container.Reader) -> None:
         self._reader = reader
         self.encoded: Encoded[Any] = reader.encoded
-        self.codec = codecs.codec_class(self.encoded.codec)
+
+    @property
+    def codec(self) -> Any:
+        """The class of the codec that made the file. Raises UnknownCodec: names and `info` can be had without it."""
+        return codecs.codec_class(self.encoded.codec)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -118,9 +140,26 @@ class File:
         return motion if names is None else motion.select(names)
 
     def at(self, seconds: slice) -> Any:
-        """Frames whose time falls into [start, stop) seconds."""
-        start, stop = ((None if s is None else round(s * self.rate)) for s in (seconds.start, seconds.stop))
-        return self[start:stop]
+        """Frames whose time (frame / rate) falls into [start, stop) seconds. Raises BadInput for a step, or below 0."""
+        if not isinstance(cast(object, seconds), slice) or seconds.step is not None:
+            raise BadInput("times are chosen by a slice without a step, such as f.at(seconds=slice(10.0, 11.0))")
+        return self[self._frame(seconds.start) : self._frame(seconds.stop)]
+
+    def _frame(self, second: float | None) -> int | None:
+        """The first frame at or after this time; a rounding error of the product does not make it one later."""
+        if second is None:
+            return None
+        if not second >= 0:
+            raise BadInput(f"times count from the first frame, from 0 on, not {second}")
+        return min(math.ceil(second * self.rate - 1e-6), len(self))
+
+    def whole(self) -> list[tuple[int, int]]:
+        """Runs of frames (start, stop) that are undamaged: slices that decode, also of a file opened with `salvage`."""
+        return self._reader.whole()
+
+    def verify(self) -> None:
+        """Read every byte and test every checksum. Raises Corrupt that names each damaged part."""
+        self._reader.verify()
 
     def __iter__(self) -> Iterator[Any]:
         for chunk in self.encoded.chunks:

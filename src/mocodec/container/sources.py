@@ -139,7 +139,7 @@ class Url:
             if at <= start and start + count <= at + len(block):
                 return block[start - at : start - at + count]
         self._fetch(start, max(count, BLOCK_BYTES))
-        return _whole(self.block[:count], count)
+        return _whole(self.block[start - self.start : start - self.start + count], count)
 
     def _fetch(self, start: int, count: int, first: bool = False) -> None:
         """Bytes from `start` on into `block`; the first time, the size of the whole."""

@@ -1,0 +1,246 @@
+"""The public verbs, with a codec of their own: float32 positions, ten frames a chunk."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import codecs
+from mocodec.codecs.base import settings
+from mocodec.container.sources import Url
+from mocodec.encoded import Chunk, Encoded, about, restore
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Positions as float32."""
+
+    name: ClassVar[str] = "plain"
+    max_error: float = 1.0
+    frames: int = 10
+
+    def encode(self, motion: mc.Motion) -> Encoded[mc.Motion]:
+        chunks = []
+        for start in range(0, len(motion), self.frames):
+            part = motion.positions[start : start + self.frames]
+            chunks.append(Chunk(start, len(part), part.astype("<f4").tobytes()))
+        return Encoded(self.name, about(motion), chunks, settings=settings(self))
+
+    @staticmethod
+    def decode(encoded: Encoded[mc.Motion], frames: slice | None = None) -> mc.Motion:
+        start, stop = encoded.range(frames)
+        chunks = encoded.covering(start, stop)
+        data = b"".join(chunk.payload for chunk in chunks)
+        positions = np.frombuffer(data, "<f4").reshape(-1, encoded.about.points, 3).astype(np.float64)
+        first = chunks[0].start if chunks else start
+        return restore(encoded, positions[start - first : stop - first], start)
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(codecs.CODECS, "plain", f"{__name__}:Plain")
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[Plain.__module__])
+
+
+def walk(frames: int = 95) -> mc.Motion:
+    random = np.random.default_rng(0)
+    positions = np.float32(random.normal(size=(frames, 4, 3))).astype(np.float64)
+    positions[3:7, 1] = np.nan
+    extras = {
+        "analog": mc.Signal(np.arange(frames * 10), 1200.0, ("emg",)),
+        "events": [{"label": "Foot Strike", "time_s": 0.5}],
+    }
+    return mc.Motion(positions, 120.0, ("LKNE", "RKNE", "LANK", "RANK"), "y", source={"first_frame": 1}, extras=extras)
+
+
+def equal(a: mc.Motion, b: mc.Motion) -> bool:
+    np.testing.assert_array_equal(a.positions, b.positions)
+    np.testing.assert_array_equal(a.extras["analog"].values, b.extras["analog"].values)
+    assert dict(a.source) == dict(b.source)
+    assert a.extras["events"] == b.extras["events"]
+    return (a.rate, a.names, a.up) == (b.rate, b.names, b.up)
+
+
+def test_encode_and_decode(tmp_path: Path):
+    motion = walk()
+    blob = mc.encode(motion, "plain", max_error=0.5)
+    assert blob == mc.encode(motion, Plain(max_error=0.5))
+    path = tmp_path / "walk.mocz"
+    mc.write(path, motion, codec="plain", max_error=0.5)
+    assert path.read_bytes() == blob
+    for source in (blob, path, str(path), io.BytesIO(blob)):
+        assert equal(mc.decode(source), motion)
+    assert equal(mc.read(path), motion)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(mc.BadInput):
+        mc.read(path, asf="x")
+
+
+def test_random_access():
+    motion = walk()
+    with mc.open(mc.encode(motion, "plain", max_error=0.5)) as f:
+        assert f.shape == (95, 4, 3)
+        assert (f.rate, f.names, len(f)) == (120.0, motion.names, 95)
+        assert f.info["promise"] == {"max_error_m": 0.5}
+        assert equal(f[12:47], motion[12:47])
+        assert f[12:47, ["RANK", "LKNE"]].names == ("RANK", "LKNE")
+        np.testing.assert_array_equal(f[90:].positions, motion.positions[90:])
+        np.testing.assert_array_equal(f.at(seconds=slice(0.1, 0.3)).positions, motion.positions[12:36])
+        np.testing.assert_array_equal(f.at(seconds=slice(0.7, None)).positions, motion.positions[84:])
+        np.testing.assert_array_equal(f.at(seconds=slice(0.101, 99)).positions, motion.positions[13:])
+        assert [len(part) for part in f] == [10] * 9 + [5]
+        assert len(f[40:40]) == 0
+        f.verify()
+        for bad in (
+            lambda: f[::2],
+            lambda: f[3],
+            lambda: f[:, ["X"]],
+            lambda: f.at(slice(-1, 2)),
+            lambda: f.at(slice(0, 1, 2)),
+        ):  # type: ignore[index]
+            with pytest.raises(mc.BadInput):
+                bad()
+
+
+def test_extras_of_a_slice_can_be_had_after_closing(tmp_path: Path):
+    motion, path = walk(), tmp_path / "walk.mocz"
+    mc.write(path, motion, codec="plain")
+    with mc.open(path) as f:
+        part = f[60:80]
+    assert equal(part, motion[60:80])
+
+
+def test_a_cut_file_is_salvaged():
+    blob = mc.encode(walk(), "plain")
+    with pytest.raises(mc.Truncated):
+        mc.open(blob[: len(blob) // 2])
+    with mc.open(blob[: len(blob) // 2], salvage=True) as f:
+        ((start, stop),) = f.whole()
+        np.testing.assert_array_equal(f[start:stop].positions, walk().positions[start:stop])
+        assert 20 < stop < 60
+
+
+def test_wrong_arguments_are_told():
+    with pytest.raises(mc.BadInput, match="no target 'ratio'"):
+        mc.encode(walk(), "plain", ratio=3)
+    with pytest.raises(mc.BadInput, match="no setting"):
+        mc.encode(walk(), "plain", colour=3)
+    with pytest.raises(mc.UnknownCodec):
+        mc.encode(walk(), "nothing")
+    with pytest.raises(mc.BadInput, match="Motion"):
+        mc.encode(np.zeros((3, 3, 3)), "plain")  # type: ignore[arg-type]
+    with pytest.raises(AttributeError):
+        _ = mc.Nothing
+
+
+def test_a_file_of_a_codec_that_is_not_here_can_be_looked_into(monkeypatch: pytest.MonkeyPatch):
+    blob = mc.encode(walk(), "plain")
+    monkeypatch.delitem(codecs.CODECS, "plain")
+    with mc.open(blob) as f:
+        assert f.info["codec"] == "plain"
+        with pytest.raises(mc.UnknownCodec):
+            f[:]
+
+
+class Server(BaseHTTPRequestHandler):
+    """Serves one blob, with range requests if `ranges`."""
+
+    blob = b""
+    ranges = True
+    sent = 0
+
+    def do_GET(self) -> None:
+        cls = type(self)
+        asked = self.headers.get("Range")
+        part = cls.blob
+        if self.path != "/walk.mocz":
+            self.send_error(404)
+            return
+        if asked and cls.ranges:
+            start, stop = (int(n) for n in asked.removeprefix("bytes=").split("-"))
+            if start >= len(cls.blob):
+                self.send_error(416)
+                return
+            part = cls.blob[start : stop + 1]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {start}-{start + len(part) - 1}/{len(cls.blob)}")
+        else:
+            self.send_response(200)
+        self.send_header("Content-Length", str(len(part)))
+        self.end_headers()
+        self.wfile.write(part)
+        cls.sent += len(part)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+@pytest.fixture(params=[True, False], ids=["ranges", "no ranges"])
+def server(request: pytest.FixtureRequest) -> Iterator[tuple[str, type[Server]]]:
+    handler = type("Handler", (Server,), {"ranges": request.param, "sent": 0})
+    http = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=http.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{http.server_address[1]}", handler
+    http.shutdown()
+    http.server_close()
+    thread.join()
+
+
+def test_url(server: tuple[str, type[Server]]):
+    address, handler = server
+    motion = walk(5000)
+    handler.blob = mc.encode(motion, "plain")
+    with mc.open(f"{address}/walk.mocz") as f:
+        part = f[3000:3020]
+        np.testing.assert_array_equal(part.positions, motion.positions[3000:3020])
+        if handler.ranges:
+            assert handler.sent < 60_000 < len(handler.blob)
+    np.testing.assert_array_equal(part.extras["analog"].values, motion[3000:3020].extras["analog"].values)
+    assert equal(mc.decode(f"{address}/walk.mocz"), motion)
+    handler.blob = mc.encode(walk(5), "plain")
+    assert equal(mc.decode(f"{address}/walk.mocz"), walk(5))
+    handler.blob = b""
+    with pytest.raises(mc.Truncated):
+        mc.open(f"{address}/walk.mocz")
+    with pytest.raises(mc.BadInput, match="404"):
+        mc.open(f"{address}/none.mocz")
+
+
+def test_a_file_that_changes_behind_a_url_is_noticed():
+    handler = type("Handler", (Server,), {"blob": bytes(100_000)})
+    http = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=http.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    source = Url(f"http://127.0.0.1:{http.server_address[1]}/walk.mocz")
+    handler.blob = bytes(90_000)  # type: ignore[attr-defined]
+    with pytest.raises(mc.BadInput, match="changed"):
+        source.read(50_000, 10)
+    http.shutdown()
+    http.server_close()
+    thread.join()
+
+
+@pytest.mark.parametrize("url", ["ftp://x/a.mocz", "http://127.0.0.1:1/a.mocz", "file:///etc/hosts"])
+def test_urls_that_cannot_be_opened(url: str):
+    with pytest.raises(mc.BadInput):
+        mc.open(url)
+
+
+def test_import_pulls_in_nothing_heavy():
+    code = (
+        "import sys, mocodec; print([m for m in sys.modules if m.split('.')[0] in ('scipy', 'rich', 'click', 'ezc3d')])"
+    )
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    )
