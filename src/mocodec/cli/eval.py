@@ -107,7 +107,8 @@ def paper_command(name: str) -> click.Command:
     )
     def run(data: str, output: str) -> None:
         module = importlib.import_module(f"mocodec.evaluation.papers.{name}")
-        for path in module.run(Path(data), Path(output)):
+        module.run(Path(data), Path(output))
+        for path in sorted(Path(output).glob(f"{name}*")):
             click.echo(str(path))
 
     return run
