@@ -1,4 +1,4 @@
-"""Arrays on disk, bit for bit: the shortest of a few ways that are all undone exactly.
+"""Arrays on disk, bit for bit: the shortest of a few ways that are all undone exactly, chosen on the first 128 KiB.
 
 array ──► constant: one item
       ──► as it is | by column | by column, differences, bytes of equal weight together | whole steps of one number
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import struct
-import zlib
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ PLAIN, SHUFFLED, DELTA, STEPS = 0, 1, 2, 3
 KINDS = "biufcSUmM"
 MAX_DIMENSIONS = 16
 SAMPLE_BYTES = 1 << 17
-LZMA_LIMIT_BYTES = 1 << 26
 LZMA_DICTIONARY = 1 << 22
 
 
@@ -54,8 +52,31 @@ def pack(array: Array) -> bytes:
     item = data[: array.dtype.itemsize]
     if data == item * array.size:
         return head + bytes([CONSTANT]) + item
-    transform = min(_transforms(array), key=lambda t: (_estimate(array, t), t))
-    return head + min(_coded(array, transform), key=len)
+    step = _step(array)
+    _, transform, coder = min((len(form), form[0] >> 2, form[0] & 3) for form in _forms(_sample(array), step))
+    data = _forward(array, transform, step)
+    return head + min(_form(data, transform, step, RAW), _form(data, transform, step, coder), key=len)
+
+
+def _sample(array: Array) -> Array:
+    """The first rows, by which the way to code all of it is chosen."""
+    return array[: max(1, SAMPLE_BYTES * len(array) // array.nbytes)] if array.ndim else array
+
+
+def _forms(array: Array, step: float) -> list[bytes]:
+    """Coded in every way that applies: strings are not regrouped, and only multiples of one step have one."""
+    transforms = [PLAIN] if array.dtype.kind == "S" else [PLAIN, SHUFFLED, DELTA, *([STEPS] if step else [])]
+    forms = []
+    for transform in transforms:
+        data = _forward(array, transform, step)
+        forms += [_form(data, transform, step, coder) for coder in (RAW, DEFLATE, LZMA)]
+    return forms
+
+
+def _form(data: bytes, transform: int, step: float, coder: int) -> bytes:
+    """The byte that says how, the step where there is one, and the blob."""
+    packed = deflate(data) if coder == DEFLATE else _lzma(data) if coder == LZMA else data
+    return bytes([coder | transform << 2]) + (struct.pack("<d", step) if transform == STEPS else b"") + blob(packed)
 
 
 def require_storable(array: Array) -> None:
@@ -118,30 +139,6 @@ def dtype_of(code: object, cursor: Cursor) -> np.dtype[Any]:
     if dtype.kind not in KINDS or dtype.str != code or not 0 < dtype.itemsize <= 1 << 20:
         raise cursor.corrupt("an array's dtype is unknown")
     return dtype
-
-
-def _transforms(array: Array) -> list[int]:
-    """Those that apply: strings are not regrouped; only floats that are whole multiples of one step have one."""
-    if array.dtype.kind == "S":
-        return [PLAIN]
-    steps = [STEPS] if array.dtype.kind == "f" and _step(array) else []
-    return [PLAIN, SHUFFLED, DELTA, *steps]
-
-
-def _estimate(array: Array, transform: int) -> int:
-    rows = max(1, SAMPLE_BYTES * len(array) // array.nbytes) if array.ndim else 1
-    sample = array[:rows] if array.ndim else array
-    return len(zlib.compress(_forward(sample, transform, _step(array) if transform == STEPS else 0.0), 6))
-
-
-def _coded(array: Array, transform: int) -> list[bytes]:
-    step = _step(array) if transform == STEPS else 0.0
-    data = _forward(array, transform, step)
-    head = struct.pack("<d", step) if transform == STEPS else b""
-    forms = [(RAW, data), (DEFLATE, deflate(data))]
-    if 64 < len(data) <= LZMA_LIMIT_BYTES:
-        forms.append((LZMA, _lzma(data)))
-    return [bytes([coder | transform << 2]) + head + blob(packed) for coder, packed in forms]
 
 
 def _decode(cursor: Cursor, coder: int, size: int) -> bytes:
@@ -227,6 +224,8 @@ def _inverse(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], transfor
 
 def _step(array: Array) -> float:
     """The number of which all values are whole multiples to the last bit (counts times a scale); 0 if there is none."""
+    if array.dtype.kind != "f":
+        return 0.0
     values = array.reshape(-1).astype(np.float64)
     if not np.isfinite(values).all():
         return 0.0
