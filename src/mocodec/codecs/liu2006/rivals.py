@@ -121,4 +121,3 @@ def d_normalised(motion: Motion, decoded: Floats, played: Roles) -> float:
         for positions in (motion.positions, decoded)
     )
     return metrics.distortion_percent(original, ours)
-

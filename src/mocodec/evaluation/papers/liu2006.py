@@ -227,7 +227,9 @@ def figure_3(path: Path, curves: Sequence[Curve], rate: float) -> None:
         if curve.cut is not None:
             axes.axvline(curve.cut, color="0.35", lw=0.8, ls="--")
             axes.plot(curve.cut, curve.distances[list(curve.frames).index(curve.cut)], "o", color=f"C{i % 10}", ms=4)
-            axes.annotate(str(curve.cut), (curve.cut, 1.01), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
+            axes.annotate(
+                str(curve.cut), (curve.cut, 1.01), xycoords=("data", "axes fraction"), ha="center", fontsize=8
+            )
     axes.set(yscale="log", xlabel="end of the model, frame", ylabel="average Mahalanobis distance H")
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
