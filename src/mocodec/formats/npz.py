@@ -79,6 +79,13 @@ class _Arrays:
         data.seek(0)
         return np.lib.format.read_array(data, allow_pickle=False)
 
+    def single(self, name: str) -> Any:
+        """The first value of an array. Raises BadInput where it has none."""
+        values = self.load(name).reshape(-1)
+        if not len(values):
+            raise BadInput(f"{self.path}: array {name!r} is empty")
+        return values[0]
+
 
 def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> Motion:
     path = arrays.path
@@ -99,7 +106,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
         rate_key = arrays.first(RATES)
         if rate_key is None:
             raise BadInput(f"{path}: does not say its rate; say it with rate= (known keys: {', '.join(RATES)})")
-        rate = float(arrays.load(rate_key).reshape(-1)[0])
+        rate = float(arrays.single(rate_key))
     names: tuple[str, ...] = ()
     names_key = arrays.first(NAMES)
     if names_key is not None:
@@ -114,7 +121,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     positions *= unit_m
     source: dict[str, Any] = {"format": "npz", "units": units, "unit_m": unit_m}
     if up is None and "up" in arrays.names:
-        up = str(arrays.load("up").reshape(-1)[0])
+        up = str(arrays.single("up"))
     if up is None:
         up = guess_up(positions)
         source["up_guessed"] = True
@@ -126,7 +133,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
         if "rotations" in arrays.names:
             rotations = arrays.load("rotations").astype(np.float64)
     if "source" in arrays.names:
-        source = json.loads(str(arrays.load("source").reshape(-1)[0]))
+        source = json.loads(str(arrays.single("source")))
         if not isinstance(source, dict):
             raise BadInput(f"{path}: its 'source' is not a JSON object")
     return Motion(positions, rate, names, up, skeleton, rotations, source)
@@ -134,7 +141,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
 
 def _unit(arrays: _Arrays, key: str, positions: NDArray[np.float64], unit: str | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
-        unit = str(arrays.load("unit").reshape(-1)[0])
+        unit = str(arrays.single("unit"))
     if unit is None:
         there = positions[~np.isnan(positions[:, :, 0])]
         unit = "mm" if key == "markers" and there.size and np.ptp(there, axis=0).max() > 100 else "m"

@@ -52,7 +52,8 @@ def _packed(motion: Motion) -> bytes:
     point["SCALE"] = np.array([-scale], np.float32)
     point["RATE"] = np.array([motion.rate], np.float32)
     point["UNITS"] = [units]
-    if not from_c3d:
+    screen = "".join(parameters.texts("POINT", "Y_SCREEN"))[-1:].lower()
+    if screen != motion.up and (screen or not source.get("up_guessed")):
         point |= {"X_SCREEN": ["+X"], "Y_SCREEN": [f"+{motion.up.upper()}"]}
     _set_texts(point, "LABELS", list(motion.names))
     last = first + frames - 1

@@ -1,0 +1,1 @@
+"""Formats: what is read is what was written, and damage is one clear line."""

@@ -1,0 +1,176 @@
+"""ASF/AMC: ends of bones where the Acclaim arithmetic puts them; the same text from the motion just read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import BadInput, Motion, formats
+from mocodec.formats import asf_amc
+
+from .samples import AMC, ASF, SHARED, markers, needs_shared
+
+UNIT_M = 0.0254 / 0.45
+
+
+def pair(tmp_path, amc: str = AMC, asf: str = ASF, name: str = "tiny"):
+    (tmp_path / f"{name}.asf").write_text(asf)
+    (tmp_path / "tiny_01.amc").write_text(amc)
+    return tmp_path / "tiny_01.amc"
+
+
+def angles(path) -> np.ndarray:
+    return np.array([float(w) for w in path.read_text().split("DEGREES")[1].split() if not w[0].isalpha()])
+
+
+def turn(axis: str, degrees: float) -> np.ndarray:
+    """A rotation matrix, by its textbook entries."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    m = np.eye(3)
+    m[i, i] = m[j, j] = c
+    m[i, j], m[j, i] = -s, s
+    return m
+
+
+def xyz(x: float, y: float, z: float) -> np.ndarray:
+    """Order XYZ: x is turned first."""
+    return turn("z", z) @ turn("y", y) @ turn("x", x)
+
+
+def test_a_still_pose(tmp_path):
+    motion = formats.read(pair(tmp_path))
+    assert motion.names == ("root", "spine", "femur", "tibia", "foot")
+    assert np.allclose(motion.positions[0] / UNIT_M, [[0, 17, 0], [0, 26, 0], [0, 10, 0], [0, 2, 0], [0, 2, 2]])
+    assert (motion.rate, motion.up, motion.source["first_frame"]) == (120.0, "y", 7)
+    assert formats.read(tmp_path / "tiny_01.amc", rate=60.0).rate == 60.0
+
+
+def test_a_moving_pose_against_plain_matrices(tmp_path):
+    positions = formats.read(pair(tmp_path)).positions[1] / UNIT_M
+    root = xyz(10, -20, 100)
+    c_leg, c_foot = xyz(0, 0, 20), xyz(-90, 0, 20)
+    femur = root @ c_leg @ xyz(-50, 5, 1e-3) @ c_leg.T
+    tibia = femur @ c_leg @ xyz(90, 0, 0) @ c_leg.T
+    foot = tibia @ c_foot @ xyz(-100, 0, 20) @ c_foot.T
+    start = np.array([1.0, 17, 2])
+    knee = start + femur @ [0, -7, 0]
+    ankle = knee + tibia @ [0, -8, 0]
+    expected = [start, start + root @ xyz(1, 2, 3) @ [0, 9, 0], knee, ankle, ankle + foot @ [0, 0, 2]]
+    assert np.allclose(positions, expected)
+
+
+def test_written_back_as_it_came(tmp_path):
+    path = pair(tmp_path)
+    motion = formats.read(path)
+    formats.write(tmp_path / "tiny_02.amc", motion)
+    assert np.abs(angles(tmp_path / "tiny_02.amc") - angles(path)).max() < 1e-6
+
+
+def test_a_skeleton_is_written_where_there_is_none(tmp_path):
+    motion = formats.read(pair(tmp_path))
+    (tmp_path / "new").mkdir()
+    formats.write(tmp_path / "new" / "walk.amc", motion)
+    again = formats.read(tmp_path / "new" / "walk.amc")
+    assert np.allclose(again.positions, motion.positions, atol=1e-7)
+    assert again.names == motion.names
+
+
+def test_radians_and_other_orders(tmp_path):
+    asf = ASF.replace("angle deg", "angle rad").replace("axis 0 0 20", "axis 0 0 0.3")
+    asf = asf.replace("-90 0 20 XYZ", "0 0 0 ZYX")
+    amc = AMC.replace(":DEGREES", ":RADIANS").replace("-50 5 1e-3", "-1 0.5 0.2").replace("10 -20 100", "1 -1 2")
+    amc = amc.replace("tibia 90", "tibia 1.5").replace("foot -100 20", "foot -1.2 0.3")
+    path = pair(tmp_path, amc, asf.replace("order TX TY TZ RX RY RZ", "order RZ TY RX TX TZ RY"))
+    motion = formats.read(path)
+    formats.write(tmp_path / "tiny_02.amc", motion)
+    assert np.allclose(formats.read(tmp_path / "tiny_02.amc").positions, motion.positions, atol=1e-7)
+
+
+def test_which_skeleton(tmp_path):
+    path = pair(tmp_path, name="other")
+    assert formats.read(path).points == 5  # the only one there
+    (tmp_path / "third.asf").write_text(ASF)
+    with pytest.raises(BadInput, match="asf="):
+        formats.read(path)
+    assert formats.read(path, asf=tmp_path / "third.asf").points == 5
+    with pytest.raises(BadInput, match="no such skeleton"):
+        formats.read(path, asf=tmp_path / "gone.asf")
+    for file in tmp_path.glob("*.asf"):
+        file.unlink()
+    with pytest.raises(BadInput, match=r"no \.asf beside it"):
+        formats.read(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("8\n", "", "numbers"),
+        ("tibia 90\n", "", "do not all name"),
+        ("foot -100 20\n", "foot -100\n", "numbers"),
+        ("tibia 90", "tibia x", "'x'"),
+        ("tibia 90", "tibia nan", "'nan'"),
+        ("tibia", "shin", "not in its skeleton"),
+        (":DEGREES", ":RADIANS", "radians"),
+        (AMC, "7\n8\n", "not an AMC"),
+    ],
+)
+def test_damage_of_the_motion(tmp_path, old, new, says):
+    with pytest.raises(BadInput, match=says):
+        formats.read(pair(tmp_path, AMC.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (":bonedata", ":bones", "no :bonedata"),
+        ("length 0.45", "length 0", "length unit"),
+        ("name foot", "name tibia", "twice"),
+        ("tibia foot", "", "hang on the root"),
+        ("tibia foot", "foot tibia", "hierarchy"),
+        ("femur tibia", "femur shin", "hierarchy"),
+        ("dof rx rz", "dof rx l", "rx ry rz"),
+        ("length 7", "length nan", "length is nan"),
+        ("length 7", "length long", "not an ASF"),
+        ("direction 0 1 0", "direction 0 inf 0", "three numbers"),
+        ("axis XYZ", "axis XXZ", "axis order"),
+        ("order TX", "order TW", "root's order"),
+    ],
+)
+def test_damage_of_the_skeleton(tmp_path, old, new, says):
+    with pytest.raises(BadInput, match=says):
+        formats.read(pair(tmp_path, asf=ASF.replace(old, new, 1)))
+
+
+def test_what_an_amc_cannot_hold_is_refused(tmp_path):
+    motion = formats.read(pair(tmp_path))
+    assert isinstance(motion, Motion)
+    with pytest.raises(BadInput, match="does not store rotations yet"):
+        formats.write(tmp_path / "x.amc", mc.decode(mc.encode(motion, codec="lossless")))
+    with pytest.raises(BadInput, match="skeleton and rotations"):
+        formats.write(tmp_path / "x.amc", markers())
+    with pytest.raises(BadInput, match=r"write a \.bvh"):
+        formats.write(tmp_path / "x.amc", replace(motion, source={"format": "bvh"}))
+    with pytest.raises(BadInput, match=r"write an \.amc"):
+        formats.write(tmp_path / "x.bvh", motion)
+    (tmp_path / "long.asf").write_text(ASF.replace("length 7", "length 7.5"))
+    with pytest.raises(BadInput, match="another skeleton"):
+        formats.write(tmp_path / "x.amc", motion, asf=tmp_path / "long.asf")
+    (tmp_path / "stiff.asf").write_text(ASF.replace("dof rx rz", "dof rx"))
+    with pytest.raises(BadInput, match="bone foot"):
+        formats.write(tmp_path / "x.amc", motion, asf=tmp_path / "stiff.asf")
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["02/02_03", "118/118_04", "64/64_03"])
+def test_cmu(tmp_path, name):
+    path = SHARED / "cmu" / "asfamc" / f"{name}.amc"
+    motion = formats.read(path)
+    assert motion.points == 31
+    assert -0.15 < motion.positions[:, :, 1].min() < 0.1  # feet on the floor
+    asf = asf_amc._find_asf(path)
+    formats.write(tmp_path / "x.amc", motion, asf=asf)
+    assert np.abs(formats.read(tmp_path / "x.amc", asf=asf).positions - motion.positions).max() < 1e-7

@@ -1,0 +1,88 @@
+"""NPZ: ours round trip, others' keys, and archives that lie."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from mocodec import BadInput, formats
+
+from .samples import BVH, markers
+
+
+def save(tmp_path, **arrays):
+    np.savez(tmp_path / "x.npz", **arrays)
+    return tmp_path / "x.npz"
+
+
+def test_round_trip(tmp_path):
+    motion = markers()
+    formats.write(tmp_path / "x.npz", motion)
+    again = formats.read(tmp_path / "x.npz")
+    assert np.array_equal(again.positions, motion.positions, equal_nan=True)
+    assert (again.names, again.rate, again.up) == (motion.names, motion.rate, motion.up)
+
+
+def test_skeleton_and_rotations_go_along(tmp_path):
+    (tmp_path / "x.bvh").write_text(BVH)
+    motion = formats.read(tmp_path / "x.bvh")
+    formats.write(tmp_path / "x.npz", motion)
+    again = formats.read(tmp_path / "x.npz")
+    assert np.array_equal(again.rotations, motion.rotations)
+    assert again.skeleton.parents == motion.skeleton.parents
+    formats.write(tmp_path / "y.bvh", again)
+    assert formats.read(tmp_path / "y.bvh").names == motion.names
+
+
+@pytest.mark.parametrize("key", ["joints", "jtr", "positions"])
+def test_keys_of_learning_people(tmp_path, key):
+    positions = np.random.default_rng(1).normal(size=(6, 22, 3)).astype(np.float32)
+    motion = formats.read(save(tmp_path, **{key: positions}, mocap_framerate=30.0, poses=np.zeros((6, 66))))
+    assert np.array_equal(motion.positions, positions.astype(float))
+    assert motion.rate == 30.0
+    assert formats.read(save(tmp_path, **{key: positions}), rate=60).rate == 60.0
+
+
+def test_marker_files(tmp_path):
+    positions = np.random.default_rng(1).normal(size=(6, 3, 3)) * 500
+    positions[2, 1] = 0
+    path = save(tmp_path, markers=positions, labels=np.array(["A", "B", "C"]), frame_rate=120.0)
+    motion = formats.read(path)
+    assert motion.names == ("A", "B", "C")
+    assert np.argwhere(motion.gaps).tolist() == [[2, 1]]
+    assert np.allclose(motion.positions[0], positions[0] * 1e-3)
+    assert np.allclose(formats.read(path, unit="m", up="y").positions[0], positions[0])
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"poses": np.zeros((5, 156)), "trans": np.zeros((5, 3)), "mocap_framerate": 120.0}, "SMPL"),
+        ({"other": np.zeros(3)}, "none of the arrays"),
+        ({"positions": np.zeros((5, 3)), "rate": 1.0}, r"\(frames, points, 3\)"),
+        ({"positions": np.zeros((5, 2, 3))}, "rate="),
+        ({"positions": np.zeros((5, 2, 3)), "rate": np.nan}, "rate must be"),
+        ({"positions": np.array([[["a", "b", "c"]]]), "rate": 1.0}, "must be numbers"),
+        ({"positions": np.full((5, 2, 3), np.inf), "rate": 1.0, "up": "y"}, "infinite"),
+        ({"positions": np.zeros((5, 2, 3)), "rate": 1.0, "unit": "yard"}, "yard"),
+        ({"positions": np.zeros((5, 2, 3)), "rate": 1.0, "source": "[1]"}, "JSON object"),
+        ({"positions": np.array([[[None, 1, 2]]]), "rate": 1.0}, "Python objects"),
+        ({"positions": np.zeros((0, 2, 3)), "rate": np.zeros(0)}, "'rate' is empty"),
+    ],
+)
+def test_what_is_wrong_is_one_clear_line(tmp_path, arrays, says):
+    with pytest.raises(BadInput, match=says):
+        formats.read(save(tmp_path, **arrays))
+
+
+@pytest.mark.parametrize("claimed", [(1000000000, 100, 3), (2, 2, 3), (1, 0, 3)])
+def test_an_array_that_claims_another_size(tmp_path, claimed):
+    raw = io.BytesIO()
+    np.lib.format.write_array_header_1_0(raw, {"descr": "<f8", "fortran_order": False, "shape": claimed})
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("positions.npy", raw.getvalue() + bytes(24))
+    with pytest.raises(BadInput, match="cut off or damaged"):
+        formats.read(tmp_path / "x.npz", rate=1)

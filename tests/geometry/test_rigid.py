@@ -1,0 +1,60 @@
+"""Quaternion arithmetic against matrices and against itself."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from mocodec import BadInput
+from mocodec.geometry import rigid
+
+ORDERS = ["".join(p) for n in (1, 2, 3) for p in permutations("xyz", n)]
+
+
+def some_turns(count: int = 50) -> np.ndarray:
+    q = np.random.default_rng(5).normal(size=(count, 4))
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def test_product_is_the_matrices_product():
+    a, b = some_turns(), some_turns()[::-1]
+    assert np.allclose(rigid.to_matrix(rigid.multiply(a, b)), rigid.to_matrix(a) @ rigid.to_matrix(b))
+
+
+def test_rotate_is_the_matrix_times_the_vector():
+    q, v = some_turns(), np.random.default_rng(6).normal(size=(50, 3))
+    assert np.allclose(rigid.rotate(q, v), np.einsum("nij,nj->ni", rigid.to_matrix(q), v))
+    assert np.allclose(rigid.rotate(rigid.inverse(q), rigid.rotate(q, v)), v)
+
+
+def test_quarter_turns():
+    assert np.allclose(rigid.rotate(rigid.about_axis("z", np.array(np.pi / 2)), np.array([1.0, 0, 0])), [0, 1, 0])
+    assert np.allclose(rigid.rotate(rigid.about_axis("x", np.array(np.pi / 2)), np.array([0, 1.0, 0])), [0, 0, 1])
+    assert np.allclose(rigid.rotate(rigid.about_axis("y", np.array(np.pi / 2)), np.array([0, 0, 1.0])), [1, 0, 0])
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_euler_angles_come_back(order):
+    angles = np.random.default_rng(7).uniform(-1.5, 1.5, (40, len(order)))
+    assert np.allclose(rigid.to_euler(order, rigid.from_euler(order, angles)), angles)
+
+
+@pytest.mark.parametrize("order", [o for o in ORDERS if len(o) == 3])
+def test_euler_angles_of_any_turn_make_it_again(order):
+    angles = np.random.default_rng(8).uniform(-7, 7, (100, 3))
+    angles[:20, 1] = np.pi / 2 * np.sign(angles[:20, 1])  # where the outer axes fall together
+    q = rigid.from_euler(order, angles)
+    again = rigid.from_euler(order, rigid.to_euler(order, q))
+    assert np.allclose(rigid.to_matrix(again), rigid.to_matrix(q), atol=1e-7)
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(BadInput, match="alone do not make"):
+        rigid.to_euler("x", rigid.from_euler("xy", np.ones((3, 2))))
+    for order in ("xyx", "abc"):
+        with pytest.raises(BadInput, match="different axes"):
+            rigid.to_euler(order, some_turns())
+    with pytest.raises(BadInput, match="an axis is"):
+        rigid.about_axis("w", np.zeros(1))
