@@ -2,7 +2,7 @@
 
     values ─forward─► ⌊|v| / step + rounding⌋ with v's sign ─inverse─► multiples of the step
 
-Steps come from a ladder of 2^(1/16), so that a file holds one small integer for a step.
+Steps come from a ladder of 2^(1/64), so that a file holds one small integer for a step.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from ..errors import CannotEncode
 from ..motion import Floats
 
-LADDER = 16
+LADDER = 64
 """Rungs to an octave of steps."""
 
 LARGEST = 2.0**52
 """No quantised value is beyond this: above it a float64 no longer tells integers apart."""
 
 
-def forward(values: Floats, step: float | Floats, rounding: float = 0.5) -> NDArray[np.int64]:
+def forward(values: Floats, step: float | Floats, rounding: float | Floats = 0.5) -> NDArray[np.int64]:
     """Integers of values; step broadcasts against them.
 
     rounding 0.5 is the nearest multiple; less widens the zone around zero, which costs error and saves more bits
@@ -41,7 +41,7 @@ def inverse(integers: NDArray[np.int64], step: float | Floats) -> Floats:
 
 
 def rung(step: float) -> int:
-    """The ladder's nearest rung for a step in metres: step ≈ 2^(rung / 16). Raises CannotEncode outside 2^±60."""
+    """The ladder's nearest rung for a step in metres: step ≈ 2^(rung / 64). Raises CannotEncode outside 2^±60."""
     if not 2.0**-60 <= step <= 2.0**60:
         raise CannotEncode(f"a step of {step:g} m is outside what can be stored")
     return round(LADDER * math.log2(step))

@@ -1,0 +1,252 @@
+"""The method: figure 6 of the paper, and back; and the searches that meet a target.
+
+    encode    positions ─gaps─► clips ─► B ─► S_i = Bᵀ M_i D̃ ─quantise─► integers ─► entropy code
+                                  ▲ step, k, l: the paper's rules, or searched for a target ─┘
+    decode    entropy code ─► integers ─► B S_i D̃ᵀ ─► corrections ─► gaps ─► positions
+
+A chunk is a number of clips. It needs nothing but itself and the shared bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import encoded as encodeds
+from ... import metrics
+from ...encoded import Chunk, Encoded
+from ...errors import BadInput, CannotEncode
+from ...motion import Floats, Motion
+from ...stages import bounded, gaps, quantise
+from .. import base
+from . import clips as clipping
+from . import drafts, parameters, search, stream, transform
+from .drafts import Draft, Material
+
+Integers = NDArray[np.int64]
+
+STEP_OF_MEAN, MEAN_OF_BOUND = 5.0, 0.22
+"""Where searches begin: the step for a mean error, and the mean error for a bound, as are usual."""
+
+
+@dataclass(frozen=True)
+class Hou2014:
+    """Settings; where none is given, the paper's, and under a target the best that is found. Lengths in metres.
+
+    A target is one of `max_error`, `mean_error`, `ratio` (float32 over payload bytes). `as_published` gives the paper's
+    own coding of numbers.
+    """
+
+    name: ClassVar[str] = "hou2014"
+
+    max_error: float | None = None
+    mean_error: float | None = None
+    ratio: float | None = None
+
+    components: int | None = None  # k; 30, or under a target as many as pay
+    clip_frames: int | None = None  # L; 280, or under a target the best
+    frequencies: int | None = None  # l; by (12), or under a target all that are not zero
+    fraction_bits: int | None = None  # Q; by (13)
+    segmentation: str = "equal"  # or "adaptive": where the distribution of poses changes
+    clips: int | None = None  # of an adaptive segmentation, about; the best number where none is given
+    unit: float = parameters.UNIT_M  # of the quantiser, metres
+    compress_basis: bool = True  # each component as finely as its variance deserves; False: 16 bits an entry
+    centre: bool = True  # code around the mean pose
+    economy: float = 0.16  # what a bit is worth, in squared steps; 0: round to nearest
+    masking: float = 0.0  # how much coarser fast clips are: step in proportion to speed to this power
+    point_weights: Mapping[str, float] = field(
+        default_factory=dict
+    )  # how much an error of a point counts; 1 unless named
+    transforms: tuple[bytes, ...] = ()  # learned elsewhere: `Hou2014Database`
+    chunk_frames: int = 5000  # clips are coded together up to about so many frames
+
+    @classmethod
+    def as_published(cls, **settings: Any) -> Hou2014:
+        """With 16 bits for each entry of B, no mean pose and rounding to nearest: section IV-C."""
+        return cls(**{"compress_basis": False, "centre": False, "economy": 0.0, **settings})
+
+    def encode(self, motion: Motion) -> Encoded[Motion]:
+        """Raises CannotEncode, and BadInput for settings that cannot be."""
+        base.require_frames(motion)
+        self._check(motion)
+        filled, mask = gaps.fill(motion.positions)
+        coding = _Coding(self, motion, filled, mask)
+        if self.max_error is not None:
+            return coding.for_max_error(self.max_error)
+        if self.mean_error is not None:
+            return coding.for_mean_error(self.mean_error)
+        if self.ratio is not None:
+            return coding.for_ratio(self.ratio)
+        return coding.encoded(coding.first_rung)
+
+    @staticmethod
+    def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        """Raises Corrupt."""
+        start, stop = encoded.range(frames)
+        head = _head(encoded)
+        parts: list[Floats] = [np.zeros((0, head.points, 3))]
+        for chunk in encoded.covering(start, stop):
+            positions = stream.unpack_payload(chunk.payload, chunk.frames, head)
+            parts.append(positions[max(0, start - chunk.start) : stop - chunk.start])
+        return encodeds.restore(encoded, np.concatenate(parts), start)
+
+    @property
+    def has_target(self) -> bool:
+        """Whether the step is searched for."""
+        return (self.max_error, self.mean_error, self.ratio) != (None, None, None)
+
+    def _check(self, motion: Motion) -> None:
+        targets = {name: getattr(self, name) for name in ("max_error", "mean_error", "ratio")}
+        given = {name: value for name, value in targets.items() if value is not None}
+        if len(given) > 1:
+            raise BadInput(f"hou2014 takes one target at a time, not {' and '.join(given)}")
+        for name, value in (given | {"unit": self.unit}).items():
+            if not (math.isfinite(value) and value > 0):
+                raise BadInput(f"{name} must be positive, not {value}")
+        for name in ("components", "clip_frames", "frequencies", "clips", "chunk_frames"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise BadInput(f"{name} must be at least 1, not {value}")
+        if self.segmentation not in ("equal", "adaptive"):
+            raise BadInput(f"segmentation is 'equal' or 'adaptive', not {self.segmentation!r}")
+        unknown = [name for name in self.point_weights if name not in motion.names]
+        if unknown:
+            raise BadInput(f"point_weights names points that are not there: {', '.join(unknown)}")
+        if any(not 1e-6 <= weight <= 1e6 for weight in self.point_weights.values()):
+            raise BadInput("point_weights must be from a millionth to a million")
+
+
+class _Coding:
+    """One motion on its way: what it becomes at the steps that a search asks for."""
+
+    def __init__(self, codec: Hou2014, motion: Motion, filled: Floats, mask: NDArray[np.bool_]) -> None:
+        self.codec, self.motion, self.mask = codec, motion, mask
+        self.parents = None if motion.skeleton is None else motion.skeleton.parents
+        lengths = np.array([len(motion)], np.int64)
+        if codec.segmentation == "equal" and (codec.clip_frames or not codec.has_target):
+            lengths = stream.equal_lengths(len(motion), codec.clip_frames or parameters.CLIP_FRAMES)
+        elif codec.segmentation == "adaptive" and codec.clips:
+            lengths = clipping.adaptive(filled, codec.clips)
+        material = Material(
+            points=motion.points,
+            rows=filled.reshape(len(motion), -1),
+            lengths=lengths,
+            clip_frames=int(lengths[0]) * (codec.segmentation == "equal"),
+            offsets=np.zeros(len(lengths), np.int64),
+            weight_rungs=_weight_rungs(codec.point_weights, motion.names),
+            components=codec.components or (None if codec.has_target else parameters.COMPONENTS),
+            unit=codec.unit,
+            centre=codec.centre,
+            compress_basis=codec.compress_basis,
+            economy=codec.economy,
+            max_error=codec.max_error,
+            given=tuple(transform.unpack(blob, 3 * motion.points, None) for blob in codec.transforms),
+        )
+        material = replace(material, frequencies=self._frequencies(material))
+        if not material.given:
+            material = drafts.fitted(material)
+        if (codec.clip_frames, codec.clips) == (None, None) and (codec.has_target or codec.segmentation == "adaptive"):
+            material = self._well_cut(material, filled)
+        offsets = clipping.offsets(filled, motion.rate, material.lengths, codec.masking)
+        self.material = replace(material, offsets=offsets, frequencies=self._frequencies(material))
+        self.draft: Callable[[int], Draft] = cache(lambda rung: drafts.draft(self.material, rung))
+        self.encoded: Callable[[int], Encoded[Motion]] = cache(self._encoded)
+
+    def _frequencies(self, material: Material) -> Integers | None:
+        """l_i: as set, by (12), or without a limit under a target."""
+        if self.codec.frequencies is not None:
+            return np.minimum(self.codec.frequencies, material.lengths)
+        if self.codec.has_target or material.components is None:
+            return None
+        return np.array([parameters.frequencies(material.components, int(length)) for length in material.lengths])
+
+    def _well_cut(self, material: Material, filled: Floats) -> Material:
+        """With clips of the length, or adaptive ones of the number, that costs the fewest bits."""
+        step = self.codec.unit * quantise.step(self.first_rung)
+        curves = drafts.curves(material, step)
+        if self.codec.segmentation == "adaptive":
+            return replace(material, lengths=clipping.best_adaptive(filled, curves, step))
+        length = clipping.best_equal_length(curves, step)
+        return replace(material, lengths=stream.equal_lengths(len(filled), length), clip_frames=length)
+
+    @property
+    def first_rung(self) -> int:
+        """Where a search begins; without a target, Q bits for the fractional part: section IV-C and (13)."""
+        codec = self.codec
+        if not codec.has_target:
+            bits = codec.fraction_bits
+            k = codec.components or parameters.COMPONENTS
+            return -quantise.LADDER * (parameters.fraction_bits(k) if bits is None else bits)
+        mean = codec.mean_error or (MEAN_OF_BOUND * codec.max_error if codec.max_error else 0.003)
+        return quantise.rung(STEP_OF_MEAN * mean / codec.unit)
+
+    def mean_error(self, rung: int) -> float:
+        draft = self.draft(rung)
+        return metrics.mean_distance(self.motion.positions, stream.reconstruct(draft.clips, draft.head))
+
+    def _encoded(self, rung: int) -> Encoded[Motion]:
+        """Everything, corrections too where there is a bound."""
+        draft = self.draft(rung)
+        chunks: list[Chunk] = []
+        start = 0
+        for clips in clipping.chunked(draft.clips, self.codec.chunk_frames):
+            stop = start + int(clips.lengths.sum())
+            corrections = b""
+            if self.codec.max_error is not None:
+                original, prediction = self.motion.positions[start:stop], stream.reconstruct(clips, draft.head)
+                corrections = bounded.pack(original, prediction, self.codec.max_error)
+            packed = stream.pack_clips(clips, draft.head)
+            payload = stream.pack_payload(packed, gaps.pack(self.mask[start:stop]), corrections)
+            chunks.append(Chunk(start, stop - start, payload))
+            start = stop
+        return Encoded(
+            codec=self.codec.name,
+            about=encodeds.about(self.motion),
+            chunks=tuple(chunks),
+            shared=(draft.head.pack(self.parents), *self.codec.transforms),
+            settings=base.settings(replace(self.codec, transforms=())),
+        )
+
+    def for_mean_error(self, target: float) -> Encoded[Motion]:
+        """The coarsest step whose mean error is within the target."""
+        rung = search.largest_within(self.mean_error, target, self.first_rung)
+        if rung is None:
+            raise CannotEncode(f"hou2014 does not reach a mean error of {target:g} m on this motion")
+        return self.encoded(rung)
+
+    def for_ratio(self, target: float) -> Encoded[Motion]:
+        """The finest step whose ratio is not below the target."""
+        raw = self.motion.raw_bytes
+        rung = search.smallest_within(lambda rung: self.encoded(rung).payload_bytes, raw / target, self.first_rung)
+        if rung is None:
+            raise CannotEncode(f"hou2014 does not reach a ratio of {target:g} on this motion")
+        return self.encoded(rung)
+
+    def for_max_error(self, bound: float) -> Encoded[Motion]:
+        """The step at which coefficients and corrections together are smallest; decoded and checked."""
+        rung = search.smallest(lambda rung: self.encoded(rung).payload_bytes, self.first_rung)
+        encoded = self.encoded(rung)
+        decoded = Hou2014.decode(encoded).positions
+        furthest = np.nanmax(metrics.distances(self.motion.positions, decoded))
+        if not furthest <= bound:
+            raise CannotEncode(f"hou2014 does not keep {bound:g} m on this motion, but {furthest:g} m")
+        return encoded
+
+
+def _head(encoded: Encoded[Motion]) -> stream.Head:
+    skeleton = encoded.about.skeleton
+    return stream.unpack_head(encoded.shared, encoded.about.points, None if skeleton is None else skeleton.parents)
+
+
+def _weight_rungs(weights: Mapping[str, float], names: tuple[str, ...]) -> Integers | None:
+    """Rungs of the square roots: rows are multiplied so that squared errors count by weight."""
+    if not weights:
+        return None
+    logs = np.log2([weights.get(name, 1.0) for name in names])
+    return np.rint(quantise.LADDER / 2 * logs).astype(np.int64)
