@@ -47,10 +47,15 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
     replace_whole(path, drawn.getvalue())
 
 
+def in_order_of(original: Motion, decoded: Motion) -> Motion:
+    """The decoded with its points in the order of the original, where the names tell."""
+    same_names = sorted(original.names) == sorted(decoded.names) and len(set(original.names)) == original.points
+    return decoded.select(original.names) if same_names else decoded
+
+
 def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
     """Error over time (root mean square and largest of each frame) and per point (mean, 99 %, largest)."""
-    if original.names != decoded.names and sorted(original.names) == sorted(decoded.names):
-        decoded = decoded.select(original.names)
+    decoded = in_order_of(original, decoded)
     mm = 1000 * metrics.distances(original.positions, decoded.positions)
     picture = figure(9, 5 + 0.1 * original.points)
     over_time, per_point = picture.subplots(2, 1, height_ratios=[3, 2 + 0.1 * original.points])
@@ -102,6 +107,7 @@ def legend_above(axes: Axes) -> None:
 
 def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7) -> Figure:
     """Poses of the original (grey) with the decoded (red) drawn over them; below, the error over time."""
+    decoded = in_order_of(original, decoded)
     picture = figure(9, 4.8)
     figures, curve = picture.subplots(2, 1, height_ratios=[3, 2])
     picture.suptitle(title, fontsize=10)

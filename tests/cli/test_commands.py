@@ -97,7 +97,9 @@ def test_compare(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
 def test_compare_draws(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
     pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
     assert command("compare", walk_trc, walk_mocz, "--plot", "error.png").code == 0
-    assert Path("error.png").read_bytes().startswith(b"\x89PNG")
+    assert command("compare", walk_trc, walk_mocz, "--plot", "a.png", "--poses", "poses.png").code == 0
+    for name in ("error.png", "poses.png"):
+        assert Path(name).read_bytes().startswith(b"\x89PNG")
     result = command("compare", walk_trc, walk_mocz, "--plot", "error.docx")
     assert result.code == 3
     assert not Path("error.docx").exists()

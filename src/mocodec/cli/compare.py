@@ -20,8 +20,9 @@ from . import files, quantities
 @click.option(
     "--plot", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw the error over time and per point."
 )
+@click.option("--poses", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw poses of both, side by side.")
 @files.reader_options
-def command(a: str, b: str, as_json: bool, plot: str | None, **options: Any) -> None:
+def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, **options: Any) -> None:
     """Measure B against A; either may be a .mocz or any other recording.
 
     The ratio is A's positions as float32 over the bytes of the .mocz, where one of the two is one.
@@ -30,10 +31,18 @@ def command(a: str, b: str, as_json: bool, plot: str | None, **options: Any) -> 
         original, other = motion(a, **options), motion(b, **options)
     result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
     click.echo(result.to_json() if as_json else "\n".join(table(result)))
-    if plot:
-        from .. import plots
+    for path in (plot, poses):
+        if path:
+            from .. import plots
 
-        plots.save(plots.errors(original, other, f"{Path(b).name} against {Path(a).name}"), plot)
+            draw = plots.errors if path == plot else plots.recording
+            plots.save(draw(original, other, title(a, b, result)), path)
+
+
+def title(a: str, b: str, result: metrics.Comparison) -> str:
+    """What a picture compares."""
+    ratio = f", {result.ratio:.0f} : 1" if result.ratio is not None else ""
+    return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
 
 
 def motion(name: str, **options: Any) -> Motion:
