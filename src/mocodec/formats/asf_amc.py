@@ -130,17 +130,20 @@ def _acclaim(sections: dict[str, list[list[str]]]) -> Acclaim:
             raise BadInput(f"bone {bone.name} is there twice")
         bones[bone.name] = bone
     above = _hierarchy(sections[":hierarchy"], bones)
-    ordered = ["root"]
+    number = {"root": 0}
     for name in bones:  # as the file has them, each after its parent
-        chain = [name]
-        while above.get(chain[-1]) is not None and len(chain) <= len(bones):
-            chain.append(above[chain[-1]])
-        if chain[-1] != "root":
-            raise BadInput(f"bone {name} does not hang on the root")
-        ordered += [link for link in reversed(chain) if link not in ordered]
-    parents = (-1, *(ordered.index(above[name]) for name in ordered[1:]))
+        chain: dict[str, None] = {}
+        link: str | None = name
+        while link not in number:
+            if link is None or link in chain:
+                raise BadInput(f"bone {name} does not hang on the root")
+            chain[link] = None
+            link = above.get(link)
+        for link in reversed(chain):
+            number[link] = len(number)
+    parents = (-1, *(number[above[name]] for name in number if name != "root"))
     degrees = not units.get("angle", "deg").lower().startswith("rad")
-    return Acclaim(tuple(bones[name] for name in ordered), parents, length, degrees)
+    return Acclaim(tuple(bones[name] for name in number), parents, length, degrees)
 
 
 def _bones(lines: list[list[str]]) -> list[Bone]:
@@ -234,6 +237,8 @@ def _channels(path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
             f"{path}: {table.size} numbers in {frames} frames, where the skeleton has {1 + sum(widths)} a frame: "
             f"cut off, or another skeleton's"
         )
+    if len(acclaim.bones) > 4 * sum(widths) + 4 or abs(table[0]) >= 2**53:
+        raise BadInput(f"{path}: {len(acclaim.bones)} bones with {sum(widths)} channels are not a body")
     table = table.reshape(frames, -1)
     values: list[Floats] = [np.empty((frames, 0)) for _ in acclaim.bones]
     at = 1

@@ -69,6 +69,8 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
         raise BadInput(
             f"{path}: {what}{frames} frames of {width} channels are {frames * width} numbers, it has {table.size}"
         )
+    if len(joints) > 4 * width + 4:
+        raise BadInput(f"{path}: {len(joints)} joints with {width} channels between them are not a body")
     offsets = np.array([joint.offset for joint in joints])
     names = _names([joint.name for joint in joints])
     skeleton = Skeleton(names, tuple(joint.parent for joint in joints), offsets)

@@ -29,7 +29,7 @@ from .conventions import UNITS_M, guess_up
 POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
 RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
 NAMES = ("names", "labels", "joint_names", "marker_names")
-MAX_BYTES = 1 << 34  # of one array unpacked: 16 GiB
+MAX_BYTES = 1 << 32  # of one array unpacked: 4 GiB
 MAX_RATIO = 1100  # the most that deflate packs into a byte is about 1,032
 
 

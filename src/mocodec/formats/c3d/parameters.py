@@ -84,6 +84,7 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
     group_names: dict[int, str] = {}
     records: list[tuple[int, str, Any, str, bool]] = []
     at = section + 4
+    taken = 0
     while at + 2 <= len(data):
         name_length, number = struct.unpack_from("bb", data, at)
         if number == 0 or name_length == 0:
@@ -104,7 +105,11 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
             if name_length < 0:
                 result.locked.append(name)
         else:
-            value, body = _value(data, body, name, processor)
+            value, end = _value(data, body, name, processor)
+            taken += end - body
+            if taken > 2 * len(data):
+                raise BadInput(f"damaged: parameter records overlap at byte {body}")
+            body = end
             note = text(data[body + 1 : body + 1 + data[body]]) if body < len(data) else ""
             records.append((number, name, value, note, name_length < 0))
         if step == 0:
@@ -135,6 +140,8 @@ def _value(data: bytes, at: int, name: str, processor: int) -> tuple[Any, int]:
     raw = data[at:stop]
     if kind == -1:
         width, *rest = shape or (1,)
+        if math.prod(rest) > max(255, count):
+            raise BadInput(f"damaged: parameter {name} has {math.prod(rest)} texts without a letter")
         texts: Any = [text(raw[i * width : (i + 1) * width]) for i in range(math.prod(rest))]
         for length in rest[:-1]:
             texts = [texts[i : i + length] for i in range(0, len(texts), length)] if length else []
