@@ -31,22 +31,24 @@ Array = NDArray[Any]
 # that; the lane before at the last step; the lane's running mean; the context that the caller gave.
 MIXTURES = (
     (5, 2, 5, 2, 2, 0, 0),
-    (3, 2, 3, 1, 1, 6, 0),
-    (3, 1, 1, 0, 0, 11, 0),
-    (8, 5, 0, 0, 0, 3, 0),
+    (0, 0, 0, 0, 0, 16, 0),
+    (3, 1, 7, 3, 2, 0, 0),
     (0, 0, 8, 5, 3, 0, 0),
+    (4, 2, 3, 2, 1, 4, 0),
+    (7, 3, 3, 1, 2, 0, 0),
     (0, 0, 0, 0, 0, 0, 0),
     (3, 1, 3, 1, 0, 0, 8),
+    (2, 0, 2, 0, 0, 4, 8),
     (1, 0, 1, 0, 0, 2, 12),
 )
-WITHOUT_CONTEXTS = 6  # the first mixtures need none
+WITHOUT_CONTEXTS = 7  # the first mixtures need none
 OFFSETS = 8  # rungs −4 … 3
 SILENT = 32  # laws that silence may have
 SPARSE = b"\0\0"  # instead of a stream: places and values of what is not zero
 
 SCALAR_SYMBOLS = 8000  # up to here, one state and a loop
 SEGMENT_STEPS = 128  # lanes are not cut shorter
-WIDE = 2000  # symbols a NumPy operation should take at a time
+WIDE = 4000  # symbols a NumPy operation should take at a time
 BITS_PER_STATE = 320
 
 
@@ -55,7 +57,9 @@ def _header() -> Tables:
     """One table for each of `_Fields`, with what is likely."""
     whole = [1] * 31 + [120]
     silent = [2] * 4 + [4] * 8 + [6] * 10 + [3] * 6 + [1] * 4
-    return Tables([[12, 8, 5, 3, 2, 3, 3, 3], [2, 1], silent, [1, 2, 3, 5, 8, 5, 3, 2], [6, 2, 1], [20, 1], whole, whole])
+    return Tables(
+        [[12, 5, 8, 4, 6, 5, 5, 4, 4, 4], [2, 1], silent, [1, 2, 3, 5, 8, 5, 3, 2], [6, 2, 1], [20, 1], whole, whole]
+    )
 
 
 class _Fields(NamedTuple):
@@ -170,10 +174,9 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
     columns = _kept_symbol(d.shape[1], int(np.flatnonzero(d.any(axis=0))[-1]) + 1)
     d = d[: _kept(d.shape[0], rows), : _kept(d.shape[1], columns)]
     cut = _Cut(d.shape, scalar := d.size <= SCALAR_SYMBOLS)
-    magnitudes = np.abs(d).astype(np.uint64)
-    token, shift = models.tokens(cut(magnitudes))
+    token, shift = models.tokens(cut(np.abs(d).astype(np.uint64)))
     around = _neighbours(token, None if contexts is None else cut(_context_tokens(contexts, d.shape)))
-    fields, bits = _choose(around, token, order, rows, columns)
+    fields, expected_bits = _choose(around, token, order, rows, columns)
 
     encoder, family = Encoder(), fields.family
     encoder.put(_header(), np.arange(len(fields)), np.array(fields))
@@ -186,16 +189,18 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
         table = np.insert(law.ravel().astype(np.int64), where, fields.laws)
         encoder.put(family, table, np.insert(symbol.ravel(), where, excess[escaped]))
     else:
-        flat = [a.reshape(len(a), -1) for a in (law, symbol, escaped, excess)]
+        flat = [a.reshape(len(a), -1).T for a in (law, symbol, escaped, excess)]
         for *_, diagonal in _diagonals(*token.shape[1:]):
-            q, s, beyond, by = (a[:, diagonal].ravel() for a in flat)
+            q, s, beyond, by = (a[diagonal].ravel() for a in flat)
             encoder.put(family, q, s)
             if beyond.any():
                 encoder.put(family, np.full(int(beyond.sum()), fields.laws), by[beyond])
-    mantissa = cut(magnitudes) & (np.uint64(1) << shift.astype(np.uint64)) - np.uint64(1)
-    negative = cut((d < 0).astype(np.uint64)) << shift.astype(np.uint64)
-    encoder.raw((negative | mantissa).ravel(), ((token > 0) + shift).ravel())
-    return encoder.finish(1 if scalar else _states(token.shape, bits))
+    there = np.flatnonzero(token)
+    bits = shift.ravel()[there].astype(np.uint64)
+    signed = cut(d).ravel()[there]
+    mantissa = np.abs(signed).astype(np.uint64) & (np.uint64(1) << bits) - np.uint64(1)
+    encoder.raw((signed < 0).astype(np.uint64) << bits | mantissa, bits + np.uint64(1))
+    return encoder.finish(1 if scalar else _states(token.shape, expected_bits))
 
 
 def _states(shape: tuple[int, int, int], bits: float) -> int:
@@ -277,10 +282,21 @@ def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> li
     beside, beside2, corner = padded[:, 2:, 1:-1].copy(), padded[:, 2:, :-2].copy(), padded[:, 1:-1, 1:-1].copy()
     beside[:, :, 0] = beside2[:, :, 0] = corner[:, :, 0] = past[:, :, 0]
     beside2[:, :, 1:2] = token[:, :, :1]
-    mean = np.zeros((k, n, lanes), np.int32)
-    mean[:, 0] = past[:, 0] << 8
-    for t in range(n - 1):
-        mean[:, t + 1] = mean[:, t] + ((padded[:, t + 2, 2:] << 8) - mean[:, t] >> _warming(t))
+    mean = np.empty((n, k, lanes), np.int32)
+    mean[0] = past[:, 0] << 8
+    if k * lanes < 8:  # lists are faster than arrays so short
+        for segment in range(k):
+            for lane in range(lanes):
+                value, values = int(mean[0, segment, lane]), []
+                for t, now in enumerate(token[segment, :, lane].tolist()):
+                    values.append(value)
+                    value += (now << 8) - value >> _warming(t)
+                mean[:, segment, lane] = values
+    else:
+        steps = np.ascontiguousarray(padded[:, 2:, 2:].transpose(1, 0, 2)) << 8
+        for t in range(n - 1):
+            np.add(mean[t], steps[t] - mean[t] >> _warming(t), out=mean[t + 1])
+    mean = mean.transpose(1, 0, 2)
     return [past, past2, beside, beside2, corner, mean, given if given is not None else np.zeros(1, np.uint8)]
 
 
@@ -338,12 +354,15 @@ def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: Array | None) -
     token = decode(decoder, fields, cut.shape, given)
     if token.max() >= models.TOKENS:
         raise Corrupt("coded integers out of range")
-    shift = models.mantissa_bits(token)
-    raw = decoder.raw((token > 0) + shift)
-    shift64 = shift.astype(np.uint64)
-    top = np.where(shift > 0, (token - np.uint8(models.DIRECT)) % 4 + 4, token).astype(np.uint64)
-    magnitude = (top << shift64 | raw & (np.uint64(1) << shift64) - np.uint64(1)).astype(np.int64)
-    d = cut.back(np.where(raw >> shift64 & np.uint64(1) == 1, -magnitude, magnitude))
+    there = np.flatnonzero(token)
+    tokens = token.ravel()[there]
+    shift = models.mantissa_bits(tokens).astype(np.int64)
+    raw = decoder.raw(shift + 1).astype(np.int64)
+    top = np.where(shift > 0, (tokens - np.uint8(models.DIRECT)) % 4 + 4, tokens).astype(np.int64)
+    magnitude = top << shift | raw & (np.int64(1) << shift) - 1
+    d = np.zeros(token.shape, np.int64)
+    d.ravel()[there] = np.where(raw >> shift & 1 == 1, -magnitude, magnitude)
+    d = cut.back(d)
     whole = np.zeros(shape, np.int64)
     whole[: kept[0], : kept[1]] = d
     for _ in range(fields.order):
@@ -374,7 +393,9 @@ def _decode_one(
         for l in range(lanes):  # noqa: E741
             if t == 0:
                 means[l] = up[l + 2] << 8
-            mixed = w1 * up[l + 2] + w2 * up2[l + 2] + v1 * row[l + 1] + v2 * row[l] + w3 * up[l + 1] + (wm * means[l] >> 8)
+            mixed = (
+                w1 * up[l + 2] + w2 * up2[l + 2] + v1 * row[l + 1] + v2 * row[l] + w3 * up[l + 1] + (wm * means[l] >> 8)
+            )
             if hints is not None:
                 mixed += wg * hints[t][l]
             law = law_of[mixed]
@@ -413,35 +434,37 @@ def _decode_many(
     k, n, lanes = shape
     family, ladder = fields.family, fields.ladder
     w1, w2, v1, v2, w3, wm, wg = MIXTURES[fields.mixture]
-    last, before = np.zeros((2, k, lanes + 2), np.int32)
-    mean = np.zeros((k, lanes), np.int32)
-    warming = np.array([_warming(t) for t in range(n)], np.int32)[::-1]
-    result = np.zeros((k, n * lanes), np.uint8)
-    hints = None if given is None else given.reshape(k, n * lanes)
-    last_of = family.sizes - 1
+    last, before = np.zeros((2, (lanes + 2) * k), np.int32)  # of each lane, those of all segments; two lanes outside
+    mean = np.zeros(lanes * k, np.int32)
+    warming = np.repeat(np.array([_warming(t) for t in range(n)], np.int32)[::-1], k)
+    result = np.zeros((n * lanes, k), np.uint8)
+    hints = None if given is None else given.reshape(k, n * lanes).T
+    last_of = (family.sizes - 1).astype(np.uint8)
     for i, low, high, diagonal in _diagonals(n, lanes):
         if i < lanes:  # a lane begins
-            last[:, i + 2] = before[:, i + 2] = last[:, i + 1]
-            mean[:, i] = last[:, i + 1] << 8
-        last[:, :2] = before[:, :2] = last[:, 2:3]
+            beside = last[(i + 1) * k : (i + 2) * k]
+            last[(i + 2) * k : (i + 3) * k] = before[(i + 2) * k : (i + 3) * k] = beside
+            mean[i * k : (i + 1) * k] = beside << 8
+        last[:k] = last[k : 2 * k] = before[:k] = before[k : 2 * k] = last[2 * k : 3 * k]
         if low >= 2:  # a lane has ended
-            before[:, low] = last[:, low]
-        m = mean[:, low:high]
-        mixed = m * wm >> 8
+            before[low * k : (low + 1) * k] = last[low * k : (low + 1) * k]
+        m = mean[low * k : high * k]
+        mixed = m * wm >> 8 if wm else np.zeros(len(m), np.int32)
         for w, a, shift in ((w1, last, 2), (w2, before, 2), (v1, last, 1), (v2, before, 0), (w3, before, 1)):
             if w:
-                mixed += w * a[:, low + shift : high + shift]
+                mixed += w * a[(low + shift) * k : (high + shift) * k]
         if hints is not None and wg:
-            mixed += hints[:, diagonal].astype(np.int32) * wg
-        law = ladder.take(mixed.ravel())
+            mixed += hints[diagonal].ravel().astype(np.int32) * wg
+        law = ladder.take(mixed)
         token = decoder.next(family, law)
-        escaped = np.flatnonzero(token == last_of.take(law))
+        escaped = (token == last_of.take(law)).nonzero()[0]
         if len(escaped):
             beyond = decoder.next(family, np.full(len(escaped), family.count - 1))
             token[escaped] = np.minimum(token[escaped].astype(np.int64) + beyond, 255)
-        token = token.reshape(k, high - low)
-        result[:, diagonal] = token
-        before[:, low + 2 : high + 2] = last[:, low + 2 : high + 2]
-        last[:, low + 2 : high + 2] = token
-        m += (last[:, low + 2 : high + 2] << 8) - m >> warming[n - 1 - i + low : n - 1 - i + high]
-    return result.reshape(shape)
+        result[diagonal] = token.reshape(high - low, k)
+        here = slice((low + 2) * k, (high + 2) * k)
+        before[here] = last[here]
+        last[here] = token
+        if wm:
+            m += (last[here] << 8) - m >> warming[(n - 1 - i + low) * k : (n - 1 - i + high) * k]
+    return np.ascontiguousarray(result.T).reshape(shape)

@@ -41,8 +41,8 @@ class Tables:
         self.count = len(weights)
         self.width = max(len(w) for w in weights)
         self.sizes = np.array([len(w) for w in weights])
-        frequencies = np.zeros((self.count, self.width), np.uint32)
-        starts = np.zeros((self.count, self.width), np.uint32)
+        frequencies = np.zeros((self.count, self.width), np.int64)
+        starts = np.zeros((self.count, self.width), np.int64)
         self.symbol = np.zeros(self.count << PRECISION, np.uint8 if self.width <= 256 else np.uint16)
         for table, row in enumerate(weights):
             frequency = normalised([int(w) for w in row])

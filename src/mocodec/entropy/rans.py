@@ -38,7 +38,7 @@ class Encoder:
         frequency = tables.frequency.take(at)
         if not frequency.all():
             raise ValueError("a symbol of weight zero cannot be coded")
-        self._groups.append((frequency, tables.start.take(at)))
+        self._groups.append((frequency.astype(np.uint32), tables.start.take(at).astype(np.uint32)))
 
     def raw(self, values: Array, bits: Array) -> None:
         """Non-negative integers of so many bits (0 … 64) each, without a model: once, after all symbols."""
@@ -83,15 +83,19 @@ class Encoder:
                 quotient = s // f
                 x[: len(f)] = (quotient << precision) + (s - quotient * f) + c
         extra = (x[:, None] >> np.arange(17, 32, dtype=np.uint32) > 0).sum(axis=1)  # bits above the 17 that there are
-        heads = _bits_of(np.stack([extra, x ^ (1 << extra + 16)], axis=1), np.stack([extra * 0 + 4, extra + 16], axis=1))
+        heads = _bits_of(
+            np.stack([extra, x ^ (1 << extra + 16)], axis=1), np.stack([extra * 0 + 4, extra + 16], axis=1)
+        )
         head = (states.bit_length() - 1).to_bytes(2, "little") + np.packbits(heads).tobytes()
-        return b"".join([head, *(w.tobytes() for w in reversed(words)), np.packbits(self._raw[16 * states :]).tobytes()])
+        return b"".join(
+            [head, *(w.tobytes() for w in reversed(words)), np.packbits(self._raw[16 * states :]).tobytes()]
+        )
 
 
 class Decoder:
     """Gives the symbols of an `Encoder` back, call for call. Every method raises Corrupt for damaged data.
 
-    x: the state (an integer) or states (uint32); words, at: those still to come from `words[at]`.
+    x: the state (an integer) or states (int64); words, at: those still to come from `words[at]`.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -100,7 +104,9 @@ class Decoder:
         self.at = 0
         if first & MASK >= MANY:
             self.states = 1
-            size = len(data) if len(data) <= 4 else 4 - len(data) % 2  # words follow only a state of three or four bytes
+            size = (
+                len(data) if len(data) <= 4 else 4 - len(data) % 2
+            )  # words follow only a state of three or four bytes
             self.x: Any = int.from_bytes(data[:size], "little")
             self.words: Any = np.frombuffer(self._data, "<u2", offset=size).tolist() if size < len(data) else []
             self.x = (TOTAL - MANY) * (self.x >> PRECISION) + (self.x & MASK) - MANY
@@ -113,7 +119,9 @@ class Decoder:
 
     def _open_many(self) -> None:
         bits = np.unpackbits(np.frombuffer(self._data, np.uint8, count=-1, offset=2)[: 5 * self.states])
-        nibble = np.convolve(bits, [1, 2, 4, 8])[3:] if len(bits) > 3 else bits  # at each place, the four bits from there
+        nibble = (
+            np.convolve(bits, [1, 2, 4, 8])[3:] if len(bits) > 3 else bits
+        )  # at each place, the four bits from there
         at, starts, extra = 0, [], []
         for _ in range(self.states):
             if at >= len(bits) - 3:
@@ -124,10 +132,12 @@ class Decoder:
         if at > len(bits):
             raise Corrupt("coded integers end too early")
         lengths = np.array(extra)
-        self.x = (_numbers_at(bits, np.array(starts), lengths) | np.uint64(1) << lengths.astype(np.uint64)).astype(np.uint32)
+        self.x = (_numbers_at(bits, np.array(starts), lengths) | np.uint64(1) << lengths.astype(np.uint64)).astype(
+            np.int64
+        )
         self._words_from = 2 + (at + 7) // 8
         count = (len(self._data) - self._words_from) // 2
-        self.words = np.frombuffer(self._data, "<u2", count, self._words_from).astype(np.uint32) if count else self.x[:0]
+        self.words = np.frombuffer(self._data, "<u2", count, self._words_from).astype(np.int64) if count else self.x[:0]
 
     def next(self, tables: Tables, table: Array) -> Array:
         """The next symbols (n,), each under the table of its number (n,)."""
@@ -139,23 +149,23 @@ class Decoder:
         return np.concatenate([self._some(tables, table[a : a + self.states]) for a in parts])
 
     def _some(self, tables: Tables, table: Array) -> Array:
-        chosen = table.astype(np.int64)
-        x = self.x[: len(chosen)]
-        slot = x & np.uint32(MASK)
-        symbol = tables.symbol.take((chosen << PRECISION) + slot)
-        chosen *= tables.width
-        chosen += symbol
-        x >>= np.uint32(PRECISION)
-        x *= tables.frequency.take(chosen)
+        at = table.astype(np.int64)
+        x = self.x[: len(at)]
+        slot = x & MASK
+        symbol = tables.symbol.take((at << PRECISION) + slot)
+        at *= tables.width
+        at += symbol
+        x >>= PRECISION
+        x *= tables.frequency.take(at)
         x += slot
-        x -= tables.start.take(chosen)
+        x -= tables.start.take(at)
         short = (x < LOW).nonzero()[0]
         if len(short):
             words = self.words[self.at : self.at + len(short)]
             if len(words) < len(short):
                 raise Corrupt("coded integers end too early")
             self.at += len(short)
-            x[short] = (x[short] << np.uint32(16)) | words
+            x[short] = (x.take(short) << 16) | words
         return symbol
 
     def _one(self, tables: Tables, table: int) -> int:
