@@ -30,6 +30,12 @@ Integers = NDArray[np.int64]
 RUNS, DENSE = 0, 1
 """The first byte of a layer that is not empty."""
 
+RUNS_UP_TO, DENSE_FROM = 0.5, 0.1
+"""Shares of samples outside the bound between which both forms are tried."""
+
+BLOCK = 128
+"""Frames in which runs are looked for together."""
+
 NEIGHBOURS = np.array([(x, y, z) for x in (0, -1, 1) for y in (0, -1, 1) for z in (0, -1, 1)], np.int64)
 NEIGHBOURS = NEIGHBOURS[np.argsort(np.abs(NEIGHBOURS).sum(axis=1), kind="stable")]
 """The lattice points that are tried for a run, nearest first."""
@@ -59,12 +65,12 @@ def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
         raise CannotEncode(f"a bound of {max_error:g} m is too small for positions of {largest:g} m")
     step = lattice(max_error)
     nearest = np.rint(error / step).astype(np.int64)
-    forms = [bytes([DENSE]) + coder.pack(nearest.reshape(len(nearest), -1))]
-    if outside.mean() < 0.5:
-        active = outside.any(axis=0)
-        corrections = np.zeros_like(nearest)
-        corrections[:, active] = _held(error[:, active] / step, nearest[:, active])
-        forms.append(bytes([RUNS]) + _pack_runs(corrections))
+    forms: list[bytes] = []
+    share = outside.mean()
+    if share < RUNS_UP_TO:
+        forms.append(bytes([RUNS]) + _pack_runs(_held(error / step, nearest, outside)))
+    if share > DENSE_FROM:
+        forms.append(bytes([DENSE]) + coder.pack(nearest.reshape(len(nearest), -1)))
     return min(forms, key=len)
 
 
@@ -82,25 +88,39 @@ def unpack(data: bytes, prediction: Floats, max_error: float) -> Floats:
     return prediction + corrections * lattice(max_error)
 
 
-def _held(error: Floats, nearest: Integers) -> Integers:
+def _held(error: Floats, nearest: Integers, outside: NDArray[np.bool_]) -> Integers:
     """A correction for every frame of every point, (frames, points, 3) in lattice units, changed as seldom as can be.
 
     error: in lattice units, where the bound is √3/2. Each correction is kept until it no longer holds, and followed by
-    the one of the neighbours of zero that then holds longest.
+    the one of the neighbours of zero that then holds longest. All blocks of frames of all points go side by side.
     """
-    bound = 0.75
     frames, points, _ = error.shape
-    holds = ((error[:, :, None] - NEIGHBOURS) ** 2).sum(axis=3) <= bound
-    lasts = np.zeros((points, len(NEIGHBOURS)), np.int64)
-    best = np.zeros((frames, points), np.int64)
-    some = np.zeros((frames, points), bool)
+    blocks = -(-frames // BLOCK)
+    pad = ((0, blocks * BLOCK - frames), (0, 0), (0, 0))
+    shape = (blocks, BLOCK, points, 3)
+    e, n = (np.pad(a, pad).reshape(shape).transpose(1, 0, 2, 3).reshape(BLOCK, -1, 3) for a in (error, nearest))
+    lanes = np.pad(outside, pad[:2]).reshape(shape[:3]).any(axis=1).ravel()
+    corrections = np.zeros((BLOCK, blocks * points, 3), np.int64)
+    corrections[:, lanes] = _held_in_block(e[:, lanes], n[:, lanes])
+    return corrections.reshape(BLOCK, blocks, points, 3).transpose(1, 0, 2, 3).reshape(-1, points, 3)[:frames]
+
+
+def _held_in_block(error: Floats, nearest: Integers) -> Integers:
+    """Corrections (frames, lanes, 3) from none before the first frame."""
+    bound = 0.75
+    frames, lanes, _ = error.shape
+    squares = (error**2).sum(axis=2)
+    offers = (NEIGHBOURS**2).sum(axis=1) - 2 * (error @ NEIGHBOURS.T.astype(np.float64))
+    holds = offers <= (bound - squares)[:, :, None]
+    lasts = np.zeros((lanes, len(NEIGHBOURS)), np.int16)
+    best = np.zeros((frames, lanes), np.int64)
     for frame in reversed(range(frames)):
-        lasts = (lasts + 1) * holds[frame]
+        lasts += 1
+        lasts *= holds[frame]
         best[frame] = lasts.argmax(axis=1)
-        some[frame] = holds[frame].any(axis=1)
-    fresh = np.where(some[:, :, None], NEIGHBOURS[best], nearest)
+    fresh = np.where(holds.any(axis=2)[:, :, None], NEIGHBOURS[best], nearest)
     corrections = np.empty_like(nearest)
-    current = np.zeros((points, 3), np.int64)
+    current = np.zeros((lanes, 3), np.int64)
     for frame in range(frames):
         still = ((error[frame] - current) ** 2).sum(axis=1) <= bound
         current = np.where(still[:, None], current, fresh[frame])

@@ -65,10 +65,10 @@ def _next(good: tuple[int, float] | None, bad: tuple[int, float] | None, limit: 
 
 
 def smallest(of: Callable[[int], float], start: int) -> int:
-    """The rung of the least `of`, near enough: a walk in half octaves, then in quarters about the best."""
+    """The rung of the least `of`, near enough: a walk in half octaves, then in fifths about the best."""
     values = {start: of(start)}
     best = start
-    for stride in (quantise.LADDER // 2, quantise.LADDER // 4, quantise.LADDER // 8):
+    for stride in (quantise.LADDER // 2, quantise.LADDER // 5):
         while True:
             for rung in (best - stride, best + stride):
                 if rung not in values and abs(rung) <= WIDEST:
