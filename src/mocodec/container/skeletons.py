@@ -11,6 +11,7 @@ All arithmetic is on integers. With the lossless codec offsets are kept to the l
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -23,8 +24,9 @@ from .wire import BitReader, BitWriter, Cursor, unzigzag, zigzag
 STEP_M = 1e-5
 """Offsets are rounded to this: a hundredth of a millimetre, below what a body can be measured to."""
 MAX_STEPS = 1 << 31
-EXACT, OWN_NAMES, MIRROR, TREE = 1, 2, 2, 4
-"""Flags: bit 0 exact offsets, bit 1 joints have names of their own; shifts: mirror axis (0 none, x, y, z), tree."""
+EXACT, OWN_NAMES, MIRROR, TREE, CHAINED = 1, 2, 2, 4, 128
+"""Flags: bit 0 exact offsets, bit 1 joints have names of their own, bit 7 each bone is expected longer or shorter as
+the one before was. Shifts: mirror axis (0 none, x, y, z), tree."""
 
 Vector = tuple[int, int, int]
 SIDES = (("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"))
@@ -52,18 +54,18 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
     steps = np.rint(skeleton.offsets / STEP_M).astype(np.int64)
     offsets: list[Vector] = [(int(x), int(y), int(z)) for x, y, z in steps]
     candidates = []
-    for axis in range(4):
+    for axis, chained in product(range(4), (0, CHAINED)):
         both = BitWriter()
         both.bits = bits.bits.copy()
-        _put_offsets(both, offsets, _expectations(skeleton.names, tree, axis))
-        candidates.append(bytes([flags | axis << MIRROR]) + head + both.bytes())
+        _put_offsets(both, offsets, _expectations(skeleton.names, tree, axis), bool(chained))
+        candidates.append(bytes([flags | chained | axis << MIRROR]) + head + both.bytes())
     return min(candidates, key=len)
 
 
 def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
     """The inverse of `pack`. Raises Corrupt, Truncated."""
     flags = cursor.byte()
-    axis, tree = flags >> MIRROR & 3, flags >> TREE
+    axis, tree = flags >> MIRROR & 3, flags >> TREE & 7
     joint_names = names.unpack(cursor) if flags & OWN_NAMES else tuple(point_names)
     if len(joint_names) != len(point_names) or tree >= len(TREES) or (tree and len(TREES[tree]) != len(joint_names)):
         raise cursor.corrupt("the skeleton does not fit the points, or its tree is unknown")
@@ -75,7 +77,7 @@ def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
         if offsets.shape != (len(joint_names), 3) or offsets.dtype != np.float64 or not np.isfinite(offsets).all():
             raise cursor.corrupt("the skeleton's offsets do not fit its joints")
         return Skeleton(joint_names, parents, offsets)
-    steps = _get_offsets(bits, _expectations(joint_names, tree, axis))
+    steps = _get_offsets(bits, _expectations(joint_names, tree, axis), bool(flags & CHAINED))
     bits.done()
     return Skeleton(joint_names, parents, np.array(steps, np.float64).reshape(-1, 3) / round(1 / STEP_M))
 
@@ -135,22 +137,43 @@ def _scaled(vector: Vector, main: int, value: int) -> list[int]:
     return [(2 * v * value + whole) // (2 * whole) if whole else v for v in vector]
 
 
-def _residuals(offsets: Sequence[Vector], expected: Sequence[Expectation]) -> tuple[list[int], list[int]]:
+def _longer(vector: Vector, ratio: tuple[int, int]) -> Vector:
+    """The vector times a ratio, rounded half up."""
+    x, y, z = ((2 * v * ratio[0] + ratio[1]) // (2 * ratio[1]) for v in vector)
+    return x, y, z
+
+
+def _main(vector: Vector) -> int:
+    return max(range(3), key=lambda axis: abs(vector[axis]))
+
+
+def _ratio(offset: Sequence[int], vector: Vector) -> tuple[int, int]:
+    """How much longer a bone is than was expected of it before; 1 where the two do not point the same way."""
+    main = _main(vector)
+    return (offset[main], vector[main]) if offset[main] * vector[main] > 0 else (1, 1)
+
+
+def _residuals(
+    offsets: Sequence[Vector], expected: Sequence[Expectation], chained: bool
+) -> tuple[list[int], list[int]]:
     """Departures of each joint's main coordinate, and of its two others."""
     mains: list[int] = []
     others: list[int] = []
+    ratio = (1, 1)
     for offset, expectation in zip(offsets, expected, strict=True):
-        vector = _vector(expectation, offsets)
-        main = max(range(3), key=lambda axis: abs(vector[axis]))
+        plain = _vector(expectation, offsets)
+        vector = _longer(plain, ratio)
+        ratio = _ratio(offset, plain) if chained else ratio
+        main = _main(vector)
         mains.append(zigzag(offset[main] - vector[main]))
         scaled = _scaled(vector, main, offset[main])
         others.extend(zigzag(offset[axis] - scaled[axis]) for axis in range(3) if axis != main)
     return mains, others
 
 
-def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], expected: Sequence[Expectation]) -> None:
+def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], expected: Sequence[Expectation], chained: bool) -> None:
     """Two orders, 4 bits each, then per joint its three departures: a bit "not zero", then exponential Golomb."""
-    mains, others = _residuals(offsets, expected)
+    mains, others = _residuals(offsets, expected, chained)
     orders = [min(range(16), key=lambda k, v=values: _cost(v, k)) for values in (mains, others)]
     for order in orders:
         bits.put(order, 4)
@@ -160,18 +183,21 @@ def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], expected: Sequence[
             _put_departure(bits, other, orders[1])
 
 
-def _get_offsets(bits: BitReader, expected: Sequence[Expectation]) -> list[Vector]:
+def _get_offsets(bits: BitReader, expected: Sequence[Expectation], chained: bool) -> list[Vector]:
     orders = bits.get(4), bits.get(4)
     known: list[Vector] = []
+    ratio = (1, 1)
     for expectation in expected:
-        vector = _vector(expectation, known)
-        main = max(range(3), key=lambda axis: abs(vector[axis]))
+        plain = _vector(expectation, known)
+        vector = _longer(plain, ratio)
+        main = _main(vector)
         value = vector[main] + _get_departure(bits, orders[0])
         offset = _scaled(vector, main, value)
         for axis in range(3):
             offset[axis] = value if axis == main else offset[axis] + _get_departure(bits, orders[1])
         if max(map(abs, offset)) > MAX_STEPS:
             raise bits.cursor.corrupt("an offset is out of range")
+        ratio = _ratio(offset, plain) if chained else ratio
         known.append((offset[0], offset[1], offset[2]))
     return known
 
