@@ -6,7 +6,6 @@ chunks[k] ──► its bytes ──► checksum ──► payload: damage in on
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import accumulate
@@ -241,12 +240,6 @@ class Reader:
     def fields(self) -> list[dict[str, Any]]:
         """The header field by field: name, bytes, meaning."""
         return records.describe(HEADER, self.header)
-
-    def chunk_at(self, frame: int) -> int:
-        """The number of the chunk that holds this frame. Raises BadInput."""
-        if not 0 <= frame < self.chunks.starts[-1]:
-            raise BadInput(f"frame {frame} is not among the {self.chunks.starts[-1]} of the file")
-        return bisect_right(self.chunks.starts, frame) - 1
 
     def close(self) -> None:
         self.source.close()
