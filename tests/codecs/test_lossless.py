@@ -1,0 +1,84 @@
+"""The lossless codec: the contract of every codec, and every bit back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec.codecs import lossless
+from mocodec.codecs.lossless import Lossless
+from mocodec.errors import BadInput, CannotEncode, Corrupt
+from mocodec.motion import Motion
+from mocodec.testing import CodecTests, synthetic
+
+RECORDINGS = Path(__file__).parents[2] / "../shared/data"
+
+
+def bits(positions: np.ndarray) -> np.ndarray:
+    return positions.astype(np.float32).view(np.int32)
+
+
+class TestLossless(CodecTests):
+    codec = staticmethod(lambda **settings: Lossless(**settings))
+    usual_error = 1e-6
+    refuses = frozenset({"huge"})
+
+
+def test_float32_comes_back_bit_for_bit() -> None:
+    motion = synthetic.markers(frames=500, seed=3)
+    decoded = mc.decode(mc.encode(motion, codec="lossless"))
+    assert np.array_equal(bits(decoded.positions), bits(motion.positions))
+
+
+def test_float32_millimetres_come_back_as_the_same_float64() -> None:
+    """As a C3D file gives them: nothing at all is lost."""
+    walk = synthetic.markers(frames=200, seed=3)
+    motion = replace(
+        walk, positions=(walk.positions * 1000).astype(np.float32).astype(float) * 0.001, source={"unit_m": 0.001}
+    )
+    assert np.array_equal(mc.decode(mc.encode(motion, codec="lossless")).positions, motion.positions)
+
+
+def test_decimals_of_a_text_file_come_back_as_the_same_float64_and_cost_less() -> None:
+    walk = synthetic.markers(frames=200, seed=3)
+    motion = replace(walk, positions=np.round(walk.positions * 1000, 2) * 0.001, source={"unit_m": 0.001})
+    blob = mc.encode(motion, codec="lossless")
+    assert np.array_equal(mc.decode(blob).positions, motion.positions)
+    assert len(blob) < len(mc.encode(walk, codec="lossless")) * 0.8
+
+
+def test_signed_zeros_and_subnormals() -> None:
+    values = np.array([0.0, -0.0, 1e-45, -1e-45, 1.0, -1.0, 3.4e38, -3.4e38], np.float32)
+    assert np.array_equal(bits(lossless.from_order(lossless.in_order(values))), bits(values))
+    ranks = lossless.in_order(np.sort(values[2:]))
+    assert (np.diff(ranks) > 0).all()
+
+
+def test_beyond_float32_is_refused() -> None:
+    with pytest.raises(CannotEncode, match="float32"):
+        Lossless().encode(Motion(positions=np.full((3, 1, 3), 1e39) * np.pi, rate=10))
+    with pytest.raises(BadInput):
+        Lossless(chunk_seconds=0).encode(synthetic.markers(frames=3))
+
+
+def test_shared_bytes_that_are_not_its_own_are_refused() -> None:
+    encoded = Lossless().encode(synthetic.markers(frames=30))
+    with pytest.raises(Corrupt):
+        Lossless.decode(replace(encoded, shared=(b"x",)))
+    with pytest.raises(Corrupt):
+        Lossless.decode(replace(encoded, chunks=(replace(encoded.chunks[0], payload=b"\xff"),)))
+
+
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="needs ../shared/data")
+def test_smaller_than_pcodec_on_a_real_recording() -> None:
+    pytest.importorskip("pcodec")
+    from mocodec.evaluation import rivals
+
+    motion = mc.read(RECORDINGS / "cmu/c3d/85_02.c3d")
+    assert isinstance(motion, Motion)
+    ours = len(mc.encode(motion, codec="lossless"))
+    assert ours < 0.95 * len(rivals.PcodecLossless().encode(motion.positions, 0.0))
