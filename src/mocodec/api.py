@@ -59,9 +59,12 @@ def encode(motion: Motion | PointClouds, codec: Any = None, **options: Any) -> b
         raise BadInput(
             f"encode takes a Motion or PointClouds, not {type(motion).__name__}; see Motion(positions, rate)"
         )
-    if codec is None:
-        codec = "tempo" if isinstance(motion, Motion) else "lien2006"
-    return container.pack(with_options(codec, **options).encode(motion))
+    return container.pack(with_options(codec or default_codec(motion), **options).encode(motion))
+
+
+def default_codec(motion: Motion | PointClouds) -> str:
+    """The codec that is used where none is named."""
+    return "tempo" if isinstance(motion, Motion) else "lien2006"
 
 
 def with_options(codec: Any, **options: Any) -> Any:

@@ -23,12 +23,15 @@ from . import files, quantities
 @click.option("--poses", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw poses of both, side by side.")
 @files.reader_options
 def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, **options: Any) -> None:
-    """Measure B against A; either may be a .mocz or any other recording.
+    """Measure B against A; either may be a .mocz or any other recording. --asf, --unit and their like are for A, and
+    for B where it is of the same format.
 
     The ratio is A's positions as float32 over the bytes of the .mocz, where one of the two is one.
     """
+    if a == b == "-":
+        raise click.UsageError("only one of the two can be standard input")
     with files.working(f"reading {a} and {b}"):
-        original, other = motion(a, **options), motion(b, **options)
+        original, other = motion(a, **options_for(a, a, options)), motion(b, **options_for(b, a, options))
     result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
     click.echo(result.to_json() if as_json else "\n".join(table(result)))
     for path in (plot, poses):
@@ -43,6 +46,14 @@ def title(a: str, b: str, result: metrics.Comparison) -> str:
     """What a picture compares."""
     ratio = f", {result.ratio:.0f} : 1" if result.ratio is not None else ""
     return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
+
+
+def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
+    """The readers' options that concern this file."""
+    if name == "-":
+        return options
+    alike = Path(name).suffix.lower() == Path(a).suffix.lower()
+    return {**options, "format_": None} if alike else {}
 
 
 def motion(name: str, **options: Any) -> Motion:

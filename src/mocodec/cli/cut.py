@@ -11,6 +11,7 @@ to a user than one at a chunk's border. `--chunks` widens the cut to the borders
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import click
@@ -68,11 +69,11 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
 
 
 def frames(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:
-    """Times as frames [start, stop). Raises a usage error where nothing lies between them."""
+    """Times as frames [start, stop), each the first frame at or after the time. Raises a usage error where nothing lies between them."""
 
     def frame(time: Time) -> int:
         seconds, index = time
-        return round(seconds * rate) if seconds is not None else index or 0
+        return math.ceil(seconds * rate - 1e-6) if seconds is not None else index or 0
 
     start, stop = frame(begin), min(count, frame(end)) if end else count
     if start >= stop:

@@ -18,9 +18,10 @@ from ..motion import Motion
 from . import files, quantities
 
 RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("liu2006", {"max_error": 0.002}),
+    ("hou2014", {"max_error": 0.002}),
+    ("hou2014", {"max_error": 0.005}),
+    ("hou2014", {"max_error": 0.01}),
     ("liu2006", {"max_error": 0.01}),
-    ("liu2006", {}),
     ("lossless", {}),
 )
 

@@ -13,8 +13,6 @@ from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities, verify
 
-DEFAULT = {Motion: "tempo", PointClouds: "lien2006"}
-
 
 @click.command("encode")
 @click.argument("source", metavar="IN")
@@ -39,7 +37,7 @@ def command(
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec decode` writes the formats of the field")
     with files.working(f"reading {source}"):
         recording = files.read(source, **options)
-    chosen = choose(codec or DEFAULT[type(recording)], settings, files.named(**targets))
+    chosen = choose(codec or api.default_codec(recording), settings, files.named(**targets))
     with files.working(f"encoding {source} with {chosen.name}"):
         blob = container.pack(chosen.encode(recording))
         with api.open(blob) as opened:

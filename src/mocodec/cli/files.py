@@ -69,7 +69,7 @@ def source_of(name: str) -> Any:
 def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
     """Read any file that mocodec knows. Raises BadInput, and the container's errors for a .mocz."""
     options = named(**options)
-    if is_url(name) or (name != "-" and format_ == MAGIC_SUFFIX[1:]):
+    if is_url(name) or is_mocz(name):
         return api.decode(source_of(name))
     if name != "-":
         path = Path(name)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from .. import api, container, metrics
+from .. import api, metrics
 from ..errors import BadInput
 from ..motion import Motion, Signal
 from . import PROMISE_BROKEN, files, quantities
@@ -29,9 +29,8 @@ def command(file: str, against: str | None, as_json: bool, **options: Any) -> in
     A promise is the max-error, mean-error, ratio or size that it was encoded for; names, rate, gaps and what was beside
     the points are promised always.
     """
-    reader = container.Reader(files.source_of(file))
-    with files.working(f"verifying {file}"), api.File(reader) as opened:
-        reader.verify()
+    with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
+        opened.verify()
         decoded, facts, stored = opened[:], opened.info, opened.encoded
     report: dict[str, Any] = {"file": file, "undamaged": True, "frames": facts.get("frames", len(decoded))}
     report["promise"] = {name: stored.settings[name] for name in api.TARGETS if stored.settings.get(name)}
