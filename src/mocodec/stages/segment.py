@@ -104,9 +104,11 @@ def _leading(covariance: Floats, before: Floats | None) -> tuple[Floats, Floats]
     """The leading variances, strongest first, and their directions, (dimensions, LEADING) at most.
 
     Found afresh, or from those of a model a few frames shorter by a step of subspace iteration, which is many times
-    faster: C Q = U S Vᵀ, by way of the small matrix (C Q)ᵀ (C Q).
+    faster: C Q = U S Vᵀ, by way of the small matrix (C Q)ᵀ (C Q). A model that has not moved has no directions.
     """
-    if before is None or len(covariance) <= LEADING:
+    if np.trace(covariance) <= len(covariance) * STILL_M**2:
+        return np.zeros(0), np.zeros((len(covariance), 0))
+    if before is None or before.shape[1] < LEADING:
         variances, directions = np.linalg.eigh(covariance)
         return np.maximum(variances[: -LEADING - 1 : -1], 0.0), directions[:, : -LEADING - 1 : -1]
     image = covariance @ before

@@ -73,7 +73,8 @@ def _curvature(widths: Floats, values: Floats) -> Floats:
         (ptsv,) = get_lapack_funcs(("ptsv",), dtype=np.float64)
         slopes = np.diff(values, axis=0) / widths
         diagonal = (widths[:-1] + widths[1:])[:, 0] / 3
-        curvature[1:-1] = ptsv(diagonal, widths[1:-1, 0] / 6, np.diff(slopes, axis=0))[2]
+        beside = widths[1:-1, 0] / 6 if len(diagonal) > 1 else np.zeros(1)
+        curvature[1:-1] = ptsv(diagonal, beside, np.diff(slopes, axis=0))[2]
     return curvature
 
 

@@ -33,15 +33,16 @@ from .roles import Roles
 MEAN_OF_BOUND = 0.25
 """Under a max_error, the mean error that the method itself is steered to; the residual layer does the rest."""
 
-PLAIN = 0.05
+PLAIN = 0.04
 STEERED = 0.25
-"""Quantiser steps in tolerances of the splines. The paper stores floats: PLAIN adds little to its error. At an equal error
-in all, STEERED takes the fewest bytes."""
+"""Quantiser steps in tolerances of the splines. The paper stores floats: PLAIN adds little to its error. At an equal
+error in all, STEERED takes the fewest bytes."""
 
 ATTEMPTS = 10
 NEAR_ENOUGH = 0.98
 AIM = float(np.log(0.99))
-"""How a target is searched for: how often, when to stop, and what to aim at."""
+FARTHEST = 25.0
+"""How a target is searched for: how often, when to stop, what to aim at, and the largest logarithm of a scale."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Liu2006:
     foot_tolerance: float = 0.010
     spline_tolerance: float = 0.010
     normalisation_tolerance: float = 0.001
-    blend_frames: int = 20  # h
+    blend_frames: int = 16  # h
     fineness: float | None = None  # quantiser step, in tolerances of the splines; none: PLAIN, or STEERED to a target
 
     def __post_init__(self) -> None:
@@ -274,7 +275,10 @@ def steer(
             share = (AIM - inside[1]) / (outside[1] - inside[1])
             scale = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
         else:
-            scale += (1 if grows else -1) * min(max(AIM - at[1], -3.0), 3.0) * (1 if grows else 2)
+            step = min(max(AIM - at[1], -3.0), 3.0) * (1 if grows else -2)
+            if not -FARTHEST <= scale + step <= FARTHEST:
+                break
+            scale += step
     if best is None:
         raise CannotEncode("liu2006 does not come down to what was asked: ask for more error or a lower ratio")
     return best[1]

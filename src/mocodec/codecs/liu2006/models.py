@@ -194,7 +194,7 @@ def unpack(payload: bytes, start: int, stop: int, roles: Roles) -> tuple[Segment
         mean = quantise.inverse(own, _noise(_rung(rung), keys))
         values = _unpack_track(packed_values, keys, _rung(rung), k)
         models.append(PoseModel(own, mean, components, precision, components, values))
-    return Segment(start, stop, before, after, track, tuple(models)), *sections[-2:]
+    return Segment(start, stop, before, after, track, tuple(models)), sections[-2], sections[-1]
 
 
 def sections_of(roles: Roles) -> int:

@@ -2,8 +2,8 @@
 
     python -m mocodec.evaluation.papers.liu2006 [--data FOLDER] [-o docs/results]
 
-The paper's four sequences are known by their numbers of frames: every C3D file below the data folder that has one of these
-and the paper's 41 markers is run. Writes liu2006.json, liu2006.md, liu2006_figure3.png and liu2006_figure4.png.
+The paper's four sequences are known by their numbers of frames: every C3D file below the data folder that has one of
+these and the paper's 41 markers is run. Writes liu2006.json, liu2006.md, and figures 3 and 4 of each sequence as PNG.
 """
 
 from __future__ import annotations
