@@ -20,7 +20,7 @@ from .transform import Transform
 
 Integers = NDArray[np.int64]
 
-PAYS = 16.0
+PAYS = 32.0
 """A component is worth coding where its energy is beyond this many squared steps."""
 
 
