@@ -50,6 +50,13 @@ def test_euler_angles_of_any_turn_make_it_again(order):
     assert np.allclose(rigid.to_matrix(again), rigid.to_matrix(q), atol=1e-7)
 
 
+@pytest.mark.parametrize("order", ["xyz", "zyx", "zxy"])
+def test_angles_that_run_on_come_back(order):
+    angles = np.cumsum(np.random.default_rng(9).normal(0.02, 0.1, (300, 3)), axis=0)
+    assert np.abs(angles).max() > np.pi
+    assert np.allclose(rigid.to_euler_along_time(order, rigid.from_euler(order, angles)), angles, atol=1e-6)
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(BadInput, match="alone do not make"):
         rigid.to_euler("x", rigid.from_euler("xy", np.ones((3, 2))))

@@ -272,9 +272,9 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
     """Write an AMC, angles as its ASF counts them.
 
     asf: the skeleton to write for, by default the one that `read` would find beside the AMC; where there is none a new
-    one is written beside it, with every bone free about x, y and z. Angles are within ±180° (the middle one ±90°) and
-    make the same turns. Raises BadInput for a motion that did not come from an AMC, one without rotations, or another
-    skeleton's.
+    one is written beside it, with every bone free about x, y and z. Angles run on from frame to frame, as CMU's do,
+    and begin within ±180° (the middle one ±90°). Raises BadInput for a motion that did not come from an AMC, one without
+    rotations, or another skeleton's.
     """
     path = Path(path)
     skeleton, rotations = motion.skeleton, motion.rotations
@@ -311,7 +311,7 @@ def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Fl
     turn = rigid.multiply(rigid.multiply(rigid.inverse(frame), own_turn), frame)
     order = "".join(axis for axis in bone.order[::-1] if f"r{axis}" in bone.dof)
     try:
-        angles = rigid.to_euler(order, turn)
+        angles = rigid.to_euler_along_time(order, turn)
     except BadInput as error:
         raise BadInput(f"bone {bone.name} cannot turn so in this skeleton: {error}") from None
     values = np.degrees(angles) if acclaim.degrees else angles

@@ -108,3 +108,18 @@ def _axis(letter: str) -> int:
     if index < 0 or len(letter) != 1:
         raise BadInput(f"an axis is x, y or z, not {letter!r}")
     return index
+
+
+def to_euler_along_time(order: str, q: Floats) -> Floats:
+    """As `to_euler` of q (frames, 4), but of all angles that make the same turns those nearest to the frame before:
+    angles that ran on past ±π, or past ±π/2 in the middle, come back as they were."""
+    angles = to_euler(order, q)
+    if len(order) != 3 or np.abs(np.diff(angles, axis=0)).sum(axis=1).max(initial=0.0) < np.pi / 2:
+        return angles
+    others = np.pi + angles * [1.0, -1.0, 1.0]  # the other triple of angles of a turn
+    before = angles[0]
+    for frame, choices in enumerate(np.stack([angles, others], axis=1)):
+        choices = choices + 2 * np.pi * np.rint((before - choices) / (2 * np.pi))
+        before = choices[np.abs(choices - before).sum(axis=1).argmin()]
+        angles[frame] = before
+    return angles
