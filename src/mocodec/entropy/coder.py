@@ -2,10 +2,10 @@
 
     values ─► differences? ─► sign · token · mantissa ─► law from the tokens around ─► rANS ─► bytes
 
-Every token's law is chosen from tokens that are already known: those before it in its lane and those of the lanes before it.
-Long arrays are cut into segments, and one diagonal of all segments is coded at a time. What is best for an array as a whole
-(how to weigh the neighbours, a wider or narrower ladder of laws, differences or not) is found by counting and sent in a few bits.
-docs/entropy.md has format, figures and reasons.
+Every token's law is chosen from tokens that are already known: those before it in its lane and those of the lanes
+before it. Long arrays are cut into segments, and one diagonal of all segments is coded at a time. What is best for an
+array as a whole (how to weigh the neighbours, a wider or narrower ladder of laws, differences or not) is found by
+counting and sent in a few bits. docs/entropy.md has format, figures and reasons.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ __all__ = ["Decoder", "Encoder", "Tables", "pack", "unpack"]
 Integers = NDArray[np.int64]
 Array = NDArray[Any]
 
-# What neighbours count, in sixteenths: the lane's last and last but one; the lane before, at this step, and the one before
-# that; the lane before at the last step; the lane's running mean; the context that the caller gave.
+# What neighbours count, in sixteenths: the lane's last and last but one; the lane before, at this step, and the one
+# before that; the lane before at the last step; the lane's running mean; the context that the caller gave.
 MIXTURES = (
     (5, 2, 5, 2, 2, 0, 0),
     (0, 0, 0, 0, 0, 16, 0),
@@ -204,7 +204,7 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
 
 
 def _states(shape: tuple[int, int, int], bits: float) -> int:
-    """How many states: few where there are few bits, but not so few that a diagonal takes more than some twenty steps."""
+    """How many states: few where there are few bits, but a diagonal should not take more than some thirty turns."""
     width = shape[0] * min(shape[1:])
     return 1 << min(15, max(4, int(max(min(bits / BITS_PER_STATE, width), width / 16)).bit_length() - 1))
 
@@ -212,7 +212,7 @@ def _states(shape: tuple[int, int, int], bits: float) -> int:
 class _Cut:
     """(steps, lanes) as segments (segments, steps of each, lanes), so that many symbols can be coded at a time.
 
-    A loop over single symbols needs no segments. Otherwise the longer axis is the one that is cut; its end is padded with zeros.
+    A loop over single symbols needs no segments. Otherwise the longer axis is cut, its end padded with zeros.
     """
 
     def __init__(self, shape: tuple[int, int], scalar: bool) -> None:
@@ -236,7 +236,7 @@ class _Cut:
 
 
 def _diagonals(steps: int, lanes: int) -> Iterator[tuple[int, int, int, slice]]:
-    """Step t of lane l belongs to diagonal t + l: (diagonal, first lane, last lane + 1, their places in a flat segment).
+    """Step t of lane l belongs to diagonal t + l: (diagonal, first lane, last lane + 1, places in a flat segment).
 
     Along it all neighbours that a symbol looks at (before it in its lane, beside it in lanes before) are known.
     """
@@ -273,7 +273,7 @@ def _warming(step: int) -> int:
 
 
 def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> list[Array]:
-    """What each symbol (segments, steps, lanes) looks at, in the order of MIXTURES; what lies outside is replaced by what is near."""
+    """What each symbol (segments, steps, lanes) looks at, as in MIXTURES; outside, what is nearest inside."""
     k, n, lanes = token.shape
     padded = np.zeros((k, n + 2, lanes + 2), np.int32)
     padded[:, 2:, 2:] = token

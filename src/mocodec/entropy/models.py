@@ -3,9 +3,9 @@
     number ──► sign, token, mantissa      token 0 … 15 = the magnitude itself; above, four tokens to an octave
     neighbours' tokens ──► expected size ──► one law of `family`, a ladder of ever wider ones
 
-A law says P(|v| ≥ a) = (1 + (β x + γ x²) / 12)⁻¹², x = (a − ½) / σ. With γ = 0 that is Lomax's, what is left of a Laplace
-law whose scale is known only roughly, which is how it is here; the second shape comes near to a normal law. Tails are heavy
-enough for jumps, and both are computed exactly, in integers.
+A law says P(|v| ≥ a) = (1 + (β x + γ x²) / 12)⁻¹², x = (a − ½) / σ. With γ = 0 that is Lomax's, what is left of a
+Laplace law whose scale is known only roughly, which is how it is here; the second shape comes near to a normal law.
+Tails are heavy enough for jumps, and both are computed exactly, in integers.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Interleaved rANS (Duda 2013), integer only: symbols under static tables, any number of states at a time.
 
-For codecs that bring their own `Tables` and choose each symbol's table from what is already decoded. A stream has one state (few
-symbols: a loop over Python integers, nothing spent on the state) or many (a NumPy operation moves all of them). A state
-holds 32 bits and moves words of 16; many states start with 16 raw bits hidden in each, so that one costs about 4 bits.
+For codecs that bring their own `Tables` and choose each symbol's table from what is already decoded. A stream has one
+state (few symbols: a loop over Python integers, nothing spent on the state) or many (a NumPy operation moves all of
+them). A state holds 32 bits and moves words of 16; many states start with 16 raw bits hidden in each, so that one
+costs about 4 bits.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Array = NDArray[Any]
 
 LOW = 1 << 16  # a state is at least this, and below 2^32
 MASK = TOTAL - 1
-MANY = 64  # the first 14 bits of a stream with many states are less than this (the logarithm of their number); of one state never
+MANY = 64  # the first 14 bits of a stream with many states are less (the logarithm of their number), of one state never
 
 
 class Encoder:
@@ -45,7 +46,7 @@ class Encoder:
         self._raw = _bits_of(values, bits)
 
     def finish(self, states: int = 1) -> bytes:
-        """The bytes. states: 1, or a power of two up to 2^15: more are faster where one call of `put` has many symbols."""
+        """The bytes. states: 1, or a power of two up to 2^15: more: faster where a call of `put` has many symbols."""
         return self._finish_one() if states == 1 else self._finish_many(states)
 
     def _finish_one(self) -> bytes:
@@ -183,7 +184,7 @@ class Decoder:
             self.at += 1
 
     def raw(self, bits: Array) -> NDArray[np.uint64]:
-        """The integers of `Encoder.raw`, so many bits (0 … 64) each; checks that the stream ends here. Once, after all symbols."""
+        """The integers of `Encoder.raw`, so many bits (0 … 64) each; once, at the end, which is checked."""
         total = int(bits.sum(dtype=np.int64))
         if total > 8 * len(self._data) + 16 * self.states:
             raise Corrupt("coded integers end too early")

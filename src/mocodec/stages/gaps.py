@@ -3,8 +3,8 @@
     positions with NaN ──fill──► positions without, mask ──pack──► bytes
     positions without, mask ◄──unpack── bytes         apply ──► positions with NaN
 
-A mask is stored as the lengths of its runs, present and missing in turn, point after point or frame after frame, whichever
-is shorter: a marker that hides now and then is the one case, frames that were lost as a whole the other.
+A mask is stored as the lengths of its runs, present and missing in turn, point after point or frame after frame,
+whichever is shorter: a marker that hides now and then is the one case, frames that were lost as a whole the other.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..entropy import coder
+from ..entropy import coder, varint
 from ..errors import Corrupt
 from ..motion import Floats
 
 Mask = NDArray[np.bool_]
 
+STEADY = 40  # frames for which a speed at the edge of a gap is believed
+
 
 def fill(positions: Floats) -> tuple[Floats, Mask]:
     """Positions (frames, points, 3) with every gap filled, and the mask (frames, points) of what was missing.
 
-    Inside, a gap is bridged by the cubic that leaves and arrives at the velocity of its two edges, held back where
-    that would overshoot; at either end the nearest sample is held. A point missing throughout gets the mean of the
-    others, one that costs little, or zero where there is nothing at all.
+    Inside, a gap is bridged by the cubic that leaves and arrives with the speeds of its two edges; at either end the
+    nearest sample is held. A point missing throughout gets the mean of the others, or zero where there are none.
     """
     mask = np.isnan(positions[..., 0])
     if not mask.any():
@@ -49,14 +50,18 @@ def _bridge(known: NDArray[np.intp], samples: Floats, missing: NDArray[np.intp])
     a, b = samples[left], samples[right]
     span = np.maximum(known[right] - known[left], 1)[:, None]
     s = np.where(left == right, 0, missing - known[left])[:, None] / span
-    line = b - a
-    before, beyond = np.maximum(left - 1, 0), np.minimum(right + 1, len(known) - 1)
-    limit = 3 * np.abs(line)
-    leaving = np.where((known[left] - known[before] == 1)[:, None], (a - samples[before]) * span, line)
-    arriving = np.where((known[beyond] - known[right] == 1)[:, None], (samples[beyond] - b) * span, line)
-    leaving, arriving = np.clip(leaving, -limit, limit), np.clip(arriving, -limit, limit)
+    steadied = np.minimum(span, STEADY)
+    leaving, arriving = _speed(known, samples, left, -1) * steadied, -_speed(known, samples, right, 1) * steadied
     rising = 3 * s**2 - 2 * s**3
-    return a + rising * line + (s**3 - 2 * s**2 + s) * leaving + (s**3 - s**2) * arriving
+    return a + rising * (b - a) + (s**3 - 2 * s**2 + s) * leaving + (s**3 - s**2) * arriving
+
+
+def _speed(known: NDArray[np.intp], samples: Floats, at: NDArray[np.intp], way: int) -> Floats:
+    """Change per frame on the way to the samples `at`: the smaller of the last two, nothing after a jump."""
+    one, two = np.clip(at + way, 0, len(known) - 1), np.clip(at + 2 * way, 0, len(known) - 1)
+    last, before = samples[at] - samples[one], samples[one] - samples[two]
+    running = (np.abs(known[two] - known[at]) == 2)[:, None] & (last * before > 0)
+    return np.where(running, np.where(np.abs(last) < np.abs(before), last, before), 0.0)
 
 
 def apply(positions: Floats, mask: Mask) -> Floats:
@@ -78,14 +83,7 @@ def unpack(data: bytes, shape: tuple[int, int]) -> Mask:
     frames, points = shape
     if not data:
         return np.zeros((frames, points), bool)
-    number, size = 0, 0
-    while True:
-        if size == len(data) or size == 9:
-            raise Corrupt("gaps end too early")
-        number |= (data[size] & 127) << 7 * size
-        size += 1
-        if data[size - 1] < 128:
-            break
+    (number,), size = varint.read(data, 1)
     count, by_frame = number >> 1, number & 1
     if not 0 < count <= frames * points:
         raise Corrupt("gaps: more than the frames can hold")
@@ -102,8 +100,4 @@ def _pack_runs(mask: Mask, by_frame: int) -> bytes:
     """How many gaps, and for each how long nothing was missing before it, and how long it is, all rows end to end."""
     flat = np.concatenate([[False], mask.ravel(), [False]])
     runs = np.diff(np.flatnonzero(flat[1:] != flat[:-1]), prepend=0).reshape(-1, 2)
-    number, head = len(runs) << 1 | by_frame, bytearray()
-    while number > 127:
-        head.append(number & 127 | 128)
-        number >>= 7
-    return bytes([*head, number]) + coder.pack(runs)
+    return varint.write([len(runs) << 1 | by_frame]) + coder.pack(runs)
