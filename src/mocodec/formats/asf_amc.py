@@ -273,8 +273,8 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
 
     asf: the skeleton to write for, by default the one that `read` would find beside the AMC; where there is none a new
     one is written beside it, with every bone free about x, y and z. Angles run on from frame to frame, as CMU's do,
-    and begin within ±180° (the middle one ±90°). Raises BadInput for a motion that did not come from an AMC, one without
-    rotations, or another skeleton's.
+    and begin within ±180° (the middle one ±90°). Raises BadInput for a motion that did not come from an AMC, one
+    without rotations, or another skeleton's.
     """
     path = Path(path)
     skeleton, rotations = motion.skeleton, motion.rotations
