@@ -112,6 +112,7 @@ def _by_label(names: Sequence[str], present: Floats) -> tuple[int, int, int] | N
 def _by_geometry(positions: Floats, present: Floats, up: str) -> tuple[int, int, int]:
     """Left and right: the pair farthest apart on the ground and most rigid; origin: the point most rigid to both."""
     columns = np.argsort(-np.minimum(present, 0.9), kind="stable")[:CANDIDATES]
+    columns = columns[: max(3, int((present[columns] > 0.5).sum()))]
     sample = np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int))
     points = positions[sample][:, columns]
     middle = np.nan_to_num(points).sum(axis=0) / np.maximum((~np.isnan(points)).sum(axis=0), 1)

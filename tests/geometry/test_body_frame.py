@@ -1,0 +1,77 @@
+"""The frame that follows the body: there and back, the paper's axes, labels and the choice without labels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec.geometry import body_frame
+from mocodec.testing import synthetic
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_into_and_out_of_undo_each_other(up: str) -> None:
+    positions = np.random.default_rng(1).normal(size=(20, 7, 3))
+    frame = body_frame.of(positions[:, :3], up)
+    assert body_frame.out_of(body_frame.into(positions, frame), frame) == pytest.approx(positions)
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_a_turn_about_the_vertical_and_a_walk_are_taken_out(up: str) -> None:
+    pose = np.random.default_rng(2).normal(size=(6, 3))
+    vertical = "xyz".index(up)
+    a, b = (vertical + 1) % 3, (vertical + 2) % 3
+    poses = []
+    for turn in np.linspace(0, 6, 9):
+        moved = pose.copy()
+        moved[:, a] = np.cos(turn) * pose[:, a] - np.sin(turn) * pose[:, b] + turn
+        moved[:, b] = np.sin(turn) * pose[:, a] + np.cos(turn) * pose[:, b] - turn
+        poses.append(moved + np.eye(3)[vertical] * turn)
+    world = np.array(poses)
+    body = body_frame.into(world, body_frame.of(world[:, :3], up))
+    assert np.ptp(body, axis=0).max() < 1e-12
+
+
+def test_the_papers_axes() -> None:
+    """Section 3.1: C7 is the origin, x from the left shoulder to the right on the ground, z as it was, y = z × x."""
+    markers = np.array([[[1.0, 1.0, 1.5], [1.0, 1.2, 1.4], [1.0, 0.8, 1.6]]])
+    points = np.array([[[1.0, 0.0, 0.0], [2.0, 1.0, 1.5]]])
+    body = body_frame.into(points, body_frame.of(markers, "z"))
+    assert body[0] == pytest.approx(np.array([[1.0, 0.0, -1.5], [0.0, 1.0, 0.0]]))
+
+
+def test_shoulders_above_each_other_keep_the_heading_of_the_world() -> None:
+    markers = np.array([[[0.0, 0, 0], [1, 1, 0], [1, 1, 2]]])
+    assert body_frame.of(markers, "z").heading.tolist() == [[1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("label", "expected"),
+    [
+        ("LSHO", ("L", "SHO")), ("Male:RSHO", ("R", "SHO")), ("LeftToeBase", ("L", "TOEBASE")),
+        ("heel_r", ("R", "HEEL")), ("C7", ("", "C7")),
+        ("right_shoulder", ("R", "SHOULDER")), ("subject 1:L.Heel", ("L", "HEEL")),
+    ],
+)  # fmt: skip
+def test_sides_of_labels(label: str, expected: tuple[str, str]) -> None:
+    assert body_frame.side_and_part(label) == expected
+
+
+def test_markers_by_label_by_geometry_or_none() -> None:
+    motion = synthetic.markers(100, seed=1)
+    found = body_frame.normalisation_markers(motion.names, motion.positions, "z")
+    assert found is not None
+    assert [motion.names[i] for i in found] == ["C7", "LSHO", "RSHO"]
+    for points in (3, 5, 41):
+        blind = body_frame.normalisation_markers(["?"] * points, motion.positions[:, :points], "z")
+        assert blind is not None
+        assert len(set(blind)) == 3
+    assert body_frame.normalisation_markers(["a", "b"], motion.positions[:, :2], "z") is None
+
+
+def test_points_that_are_always_missing_are_chosen_last() -> None:
+    positions = np.random.default_rng(4).normal(size=(30, 6, 3))
+    positions[:, 2:5] = np.nan
+    chosen = body_frame.normalisation_markers(list("abcdef"), positions, "z")
+    assert chosen is not None
+    assert {0, 1, 5} == set(chosen)
