@@ -69,7 +69,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
 
 
 def frames(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:
-    """Times as frames [start, stop), each the first frame at or after the time. Raises a usage error where nothing lies between them."""
+    """Times as frames [start, stop): the first at or after each. Raises a usage error where nothing is between."""
 
     def frame(time: Time) -> int:
         seconds, index = time
