@@ -19,7 +19,7 @@ from ...errors import Corrupt
 from ...motion import Floats
 from ...stages import gaps
 from . import body, coefficients, corrections, direct
-from .model import POSE, Model, step_size
+from .model import HEADING, POSE, Model, heading_step, step_size
 
 TRANSFORM, DIRECT = 0, 1
 ENGINES = 2
@@ -87,16 +87,15 @@ def fine_size(step: int) -> float:
     return 2.0 ** (step / FINE)
 
 
-def dequantised(values: np.ndarray, step: int) -> Floats:
-    """Coefficients from whole numbers: a magnitude stands for the middle of what it was rounded from, a little inwards."""
-    sizes = np.full(values.shape[1], float(step_size(step)))
-    sizes[0] = 1.0
-    inward = np.where(np.arange(values.shape[1]) < POSE, 0.0, INWARD)
-    return (values - np.sign(values) * inward) * sizes
+def sizes(known: Model, frames: int, step: int) -> Floats:
+    """The step of each row, metres or radians: (rows,)."""
+    size = np.full(known.rows, float(step_size(step)))
+    size[HEADING] = step_size(heading_step(frames))
+    return size
 
 
-INWARD = 0.05
-"""How far inside of its cell's middle, in steps, a coefficient probably is: small ones are more likely than large."""
+def _synthesised(known: Model, values: np.ndarray, step: int, frames: int) -> Floats:
+    return known.synthesise(coefficients.dequantise(values, sizes(known, frames, step)), frames)
 
 
 def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
@@ -113,7 +112,7 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     out = []
     for i, (chunk, p) in enumerate(zip(chunks, parts, strict=True)):
         if p.engine == TRANSFORM:
-            positions = model.synthesise(dequantised(*found[i]), chunk.frames)
+            positions = _synthesised(model, *found[i], chunk.frames)
         else:
             values = direct.unpack(p.numbers, (chunk.frames, 3 * points))
             positions = values.reshape(chunk.frames, points, 3) * fine_size(p.step)
@@ -124,4 +123,4 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     return out
 
 
-__all__ = ["DIRECT", "TRANSFORM", "Parts", "body", "decode", "dequantised", "fine_size", "fine_step"]
+__all__ = ["DIRECT", "TRANSFORM", "Parts", "body", "decode", "fine_size", "fine_step"]

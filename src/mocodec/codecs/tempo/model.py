@@ -1,6 +1,6 @@
 """All that encoder and decoder share about one recording: the rows its motion becomes, and how large they should be.
 
-    body frame ──► rows: heading · place (3) · components of the pose ──DCT over the chunk──► coefficients
+    body frame ──► heading · place (3) · pose ──DCT over the chunk──► ─bases of the pose─► coefficients (frames, rows)
 
     prior, names ─of_names─► Model                     a set of points that the prior knows
     motion ─learn─► Model ─pack─► bytes ─unpack─►      any other
@@ -20,10 +20,13 @@ from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
 
+SLOPES = slice(0, 6)
+HEADING = 6
+PLACE = slice(7, 10)
+POSE = 10
+"""Rows: the place's slope where the chunk starts (3) and where it ends (3), heading, place (3), components of the pose."""
 HEADING_STEP = -213
 """log₂ of the step of the heading's mean, radians, in 1/32 octave: about 0.01. Steps of its DCT grow with √frames."""
-PLACE = slice(1, 4)
-POSE = 4
 EDGES_MHZ = (700, 2000, 5000)
 """Each band of frequencies between these has a basis of its own."""
 
@@ -48,10 +51,10 @@ class Model:
             if len(self._cache) > 16:
                 self._cache.clear()
             heading = np.zeros(self.rows, np.int64)
-            heading[0] = heading_step(frames)
+            heading[HEADING] = heading_step(frames)
             self._cache[key] = contexts.expect(self.points.spreads, self.points.means, frames, self.rate, heading)
         logs = self._cache[key] - step
-        logs[:, 0] += step
+        logs[:, HEADING] += step
         return logs
 
     def bands(self, frames: int) -> list[slice]:
@@ -60,7 +63,10 @@ class Model:
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
     def analyse(self, positions: Floats) -> Floats:
-        """Positions (frames, points, 3), y up, as coefficients (frames, rows); the heading's are whole numbers of steps already."""
+        """Positions (frames, points, 3), y up, as coefficients (frames, rows) in metres; no slopes taken out yet.
+
+        The heading comes as it will be decoded, rounded to its steps: what its rounding leaves is in the pose.
+        """
         from scipy.fft import dct, idct
 
         frames, points = positions.shape[:2]
@@ -69,8 +75,8 @@ class Model:
         out = np.zeros((frames, self.rows))
         h = body.heading(centred, self.points.pose)
         h -= 2 * np.pi * np.round(h[0] / (2 * np.pi))
-        out[:, 0] = smooth_heading(h, self.rate)
-        angle = idct(out[:, 0] * step_size(heading_step(frames)), norm="ortho")
+        out[:, HEADING] = smooth_heading(h, self.rate)
+        angle = idct(out[:, HEADING], norm="ortho")
         out[:, PLACE] = dct(place * np.sqrt(points), axis=0, norm="ortho")
         pose = (body.turn(centred, -angle) - self.points.pose).reshape(frames, -1)
         spectrum = dct(pose, axis=0, norm="ortho")
@@ -78,21 +84,61 @@ class Model:
             out[band, POSE:] = spectrum[band] @ basis.T
         return out
 
-    def synthesise(self, coefficients: Floats, frames: int, start: int = 0, stop: int | None = None) -> Floats:
-        """Positions of frames [start, stop) of a chunk of `frames` from its first coefficients (frequencies, rows)."""
+    def synthesise(self, coefficients: Floats, frames: int) -> Floats:
+        """The positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), in metres."""
         from scipy.fft import idct
 
         points = len(self.points.pose)
         known = len(coefficients)
         spectrum = np.zeros((frames, 4 + 3 * points))
-        spectrum[:known, :4] = coefficients[:, :4]
-        spectrum[:, 0] *= step_size(heading_step(frames))
+        spectrum[:known, :4] = coefficients[:, HEADING:POSE]
+        if known:
+            spectrum[:, 1:4] += slope_spectra(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             part = coefficients[band, POSE:]
             spectrum[band.start : band.start + len(part), 4:] = part @ basis
-        signals = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)[start:stop]
+        signals = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
         pose = signals[:, 4:].reshape(-1, points, 3) + self.points.pose
-        return body.turn(pose, signals[:, 0]) + signals[:, None, PLACE] / np.sqrt(points)
+        return body.turn(pose, signals[:, 0]) + signals[:, None, 1:4] / np.sqrt(points)
+
+
+def without_slopes(coefficients: Floats, step: int) -> Floats:
+    """Coefficients with the slopes of the place taken out of it and rounded, as they will be decoded, to the step."""
+    out = coefficients.copy()
+    bends, size = slope_spectra(len(out)), step_size(step)
+    slopes = np.round(_fit_slopes(out[:, PLACE], bends) / size) * size
+    out[0, SLOPES] = slopes.ravel()
+    out[:, PLACE] -= bends.T @ slopes
+    return out
+
+
+@lru_cache(maxsize=16)
+def slope_spectra(frames: int) -> Floats:
+    """The DCT (2, frames) of two curves, one bent at the start of a chunk and one at its end.
+
+    A DCT continues a curve by its mirror image: a slope at an end makes a kink there, and coefficients that fall only as
+    1/k². Walking is such a slope. These curves take it out: parabolas that are level at one end.
+    """
+    from scipy.fft import dct
+
+    t = (np.arange(frames) + 0.5) / frames
+    curves = SLOPE_GAIN / np.sqrt(frames) * np.stack([t - t * t / 2, t * t / 2])
+    return dct(curves, axis=1, norm="ortho")
+
+
+SLOPE_GAIN = 4.0
+
+
+def _fit_slopes(curves: Floats, bends: Floats) -> Floats:
+    """How much of each bend (2, frames) takes most of the slow fall out of the spectra (frames, 3): (2, 3)."""
+    first, last = SLOPE_FIT
+    if len(curves) < 2 * first:
+        return np.zeros((2, curves.shape[1]))
+    weight = np.arange(first, min(last, len(curves)))[:, None] ** 1.0
+    return np.linalg.lstsq(weight * bends.T[first:last], weight * curves[first:last], rcond=None)[0]
+
+
+SLOPE_FIT = (12, 120)
 
 
 def heading_step(frames: int) -> int:
@@ -105,13 +151,16 @@ def step_size(log: int | Integers) -> Floats:
 
 
 def smooth_heading(heading: Floats, rate: float) -> Floats:
-    """The heading's DCT in whole steps, below about 1.2 Hz only."""
+    """The heading's DCT, rounded to its steps, below about 1.2 Hz only."""
     from scipy.fft import dct
 
     frames = len(heading)
-    coefficients = np.round(dct(heading, norm="ortho") / step_size(heading_step(frames)))
+    size = step_size(heading_step(frames))
+    coefficients = np.round(dct(heading, norm="ortho") / size) * size
     coefficients[3 + int(2.4 * frames / rate) :] = 0
     return coefficients
+
+
 
 
 @lru_cache(maxsize=8)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -65,15 +67,32 @@ def read(data: bytes) -> Prior:
     return Prior(hashlib.blake2b(data, digest_size=ID_BYTES).digest(), sets, coder)
 
 
+_others: list[Prior] = []
+
+
 @cache
-def shipped() -> Prior:
-    """The prior inside this package."""
+def _packaged() -> Prior:
     return read(resources.files("mocodec").joinpath("priors", FILE).read_bytes())
+
+
+def shipped() -> Prior:
+    """The prior that is used for encoding: the one inside this package, unless another is `installed`."""
+    return _others[-1] if _others else _packaged()
+
+
+@contextmanager
+def installed(data: bytes) -> Iterator[Prior]:
+    """Within this context another prior is used, and can be decoded with: for judging one on people it has not seen."""
+    _others.append(read(data))
+    try:
+        yield _others[-1]
+    finally:
+        _others.pop()
 
 
 def named(id_: bytes) -> Prior:
     """The prior of this hash. Raises UnknownCodec where this package does not have it."""
-    prior = shipped()
-    if prior.id != id_:
-        raise UnknownCodec(f"coded with prior {id_.hex()}, but this package has {prior.id.hex()}: it needs another version")
-    return prior
+    for prior in (*_others, _packaged()):
+        if prior.id == id_:
+            return prior
+    raise UnknownCodec(f"coded with prior {id_.hex()}, but this package has {_packaged().id.hex()}: it needs another version")

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -21,15 +22,15 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion
 from ...stages import gaps
 from ..base import require_frames, settings
-from . import body, chunks, coefficients, corrections, direct, model, prior
+from . import body, chunks, coefficients, corrections, direct, model, own, prior
 from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
 from .contexts import OCTAVE
 
 DEFAULT_MAX_ERROR = 0.005
 BATCH = 64
 """Chunks decoded side by side: enough to be fast, few enough to be small in memory."""
-DEAD = 0.35
-DEAD_BOUND = 0.42
+BOUND_SLOPE = 0.1
+"""λ under a bound: zeros that save bits elsewhere make the errors uneven here."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,10 @@ class Tempo:
         require_frames(motion)
         filled, mask = gaps.fill(motion.positions)
         positions = body.level(filled, motion.up)
-        kind, known = model_for(motion.names, motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds)
-        pieces = [Piece(known, positions[a:b], mask[a:b], transformable=kind != UNKNOWN) for a, b in bounds]
+        cut = [positions[a:b] for a, b in bounds]
+        shared, known = choose_model(cut, motion.names, motion.rate, self.first_step(motion))
+        pieces = [Piece(known, piece, mask[a:b]) for piece, (a, b) in zip(cut, bounds, strict=True)]
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
         elif self.ratio is not None or self.size is not None:
@@ -77,9 +79,20 @@ class Tempo:
             self.name,
             about(motion),
             [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
-            shared=(bytes([kind]) + known.prior.id,),
+            shared=(shared,),
             settings=stored,
         )
+
+    def first_step(self, motion: Motion) -> int:
+        """About which step (log₂ in 1/32 octave) the target will need: good enough to round a basis by."""
+        if self.mean_error is not None:
+            size = 3 * self.mean_error
+        elif self.max_error is not None or (self.ratio is None and self.size is None):
+            size = 2.2 * (self.max_error or DEFAULT_MAX_ERROR)
+        else:
+            ratio = self.ratio or motion.raw_bytes / (self.size or 1)
+            size = 3e-5 * ratio
+        return round(np.log2(size) * OCTAVE)
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
@@ -96,24 +109,49 @@ class Tempo:
         return restore(encoded, positions, start)
 
 
-KNOWN, UNKNOWN = 0, 1
+PLAIN, KNOWN, OWN = 0, 1, 2
+"""Kinds of model: none (every chunk is coded directly), the prior's, and one stored in the file. Never change them."""
+OWN_FRAMES = 1200
+"""Points that the prior knows get a basis of their own only in recordings at least this long."""
 
 
-def model_for(names: tuple[str, ...], rate: float) -> tuple[int, model.Model]:
-    known = model.of_names(names, prior.shipped(), rate)
-    return (KNOWN, known) if known is not None else (UNKNOWN, model.plain(names, prior.shipped(), rate))
+def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: int) -> tuple[bytes, model.Model]:
+    """The shared bytes of the model that makes chunks (frames, points, 3) smallest in about this step, and the model."""
+    used = prior.shipped()
+    frames = sum(map(len, cut))
+    candidates = [] if (known := model.of_names(names, used, rate)) is None else [(bytes([KNOWN]) + used.id, known)]
+    if frames >= (OWN_FRAMES if known else 2) and len(names) > 1 and (fitted := own.fit(cut, used, names, rate, step)):
+        candidates.append((bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate)))
+    if not candidates:
+        return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
+    if len(candidates) == 1:
+        return candidates[0]
+    sample = cut[:: max(1, len(cut) // 4)]
+    scale = frames / sum(map(len, sample))
+
+    def size(candidate: tuple[bytes, model.Model]) -> float:
+        pieces = [Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample]
+        return len(candidate[0]) + scale * sum(p.transformed(step)[2] for p in pieces) / 8
+
+    return min(candidates, key=size)
 
 
 def model_of(shared: tuple[bytes, ...], like: Motion) -> model.Model:
     """The model that a file was coded with. Raises Corrupt, UnknownCodec."""
-    if len(shared) != 1 or len(shared[0]) < 1 + prior.ID_BYTES or shared[0][0] > UNKNOWN:
+    if len(shared) != 1 or len(shared[0]) < 1 + prior.ID_BYTES:
         raise Corrupt("tempo: the shared bytes are not its own")
-    used = prior.named(shared[0][1 : 1 + prior.ID_BYTES])
-    if shared[0][0] == UNKNOWN:
-        return model.plain(like.names, used, like.rate)
-    found = model.of_names(like.names, used, like.rate)
-    if found is None:
-        raise Corrupt("tempo: the names of the points are not those of the prior")
+    return _model_of(shared[0], like.names, like.rate)
+
+
+@lru_cache(maxsize=8)
+def _model_of(shared: bytes, names: tuple[str, ...], rate: float) -> model.Model:
+    kind, id_, rest = shared[0], shared[1 : 1 + prior.ID_BYTES], shared[1 + prior.ID_BYTES :]
+    used = prior.named(id_)
+    if kind == OWN:
+        return own.unpack(rest, used, names, rate)
+    found = model.of_names(names, used, rate) if kind == KNOWN else model.plain(names, used, rate)
+    if found is None or rest or kind > OWN:
+        raise Corrupt("tempo: the shared bytes do not fit the names of the points")
     return found
 
 
@@ -127,35 +165,27 @@ def chunk_bounds(frames: int, rate: float, seconds: float) -> list[tuple[int, in
 class Piece:
     """One chunk on its way: its samples, and their coefficients once."""
 
-    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask, transformable: bool) -> None:
+    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask) -> None:
         self.model = known
         self.positions = positions
         self.mask = mask
         self.gaps = gaps.pack(mask)
-        self.spectrum = known.analyse(positions) if transformable else None
-
-    def quantised(self, step: int, dead: float) -> np.ndarray:
-        assert self.spectrum is not None
-        scaled = self.spectrum / 2.0 ** (step / OCTAVE)
-        scaled[:, 0] = self.spectrum[:, 0]
-        whole = np.sign(scaled) * np.floor(np.abs(scaled) + dead)
-        whole[:, : model.POSE] = np.round(scaled[:, : model.POSE])
-        return whole.astype(np.int64)
-
-    def decoded(self, values: np.ndarray, step: int, threshold: int) -> Floats:
-        known = coefficients.plan(self.model, len(values), step, threshold, 0).frequencies
-        return self.model.synthesise(chunks.dequantised(values[:known], step), len(values))
+        self.spectrum = known.analyse(positions) if known.rows else None
 
     def errors(self, decoded: Floats) -> Floats:
         """Distances (frames, points) of decoded positions, 0 in gaps."""
         d = self.positions - decoded
         return np.where(self.mask, 0.0, np.sqrt((d**2).sum(axis=2)))
 
-    def transformed(self, step: int, dead: float) -> tuple[np.ndarray, int, Floats]:
-        """Whole numbers, threshold, and the positions that they decode to."""
-        values = self.quantised(step, dead)
-        threshold = coefficients.threshold_for(self.model, values, step)
-        return values, threshold, self.decoded(values, step, threshold)
+    def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
+        """Whole numbers, threshold, about how many bits, and the positions that they decode to."""
+        assert self.spectrum is not None
+        sizes = chunks.sizes(self.model, len(self.positions), step)
+        scaled = model.without_slopes(self.spectrum, step) / sizes
+        values, threshold, cost = coefficients.quantise(self.model, scaled, step, slope)
+        known = coefficients.plan(self.model, len(values), step, threshold, 0).frequencies
+        decoded = self.model.synthesise(coefficients.dequantise(values[:known], sizes), len(values))
+        return values, threshold, cost, decoded
 
     def directly(self, step: int) -> bytes:
         values = direct.quantise(self.positions, fine_size(step)).reshape(len(self.positions), -1)
@@ -169,13 +199,12 @@ class Piece:
         estimates = {}
         centre = round(np.log2(bound) * OCTAVE)
         for offset in (16, 32, 48):
-            values, threshold, decoded = self.transformed(centre + offset, DEAD_BOUND)
-            found = self.found(decoded, bound)
-            size = coefficients.cost(self.model, values, centre + offset, threshold) / 8 + len(corrections.pack(found))
+            _, _, cost, decoded = self.transformed(centre + offset, BOUND_SLOPE)
+            size = cost / 8 + len(corrections.pack(self.found(decoded, bound)))
             estimates[offset] = size
         offset = min(estimates, key=lambda o: estimates[o])
         if estimates[offset] < len(best) * 1.1:
-            values, threshold, decoded = self.transformed(centre + offset, DEAD_BOUND)
+            values, threshold, _, decoded = self.transformed(centre + offset, BOUND_SLOPE)
             payload = Parts(
                 TRANSFORM,
                 coefficients.pack(self.model, values, centre + offset, threshold),
@@ -199,14 +228,14 @@ class Piece:
     def at_step(self, step: int) -> bytes:
         if self.spectrum is None:
             return self.directly(step * chunks.FINE // OCTAVE)
-        values, threshold, _ = self.transformed(step, DEAD)
+        values, threshold, _, _ = self.transformed(step)
         return Parts(TRANSFORM, coefficients.pack(self.model, values, step, threshold), gaps=self.gaps).pack()
 
     def mean_at(self, step: int) -> float:
         if self.spectrum is None:
             size = fine_size(step * chunks.FINE // OCTAVE)
             return float(self.errors(direct.quantise(self.positions, size) * size).sum())
-        return float(self.errors(self.transformed(step, DEAD)[2]).sum())
+        return float(self.errors(self.transformed(step)[3]).sum())
 
 
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:

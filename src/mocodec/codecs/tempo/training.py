@@ -17,10 +17,11 @@ import numpy as np
 
 from ... import formats
 from ...motion import Floats, Motion
-from . import body, contexts, lanes, symbols
-from .model import EDGES_MHZ, POSE, Model
+from . import body, chunks, contexts, lanes, symbols
+from .model import EDGES_MHZ, POSE, Model, without_slopes
 from .prior import PointSet, Prior, read
 
+BANDS = len(contexts.BANDS_MHZ)
 CHUNK_SECONDS = 4.0
 BETWEEN_PEOPLE = 0.06
 """How much people's different proportions count in the basis of the lowest band, against how they move."""
@@ -79,7 +80,7 @@ def point_set(motions: Sequence[Motion]) -> PointSet:
     dimensions = 3 * len(names)
     empty = np.zeros((len(EDGES_MHZ) + 1, dimensions, dimensions))
     flat = PointSet(
-        names, pose, tuple(np.eye(dimensions) for _ in empty), np.zeros((POSE + dimensions, 18), int), np.zeros(0, int)
+        names, pose, tuple(np.eye(dimensions) for _ in empty), np.zeros((POSE + dimensions, BANDS), int), np.zeros(0, int)
     )
     prior = Prior(b"", (flat,), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
     spectra = [list(_spectra(Model(flat, prior, m.rate), m)) for m in motions]
@@ -107,7 +108,7 @@ def _centred(positions: Floats) -> Floats:
 def _spectra(model: Model, motion: Motion) -> Iterable[Floats]:
     positions = body.level(motion.positions, motion.up)
     for start, stop in chunk_bounds(len(positions), motion.rate):
-        yield model.analyse(positions[start:stop])
+        yield without_slopes(model.analyse(positions[start:stop]), SLOPE_STEP)
 
 
 def _basis(covariance: Floats) -> Floats:
@@ -122,7 +123,7 @@ def _spreads(points: PointSet, prior: Prior, motions: Sequence[Motion]) -> dict[
     total, count = np.full((rows, len(bands)), 1e-9), np.full(len(bands), 1e-9)
     means, weight = np.full(rows, 1e-9), 1e-9
     for motion in motions:
-        model = Model(replace(points, spreads=np.zeros((rows, 18), int)), prior, motion.rate)
+        model = Model(replace(points, spreads=np.zeros((rows, BANDS), int)), prior, motion.rate)
         spectra = list(_spectra(model, motion))
         for s in spectra:
             w = 1 / np.sqrt(len(spectra))
@@ -148,7 +149,7 @@ def coder_tables(sets: Sequence[PointSet], motions: Sequence[Sequence[Motion]], 
             model = Model(points, prior, motion.rate)
             for s in list(_spectra(model, motion))[:6]:
                 for step in steps:
-                    values = quantised(s, step)
+                    values = quantised(s, chunks.sizes(model, len(s), step))
                     expected = model.expected(len(s), step)
                     known = (expected > -400).any(axis=1).sum()
                     symbol = symbols.of(np.abs(values[:known]))
@@ -157,14 +158,17 @@ def coder_tables(sets: Sequence[PointSet], motions: Sequence[Sequence[Motion]], 
     return frequencies(_smoothed(counts))
 
 
-def quantised(coefficients: Floats, step: int, dead: float = 0.35) -> np.ndarray:
-    """Whole numbers of steps, rounding towards zero where a value is less than 1 − dead above the one below."""
-    size = 2.0 ** (step / contexts.OCTAVE)
-    scaled = coefficients.copy()
-    scaled[:, 1:] /= size
-    whole = np.sign(scaled) * np.floor(np.abs(scaled) + dead)
-    whole[:, 0] = scaled[:, 0]
-    return whole.astype(np.int64)
+SLOPE_STEP = -256
+
+
+def quantised(coefficients: Floats, size: Floats) -> np.ndarray:
+    """Whole numbers of steps, those of the pose drawn towards zero."""
+    scaled = np.abs(coefficients) / size
+    dead = np.where(np.arange(len(size)) < POSE, 0.5, DEAD)
+    return (np.sign(coefficients) * np.floor(scaled + dead)).astype(np.int64)
+
+
+DEAD = 0.38
 
 
 def _smoothed(counts: np.ndarray) -> np.ndarray:
