@@ -140,6 +140,14 @@ def test_sparse_arrays():
     assert back(values) < 150
 
 
+def test_a_large_quiet_array_has_one_state():
+    values = np.zeros((400, 120), np.int64)
+    values[:20, :10] = decaying(20, 10)
+    values[399, 119] = 1
+    assert back(values) < 150
+    assert coder.Decoder(coder.pack(values)).states == 1
+
+
 def test_contexts_help():
     random = np.random.default_rng(5)
     expected = np.rint(2.0 ** random.uniform(0, 9, (80, 20))).astype(np.int64)

@@ -47,6 +47,8 @@ SILENT = 32  # laws that silence may have
 SPARSE = b"\0\0"  # instead of a stream: places and values of what is not zero
 
 SCALAR_SYMBOLS = 8000  # up to here, one state and a loop
+SCALAR_SYMBOLS_QUIET = 1 << 16  # or up to here, where hardly any symbol says something
+SCALAR_LOUD = 4000  # how many may
 SEGMENT_STEPS = 128  # lanes are not cut shorter
 WIDE = 4000  # symbols a NumPy operation should take at a time
 BITS_PER_STATE = 320
@@ -173,7 +175,7 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
     rows = _kept_symbol(d.shape[0], int(np.flatnonzero(d.any(axis=1))[-1]) + 1)
     columns = _kept_symbol(d.shape[1], int(np.flatnonzero(d.any(axis=0))[-1]) + 1)
     d = d[: _kept(d.shape[0], rows), : _kept(d.shape[1], columns)]
-    cut = _Cut(d.shape, scalar := d.size <= SCALAR_SYMBOLS)
+    cut = _Cut(d.shape, scalar := _is_scalar(d))
     token, shift = models.tokens(cut(np.abs(d).astype(np.uint64)))
     around = _neighbours(token, None if contexts is None else cut(_context_tokens(contexts, d.shape)))
     fields, expected_bits = _choose(around, token, order, rows, columns)
@@ -201,6 +203,13 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
     mantissa = np.abs(signed).astype(np.uint64) & (np.uint64(1) << bits) - np.uint64(1)
     encoder.raw((signed < 0).astype(np.uint64) << bits | mantissa, bits + np.uint64(1))
     return encoder.finish(1 if scalar else _states(token.shape, expected_bits))
+
+
+def _is_scalar(values: Integers) -> bool:
+    """Whether one state is best: where there are few symbols, or few bits, which many states would add to."""
+    if values.size <= SCALAR_SYMBOLS:
+        return True
+    return values.size <= SCALAR_SYMBOLS_QUIET and int(np.count_nonzero(values)) <= SCALAR_LOUD
 
 
 def _states(shape: tuple[int, int, int], bits: float) -> int:
@@ -345,8 +354,8 @@ def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: Array | None) -
     if fields.mixture >= WITHOUT_CONTEXTS and contexts is None:
         raise Corrupt("coded integers that need their contexts")
     kept = _kept(shape[0], fields.rows), _kept(shape[1], fields.columns)
-    scalar = kept[0] * kept[1] <= SCALAR_SYMBOLS
-    if scalar != (decoder.states == 1):
+    scalar = decoder.states == 1
+    if scalar and kept[0] * kept[1] > SCALAR_SYMBOLS_QUIET:
         raise Corrupt("coded integers of an unknown kind")
     cut = _Cut(kept, scalar)
     given = None if contexts is None else cut(_context_tokens(contexts, kept))
@@ -380,6 +389,7 @@ def _decode_one(
     width, sizes, excess = family.width, family.sizes.tolist(), family.count - 1
     law_of = ladder.tolist()
     w1, w2, v1, v2, w3, wm, wg = MIXTURES[fields.mixture]
+    quiet = frequency[law_of[0] * width]
     x, at, words = decoder.x, decoder.at, decoder.words
     end = len(words)
     result = []
@@ -398,8 +408,18 @@ def _decode_one(
             )
             if hints is not None:
                 mixed += wg * hints[t][l]
-            law = law_of[mixed]
             slot = x & MASK
+            if mixed == 0 and slot < quiet:  # the usual: another zero among zeros
+                x = quiet * (x >> PRECISION) + slot
+                if x < LOW and at < end:
+                    x = x << 16 | words[at]
+                    at += 1
+                if means[l]:
+                    means[l] += -means[l] >> warming
+                if l == 0:
+                    row[1] = 0
+                continue
+            law = law_of[mixed]
             token = symbols[law << PRECISION | slot]
             place = law * width + token
             x = frequency[place] * (x >> PRECISION) + slot - start[place]

@@ -1,0 +1,43 @@
+"""Old files decode for ever, to the same motion; and cannot be written again by accident."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocodec
+
+from . import write
+
+FILES = sorted(write.HERE.glob("*.mocz"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_decodes_to_its_twin(path: Path):
+    twin = json.loads(path.with_suffix(".json").read_text())
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == twin["sha256"], "a golden file was changed"
+    motion = mocodec.decode(path)
+    wanted = np.array([[[np.nan] * 3 if point is None else point for point in frame] for frame in twin["positions"]])
+    assert motion.positions.shape == wanted.shape
+    assert np.array_equal(motion.gaps, np.isnan(wanted[:, :, 0]))
+    assert np.nanmax(np.abs(motion.positions - wanted)) <= 1e-9
+    assert (motion.rate, motion.up, list(motion.names)) == (twin["rate"], twin["up"], twin["names"])
+
+
+def test_every_file_has_a_twin_and_every_twin_a_file():
+    assert {p.stem for p in FILES} == {p.stem for p in write.HERE.glob("*.json")}
+    assert FILES
+
+
+def test_a_file_of_another_version_is_never_replaced(tmp_path: Path):
+    write.write("lossless-markers", tmp_path)
+    twin = tmp_path / "lossless-markers.json"
+    before = (tmp_path / "lossless-markers.mocz").read_bytes()
+    twin.write_text(twin.read_text().replace(f'"version": "{mocodec.__version__}"', '"version": "0.0.1"'))
+    with pytest.raises(SystemExit, match=r"0\.0\.1"):
+        write.write("lossless-markers", tmp_path)
+    assert (tmp_path / "lossless-markers.mocz").read_bytes() == before

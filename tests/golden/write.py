@@ -1,0 +1,89 @@
+"""Golden files: what each codec wrote at some version, and what must come out of it for ever.
+
+    python tests/golden/write.py              write those that are missing
+    python tests/golden/write.py NAME …       write these afresh, only where the version in the twin is this package's
+
+`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres. A file of
+`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and positions in metres. A file of
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import mocodec
+from mocodec.motion import Motion
+from mocodec.testing import synthetic
+
+HERE = Path(__file__).parent
+
+MARKERS = ["C7", "LSHO", "RSHO", "LFWT", "RFWT", "LKNE", "LHEE", "RTOE"]
+
+
+def markers() -> Motion:
+    """96 frames of eight markers, two of them with gaps."""
+    motion = synthetic.markers(frames=96, seed=11).select(MARKERS)
+    positions = motion.positions.copy()
+    positions[20:31, 5] = positions[90:, 6] = np.nan
+    return Motion(positions, motion.rate, motion.names, motion.up, source={"format": "c3d", "unit_m": 0.001})
+
+
+def joints() -> Motion:
+    """80 frames of a skeleton."""
+    motion = synthetic.joints(frames=80, rate=60.0, seed=12)
+    return Motion(motion.positions, motion.rate, motion.names, motion.up, motion.skeleton)
+
+
+RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
+    "lossless-markers": (markers, "lossless", {}),
+    "liu2006-markers": (markers, "liu2006", {}),
+    "liu2006-markers-bounded": (markers, "liu2006", {"max_error": 0.002}),
+    "hou2014-markers": (markers, "hou2014", {}),
+    "hou2014-joints": (joints, "hou2014", {}),
+    "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
+    "tempo-markers": (markers, "tempo", {"max_error": 0.005}),
+    "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
+}
+
+
+def write(name: str, folder: Path = HERE) -> None:
+    """Write a golden file and its twin. Raises SystemExit where an earlier version's would be lost."""
+    twin = folder / f"{name}.json"
+    if twin.exists() and (version := json.loads(twin.read_text())["version"]) != mocodec.__version__:
+        raise SystemExit(
+            f"{name} was written by mocodec {version}, this is {mocodec.__version__}: add a new one beside it"
+        )
+    recipe, codec, settings = RECIPES[name]
+    blob = mocodec.encode(recipe(), codec=codec, **settings)
+    (folder / f"{name}.mocz").write_bytes(blob)
+    decoded = mocodec.decode(blob)
+    about = {
+        "version": mocodec.__version__,
+        "codec": codec,
+        "settings": settings,
+        "recipe": recipe.__name__,
+        "bytes": len(blob),
+        "sha256": hashlib.sha256(blob).hexdigest(),
+        "rate": decoded.rate,
+        "up": decoded.up,
+        "names": decoded.names,
+    }
+    frames = [
+        json.dumps([None if np.isnan(p[0]) else [round(c, 10) for c in p] for p in f.tolist()])
+        for f in decoded.positions
+    ]
+    lines = ",\n    ".join(frames)
+    twin.write_text(json.dumps(about, indent=2)[:-2] + f',\n  "positions": [\n    {lines}\n  ]\n}}\n')
+
+
+if __name__ == "__main__":
+    for chosen in sys.argv[1:] or [name for name in RECIPES if not (HERE / f"{name}.mocz").exists()]:
+        write(chosen)
+        print(chosen)
