@@ -69,6 +69,27 @@ def test_markers_by_label_by_geometry_or_none() -> None:
     assert body_frame.normalisation_markers(["a", "b"], motion.positions[:, :2], "z") is None
 
 
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["LASI", "RASI", "SACR", "LKNE", "RKNE"], ["SACR", "LASI", "RASI"]),
+        (["R.ASIS", "L.ASIS", "V.Sacral", "R.Knee", "L.Knee"], ["V.Sacral", "L.ASIS", "R.ASIS"]),
+        (["PSISr", "PSISl", "HIPS", "L", "R"], ["HIPS", "PSISl", "PSISr"]),
+    ],
+)
+def test_a_pelvis_serves_where_there_are_no_shoulders(names: list[str], expected: list[str]) -> None:
+    found = body_frame.normalisation_markers(names, np.random.default_rng(4).normal(size=(30, 5, 3)), "z")
+    assert found is not None
+    assert [names[i] for i in found] == expected
+
+
+def test_shoulders_without_a_neck_take_the_point_most_rigid_to_them() -> None:
+    motion = synthetic.markers(100, seed=1).select(["LKNE", "LSHO", "RWRA", "RSHO", "LHEE", "LFHD"])
+    found = body_frame.normalisation_markers(motion.names, motion.positions, "z")
+    assert found is not None
+    assert [motion.names[i] for i in found] == ["LFHD", "LSHO", "RSHO"]
+
+
 def test_points_that_are_always_missing_are_chosen_last() -> None:
     positions = np.random.default_rng(4).normal(size=(30, 6, 3))
     positions[:, 2:5] = np.nan

@@ -16,21 +16,27 @@ import numpy as np
 
 from ..motion import UP_AXES, Floats
 
-ORIGINS = (
-    "C7", "CV7", "C7SPINE", "CERV7", "CERVICALE", "NECK", "LOWERNECK", "NECK1", "UPPERNECK", "UPPERBACK", "THORAX",
-    "CHEST", "SPINE3", "SPINE2", "SPINE1", "T10", "CLAV", "STRN",
+GIRDLES = (
+    (
+        ("SHO", "SHD", "ACR", "ACROMION", "ACROMIUM", "AC", "SAJ", "SHOULDERJOINT", "ARM", "UPPERARM", "UPARM",
+         "SHOULDER", "HUMERUS", "COLLAR", "CLAVICLE"),
+        ("C7", "CV7", "C7SPINE", "CERV7", "CERVICALE", "NECK", "LOWERNECK", "NECK1", "UPPERNECK", "UPPERBACK", "THORAX",
+         "CHEST", "SPINE3", "SPINE2", "SPINE1", "T10", "TV8", "CLAV", "STRN"),
+    ),
+    (
+        ("ASI", "ASIS", "IAS", "FWT", "PSI", "PSIS", "IPS", "BWT", "UPLEG", "HIP", "FEMUR", "THIGH"),
+        ("SACR", "SACRUM", "VSACRAL", "SACRAL", "PELVIS", "HIPS", "ROOT", "L5", "LV5"),
+    ),
 )  # fmt: skip
-SHOULDERS = (
-    "SHO", "SHD", "ACR", "ACROMION", "ACROMIUM", "AC", "SHOULDERJOINT", "ARM", "UPPERARM", "UPARM", "SHOULDER",
-    "HUMERUS", "COLLAR", "CLAVICLE",
-)  # fmt: skip
-"""Parts of plain labels, best first."""
+"""Parts of plain labels, best first: left and right, and the origin between them; shoulders, then the pelvis."""
 
 LEVEL_M = 1e-6
 """Shoulders above each other give no heading: below this length on the ground it is that of the world."""
 
 CANDIDATES = 64
 SAMPLES = 64
+UNSTEADY = 10.0
+"""The choice by geometry: points and frames looked at, and what a metre of varying distance costs, in metres."""
 
 
 class BodyFrame(NamedTuple):
@@ -52,7 +58,7 @@ def side_and_part(label: str) -> tuple[str, str]:
     for pattern in (r"(?P<side>LEFT|RIGHT)(?P<part>.+)", r"(?P<part>.+)(?P<side>LEFT|RIGHT)"):
         if match := re.fullmatch(pattern, name):
             return match["side"][0], match["part"]
-    if re.search(r"[ _.\-][LRlr]$", label):
+    if re.search(r"([ _.\-][LRlr]|[A-Z][lr])$", label):
         return name[-1], name[:-1]
     if len(name) > 2 and name[0] in "LR":
         return name[0], name[1:]
@@ -96,35 +102,44 @@ def normalisation_markers(names: Sequence[str], positions: Floats, up: str) -> t
     if len(names) < 3:
         return None
     present = 1 - np.isnan(positions[..., 0]).mean(axis=0)
-    return _by_label(names, present) or _by_geometry(positions, present, up)
+    pair, origin = _by_label(names, present)
+    if pair is not None and origin is not None:
+        return origin, *pair
+    return _by_geometry(positions, present, up, pair)
 
 
-def _by_label(names: Sequence[str], present: Floats) -> tuple[int, int, int] | None:
-    found = {side_and_part(name): i for i, name in reversed(list(enumerate(names))) if present[i] > 0.5}
-    centre = {plain(name): i for i, name in reversed(list(enumerate(names))) if present[i] > 0.5}
-    shoulders = next((p for p in SHOULDERS if ("L", p) in found and ("R", p) in found), None)
-    origin = next((o for o in ORIGINS if o in centre), None)
-    if shoulders is None or origin is None:
-        return None
-    return centre[origin], found["L", shoulders], found["R", shoulders]
+def _by_label(names: Sequence[str], present: Floats) -> tuple[tuple[int, int] | None, int | None]:
+    """Left and right, and the origin, as far as labels tell."""
+    sides = {side_and_part(name): i for i, name in reversed(list(enumerate(names))) if present[i] > 0.5}
+    plains = {plain(name): i for i, name in reversed(list(enumerate(names))) if present[i] > 0.5}
+    best: tuple[int, int] | None = None
+    for parts, origins in GIRDLES:
+        pair = next(((sides["L", p], sides["R", p]) for p in parts if {("L", p), ("R", p)} <= sides.keys()), None)
+        origin = next((plains[o] for o in origins if o in plains), None)
+        if pair is not None and origin is not None:
+            return pair, origin
+        best = best or pair
+    return best, None
 
 
-def _by_geometry(positions: Floats, present: Floats, up: str) -> tuple[int, int, int]:
+def _by_geometry(positions: Floats, present: Floats, up: str, pair: tuple[int, int] | None) -> tuple[int, int, int]:
     """Left and right: the pair farthest apart on the ground and most rigid; origin: the point most rigid to both."""
     columns = np.argsort(-np.minimum(present, 0.9), kind="stable")[:CANDIDATES]
     columns = columns[: max(3, int((present[columns] > 0.5).sum()))]
+    columns = np.concatenate([np.array(pair or (), np.int64), columns[~np.isin(columns, pair or ())]])
     sample = np.unique(np.linspace(0, len(positions) - 1, SAMPLES).astype(int))
     points = positions[sample][:, columns]
-    middle = np.nan_to_num(points).sum(axis=0) / np.maximum((~np.isnan(points)).sum(axis=0), 1)
-    points = np.where(np.isnan(points), middle, points)
     apart = points[:, :, None] - points[:, None]
     distance = np.sqrt((apart**2).sum(axis=-1))
-    level = np.delete(apart, UP_AXES.index(up), axis=-1)
-    ground = np.sqrt((level**2).sum(axis=-1)).min(axis=0)
-    varies = distance.std(axis=0)
-    score = ground - 10 * varies
+    ground = np.sqrt((np.delete(apart, UP_AXES.index(up), axis=-1) ** 2).sum(axis=-1))
+    seen = ~np.isnan(distance)
+    count = np.maximum(seen.sum(axis=0), 1)
+    mean = np.where(seen, distance, 0).sum(axis=0) / count
+    varies = np.sqrt(np.where(seen, (distance - mean) ** 2, 0).sum(axis=0) / count)
+    rigid = np.where(seen.any(axis=0), -UNSTEADY * varies, -1.0)
+    score = np.where(seen, ground, np.inf).min(axis=0, initial=10.0) + rigid
     np.fill_diagonal(score, -np.inf)
-    left, right = sorted(int(i) for i in np.unravel_index(int(np.argmax(score)), score.shape))
-    third = distance.mean(axis=0)[[left, right]].min(axis=0) - 10 * varies[[left, right]].max(axis=0)
+    left, right = (0, 1) if pair else sorted(int(i) for i in np.unravel_index(int(np.argmax(score)), score.shape))
+    third = np.minimum(rigid[left], rigid[right])
     third[[left, right]] = -np.inf
     return int(columns[int(np.argmax(third))]), int(columns[left]), int(columns[right])
