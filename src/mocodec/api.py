@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, Self, cast
 
 from . import codecs, container, formats
 from .encoded import Encoded
-from .errors import BadInput
+from .errors import BadInput, CannotEncode
 from .metrics import compare
 from .motion import Deferred, Motion, frame_range, point_columns
 from .pointcloud import PointClouds
@@ -24,6 +24,7 @@ __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 
 Path_ = str | PathLike[str]
 Source = bytes | bytearray | memoryview | Path_ | BinaryIO
+ATTEMPTS = 4  # at a size or a ratio
 TARGETS = ("max_error", "mean_error", "ratio", "size")
 
 
@@ -59,7 +60,41 @@ def encode(motion: Motion | PointClouds, codec: Any = None, **options: Any) -> b
         raise BadInput(
             f"encode takes a Motion or PointClouds, not {type(motion).__name__}; see Motion(positions, rate)"
         )
-    return container.pack(with_options(codec or default_codec(motion), **options).encode(motion))
+    return pack(with_options(codec or default_codec(motion), **options), motion)
+
+
+def pack(codec: Any, motion: Motion | PointClouds) -> bytes:
+    """A motion coded with this codec, as a file: `size` holds for the whole file, `ratio` for all of it but the extras.
+
+    A codec counts its own bytes only; where the file around them is too much, it is asked for that much less.
+    Raises CannotEncode where nothing is left to ask for.
+    """
+    encoded = codec.encode(motion)
+    blob = container.pack(encoded)
+    steered_by = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
+    if steered_by is None:
+        return blob
+    settings = encoded.settings
+    limit = codec.size if steered_by == "size" else motion.raw_bytes / codec.ratio + extras_bytes(blob)
+    asked = codec.size if steered_by == "size" else motion.raw_bytes / codec.ratio
+    for _ in range(ATTEMPTS):
+        if len(blob) <= limit:
+            return blob
+        asked = math.floor(asked - (len(blob) - limit))
+        if asked < 1:
+            break
+        less = dataclasses.replace(codec, **{steered_by: asked if steered_by == "size" else motion.raw_bytes / asked})
+        encoded = dataclasses.replace(less.encode(motion), settings=settings)
+        blob = container.pack(encoded)
+    raise CannotEncode(
+        f"{codec.name} does not come down to {limit:.0f} bytes with the file around it, only to {len(blob)}"
+    )
+
+
+def extras_bytes(blob: bytes) -> int:
+    """The bytes in a file of what is beside the points."""
+    with open(blob) as f:
+        return f.info["bytes_by_part"]["extras"]
 
 
 def default_codec(motion: Motion | PointClouds) -> str:

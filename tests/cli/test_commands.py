@@ -32,6 +32,16 @@ def test_encode_says_what_it_did_on_standard_error(command: Command, walk_trc: P
     assert command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "-q").err == ""
 
 
+@pytest.mark.parametrize("target", ["--ratio=30", "--size=900"])
+def test_sizes_hold_for_the_whole_file(command: Command, walk: mc.Motion, walk_trc: Path, target: str) -> None:
+    mc.write("walk.npz", mc.Motion(np.nan_to_num(walk.positions), walk.rate, walk.names))
+    result = command("encode", "walk.npz", "-o", "x.mocz", "--codec", "tempo", target)
+    assert result.code == 0, result.err
+    assert Path("x.mocz").stat().st_size <= (walk.raw_bytes / 30 if "ratio" in target else 900)
+    assert command("verify", "x.mocz", "--against", "walk.npz").code == 0
+    assert command("encode", "walk.npz", "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
+
+
 def test_the_same_file_twice(command: Command, walk_trc: Path) -> None:
     for name in ("a.mocz", "b.mocz"):
         command("encode", walk_trc, "-o", name, "--codec", LOSSY)

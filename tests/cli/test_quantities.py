@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import click
 import pytest
@@ -23,6 +23,9 @@ class Settings:
     closed: bool = False
     how: str = "ppca"
     max_error: float | None = None
+    chunk_frames: int | None = None
+    pairs: tuple[tuple[str, int], ...] | None = None
+    kind: Literal["a", "b"] = "a"
 
 
 @pytest.mark.parametrize(
@@ -67,6 +70,10 @@ def test_sizes() -> None:
         ("closed=true", "closed", True),
         ("how=pca", "how", "pca"),
         ("max-error=3mm", "max_error", 0.003),
+        ("max_error=null", "max_error", None),
+        ("chunk_frames=100", "chunk_frames", 100),
+        ('pairs=[["a", 1]]', "pairs", (["a", 1],)),
+        ("kind=b", "kind", "b"),
     ],
 )
 def test_settings(text: str, name: str, value: object) -> None:
@@ -74,7 +81,18 @@ def test_settings(text: str, name: str, value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["components", "component=1", "components=many", "components=1.5", "closed=1", "feet=3"]
+    "text",
+    [
+        "components",
+        "component=1",
+        "components=many",
+        "components=1.5",
+        "closed=1",
+        "feet=3",
+        "chunk_frames=x",
+        "kind=1",
+        "max_error=x",
+    ],
 )
 def test_no_settings(text: str) -> None:
     with pytest.raises(BadInput, match=text.partition("=")[0]):

@@ -125,6 +125,14 @@ def test_salvage_writes_what_is_left(command: Command, walk: mc.Motion, walk_trc
     assert command("decode", "walk.mocz", "-o", "all.npz", "--salvage").code == 0
 
 
+def test_a_device_is_written_to_not_replaced(command: Command, walk_trc: Path) -> None:
+    os.mkfifo("pipe")
+    reader = subprocess.Popen(["cat", "pipe"], stdout=subprocess.PIPE)
+    assert command("encode", walk_trc, "-o", "pipe", "--codec", "lossless").code == 0
+    assert mc.decode(reader.communicate(timeout=30)[0]).names == mc.read(walk_trc).names
+    assert Path("pipe").is_fifo()
+
+
 def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:
     Path("x.mocz").write_text("precious")
     assert command("encode", "missing.c3d", "-o", "x.mocz").code == cli.BAD_INPUT

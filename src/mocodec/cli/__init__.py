@@ -119,7 +119,7 @@ def explain(error: Exception) -> tuple[str, int]:
     match error:
         case click.UsageError():
             path = error.ctx.command_path if error.ctx else "mocodec"
-            return f"{error.format_message()} (see '{path} --help')", USAGE
+            return f"{error.format_message().rstrip('.')} (see '{path} --help')", USAGE
         case click.ClickException():
             return error.format_message(), BAD_INPUT
         case Truncated() | Corrupt():

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .. import api, codecs, container, metrics
+from .. import api, codecs, metrics
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -39,7 +39,7 @@ def command(
         recording = files.read(source, **options)
     chosen = choose(codec or api.default_codec(recording), settings, files.named(**targets))
     with files.working(f"encoding {source} with {chosen.name}"):
-        blob = container.pack(chosen.encode(recording))
+        blob = api.pack(chosen, recording)
         with api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
     if isinstance(recording, Motion):
@@ -67,7 +67,7 @@ def summary(output: str, recording: Motion | PointClouds, decoded: Any, facts: d
     name = "standard output" if output == "-" else output
     stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
     line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
-    if extras > stored / 10:
+    if extras > stored / 100:
         points = recording.raw_bytes / (stored - extras)
         line += f" ({points:.1f} : 1 without the {extras:,} bytes of analog channels, parameters and the like)"
     if isinstance(recording, Motion):

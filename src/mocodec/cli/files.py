@@ -103,10 +103,14 @@ def write(name: str, motion: Motion | PointClouds, format_: str | None = None, *
 
 
 def write_bytes(name: str, data: bytes) -> None:
-    """Write bytes to a path, whole or not at all, or to standard output."""
+    """Write bytes to a path, whole or not at all; or to standard output, a pipe or a device, as they stand."""
     if name == "-":
         refuse_terminal()
         sys.stdout.buffer.write(data)
+    elif Path(name).is_dir():
+        raise BadInput(f"{name} is a folder: name a file in it")
+    elif Path(name).exists() and not Path(name).is_file():
+        Path(name).write_bytes(data)
     else:
         formats.replace_whole(Path(name), data)
 

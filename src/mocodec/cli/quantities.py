@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import MISSING, Field, fields
+from dataclasses import Field, fields
 from typing import Any
 
 import click
@@ -98,15 +98,19 @@ def setting(codec_class: Any, text: str) -> tuple[str, Any]:
 
 
 def of_type(value: Any, field: Field[Any], text: str) -> Any:
-    """The value in the type of the field's default. Raises BadInput where it is of another type."""
-    default = field.default_factory() if field.default_factory is not MISSING else field.default
+    """The value in the type that the field declares. Raises BadInput where it is of another."""
+    declared = str(field.type)
+    while "[" in declared:  # tuple[str, ...] | None → tuple | None; a Literal's values are strings
+        declared = re.sub(r"\[[^\[\]]*\]", "", declared.replace("Literal", "str"))
+    wanted = {name.strip() for name in declared.split("|")}
     if isinstance(value, list):
         value = tuple(value)
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+    if type(value) is int and "float" in wanted and "int" not in wanted:
         value = float(value)
-    if default is None or default is MISSING or value is None or type(value) is type(default):
+    kind = "None" if value is None else type(value).__name__
+    if kind in wanted or not wanted <= {"int", "float", "bool", "str", "tuple", "None"}:
         return value
-    raise BadInput(f"--set {text}: a value of type {type(default).__name__} is wanted, such as {default!r}")
+    raise BadInput(f"--set {text}: a value of type {' or '.join(sorted(wanted - {'None'}))} is wanted")
 
 
 def length(metres: float) -> str:

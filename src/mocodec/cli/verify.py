@@ -26,7 +26,7 @@ SLACK = 1 + 1e-9  # a bound met exactly may differ in the last bit of a sum
 def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promise holds.
 
-    A promise is the max-error, mean-error, ratio or size that it was encoded for; names, rate, gaps and what was beside
+    A promise is the max-error, mean-error or size that it was encoded for; names, rate, gaps and what was beside
     the points are promised always.
     """
     with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
@@ -74,8 +74,6 @@ def hold(
             )
     if "size" in promise and stored_bytes and stored_bytes > promise["size"]:
         broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
-    if "ratio" in promise and result.ratio and result.ratio < promise["ratio"]:
-        broken.append(f"the ratio is {result.ratio:.1f}, promised {promise['ratio']:g}")
     return asdict(result), broken
 
 
