@@ -1,9 +1,9 @@
 """A chunk's bytes: which engine made them, its numbers, its corrections, its gaps.
 
-    byte: engine, has corrections, has gaps · [length, gaps] · [step, length, corrections] · the engine's bytes
+byte: engine, has corrections, has gaps · [length, gaps] · [step, length, corrections] · the engine's bytes
 
-    transform   coefficients of the body's curves: few bytes at any error that is not tiny
-    direct      every sample on a grid, predicted in time: for motion that is no body's, and for tiny errors
+transform   coefficients of the body's curves: few bytes at any error that is not tiny
+direct      every sample on a grid, predicted in time: for motion that is no body's, and for tiny errors
 """
 
 from __future__ import annotations

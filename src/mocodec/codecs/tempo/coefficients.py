@@ -147,8 +147,12 @@ def pack(model: Model, values: Integers, step: int, threshold: int) -> bytes:
         bits.unpack(riding, np.full(p.lanes, 16)),
     )
     sizes = np.array([int(s).bit_length() for s in states])
-    first = np.concatenate([bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)])
-    return head + np.packbits(first).tobytes() + words.astype("<u2").tobytes() + np.packbits(raw[len(riding) :]).tobytes()
+    first = np.concatenate(
+        [bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)]
+    )
+    return (
+        head + np.packbits(first).tobytes() + words.astype("<u2").tobytes() + np.packbits(raw[len(riding) :]).tobytes()
+    )
 
 
 def _lanes_for(coded: int, raw: int) -> int:

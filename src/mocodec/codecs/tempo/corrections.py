@@ -1,6 +1,6 @@
 """What keeps the promise: samples that the transform leaves too far off are moved back, a few numbers each.
 
-    positions, decoded, bound ─find─► corrections ─pack─► bytes ─unpack─► corrections ─apply─► within the bound
+positions, decoded, bound ─find─► corrections ─pack─► bytes ─unpack─► corrections ─apply─► within the bound
 """
 
 from __future__ import annotations

@@ -31,7 +31,9 @@ def quantise(positions: Floats, step: float) -> Integers:
     """Whole numbers of steps, (frames, points, 3). Raises CannotEncode where they are too large to hold."""
     scaled = positions / step
     if not (np.abs(scaled) < LARGEST).all():
-        raise CannotEncode(f"positions of up to {np.abs(positions).max():.3g} m cannot be held in steps of {step:.3g} m")
+        raise CannotEncode(
+            f"positions of up to {np.abs(positions).max():.3g} m cannot be held in steps of {step:.3g} m"
+        )
     return np.rint(scaled).astype(np.int64)
 
 

@@ -1,9 +1,9 @@
 """All that encoder and decoder share about one recording: the rows its motion becomes, and how large they should be.
 
-    body frame ──► heading · place (3) · pose ──DCT over the chunk──► ─bases of the pose─► coefficients (frames, rows)
+body frame ──► heading · place (3) · pose ──DCT over the chunk──► ─bases of the pose─► coefficients (frames, rows)
 
-    prior, names ─of_names─► Model                     a set of points that the prior knows
-    motion ─learn─► Model ─pack─► bytes ─unpack─►      any other
+prior, names ─of_names─► Model                     a set of points that the prior knows
+motion ─learn─► Model ─pack─► bytes ─unpack─►      any other
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ...geometry.body_frame import plain as plain_label
 from ...motion import Floats
 from . import body, contexts
 from .prior import PointSet, Prior
@@ -161,14 +162,14 @@ def smooth_heading(heading: Floats, rate: float) -> Floats:
     return coefficients
 
 
-
-
 @lru_cache(maxsize=8)
 def of_names(names: tuple[str, ...], prior: Prior, rate: float) -> Model | None:
     """The model of a set of points that the prior knows by these names, in any order; None where it knows no such set."""
+    labels = [plain_label(n) for n in names]
     for points in prior.sets:
-        if len(names) == len(points.names) and set(names) == set(points.names):
-            order = [points.names.index(n) for n in names]
+        known = [plain_label(n) for n in points.names]
+        if sorted(labels) == sorted(known) and len(set(labels)) == len(labels):
+            order = [known.index(label) for label in labels]
             columns = (np.array(order)[:, None] * 3 + np.arange(3)).ravel()
             bases = tuple(b[:, columns] for b in points.bases)
             return Model(PointSet(names, points.pose[order], bases, points.spreads, points.means), prior, rate)

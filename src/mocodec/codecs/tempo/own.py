@@ -2,14 +2,18 @@
 
     spectra of the recording ─fit─► mean pose, basis, gain of each component ─pack─► bytes ─unpack─► Model
 
-The basis is rounded as finely as each component deserves (`stages.basis`). Of the spectra only one gain a component is
-stored: the shape is that of the prior's component of the same rank.
+The basis is rounded as finely as each component deserves (`stages.basis`), and completed to all dimensions, so that
+what rounding and the weak components leave can still be coded. Of the spectra only one gain a component is stored: the
+shape is that of the prior's component of the same rank.
+
+Where the prior knows the points, its mean pose is kept, the basis is stored in terms of the prior's components, and it
+serves the low frequencies only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,155 +29,170 @@ from .prior import PointSet, Prior
 Integers = NDArray[np.int64]
 
 GAIN_UNIT = 8
-MEAN_FINER = 64
+"""Gains are stored in quarters of an octave."""
+POSE_COARSER = 64
 """The mean pose is rounded to steps of Δ/√frames, made coarser by this (1/32 octave)."""
+WEAKEST = 64
+"""A component is stored while its standard deviation is above Δ/√frames by this (1/32 octave)."""
+STRENGTH = -105
+"""From a component's gain (its magnitudes at 1 Hz) to the finest that its entries need to be, in 1/32 octave."""
+MEAN_BELOW = 96
+"""A component's mean over a chunk against its movement at 0.2 Hz over the root of the frames (1/32 octave)."""
+START_BAND = 1
+"""The band whose components an own basis is stored in terms of, where the prior knows the points."""
+OWN_BANDS, OWN_BELOW = 2, 8
+"""The own basis then serves this many bands, and has spreads of its own below this number of `BANDS_MHZ`."""
+FITTED_HZ = (0.3, 2.0)
+"""Gains are measured between these."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What is stored: the noise that everything is rounded by, the mean pose, gains, and the basis in bytes."""
+
+    noise: int
+    pose: Integers
+    gains: Integers
+    basis: bytes
+
+    def pack(self) -> bytes:
+        pose = coder.pack(np.diff(self.pose, axis=0, prepend=0)) if len(self.pose) else b""
+        gains = coder.pack(np.diff(self.gains, prepend=0)[:, None])
+        return (
+            varint.write([varint.signed(self.noise), len(self.gains), len(pose), len(gains)])
+            + pose
+            + gains
+            + self.basis
+        )
+
+    @classmethod
+    def unpack(cls, data: bytes, points: int, dimensions: int) -> Stored:
+        """points: how many the mean pose has, 0 where it is the prior's. Raises Corrupt."""
+        (noise, count, pose_size, gains_size), at = varint.read(data, 4)
+        if not 2 <= count <= dimensions + 1 or noise > 6000 or at + pose_size + gains_size > len(data):
+            raise Corrupt("tempo: a model that is out of range")
+        pose = np.cumsum(coder.unpack(data[at : at + pose_size], (points, 3)), axis=0)
+        at += pose_size
+        gains = np.cumsum(coder.unpack(data[at : at + gains_size], (count, 1))[:, 0])
+        if (np.abs(gains) > 4000).any() or (np.abs(pose) > 1 << 40).any():
+            raise Corrupt("tempo: a model that is out of range")
+        return cls(varint.unsigned(noise), pose, gains, data[at + gains_size :])
+
+    @property
+    def precision(self) -> Integers:
+        """How finely each component is rounded. Integers only."""
+        strength = self.gains[:-1] * GAIN_UNIT + STRENGTH
+        return np.clip(2 * (strength - self.noise) // contexts.OCTAVE, 0, basis.FINEST)
 
 
 def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int) -> bytes:
-    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step.
-
-    Where the prior knows the points, its mean pose is kept, and the basis is stored in terms of the prior's.
-    """
+    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step."""
     frames = sum(map(len, positions))
     noise = step - int(contexts.log2(np.array([frames]))[0]) // 2
-    start = of_names(names, prior, rate)
-    entries = np.zeros((0, 3), np.int64)
-    if start is None:
+    known = of_names(names, prior, rate)
+    pose = np.zeros((0, 3), np.int64)
+    if known is None:
         centred = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in positions])
-        pose = body.mean_pose(centred[:: max(1, frames // 2000)])
-        entries = np.rint(pose / step_size(noise + MEAN_FINER)).astype(np.int64)
-    plain = _start(start, entries, noise, prior, names, rate)
-    spectra = [plain.analyse(p)[:, POSE:] for p in positions]
-    own = [s if start is None else s[: 1 + int(len(s) * 4 / rate)] for s in spectra]
-    moving = sum(s.T @ s for s in own) / frames
-    vectors, variances = basis.fit(np.asarray(moving))
-    strength = np.rint(contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))).astype(np.int64)
-    count = int(np.clip((strength > noise + WEAKEST).sum(), 1, len(strength)))
-    count = min(count, frames)
-    shape = _shape(prior, count)
-    seen = np.array([_gain(np.concatenate([(s @ v)[1:] for s in spectra]), spectra, rate, shape[c]) for c, v in enumerate(vectors[:, :count].T)])
-    gains = np.rint(seen / GAIN_UNIT).astype(np.int64)
-    precision = _precision(gains, noise)
-    packed_pose = coder.pack(np.diff(entries, axis=0, prepend=0)) if len(entries) else b""
-    packed_gains = coder.pack(np.diff(gains, prepend=0)[:, None])
-    head = varint.write([varint.signed(noise), count, len(packed_pose), len(packed_gains)])
-    return head + packed_pose + packed_gains + basis.pack(vectors[:, :count], precision, None if start else _alike(entries))
-
-
-WEAKEST = 64
-"""A component is kept while its standard deviation is above Δ/√frames by this (1/32 octave)."""
+        mean = body.mean_pose(centred[:: max(1, frames // 2000)])
+        pose = np.rint(mean / step_size(noise + POSE_COARSER)).astype(np.int64)
+    start = _start(known, pose, noise, prior, names, rate)
+    spectra = [start.analyse(p)[:, POSE:] for p in positions]
+    if known is not None:
+        for s in spectra:
+            s[start.bands(len(s))[OWN_BANDS - 1].stop :] = 0.0
+    vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+    strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
+    count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
+    shape = _shape(prior, count + 1)
+    gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shape, strict=False)]
+    stored = Stored(noise, pose, np.rint(np.array([*gains, gains[-1]]) / GAIN_UNIT).astype(np.int64), b"")
+    packed = basis.pack(vectors[:, :count], stored.precision, _alike(pose))
+    completed = _completed(basis.unpack(packed, len(vectors), stored.precision, _alike(pose)))
+    left = [s @ completed[:, count:] for s in spectra]
+    last = _gain([np.sqrt((part**2).mean(axis=1)) for part in left], rate, shape[-1]) if left[0].shape[1] else gains[-1]
+    stored.gains[-1] = round(last / GAIN_UNIT)
+    return replace(stored, basis=packed).pack()
 
 
 def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
     """The model of `fit`. Raises Corrupt."""
-    (noise, count, pose_size, gains_size), at = varint.read(data, 4)
-    noise = varint.unsigned(noise)
-    start = of_names(names, prior, rate)
-    dimensions = len(start.points.bases[0]) if start else 3 * len(names)
-    if not 1 <= count <= dimensions or abs(noise) > 6000 or at + pose_size + gains_size > len(data):
-        raise Corrupt("tempo: a model that is out of range")
-    entries = np.zeros((0, 3), np.int64)
-    if start is None:
-        entries = np.cumsum(coder.unpack(data[at : at + pose_size], (len(names), 3)), axis=0)
-    at += pose_size
-    gains = np.cumsum(coder.unpack(data[at : at + gains_size], (count, 1))[:, 0])
-    if (np.abs(gains) > 4000).any() or (np.abs(entries) > 1 << 40).any():
-        raise Corrupt("tempo: a model that is out of range")
-    shape = _shape(prior, count)
-    precision = _precision(gains, noise)
-    found = basis.unpack(data[at + gains_size :], dimensions, precision, None if start else _alike(entries))
-    plain = _start(start, entries, noise, prior, names, rate)
-    low = found.T @ plain.points.bases[0]
-    spreads = shape + gains[:, None] * GAIN_UNIT
+    known = of_names(names, prior, rate)
+    dimensions = len(known.points.bases[0]) if known else 3 * len(names)
+    stored = Stored.unpack(data, 0 if known else len(names), dimensions)
+    found = _completed(basis.unpack(stored.basis, dimensions, stored.precision, _alike(stored.pose)))
+    start = _start(known, stored.pose, stored.noise, prior, names, rate)
+    own = found.T @ start.points.bases[0]
+    count = len(stored.gains) - 1
+    gains = np.concatenate([stored.gains[:-1], np.full(dimensions - count, stored.gains[-1])]) * GAIN_UNIT
+    shape = _shape(prior, count + 1)
+    spreads = np.concatenate([shape[:-1], np.repeat(shape[-1:], dimensions - count, axis=0)]) + gains[:, None]
     means = spreads[:, 2] - MEAN_BELOW
-    if start is None:
-        known = prior.sets[0]
-        return replace(
-            plain,
-            points=replace(
-                plain.points,
-                bases=(low,) * len(known.bases),
-                spreads=np.concatenate([known.spreads[:POSE], spreads]),
-                means=np.concatenate([known.means[:POSE], means]),
-            ),
-        )
-    known = start.points
-    bases = list(known.bases)
-    all_spreads, all_means = known.spreads.copy(), known.means.copy()
-    for band in range(OWN_BANDS):
-        bases[band] = np.zeros_like(known.bases[band])
-        bases[band][:count] = low
-    all_spreads[POSE:, :OWN_BELOW] = NEVER
-    all_means[POSE:] = NEVER
-    all_spreads[POSE : POSE + count, :OWN_BELOW] = spreads[:, :OWN_BELOW]
-    all_means[POSE : POSE + count] = means
-    return replace(plain, points=replace(known, bases=tuple(bases), spreads=all_spreads, means=all_means))
+    like = known.points if known else prior.sets[0]
+    bases, below = [own] * len(like.bases), spreads.shape[1]
+    if known is not None:
+        bases[OWN_BANDS:], below = like.bases[OWN_BANDS:], OWN_BELOW
+        spreads[:, below:] = like.spreads[POSE:, below:]
+    points = PointSet(
+        names,
+        start.points.pose,
+        tuple(bases),
+        np.concatenate([like.spreads[:POSE], spreads]),
+        np.concatenate([like.means[:POSE], means]),
+    )
+    return Model(points, prior, rate)
 
 
-OWN_BANDS, OWN_BELOW = 2, 8
-"""Where the prior knows the points, the own basis serves only the lowest bands, up to 2 Hz."""
-NEVER = -4000
-"""Spread of a component that is not there."""
-
-
-MEAN_BELOW = 96
-"""A component's mean over a chunk against its movement at 0.2 Hz over the root of the frames (1/32 octave)."""
-
-
-def _start(
-    start: Model | None, entries: Integers, noise: int, prior: Prior, names: tuple[str, ...], rate: float
-) -> Model:
+def _start(known: Model | None, pose: Integers, noise: int, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
     """The model whose components the basis is stored in: the prior's in one band, or each coordinate by itself."""
-    bands = len(prior.sets[0].bases)
-    if start is None:
-        pose, basis_ = entries * step_size(noise + MEAN_FINER), np.eye(3 * len(names))
+    if known is None:
+        mean, components = pose * step_size(noise + POSE_COARSER), np.eye(3 * len(names))
     else:
-        pose, basis_ = start.points.pose, start.points.bases[START_BAND]
-    spreads = np.zeros((POSE + len(basis_), len(contexts.BANDS_MHZ)), np.int64)
-    return Model(PointSet(names, pose, (basis_,) * bands, spreads, spreads[:, 0]), prior, rate)
-
-
-START_BAND = 1
+        mean, components = known.points.pose, known.points.bases[START_BAND]
+    spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
+    bands = len(prior.sets[0].bases)
+    return Model(PointSet(names, mean, (components,) * bands, spreads, spreads[:, 0]), prior, rate)
 
 
 def _shape(prior: Prior, count: int) -> Integers:
-    """Spectra (components, bands) of the prior's components of the same rank, without their strength."""
+    """Spectra (components, bands) of the prior's components of the same rank, as if all were equally strong at 1 Hz."""
     known = prior.sets[0].spreads[POSE:]
     rank = np.minimum(np.arange(count), len(known) - 1)
     return known[rank] - known[rank][:, 5:6]
 
 
-def _gain(values: Floats, spectra: Sequence[Floats], rate: float, shape: Integers) -> float:
-    """How much stronger than its shape a component is, 1/32 octave."""
-    logs = []
-    at = 0
-    for s in spectra:
-        n = len(s) - 1
-        f = np.arange(1, len(s)) * rate / (2 * len(s))
-        here = (f > 0.3) & (f < 2)
-        part = np.abs(values[at : at + n])[here]
-        at += n
-        if len(part):
-            expected = 2.0 ** (np.interp(f[here] * 1000, contexts.BANDS_MHZ, shape) / contexts.OCTAVE)
-            logs.append((part / np.sqrt(rate / 120)).sum() / expected.sum())
-    return float(contexts.OCTAVE * np.log2(max(np.mean(logs) if logs else np.abs(values).mean() if len(values) else 1e-9, 1e-9)))
+def _gain(curves: Sequence[Floats], rate: float, shape: Integers) -> float:
+    """How much stronger than its shape a component's spectra (one a chunk) are, in 1/32 octave."""
+    found, expected = 1e-9, 1e-9
+    for c in curves:
+        hertz = np.arange(len(c)) * rate / (2 * len(c))
+        here = (hertz > FITTED_HZ[0]) & (hertz < FITTED_HZ[1])
+        found += np.abs(c[here]).sum() / np.sqrt(rate / 120)
+        expected += (2.0 ** (np.interp(hertz[here] * 1000, contexts.BANDS_MHZ, shape) / contexts.OCTAVE)).sum()
+    return float(contexts.OCTAVE * np.log2(found / expected))
 
 
-def _precision(gains: Integers, noise: int) -> Integers:
-    """How finely each component is rounded: integers only."""
-    strength = gains * GAIN_UNIT + STRENGTH
-    return np.clip(2 * (strength - noise) // contexts.OCTAVE, 0, basis.FINEST)
+def _completed(basis_: Floats) -> Floats:
+    """Orthonormal columns (n, k) with the n − k that are missing after them, by Householder's reflections."""
+    n, k = basis_.shape
+    rest, mirrors = basis_.copy(), []
+    for i in range(k):
+        mirror = rest[i:, i].copy()
+        mirror[0] += 1.0 if mirror[0] >= 0 else -1.0
+        mirror /= np.sqrt(mirror @ mirror)
+        rest[i:] -= np.outer(2 * mirror, mirror @ rest[i:])
+        mirrors.append(mirror)
+    missing = np.eye(n)[:, k:]
+    for i, mirror in reversed(list(enumerate(mirrors))):
+        missing[i:] -= np.outer(2 * mirror, mirror @ missing[i:])
+    return np.concatenate([basis_, missing], axis=1)
 
 
-STRENGTH = -105
-"""From a component's gain (its magnitudes at 1 Hz) to its standard deviation over all frames, in 1/32 octave."""
-
-
-def _alike(entries: Integers) -> Integers:
+def _alike(pose: Integers) -> Integers | None:
     """For each coordinate that of the nearest point before it, (3 points,); −1 for the first point's."""
-    points = len(entries)
-    out = np.full((points, 3), -1, np.int64)
-    for i in range(1, points):
-        nearest = int(((entries[:i] - entries[i]).astype(np.float64) ** 2).sum(axis=1).argmin())
+    if not len(pose):
+        return None
+    out = np.full((len(pose), 3), -1, np.int64)
+    for i in range(1, len(pose)):
+        nearest = int(((pose[:i] - pose[i]).astype(np.float64) ** 2).sum(axis=1).argmin())
         out[i] = 3 * nearest + np.arange(3)
     return out.ravel()

@@ -95,4 +95,6 @@ def named(id_: bytes) -> Prior:
     for prior in (*_others, _packaged()):
         if prior.id == id_:
             return prior
-    raise UnknownCodec(f"coded with prior {id_.hex()}, but this package has {_packaged().id.hex()}: it needs another version")
+    raise UnknownCodec(
+        f"coded with prior {id_.hex()}, but this package has {_packaged().id.hex()}: it needs another version"
+    )

@@ -49,7 +49,9 @@ class Tempo:
     chunk_seconds: float = 4.0
 
     def __post_init__(self) -> None:
-        targets = {t: getattr(self, t) for t in ("max_error", "mean_error", "ratio", "size") if getattr(self, t) is not None}
+        targets = {
+            t: getattr(self, t) for t in ("max_error", "mean_error", "ratio", "size") if getattr(self, t) is not None
+        }
         if len(targets) > 1:
             raise BadInput(f"tempo takes one target, not {' and '.join(targets)}")
         if any(not (np.isfinite(v) and v > 0) for v in targets.values()):
@@ -241,12 +243,15 @@ class Piece:
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
     """Payloads at the largest common step whose mean error is within the target."""
     samples = sum(int((~p.mask).sum()) for p in pieces)
-    step = _largest(lambda s: sum(p.mean_at(s) for p in pieces) / samples <= target, round(np.log2(target * 2) * OCTAVE))
+    step = _largest(
+        lambda s: sum(p.mean_at(s) for p in pieces) / samples <= target, round(np.log2(target * 2) * OCTAVE)
+    )
     return [p.at_step(step) for p in pieces]
 
 
 def to_size(pieces: list[Piece], size: float) -> list[bytes]:
     """Payloads at the smallest common step whose bytes are within the size. Raises CannotEncode."""
+
     def packed(step: int) -> list[bytes]:
         return [p.at_step(step) for p in pieces]
 

@@ -80,7 +80,11 @@ def point_set(motions: Sequence[Motion]) -> PointSet:
     dimensions = 3 * len(names)
     empty = np.zeros((len(EDGES_MHZ) + 1, dimensions, dimensions))
     flat = PointSet(
-        names, pose, tuple(np.eye(dimensions) for _ in empty), np.zeros((POSE + dimensions, BANDS), int), np.zeros(0, int)
+        names,
+        pose,
+        tuple(np.eye(dimensions) for _ in empty),
+        np.zeros((POSE + dimensions, BANDS), int),
+        np.zeros(0, int),
     )
     prior = Prior(b"", (flat,), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
     spectra = [list(_spectra(Model(flat, prior, m.rate), m)) for m in motions]
@@ -140,7 +144,9 @@ def _spreads(points: PointSet, prior: Prior, motions: Sequence[Motion]) -> dict[
     }
 
 
-def coder_tables(sets: Sequence[PointSet], motions: Sequence[Sequence[Motion]], steps: Sequence[int] = STEPS) -> np.ndarray:
+def coder_tables(
+    sets: Sequence[PointSet], motions: Sequence[Sequence[Motion]], steps: Sequence[int] = STEPS
+) -> np.ndarray:
     """Frequencies (tables, symbols) of the symbols met in each context, out of 2¹²."""
     counts = np.zeros((contexts.SHAPES * contexts.CLASSES, symbols.SYMBOLS))
     prior = Prior(b"", tuple(sets), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
