@@ -230,8 +230,14 @@ class _Coding:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """The step at which coefficients and corrections together are smallest; decoded and checked."""
-        rung = search.smallest(lambda rung: self.encoded(rung).payload_bytes, self.first_rung)
-        encoded = self.encoded(rung)
+
+        def size(rung: int) -> float:
+            try:
+                return self.encoded(rung).payload_bytes
+            except CannotEncode:
+                return math.inf
+
+        encoded = self.encoded(search.smallest(size, self.first_rung))
         decoded = Hou2014.decode(encoded).positions
         furthest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not furthest <= bound:

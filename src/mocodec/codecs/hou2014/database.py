@@ -36,7 +36,11 @@ BLOCK_CLIPS = 256
 
 @dataclass(frozen=True)
 class Annealing:
-    """How an annealing went: W as the most likely transform of each clip, and the distortion (7) after each iteration."""
+    """How an annealing went.
+
+    choice (clips,): the transform that W ends at for each. distortions: (7) before each iteration, m², what lies
+    outside the kept frequencies left out.
+    """
 
     iterations: int
     converged: bool
@@ -158,7 +162,7 @@ class _Spectra:
         self.kept.extend([spectra.shape[1]] * len(spectra))
         part = spectra.reshape(-1, self.dimensions).astype(np.float32)
         if self._file is None and sum(self.kept) * self.dimensions * 4 > self.limit:
-            self._file = TemporaryFile()
+            self._file = TemporaryFile()  # noqa: SIM115  closed by `close`
             for earlier in self._parts:
                 self._file.write(earlier.tobytes())
             self._parts.clear()
@@ -214,7 +218,7 @@ def _softmax(logits: Floats) -> Floats:
 
 
 def _distance(a: Floats, b: Floats) -> float:
-    """How far apart two subspaces are: the Frobenius norm of what a leaves of b. Columns may turn within them freely."""
+    """How far apart two subspaces are: the Frobenius norm of what a leaves of b. Columns may turn within them."""
     return float(np.linalg.norm(b - a @ (a.T @ b)))
 
 

@@ -159,7 +159,7 @@ def _choice(rows: Floats, lengths: Integers, transforms: tuple[Transform, ...]) 
 def _project(rows: Floats, length: int, transforms: tuple[Transform, ...], choice: Integers) -> Floats:
     """B_jᵀ M_i of clips of one length, transposed: (clips, length, k)."""
     if len(transforms) == 1:
-        return (rows @ transforms[0].matrix).reshape(-1, length, len(transforms[0]))
+        return (rows @ transforms[0].matrix).reshape(len(choice), length, len(transforms[0]))
     clips = rows.reshape(-1, length, rows.shape[1])
     return np.stack([clip @ transforms[j].matrix for clip, j in zip(clips, choice, strict=True)])
 

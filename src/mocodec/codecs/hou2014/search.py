@@ -15,7 +15,7 @@ NEAR = 0.985
 
 TRIES = 24
 WIDEST = 30 * quantise.LADDER
-"""No rung is beyond ± this: a step of 2^±30 units."""
+"""No rung is farther than this from the first: 30 octaves."""
 
 
 def largest_within(of: Callable[[int], float], limit: float, start: int) -> int | None:
@@ -45,7 +45,7 @@ def _bracketed(of: Callable[[int], float], limit: float, start: int, rising: boo
         if good and bad and abs(good[0] - bad[0]) <= 1:
             break
         rung = _next(good, bad, limit, sign)
-        if abs(rung) > WIDEST:
+        if abs(rung - start) > WIDEST:
             break
     return good[0] if good else None
 
@@ -71,7 +71,7 @@ def smallest(of: Callable[[int], float], start: int) -> int:
     for stride in (quantise.LADDER // 2, quantise.LADDER // 5):
         while True:
             for rung in (best - stride, best + stride):
-                if rung not in values and abs(rung) <= WIDEST:
+                if rung not in values and abs(rung - start) <= WIDEST:
                     values[rung] = of(rung)
             nearer = min(values, key=lambda rung: (values[rung], rung))
             if nearer == best or len(values) > TRIES:

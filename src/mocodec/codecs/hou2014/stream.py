@@ -54,17 +54,16 @@ class Head:
     allocated: bool = False
     shared: bool = False
 
-    def step(self, offsets: Integers | int = 0) -> Floats:
+    def step(self, offsets: Integers) -> Floats:
         """The step of coefficients, metres, for clips of these offsets in rungs."""
-        rungs = self.rung + np.asarray(offsets, np.float64)
-        return np.asarray(self.unit * np.exp2(rungs / quantise.LADDER), np.float64)
+        return np.array([self.unit * quantise.step(self.rung + o) for o in offsets.tolist()], np.float64)
 
     @property
     def mean_pose(self) -> Floats:
         """(3 points,), metres."""
         if self.mean is None:
             return np.zeros(3 * self.points)
-        return self.mean * (self.unit * quantise.step(self.mean_rung))
+        return np.asarray(self.mean * (self.unit * quantise.step(self.mean_rung)), np.float64)
 
     @property
     def weights(self) -> Floats:
@@ -266,7 +265,7 @@ def reconstruct(clips: Clips, head: Head) -> Floats:
         at += n * l
         curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length)
         if len(head.transforms) == 1:
-            rows.append(curves.reshape(-1, head.components) @ head.transforms[0].matrix.T)
+            rows.append(curves.reshape(n * length, head.components) @ head.transforms[0].matrix.T)
         else:
             rows.extend(c @ head.transforms[j].matrix.T for c, j in zip(curves, clips.choice[run], strict=True))
     positions = np.concatenate(rows)
