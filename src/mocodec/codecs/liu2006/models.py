@@ -165,7 +165,8 @@ def pack(segment: Segment, gaps: bytes = b"", residual: bytes = b"") -> bytes:
     sections = [coder.pack(segment.markers.numbers), coder.pack(_means(segment.groups))]
     for model in segment.groups:
         head += [varint.signed(model.track.rung), len(model.precision), *_falls(model.precision)]
-        sections += [basis.pack(model.components, model.precision), coder.pack(model.track.numbers)]
+        sections += [basis.pack(model.components, model.precision, _beside(model.mean_numbers))]
+        sections += [coder.pack(model.track.numbers)]
     splits = np.packbits(np.concatenate([spline.splits(track.keys) for track in tracks])).tobytes()
     return join([varint.write(head), splits, *sections, gaps, residual])
 
@@ -189,8 +190,8 @@ def unpack(payload: bytes, start: int, stop: int, roles: Roles) -> tuple[Segment
         precision = _rise(falls)
         keys, more = spline.from_splits(bits[used:], before + stop - start + after)
         used += more
-        components = basis.unpack(packed_basis, width, precision)
         own, mean_numbers = mean_numbers[:width], mean_numbers[width:]
+        components = basis.unpack(packed_basis, width, precision, _beside(own))
         mean = quantise.inverse(own, _noise(_rung(rung), keys))
         values = _unpack_track(packed_values, keys, _rung(rung), k)
         models.append(PoseModel(own, mean, components, precision, components, values))
@@ -204,6 +205,16 @@ def sections_of(roles: Roles) -> int:
 
 def _means(groups: Sequence[PoseModel]) -> Integers:
     return np.concatenate([np.zeros(0, np.int64), *(model.mean_numbers for model in groups)]).reshape(-1, 3)
+
+
+def _beside(mean_numbers: Integers) -> Integers:
+    """For each coordinate the same one of the nearest earlier marker of the mean pose, which will move much alike."""
+    pose = mean_numbers.reshape(-1, 3)
+    apart = ((pose[:, None] - pose) ** 2).sum(axis=-1)
+    apart[np.triu_indices(len(pose))] = np.iinfo(np.int64).max
+    beside = 3 * apart.argmin(axis=1)[:, None] + np.arange(3)
+    beside[0] = -1
+    return beside.ravel()
 
 
 def _unpack_track(data: bytes, keys: spline.Keyframes, rung: int, k: int) -> Track:

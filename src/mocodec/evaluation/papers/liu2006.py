@@ -117,8 +117,18 @@ def measured(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[C
         "global_pca": asdict(global_pca(motion, played)),
         "piecewise_pca": asdict(piecewise_pca(motion, played, cuts.segments)),
         "readings": readings(codec, motion, played),
+        "longer": [longer(codec, motion, times) for times in (1, 2, 4)],
     }
     return row, cuts.curves, decoded
+
+
+def longer(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]:
+    """Milliseconds a frame for the motion there and back again, `times` runs of it in all."""
+    there_and_back = [motion.positions[:: -1 if turn % 2 else 1] for turn in range(times)]
+    long = Motion(np.concatenate(there_and_back), motion.rate, motion.names, motion.up)
+    encode_ms, encoded = timed(lambda: codec.encode(long), len(long))
+    decode_ms, _ = timed(lambda: codec.decode(encoded), len(long))
+    return {"frames": len(long), "encode_ms": encode_ms, "decode_ms": decode_ms}
 
 
 def readings(codec: Liu2006, motion: Motion, played: roles.Roles) -> list[dict[str, Any]]:
@@ -203,6 +213,9 @@ def markdown(results: dict[str, Any]) -> str:
         ):  # fmt: skip
             lines.append(f"| {what} | {theirs['sequence']} | {here} | {there} |")
     for row in results["rows"]:
+        lines += ["", f"Processor time of sequence {row['published']['sequence']}, there and back again:", ""]
+        lines += ["| frames | compression, ms a frame | decompression, ms a frame |", "|---|---|---|"]
+        lines += [f"| {r['frames']} | {r['encode_ms']:.3f} | {r['decode_ms']:.3f} |" for r in row["longer"]]
         lines += [
             "",
             f"Other readings of the paper, sequence {row['published']['sequence']}:",
