@@ -36,7 +36,7 @@ WEAKEST = 64
 """A component is stored while its standard deviation is above Δ/√frames by this (1/32 octave)."""
 STRENGTH = -105
 """From a component's gain (its magnitudes at 1 Hz) to the finest that its entries need to be, in 1/32 octave."""
-MEAN_BELOW = 96
+MEAN_BELOW = 128
 """A component's mean over a chunk against its movement at 0.2 Hz over the root of the frames (1/32 octave)."""
 START_BAND = 1
 """The band whose components an own basis is stored in terms of, where the prior knows the points."""
