@@ -54,6 +54,7 @@ class Hou2014Database:
 
     transforms: int = 4  # K
     components: int = parameters.COMPONENTS  # k, of the subspaces that clips are sorted into
+    stored: int | None = None  # components of each transform that are stored; all where not given
     clip_frames: int = parameters.CLIP_FRAMES  # L
     frequencies: int | None = None  # l; by (12) with the paper's k of 30
     tolerance: float = 1e-6
@@ -83,7 +84,8 @@ class Hou2014Database:
         how: dict[Names, Annealing] = {}
         for names, spectra in groups.items():
             found, how[names] = self._anneal(spectra, progress)
-            learned[names] = tuple(one.rounded(self.step_m).pack(None) for one in found)  # with all that k left out
+            kept = [one.leading(self.stored or len(one)) for one in found]
+            learned[names] = tuple(one.rounded(self.step_m).pack(None) for one in kept)
             spectra.close()
         return Learned(learned, how)
 

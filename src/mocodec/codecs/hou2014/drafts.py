@@ -20,8 +20,11 @@ from .transform import Transform
 
 Integers = NDArray[np.int64]
 
-PAYS = 32.0
-"""A component is worth coding where its energy is beyond this many squared steps."""
+WORTH = 0.16
+"""What a bit is worth in squared steps when components are chosen."""
+
+ENTRY_BITS = 2.1
+"""What an entry of the weakest components costs in the fine form."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +117,14 @@ def draft(material: Material, rung: int) -> Draft:
 
 def curves(material: Material, step: float) -> Floats:
     """The rows in the basis, (frames, k): what the DCT along time sees, whatever the clips."""
-    matrix = material.given[0].matrix if material.fitted is None else _paying(material.fitted, step).matrix
+    matrix = material.given[0].matrix if material.fitted is None else _paying(material, material.fitted, step).matrix
     return (material.rows - material.rows.mean(axis=0)) * material.weights @ matrix
 
 
-def _paying(found: Transform, step: float) -> Transform:
-    return found.leading(int((found.variances > PAYS * step**2).sum()))
+def _paying(material: Material, found: Transform, step: float) -> Transform:
+    """The components whose energy is worth the bits of their entries."""
+    bits = 3 * material.points * (ENTRY_BITS if material.compress_basis else 16)
+    return found.leading(int((found.variances > WORTH * bits * step**2).sum()))
 
 
 def clip_runs(lengths: Integers) -> list[tuple[int, slice, slice]]:
@@ -136,7 +141,7 @@ def _transforms(material: Material, step: float) -> tuple[Transform, ...]:
         return tuple(one.leading(k) for one in material.given)
     found = material.fitted
     k = material.components
-    found = _paying(found, step) if k is None else found.leading(k)
+    found = _paying(material, found, step) if k is None else found.leading(k)
     return (found.rounded(step) if material.compress_basis else found.rounded_to_16_bits(),)
 
 
