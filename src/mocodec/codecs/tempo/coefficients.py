@@ -44,15 +44,12 @@ class Plan:
     def frequencies(self) -> int:
         return len(self.expected)
 
-    def order(self) -> list[Integers]:
-        """For each frequency the rows that are coded, in steps of `lanes`: (steps, lanes); idle lanes hold −1."""
-        steps = []
-        for k in range(self.frequencies):
-            rows = np.flatnonzero(self.reach > k)
-            padded = np.full(-(-len(rows) // self.lanes) * self.lanes, -1)
-            padded[: len(rows)] = rows
-            steps.append(padded.reshape(-1, self.lanes))
-        return steps
+    def order(self) -> tuple[Integers, Integers, Integers, Integers]:
+        """For each coefficient that is coded: frequency, row, which step of that frequency codes it, and on which lane."""
+        frequency, row = np.nonzero(np.arange(self.frequencies)[:, None] < self.reach)
+        count = np.bincount(frequency, minlength=self.frequencies)
+        rank = np.arange(len(frequency)) - np.repeat(np.cumsum(count) - count, count)
+        return frequency, row, rank // self.lanes, rank % self.lanes
 
 
 def plan(model: Model, frames: int, step: int, threshold: int, lane_code: int) -> Plan:
@@ -132,20 +129,17 @@ def pack(model: Model, values: Integers, step: int, threshold: int) -> bytes:
     known = values[: p.frequencies]
     symbol = symbols.of(np.abs(known))
     chosen = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])
-    order = p.order()
-    rows = np.concatenate(order)
-    frequency = np.repeat(np.arange(p.frequencies), [len(o) for o in order])[:, None]
-    idle = rows < 0
-    coder = model.prior.coder
+    frequency, row, step_, lane = p.order()
+    before = _steps_before([p])
+    shape = (int(before[-1]), p.lanes)
+    of_step = np.zeros(shape, np.int64)
+    by_table = np.full(shape, model.prior.coder.idle)
+    of_step[before[frequency] + step_, lane] = symbol[frequency, row]
+    by_table[before[frequency] + step_, lane] = chosen[frequency, row]
     raw = symbols.raw(known[inside], symbol[inside])
     riding = np.zeros(16 * p.lanes, np.uint8)
     riding[: len(raw)] = raw[: len(riding)]
-    states, words = lanes.encode(
-        np.where(idle, 0, symbol[frequency, rows]),
-        np.where(idle, coder.idle, chosen[frequency, rows]),
-        coder,
-        bits.unpack(riding, np.full(p.lanes, 16)),
-    )
+    states, words = lanes.encode(of_step, by_table, model.prior.coder, bits.unpack(riding, np.full(p.lanes, 16)))
     sizes = np.array([int(s).bit_length() for s in states])
     first = np.concatenate(
         [bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)]
@@ -153,6 +147,16 @@ def pack(model: Model, values: Integers, step: int, threshold: int) -> bytes:
     return (
         head + np.packbits(first).tobytes() + words.astype("<u2").tobytes() + np.packbits(raw[len(riding) :]).tobytes()
     )
+
+
+def _steps_before(plans: Sequence[Plan]) -> Integers:
+    """How many steps come before each frequency, and all of them, (frequencies + 1,), when these chunks go together."""
+    steps = np.zeros(max(p.frequencies for p in plans) + 1, np.int64)
+    for p in plans:
+        active = np.cumsum(np.bincount(p.reach, minlength=p.frequencies + 1)[::-1])[::-1]
+        here = -(-active[1:] // p.lanes)
+        steps[1 : len(here) + 1] = np.maximum(steps[1 : len(here) + 1], here)
+    return np.cumsum(steps)
 
 
 def _lanes_for(coded: int, raw: int) -> int:
@@ -209,27 +213,28 @@ def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray
     """The symbols (chunks, frequencies, rows) of all chunks."""
     chunks, rows = len(plans), model.rows
     longest = max(p.frequencies for p in plans)
-    width = stream.state.shape[1]
-    idle = model.prior.coder.idle
+    before = _steps_before(plans)
+    idle = model.prior.coder.idle << lanes.PRECISION
+    where = np.full((int(before[-1]), *stream.state.shape), chunks * rows)
     base = np.zeros((longest, chunks, rows), np.int64)
-    orders = [p.order() for p in plans]
+    widest = np.zeros(longest, np.int64)
     for j, p in enumerate(plans):
+        frequency, row, step, lane = p.order()
+        where[before[frequency] + step, j, lane] = j * rows + row
         base[: p.frequencies, j] = contexts.base(p.expected)
-    symbol = np.zeros((longest, chunks, rows + 1), np.int64)
-    magnitude = np.zeros((longest + 3, chunks, rows), np.int64)
-    chosen = np.full((chunks, rows + 1), idle)
+        np.maximum.at(widest, frequency, row + 1)
+    symbol = np.zeros((longest, chunks * rows + 1), np.int64)
+    magnitude = contexts.bordered(np.zeros((longest, chunks, rows), np.int64))
+    chosen = np.full(chunks * rows + 1, idle)
+    by_row = chosen[:-1].reshape(chunks, rows)
     firsts = contexts.ceiling(symbols.FIRSTS)
-    each = np.arange(chunks)[:, None]
     for k in range(longest):
-        chosen[:, :rows] = contexts.tables(
-            base[k], magnitude[k + 2], magnitude[k + 1], magnitude[k], contexts.shape_of(k)
-        )
-        here = [o[k] if k < len(o) else np.zeros((0, 1), np.int64) for o in orders]
-        steps = np.full((max(map(len, here)), chunks, width), rows)
-        for j, h in enumerate(here):
-            steps[: len(h), j, : h.shape[1]] = np.where(h < 0, rows, h)
-        for where in steps:
-            symbol[k, each, where] = stream.take(chosen[each, where])
-        symbol[k, :, rows] = 0
-        magnitude[k + 3] = firsts[symbol[k, :, :rows]]
-    return symbol[:, :, :rows].swapaxes(0, 1)
+        w = int(widest[k])
+        m = magnitude[k : k + 3, :, : w + 4]
+        by_row[:, :w] = contexts.tables(base[k, :, :w], m[2], m[1], m[0], contexts.shape_of(k)) << lanes.PRECISION
+        here = symbol[k]
+        for at in where[before[k] : before[k + 1]]:
+            here[at] = stream.take(chosen.take(at))
+        here[-1] = 0
+        magnitude[k + 3, :, 2 : w + 2] = firsts.take(here[:-1].reshape(chunks, rows)[:, :w])
+    return symbol[:, :-1].reshape(longest, chunks, rows).swapaxes(0, 1)

@@ -25,14 +25,15 @@ OCTAVE = 32
 BANDS_MHZ = (0, 200, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000, 11000, 16000, 22000, 32000, 45000, 60000)
 """Frequencies (mHz) at which the prior knows the spread of each row. Its DC is known apart."""
 
-CLASS_WIDTH, CLASS_LOWEST, CLASSES = 10, -256, 56
+CLASS_WIDTH, CLASS_LOWEST, CLASSES = 10, -260, 56
 """Tables are chosen by the expected magnitude, in classes of 10/32 octave from 2⁻⁸ on."""
 SHAPES = 3
 """Each class has a table for the mean (frequency 0), for the next three frequencies, and for the rest."""
 
 ALPHA = 12
-SAME, SAME_2, SAME_3, NEXT, NEXT_2, BESIDE = 16, 16, 8, 11, 6, 6
-"""Sixteenths: the same row one, two and three frequencies below; one and two rows aside, one below; one aside, two below."""
+SAME, SAME_3, NEXT, ASIDE = 16, 8, 11, 6
+"""Sixteenths: the same row one and two frequencies below, three below; one row aside, one below; two rows aside, one
+below, and one aside, two below."""
 
 _LOG = np.array([round(OCTAVE * math.log2(1 + i / 256)) for i in range(256)], np.int64)
 _EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512, 1024)], np.int64)
@@ -50,7 +51,7 @@ def exp2(logs: Integers) -> Integers:
 
 
 _BAND_LOGS = log2(np.array(BANDS_MHZ[1:]))
-_NUMERATOR_LOGS = log2(np.arange(1, 1 << 16))
+_NUMERATOR_LOGS = log2(np.arange(ALPHA, 1 << 16))
 _CEILING = 300
 """Magnitudes beyond this count as this in a context."""
 
@@ -84,24 +85,36 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 def base(expected: Integers) -> Integers:
     """What the prior alone gives to each context, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
-    e = np.pad(np.minimum(exp2(expected), 16 * _CEILING), ((3, 0), (0, 0)))
+    e = bordered(np.minimum(exp2(expected), 16 * _CEILING))
     return expected - log2(_neighbourhood(e[2:-1], e[1:-2], e[:-3]) // 16 + ALPHA)
 
 
+def bordered(magnitudes: Integers) -> Integers:
+    """Magnitudes (frequencies, …, rows) with zeros around them: three frequencies below, two rows on either side."""
+    shape = (magnitudes.shape[0] + 3, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 4)
+    out = np.zeros(shape, np.int64)
+    out[3:, ..., 2:-2] = magnitudes
+    return out
+
+
 def _neighbourhood(below: Integers, below_2: Integers, below_3: Integers) -> Integers:
-    """Σ w |neighbour| from the magnitudes (…, rows) at the three frequencies below."""
-    total = SAME * below + SAME_2 * below_2 + SAME_3 * below_3
-    total[..., 1:] += NEXT * below[..., :-1] + BESIDE * below_2[..., :-1]
-    total[..., :-1] += NEXT * below[..., 1:] + BESIDE * below_2[..., 1:]
-    total[..., 2:] += NEXT_2 * below[..., :-2]
-    total[..., :-2] += NEXT_2 * below[..., 2:]
+    """Σ w |neighbour| from the bordered magnitudes (…, rows + 4) at the three frequencies below: (…, rows)."""
+    total = (below + below_2)[..., 2:-2] * SAME
+    total += (below[..., 1:-3] + below[..., 3:-1]) * NEXT
+    aside = below_2[..., 1:-3] + below_2[..., 3:-1]
+    aside += below[..., :-4]
+    aside += below[..., 4:]
+    total += aside * ASIDE
+    total += below_3[..., 2:-2] * SAME_3
     return total
 
 
-def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Integers, shape: int) -> Integers:
-    """The table for each row at one frequency, from `base` there and the magnitudes at the three below."""
-    logs = base_here + _NUMERATOR_LOGS[np.minimum(_neighbourhood(below, below_2, below_3), 60_000) + ALPHA - 1]
-    return np.clip((logs - CLASS_LOWEST) // CLASS_WIDTH, 0, CLASSES - 1) + shape * CLASSES
+def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Integers, shape: int | Integers) -> Integers:
+    """The table for each row at one frequency, from `base` there and the bordered magnitudes at the three below."""
+    logs = base_here + _NUMERATOR_LOGS.take(_neighbourhood(below, below_2, below_3), mode="clip")
+    logs //= CLASS_WIDTH
+    logs -= CLASS_LOWEST // CLASS_WIDTH
+    return logs.clip(0, CLASSES - 1, out=logs) + shape * CLASSES
 
 
 def shape_of(frequency: int) -> int:
@@ -114,6 +127,6 @@ def ceiling(magnitudes: Integers) -> Integers:
 
 def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
     """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
-    m = np.pad(ceiling(magnitudes), ((3, 0), (0, 0)))
+    m = bordered(ceiling(magnitudes))
     shapes = np.array([shape_of(k) for k in range(len(expected))])[:, None]
-    return tables(base(expected), m[2:-1], m[1:-2], m[:-3], shapes)  # type: ignore[arg-type]
+    return tables(base(expected), m[2:-1], m[1:-2], m[:-3], shapes)

@@ -54,6 +54,12 @@ def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
     return values
 
 
+def estimate(values: Integers) -> float:
+    """About how many bytes `pack` takes, from the sizes of the residuals of each lane."""
+    size = np.abs(_residuals(values)[1:]).mean(axis=0) if len(values) > 1 else np.zeros(values.shape[1])
+    return float(len(values) * np.log2(1 + 2.5 * size).sum() / 8 + 4 * values.shape[1])
+
+
 def _residuals(values: Integers) -> Integers:
     out = values.copy()
     for _, middle, around in _levels(len(values)):

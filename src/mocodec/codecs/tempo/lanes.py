@@ -34,7 +34,7 @@ class Tables:
 
     frequencies: Integers
     starts: Integers
-    packed: NDArray[np.uint64]
+    packed: Integers
 
     @classmethod
     def of(cls, frequencies: NDArray[np.integer]) -> Tables:
@@ -45,7 +45,7 @@ class Tables:
         symbols = np.repeat(np.tile(np.arange(rows.shape[1]), len(rows)), rows.ravel())
         at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL
         within = np.tile(np.arange(TOTAL), len(rows)) - starts[at, symbols]
-        packed = (symbols << 32 | within << 16 | rows[at, symbols]).astype(np.uint64)
+        packed = symbols << 32 | within << 16 | rows[at, symbols]
         return cls(rows, starts, packed)
 
     @property
@@ -79,37 +79,35 @@ class Lanes:
 
     def __init__(self, states: Sequence[Integers], words: Sequence[NDArray[np.uint16]], coder: Tables) -> None:
         """states: one (lanes,) array a chunk, padded here to the same number of lanes."""
-        width = max(map(len, states))
-        self.state = np.full((len(states), width), LOWEST, np.uint64)
-        longest = max(map(len, words))
-        self.words = np.zeros((len(states), longest + width), np.uint64)
+        width, longest = max(map(len, states)), max(map(len, words))
+        self.state = np.full((len(states), width), LOWEST, np.int64)
+        padded = np.zeros((len(states), longest + width), np.int64)
         self.lengths = np.array([len(w) for w in words])
         for j, (s, w) in enumerate(zip(states, words, strict=True)):
             self.state[j, : len(s)] = s
-            self.words[j, : len(w)] = w
-        self.flat = self.words.ravel()
-        self.rows = np.arange(len(states))[:, None] * self.words.shape[1] - 1
-        self.limit = self.words.shape[1] - width
-        self.used = np.zeros((len(states), 1), np.int64)
+            padded[j, : len(w)] = w
+        self.words = padded.ravel()
+        self.first = np.arange(len(states))[:, None] * padded.shape[1] - 1
+        self.limit = self.first + longest
+        self.next = self.first.copy()
         self.packed = coder.packed
 
     def take(self, tables: Integers) -> Integers:
-        """The next symbol of every lane, (chunks, lanes), given the table of each."""
+        """The next symbol of every lane, (chunks, lanes), given the table of each, times 2¹²."""
         x = self.state
-        entry = self.packed[(tables << PRECISION) | (x & np.uint64(TOTAL - 1)).astype(np.int64)]
-        x = (entry & np.uint64(0xFFFF)) * (x >> np.uint64(PRECISION)) + (entry >> np.uint64(16) & np.uint64(0xFFFF))
+        entry = self.packed.take(tables + (x & (TOTAL - 1)))
+        x = (entry & 0xFFFF) * (x >> PRECISION)
+        x += entry >> 16 & 0xFFFF
         empty = x < LOWEST
-        if empty.any():
-            count = np.cumsum(empty, axis=1)
-            word = self.flat[self.rows + self.used + count]
-            x = np.where(empty, x << np.uint64(16) | word, x)
-            self.used = np.minimum(self.used + count[:, -1:], self.limit)
-        self.state = x
-        return (entry >> np.uint64(32)).astype(np.int64)
+        count = empty.cumsum(axis=1)
+        word = self.words.take(count + self.next)
+        self.state = np.where(empty, x << 16 | word, x)
+        self.next = np.minimum(self.next + count[:, -1:], self.limit)
+        return entry >> 32
 
     def finish(self) -> tuple[list[int], list[Integers]]:
         """How many words each chunk used, and the raw bits that rode along, (lanes,) a chunk. Raises Corrupt."""
-        used = self.used[:, 0]
-        if (used > self.lengths).any() or (self.state >> np.uint64(17)).any() or (self.state < LOWEST).any():
+        used = (self.next - self.first)[:, 0]
+        if (used > self.lengths).any() or (self.state >> 17).any() or (self.state < LOWEST).any():
             raise Corrupt("tempo: the coded numbers do not end where they should")
-        return used.tolist(), list((self.state - np.uint64(LOWEST)).astype(np.int64))
+        return used.tolist(), list(self.state - LOWEST)

@@ -91,16 +91,28 @@ class Model:
 
         points = len(self.points.pose)
         known = len(coefficients)
-        spectrum = np.zeros((frames, 4 + 3 * points))
+        few = known < frames // 2
+        spectrum = np.zeros((known if few else frames, 4 + 3 * points))
         spectrum[:known, :4] = coefficients[:, HEADING:POSE]
-        if known:
-            spectrum[:, 1:4] += slope_spectra(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             part = coefficients[band, POSE:]
-            spectrum[band.start : band.start + len(part), 4:] = part @ basis
-        signals = idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
+            np.matmul(part, basis, out=spectrum[band.start : band.start + len(part), 4:])
+        signals = cosines(frames)[:, :known] @ spectrum if few else idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
+        place = signals[:, 1:4]
+        if known:
+            place += slope_curves(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
         pose = signals[:, 4:].reshape(-1, points, 3) + self.points.pose
-        return body.turn(pose, signals[:, 0]) + signals[:, None, 1:4] / np.sqrt(points)
+        moved = body.turn(pose, signals[:, 0])
+        moved += place[:, None] / np.sqrt(points)
+        return moved
+
+
+@lru_cache(maxsize=16)
+def cosines(frames: int) -> Floats:
+    """The inverse DCT as a matrix (frames, frequencies below half of them)."""
+    from scipy.fft import idct
+
+    return np.ascontiguousarray(idct(np.eye(frames // 2 + 1, frames), axis=1, norm="ortho").T)
 
 
 def without_slopes(coefficients: Floats, step: int) -> Floats:
@@ -114,17 +126,22 @@ def without_slopes(coefficients: Floats, step: int) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def slope_spectra(frames: int) -> Floats:
-    """The DCT (2, frames) of two curves, one bent at the start of a chunk and one at its end.
+def slope_curves(frames: int) -> Floats:
+    """Two curves (2, frames), one bent at the start of a chunk and one at its end.
 
     A DCT continues a curve by its mirror image: a slope at an end makes a kink there, and coefficients that fall only as
     1/k². Walking is such a slope. These curves take it out: parabolas that are level at one end.
     """
+    t = (np.arange(frames) + 0.5) / frames
+    return SLOPE_GAIN / np.sqrt(frames) * np.stack([t - t * t / 2, t * t / 2])
+
+
+@lru_cache(maxsize=16)
+def slope_spectra(frames: int) -> Floats:
+    """The DCT of `slope_curves`, (2, frames)."""
     from scipy.fft import dct
 
-    t = (np.arange(frames) + 0.5) / frames
-    curves = SLOPE_GAIN / np.sqrt(frames) * np.stack([t - t * t / 2, t * t / 2])
-    return dct(curves, axis=1, norm="ortho")
+    return dct(slope_curves(frames), axis=1, norm="ortho")
 
 
 SLOPE_GAIN = 4.0

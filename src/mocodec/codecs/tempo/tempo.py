@@ -73,7 +73,10 @@ class Tempo:
         elif self.ratio is not None or self.size is not None:
             payloads = to_size(pieces, self.size or motion.raw_bytes / (self.ratio or 1))
         else:
-            payloads = [p.within(self.max_error or DEFAULT_MAX_ERROR) for p in pieces]
+            payloads, offset = [], 28
+            for piece in pieces:
+                payload, offset = piece.within(self.max_error or DEFAULT_MAX_ERROR, offset)
+                payloads.append(payload)
         stored = settings(self)
         if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
@@ -193,30 +196,36 @@ class Piece:
         values = direct.quantise(self.positions, fine_size(step)).reshape(len(self.positions), -1)
         return Parts(DIRECT, direct.pack(values), step, gaps=self.gaps).pack()
 
-    def within(self, bound: float) -> bytes:
-        """The smallest payload found that decodes to within the bound at every sample."""
-        best = self.directly(fine_step(direct.cell(bound)))
-        if self.spectrum is None:
-            return best
-        estimates = {}
+    def within(self, bound: float, offset: int = 32) -> tuple[bytes, int]:
+        """The smallest payload found that decodes to within the bound at every sample, and the step that it took.
+
+        offset: where to begin to look for the best step, log₂ of its size in bounds, 1/32 octave.
+        """
+        best: tuple[float, int, bytes] | None = None
         centre = round(np.log2(bound) * OCTAVE)
-        for offset in (16, 32, 48):
-            _, _, cost, decoded = self.transformed(centre + offset, BOUND_SLOPE)
-            size = cost / 8 + len(corrections.pack(self.found(decoded, bound)))
-            estimates[offset] = size
-        offset = min(estimates, key=lambda o: estimates[o])
-        if estimates[offset] < len(best) * 1.1:
-            values, threshold, _, decoded = self.transformed(centre + offset, BOUND_SLOPE)
-            payload = Parts(
-                TRANSFORM,
-                coefficients.pack(self.model, values, centre + offset, threshold),
-                fine_step(direct.cell(bound)),
-                corrections.pack(self.found(decoded, bound)),
-                self.gaps,
-            ).pack()
-            if len(payload) < len(best) and self.holds(payload, bound):
-                best = payload
-        return best
+        if self.spectrum is not None:
+            tried: dict[int, tuple[float, bytes]] = {}
+            for at in (offset, offset - 10, offset + 10):
+                if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
+                    break
+                values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
+                moved = corrections.pack(self.found(decoded, bound))
+                tried[at] = cost / 8 + len(moved), moved
+            at = min(tried, key=lambda o: tried[o][0])
+            values, threshold, _, decoded = self.transformed(centre + at, BOUND_SLOPE)
+            numbers = coefficients.pack(self.model, values, centre + at, threshold)
+            payload = Parts(TRANSFORM, numbers, fine_step(direct.cell(bound)), tried[at][1], self.gaps).pack()
+            if self.holds(payload, bound):
+                best = len(payload), at, payload
+        if best is None or self.direct_estimate(bound) < 1.2 * best[0]:
+            payload = self.directly(fine_step(direct.cell(bound)))
+            if best is None or len(payload) < best[0]:
+                best = len(payload), offset, payload
+        return best[2], best[1]
+
+    def direct_estimate(self, bound: float) -> float:
+        """About how many bytes the direct engine will need."""
+        return direct.estimate(direct.quantise(self.positions, direct.cell(bound)).reshape(len(self.positions), -1))
 
     def found(self, decoded: Floats, bound: float) -> corrections.Corrections:
         d = self.positions - decoded
@@ -241,12 +250,34 @@ class Piece:
 
 
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
-    """Payloads at the largest common step whose mean error is within the target."""
+    """Payloads at the common step whose mean error is nearest to the target."""
     samples = sum(int((~p.mask).sum()) for p in pieces)
-    step = _largest(
-        lambda s: sum(p.mean_at(s) for p in pieces) / samples <= target, round(np.log2(target * 2) * OCTAVE)
-    )
+    step = round(np.log2(2.8 * target) * OCTAVE)
+    tried: dict[int, float] = {}
+    for _ in range(12):
+        step = int(np.clip(step, 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))
+        if step in tried:
+            break
+        error = sum(p.mean_at(step) for p in pieces) / samples
+        tried[step] = OCTAVE * np.log2(max(error, 1e-12) / target)
+        step = _next_step(tried)
+    step = min(tried, key=lambda s: abs(tried[s]))
     return [p.at_step(step) for p in pieces]
+
+
+def _next_step(tried: dict[int, float]) -> int:
+    """Where the excess (1/32 octave) ought to vanish, from the steps tried: between two of them, or along the usual slope."""
+    below = [s for s in tried if tried[s] <= 0]
+    above = [s for s in tried if tried[s] > 0]
+    if below and above:
+        a, b = max(below), min(above)
+        if b - a <= 1:
+            return a
+        between = round(a - tried[a] * (b - a) / (tried[b] - tried[a]))
+        return min(max(between, a + 1), b - 1)
+    last = max(below) if below else min(above)
+    change = -tried[last] / 0.85
+    return last + (int(np.ceil(change)) if change >= 0 else int(np.floor(change)))
 
 
 def to_size(pieces: list[Piece], size: float) -> list[bytes]:
