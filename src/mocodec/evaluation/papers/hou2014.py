@@ -3,8 +3,8 @@
     python -m mocodec.evaluation.papers.hou2014 [--data FOLDER] [-o docs/results]
 
 Draws figures 2 to 5 (analysis), 7 and 8 (r and Q), 9 (ratio against distortion: rivals, lengths of clips), 11 (60 Hz),
-12 (adaptive clips) and the databases; writes hou2014.json, from which all are drawn, and hou2014.md with Tables I to IV.
-The paper's sequences are taken where a folder has them as CMU names them (`subjects/SS/SS_TT.amc`); others of CMU
+12 (adaptive clips) and the databases; writes hou2014.json, from which all are drawn, and hou2014.md with Tables I to
+IV. The paper's sequences are taken where a folder has them as CMU names them (`subjects/SS/SS_TT.amc`); others of CMU
 stand in for them.
 """
 
@@ -522,7 +522,8 @@ def markdown(results: dict[str, Any]) -> str:
         for row in one["rows"]:
             lines.append(
                 f"| {one['database']} | {one['files']} of {one['of_files']} | {one['frames']} | {row['K']} "
-                f"| {row['k']} | {row['ratio']:.1f} | {row['mean_cm']:.2f} | {row['iterations']} | {row['fit_seconds']:.1f} |"
+                f"| {row['k']} | {row['ratio']:.1f} | {row['mean_cm']:.2f} "
+                f"| {row['iterations']} | {row['fit_seconds']:.1f} |"
             )
     lines += ["", "## The paper's claims", "", "| claim | on | here | holds |", "|---|---|---|---|"]
     words = {True: "yes", False: "no", None: "not measured"}

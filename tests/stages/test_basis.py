@@ -1,0 +1,102 @@
+"""Bases: Theorem 1, rounding as fine as a component deserves, orthonormal whatever the bytes say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocodec.errors import Corrupt
+from mocodec.stages import basis
+from mocodec.testing import corruption
+
+
+def covariance(dimensions: int = 24, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    mixed = rng.normal(size=(200, dimensions)) * np.exp(-np.arange(dimensions) / 3)
+    rows = mixed @ np.linalg.qr(rng.normal(size=(dimensions, dimensions)))[0]
+    return rows.T @ rows
+
+
+def before(dimensions: int) -> np.ndarray:
+    return np.maximum(np.arange(dimensions) - 3, -1)
+
+
+def test_no_other_basis_holds_more():
+    c = covariance()
+    found, energies = basis.fit(c, 5)
+    assert np.isclose(np.trace(found.T @ c @ found), energies.sum())
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        other = np.linalg.qr(rng.normal(size=(24, 5)))[0]
+        assert np.trace(other.T @ c @ other) < energies.sum()
+    assert (np.take_along_axis(found, np.abs(found).argmax(axis=0)[None], 0) > 0).all()
+
+
+@pytest.mark.parametrize("alike", [None, before(24)], ids=["plain", "differences"])
+def test_the_rounded_basis_comes_back_orthonormal(alike: np.ndarray | None):
+    found, energies = basis.fit(covariance())
+    sizes = []
+    for noise in (10.0, 0.3, 0.01):
+        precision = basis.precisions(energies, noise)
+        data = basis.pack(found, precision, alike)
+        back = basis.unpack(data, 24, precision, alike)
+        assert np.array_equal(back, basis.rounded(found, precision))
+        assert np.abs(back.T @ back - np.eye(24)).max() < 1e-13
+        sizes.append(len(data))
+    assert sizes == sorted(sizes)
+
+
+def test_strong_components_are_rounded_finest_and_errors_are_as_planned():
+    c = covariance()
+    found, energies = basis.fit(c)
+    noise = 0.05
+    precision = basis.precisions(energies, noise)
+    assert (np.diff(precision) <= 0).all()
+    back = basis.rounded(found, precision)
+    lost = [np.trace(c) - np.trace(back[:, :k].T @ c @ back[:, :k]) - energies[k:].sum() for k in range(1, 20)]
+    assert max(lost) < 24 * 20 * noise**2
+
+
+def test_leading_columns_are_the_rounding_of_fewer():
+    found, energies = basis.fit(covariance())
+    precision = basis.precisions(energies, 0.1)
+    assert np.allclose(basis.rounded(found, precision)[:, :7], basis.rounded(found[:, :7], precision[:7]), atol=1e-15)
+
+
+def test_differences_pay_where_points_move_alike():
+    rng = np.random.default_rng(2)
+    shared = np.repeat(rng.normal(size=(1, 10)), 8, axis=0) + 0.1 * rng.normal(size=(8, 10))
+    rows = rng.normal(size=(300, 10)) @ shared.T
+    found, energies = basis.fit(np.kron(rows.T @ rows, np.eye(3)), 9)
+    precision = basis.precisions(energies, 0.1)
+    assert len(basis.pack(found, precision, before(24))) < len(basis.pack(found, precision))
+
+
+def test_nothing_to_store():
+    empty = np.zeros((6, 0))
+    none = np.zeros(0, np.int64)
+    assert basis.unpack(basis.pack(empty, none), 6, none).shape == (6, 0)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(st.binary(max_size=40))
+def test_any_bytes_are_a_basis_or_corrupt(data: bytes):
+    precision = np.full(3, 12)
+    try:
+        back = basis.unpack(data, 9, precision, before(9))
+    except Corrupt:
+        return
+    assert np.abs(back.T @ back - np.eye(3)).max() < 1e-12
+
+
+def test_damage():
+    found, energies = basis.fit(covariance(), 6)
+    precision = basis.precisions(energies, 0.1)
+    for bad in corruption.damaged(basis.pack(found, precision), 60, seed=0):
+        try:
+            back = basis.unpack(bad, 24, precision)
+        except Corrupt:
+            continue
+        assert back.shape == (24, 6)

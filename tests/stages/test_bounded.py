@@ -1,0 +1,88 @@
+"""The residual layer: the bound holds in three dimensions, whatever was predicted, and costs nothing where it is kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocodec import metrics
+from mocodec.errors import CannotEncode, Corrupt
+from mocodec.stages import bounded
+from mocodec.testing import corruption
+
+
+def slow(frames: int, points: int, seed: int = 0) -> np.ndarray:
+    """Errors that change slowly, about 1 in size."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.normal(size=(frames // 10 + 2, points, 3))
+    at = np.arange(frames) / 10
+    left = at.astype(int)
+    share = (at - left)[:, None, None]
+    return coarse[left] * (1 - share) + coarse[left + 1] * share
+
+
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 300),
+    st.integers(1, 6),
+    st.sampled_from([1e-6, 1e-3, 0.3, 1.0, 2.0, 50.0]),
+    st.booleans(),
+)
+def test_the_bound_holds(seed: int, frames: int, points: int, size: float, gappy: bool):
+    rng = np.random.default_rng(seed)
+    prediction = rng.normal(size=(frames, points, 3))
+    original = prediction + 0.01 * size * slow(frames, points, seed)
+    if gappy:
+        original[rng.random((frames, points)) < 0.3] = np.nan
+    data = bounded.pack(original, prediction, 0.01)
+    fixed = bounded.unpack(data, prediction, 0.01)
+    assert np.nanmax(metrics.distances(original, fixed), initial=0) <= 0.01
+    assert np.isfinite(fixed).all()
+
+
+def test_nothing_where_the_bound_is_kept_already():
+    prediction = np.random.default_rng(0).normal(size=(50, 4, 3))
+    original = prediction + 0.009 / np.sqrt(3)
+    assert bounded.pack(original, prediction, 0.01) == b""
+    assert bounded.unpack(b"", prediction, 0.01) is prediction
+    original[3, 2] = np.nan
+    assert bounded.pack(original, prediction, 0.01) == b""
+
+
+def test_a_slow_excursion_costs_less_than_its_frames():
+    prediction = np.zeros((400, 10, 3))
+    original = prediction.copy()
+    original[100:160, 4] = 0.012
+    data = bounded.pack(original, prediction, 0.01)
+    assert len(data) < 16
+    assert data[0] == bounded.RUNS
+    assert metrics.distances(original, bounded.unpack(data, prediction, 0.01)).max() <= 0.01
+
+
+def test_dense_where_most_points_need_it():
+    rng = np.random.default_rng(0)
+    prediction = np.zeros((60, 10, 3))
+    original = rng.normal(size=prediction.shape)
+    data = bounded.pack(original, prediction, 0.01)
+    assert data[0] == bounded.DENSE
+    assert metrics.distances(original, bounded.unpack(data, prediction, 0.01)).max() <= 0.01
+
+
+def test_a_bound_below_what_floats_hold_is_refused():
+    with pytest.raises(CannotEncode):
+        bounded.pack(np.full((2, 1, 3), 1e9), np.zeros((2, 1, 3)), 1e-9)
+
+
+def test_damage_is_corrupt_or_decodes():
+    prediction = np.zeros((80, 5, 3))
+    original = 0.01 * slow(80, 5)
+    data = bounded.pack(original, prediction, 0.01)
+    for bad in [b"\x07", b"\x00", b"\x00\xff\xff\xff\xff\x7f", *corruption.damaged(data, 80, seed=1)]:
+        try:
+            fixed = bounded.unpack(bad, prediction, 0.01)
+        except Corrupt:
+            continue
+        assert fixed.shape == prediction.shape
