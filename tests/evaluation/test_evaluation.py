@@ -11,7 +11,8 @@ import pytest
 
 from mocodec import Motion
 from mocodec.errors import BadInput, Corrupt
-from mocodec.evaluation import datasets, fetch, report, runner
+from mocodec.evaluation import datasets, fetch, folds, report, runner
+from mocodec.testing import synthetic
 
 
 def wave(frames: int = 240, points: int = 4) -> Motion:
@@ -140,3 +141,21 @@ def test_without_a_network_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("urllib.request.urlopen", no_network)
     with pytest.raises(BadInput, match=r"all_asfamc\.zip"):
         fetch.get("http://mocap.cs.cmu.edu/subjects/14/14.asf")
+
+
+def test_people_are_judged_with_a_prior_that_has_not_seen_them(tmp_path: Path) -> None:
+    seen = datasets.Recording("118_20.amc", Path("118/118_20.amc"), "amc")
+    stranger = datasets.Recording("77_01.amc", Path("77/77_01.amc"), "amc")
+    assert folds.fold_of(seen) == folds.FOLDS[1]
+    assert folds.fold_of(stranger) is None
+    tempo, sz3 = runner.tasks([seen], ["tempo", "sz3"], tmp_path)
+    assert tempo.prior == tmp_path / "prior-without-02-10-16-49-64-118-131.npz"
+    assert sz3.prior is None
+    assert runner.tasks([stranger], ["tempo"], tmp_path)[0].prior is None
+
+
+def test_bytes_by_part_add_up_to_the_file() -> None:
+    motion = synthetic.markers(frames=300, seed=5)
+    for codec in ("hou2014", "liu2006", "lossless"):
+        outcome = runner.ours(codec, motion)
+        assert sum(outcome.parts.values()) == outcome.data_bytes

@@ -13,10 +13,12 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ..errors import BadInput
+from . import files
 
 PAPERS = ("liu2006", "hou2014", "lien2006")
 
@@ -58,7 +60,8 @@ def command(
     recordings = [recording for name in names for recording in datasets.recordings(name, quick)]
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    work = runner.tasks(recordings, coders)
+    priors = priors_for(recordings, folder / "priors") if "tempo" in coders else None
+    work = runner.tasks(recordings, coders, priors)
     known = [] if again else runner.load(folder / "results.json")
     records: list[runner.Record] = []
     with progress(len(work)) as advance:
@@ -117,6 +120,21 @@ def paper_command(name: str) -> click.Command:
 for _paper in PAPERS:
     if (Path(__file__).parent.parent / "evaluation" / "papers" / f"{_paper}.py").exists():
         command.add_command(paper_command(_paper))
+
+
+def priors_for(recordings: list[Any], folder: Path) -> Path | None:
+    """Priors that have not seen the people of these recordings, learned where they are not there yet."""
+    from ..evaluation import folds
+
+    if not folds.PEOPLE.is_dir():
+        return None
+    needed = sorted({fold for recording in recordings if (fold := folds.fold_of(recording)) is not None})
+    for fold in needed:
+        path = folds.prior_path(folder, fold)
+        if not path.is_file():
+            with files.working(f"learning a prior without subjects {', '.join(fold)}"):
+                folds.train(fold, path)
+    return folder
 
 
 def coders_of(chosen: tuple[str, ...], quick: bool, known: tuple[str, ...]) -> list[str]:

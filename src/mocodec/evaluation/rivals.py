@@ -3,7 +3,8 @@
     knob      an error bound or step in metres that grows with the error; `npz` and `pcodec` without loss have none
     layout    time fastest, one row a coordinate; SZ3 and pcodec take it as one 1-D array, the image codecs as a picture
 
-All need packages of the [bench] extra. Each is a small class with `encode`, `decode`, `version` and `knob_of` (a first
+The methods that the papers compare themselves with (`codecs.baselines`) stand among them. Most others need packages of
+the [bench] extra. Each is a small class with `encode`, `decode`, `version` and `knob_of` (a first
 guess of the knob for a mean error), so that one search drives them all.
 """
 
@@ -13,12 +14,15 @@ import io
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version as installed_version
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import __version__
+from ..codecs import baselines
 from ..errors import MissingExtra
 
 Array = NDArray[Any]
@@ -271,6 +275,29 @@ class PcodecLossless:
         return installed_version("pcodec")
 
 
+@dataclass(frozen=True)
+class OfThePapers:
+    """One of `codecs.baselines`: a paper's rival on our quantiser and entropy coder."""
+
+    method: baselines.Baseline
+
+    @property
+    def name(self) -> str:
+        return self.method.name.lower()
+
+    def encode(self, positions: Array, knob: float) -> bytes:
+        return self.method.encode(positions, knob)
+
+    def decode(self, data: bytes, shape: tuple[int, int, int]) -> Array:
+        return self.method.decode(data, shape)
+
+    def knob_of(self, mean_error: float) -> float:
+        return self.method.knob_of(mean_error)
+
+    def version(self) -> str:
+        return f"mocodec {__version__}"
+
+
 RIVALS: dict[str, Callable[[], Rival]] = {
     "sz3": Sz3,
     "zfp": Zfp,
@@ -280,6 +307,7 @@ RIVALS: dict[str, Callable[[], Rival]] = {
     "jpeg xl": JpegXl,
     "npz": Npz,
     "pcodec": PcodecLossless,
+    **{method.name.lower(): partial(OfThePapers, method) for method in baselines.ALL},
 }
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from .. import __version__, api, container, metrics
 from ..errors import MocodecError
 from ..motion import Motion
-from . import datasets, rivals
+from . import datasets, folds, rivals
 
 OURS = ("tempo", "hou2014", "liu2006", "lossless")
 TARGETS = (("mean_error", 0.001), ("mean_error", 0.003), ("mean_error", 0.01),
@@ -43,6 +43,8 @@ class Task:
     coder: str
     recording: datasets.Recording
     targets: tuple[tuple[str, float], ...] = TARGETS
+    prior: Path | None = None
+    """For tempo: a prior that has not seen this recording's person."""
 
 
 @dataclass
@@ -115,8 +117,24 @@ def ours(codec: str, motion: Motion, **settings: Any) -> Outcome:
     decoded = api.decode(data)
     done = time.perf_counter()
     with api.open(data) as f:
-        parts = dict(f.info["bytes"])
+        parts = bytes_by_part(f)
     return Outcome(len(data), decoded.positions, encoded - started, done - encoded, settings, parts)
+
+
+def bytes_by_part(file: api.File) -> dict[str, int]:
+    """The container's parts, and inside the codec's own bytes what it can tell apart."""
+    parts = {name: size for name, size in file.info["bytes_by_part"].items() if size}
+    if file.encoded.codec == "liu2006":
+        from ..codecs.liu2006 import statistics
+
+        own = statistics(file.encoded).bytes_by_part
+        around = parts.get("shared", 0) + parts["chunks"] - sum(own.values())
+        own["framing"] = parts["framing"] + around
+    elif file.encoded.codec == "hou2014":
+        own = {"transforms": parts.get("shared", 0), "coefficients": parts.get("chunks", 0)}
+    else:
+        return parts
+    return {name: size for name, size in {**parts, "shared": 0, "chunks": 0, **own}.items() if size}
 
 
 def theirs(rival: rivals.Rival, motion: Motion, knob: float) -> Outcome:
@@ -191,11 +209,14 @@ def run_task(task: Task) -> list[Record]:
             file=task.recording.label, content=content, frames=len(motion), points=motion.points, rate=motion.rate,
         )  # fmt: skip
         try:
-            outcome = one(task.coder, rival, motion, target, wanted)
+            with folds.unseen(task.prior):
+                outcome = one(task.coder, rival, motion, target, wanted)
             if outcome is None:
                 record.problem = "no setting keeps the target"
             else:
                 fill(record, motion, outcome)
+                if task.prior is not None:
+                    record.settings = {**record.settings, "prior": task.prior.stem}
         except MocodecError as error:
             record.problem = str(error)
         except Exception as error:  # a rival's own failure is a result, not ours to hide
@@ -254,10 +275,23 @@ def unreadable(task: Task, problem: str) -> Record:
     )  # fmt: skip
 
 
-def tasks(recordings: Sequence[datasets.Recording], coders: Sequence[str]) -> list[Task]:
-    """One task for every coder and recording, longest coders first so that the last ones to finish are short."""
+def tasks(recordings: Sequence[datasets.Recording], coders: Sequence[str], priors: Path | None = None) -> list[Task]:
+    """One task for every coder and recording, ours first, whose work is longest.
+
+    priors: folder of priors by fold; tempo is judged with the one that has not seen a recording's person.
+    """
     order = sorted(coders, key=lambda coder: coder not in OURS)
-    return [Task(coder, recording) for recording in recordings for coder in order]
+    return [
+        Task(coder, recording, prior=prior_for(recording, priors) if coder == "tempo" else None)
+        for recording in recordings
+        for coder in order
+    ]
+
+
+def prior_for(recording: datasets.Recording, priors: Path | None) -> Path | None:
+    """The file of the prior that has not seen this person, where the person is one of the folds."""
+    fold = folds.fold_of(recording)
+    return folds.prior_path(priors, fold) if priors is not None and fold is not None else None
 
 
 def run(work: Sequence[Task], workers: int, known: Sequence[Record] = ()) -> Iterator[list[Record]]:

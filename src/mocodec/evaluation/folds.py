@@ -1,0 +1,52 @@
+"""Leave-subjects-out: what is learned from people is judged on other people.
+
+    subject of a recording ─► its fold ─► a prior trained without anyone of that fold ─► installed while tempo is judged
+
+The prior inside the package has learned from all the people below `../shared/data/cmu/asfamc`. A recording of one of
+them is coded with a prior that has seen nobody of its fold; a recording of anyone else with the one inside the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from .datasets import SHARED, Recording
+
+PEOPLE = SHARED / "cmu" / "asfamc"
+FOLDS = (("01", "03"), ("02", "10", "16", "49", "64", "118", "131"))
+
+
+def fold_of(recording: Recording) -> tuple[str, ...] | None:
+    """The fold that this recording's person is in, by the number before the name's first underscore; else none."""
+    if recording.path is None:
+        return FOLDS[0] if recording.group == "package" else None
+    subject = recording.path.stem.split("_")[0]
+    return next((fold for fold in FOLDS if subject in fold), None)
+
+
+def prior_path(folder: Path, fold: Sequence[str]) -> Path:
+    """Where the prior without these people is kept."""
+    return folder / f"prior-without-{'-'.join(fold)}.npz"
+
+
+def train(fold: Sequence[str], path: Path) -> None:
+    """Learn a prior from everyone but these people, and keep it."""
+    from .. import formats
+    from ..codecs.tempo import training
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    formats.replace_whole(path, training.train(training.people(PEOPLE, fold)))
+
+
+@contextmanager
+def unseen(prior: Path | None) -> Iterator[None]:
+    """Within this, tempo uses the prior of this file, or the package's own where there is none."""
+    if prior is None:
+        yield
+        return
+    from ..codecs.tempo import prior as priors
+
+    with priors.installed(prior.read_bytes()):
+        yield
