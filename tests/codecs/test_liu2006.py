@@ -29,12 +29,7 @@ def two_motions(frames: int = 240) -> Motion:
 
 
 class TestLiu2006(CodecTests):
-    codec = staticmethod(lambda **settings: Liu2006(**settings))
-    can_bound = True
-
-
-class TestLiu2006InSegments(CodecTests):
-    """The same with a search that cuts short motions, so that chunks need their neighbours."""
+    """With a search that cuts short motions, so that chunks need their neighbours."""
 
     codec = staticmethod(
         lambda **settings: Liu2006(initial_frames=40, ahead_frames=30, rise=20, variance_kept=0.9, **settings)
@@ -42,9 +37,12 @@ class TestLiu2006InSegments(CodecTests):
     can_bound = True
 
     def figure(self) -> Motion:
-        motion = two_motions()
-        assert len(self.codec().encode(motion).chunks) >= 2
-        return motion
+        return two_motions()
+
+
+def test_the_contract_is_tested_on_more_than_one_segment() -> None:
+    test = TestLiu2006()
+    assert len(test.codec().encode(test.figure()).chunks) >= 2
 
 
 # ── what is asked for ─────────────────────────────────────────────────────────────────────────────────────────────────

@@ -30,7 +30,7 @@ from . import models, roles
 from .models import Segment
 from .roles import Roles
 
-MEAN_OF_BOUND = 0.25
+MEAN_OF_BOUND = 0.5
 """Under a max_error, the mean error that the method itself is steered to; the residual layer does the rest."""
 
 PLAIN = 0.04
