@@ -23,7 +23,7 @@ from .model import HEADING, POSE, Model, heading_step, step_size
 
 TRANSFORM, DIRECT = 0, 1
 ENGINES = 2
-CORRECTED, GAPPED = 4, 8
+STEPPED, GAPPED = 4, 8
 FINE = 256
 """Steps of the direct engine and of corrections are 2^(n / 256) metres."""
 
@@ -34,38 +34,32 @@ class Parts:
 
     engine: int
     numbers: bytes
-    step: int = 0
-    corrections: bytes = b""
+    step: int | None = None
     gaps: bytes = b""
 
     def pack(self) -> bytes:
-        flags = self.engine | CORRECTED * bool(self.corrections) | GAPPED * bool(self.gaps)
+        flags = self.engine | STEPPED * (self.step is not None) | GAPPED * bool(self.gaps)
         out = bytes([flags])
         if self.gaps:
             out += varint.write([len(self.gaps)]) + self.gaps
-        if self.engine == DIRECT or self.corrections:
+        if self.step is not None:
             out += varint.write([varint.signed(self.step)])
-        if self.corrections:
-            out += varint.write([len(self.corrections)]) + self.corrections
         return out + self.numbers
 
     @classmethod
     def unpack(cls, payload: bytes) -> Parts:
         """Raises Corrupt."""
-        if not payload or payload[0] & ~(ENGINES - 1 | CORRECTED | GAPPED):
+        if not payload or payload[0] & ~(ENGINES - 1 | STEPPED | GAPPED):
             raise Corrupt("tempo: a chunk of no known kind")
-        engine = payload[0] & (ENGINES - 1)
-        at, step, moved, missing = 1, 0, b"", b""
+        at, step, missing = 1, None, b""
         if payload[0] & GAPPED:
             missing, at = _blob(payload, at)
-        if engine == DIRECT or payload[0] & CORRECTED:
+        if payload[0] & STEPPED:
             (folded,), at = varint.read(payload, 1, at)
             step = varint.unsigned(folded)
             if abs(step) > 200 * FINE:
                 raise Corrupt("tempo: a chunk whose step is out of range")
-        if payload[0] & CORRECTED:
-            moved, at = _blob(payload, at)
-        return cls(engine, payload[at:], step, moved, missing)
+        return cls(payload[0] & (ENGINES - 1), payload[at:], step, missing)
 
 
 def _blob(payload: bytes, at: int) -> tuple[bytes, int]:
@@ -94,31 +88,31 @@ def sizes(known: Model, frames: int, step: int) -> Floats:
     return size
 
 
-def _synthesised(known: Model, values: np.ndarray, step: int, frames: int) -> Floats:
-    return known.synthesise(coefficients.dequantise(values, sizes(known, frames, step)), frames)
-
-
 def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     """The positions (frames, points, 3), y up, of chunks, side by side; NaN in their gaps. Raises Corrupt."""
     parts = [Parts.unpack(c.payload) for c in chunks]
     transformed = [i for i, p in enumerate(parts) if p.engine == TRANSFORM]
-    found: dict[int, tuple[np.ndarray, int]] = {}
+    found: dict[int, tuple[np.ndarray, int, np.ndarray]] = {}
     if transformed:
         numbers = coefficients.unpack(
-            model, [chunks[i].frames for i in transformed], [parts[i].numbers for i in transformed]
+            model,
+            [chunks[i].frames for i in transformed],
+            [parts[i].numbers for i in transformed],
+            corrections.FIELDS,
         )
         found = dict(zip(transformed, numbers, strict=True))
     points = len(model.points.names)
     out = []
     for i, (chunk, p) in enumerate(zip(chunks, parts, strict=True)):
+        size = 0.0 if p.step is None else fine_size(p.step)
         if p.engine == TRANSFORM:
-            positions = _synthesised(model, *found[i], chunk.frames)
+            values, step, lists = found[i]
+            positions = model.synthesise(coefficients.dequantise(values, sizes(model, chunk.frames, step)), chunk.frames)
+            if lists.size:
+                corrections.apply(positions, corrections.from_numbers(lists, chunk.frames, points), size)
         else:
             values = direct.unpack(p.numbers, (chunk.frames, 3 * points))
-            positions = values.reshape(chunk.frames, points, 3) * fine_size(p.step)
-        if p.corrections:
-            moved = corrections.unpack(p.corrections, chunk.frames, points)
-            corrections.apply(positions, moved, fine_size(p.step))
+            positions = values.reshape(chunk.frames, points, 3) * size
         out.append(gaps.apply(positions, gaps.unpack(p.gaps, (chunk.frames, points))))
     return out
 

@@ -116,37 +116,70 @@ def dequantise(values: Integers, sizes: Floats) -> Floats:
     return (values - np.sign(values) * inward) * sizes
 
 
-def pack(model: Model, values: Integers, step: int, threshold: int) -> bytes:
-    """Whole numbers (frames, rows), zero outside the threshold's zone, as bytes."""
+def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integers | None = None) -> bytes:
+    """Whole numbers (frames, rows), zero outside the threshold's zone, as bytes.
+
+    lists (fields, n): more numbers to go with them, coded after the coefficients with one table a field; the first three
+    fields may be negative.
+    """
     frames = len(values)
     p = plan(model, frames, step, threshold, 0)
     inside = np.arange(p.frequencies)[:, None] < p.reach
-    lane_code = _lanes_for(int(inside.sum()), int((values != 0).sum()))
-    p = plan(model, frames, step, threshold, lane_code)
-    head = varint.write([lane_code | varint.signed(threshold) << 3, step + MAX_STEP])
-    if not p.frequencies:
-        return head
     known = values[: p.frequencies]
     symbol = symbols.of(np.abs(known))
-    chosen = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])
-    frequency, row, step_, lane = p.order()
+    more = np.zeros((0, 0), np.int64) if lists is None else lists
+    more_symbol = symbols.of(np.abs(more))
+    chosen = _list_tables(model, more_symbol)
+    raw = np.concatenate([symbols.raw(known[inside], symbol[inside]), _raw_of_lists(more, more_symbol)])
+    coded = int(inside.sum()) + more.size
+    lane_code = _lanes_for(coded, len(raw))
+    head = [lane_code | bool(more.size) << 3 | varint.signed(threshold) << 4, step + MAX_STEP]
+    if more.size:
+        head += [more.shape[1], *chosen]
+    first = varint.write(head)
+    if not coded:
+        return first
+    p = plan(model, frames, step, threshold, lane_code)
     before = _steps_before([p])
-    shape = (int(before[-1]), p.lanes)
+    own_steps = int(before[-1])
+    shape = (own_steps - (-more.size // p.lanes), p.lanes)
     of_step = np.zeros(shape, np.int64)
     by_table = np.full(shape, model.prior.coder.idle)
-    of_step[before[frequency] + step_, lane] = symbol[frequency, row]
-    by_table[before[frequency] + step_, lane] = chosen[frequency, row]
-    raw = symbols.raw(known[inside], symbol[inside])
+    if p.frequencies:
+        frequency, row, at, lane = p.order()
+        of_step[before[frequency] + at, lane] = symbol[frequency, row]
+        by_table[before[frequency] + at, lane] = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])[frequency, row]
+    of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
+    by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
     riding = np.zeros(16 * p.lanes, np.uint8)
     riding[: len(raw)] = raw[: len(riding)]
     states, words = lanes.encode(of_step, by_table, model.prior.coder, bits.unpack(riding, np.full(p.lanes, 16)))
     sizes = np.array([int(s).bit_length() for s in states])
-    first = np.concatenate(
-        [bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)]
-    )
-    return (
-        head + np.packbits(first).tobytes() + words.astype("<u2").tobytes() + np.packbits(raw[len(riding) :]).tobytes()
-    )
+    heads = np.concatenate([bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)])
+    beyond = np.packbits(raw[len(riding) :])
+    return first + np.packbits(heads).tobytes() + words.astype("<u2").tobytes() + beyond.tobytes()
+
+
+LIST_TABLES = (contexts.SHAPES - 1) * contexts.CLASSES
+"""Lists are coded with the tables of the last shape."""
+SIGNED_FIELDS = 3
+
+
+def _list_tables(model: Model, symbol: Integers) -> Integers:
+    """The class whose table codes each field (fields, n) in the fewest bits."""
+    price = model.prior.coder.cost()[LIST_TABLES : LIST_TABLES + contexts.CLASSES]
+    return np.array([price[:, field].sum(axis=1).argmin() for field in symbol], np.int64)
+
+
+def list_bits(model: Model, lists: Integers) -> float:
+    """About how many bits the lists (fields, n) take."""
+    symbol = symbols.of(np.abs(lists))
+    price = model.prior.coder.cost()[LIST_TABLES + _list_tables(model, symbol)[:, None], symbol]
+    return float(price.sum() + len(_raw_of_lists(lists, symbol)))
+
+
+def _raw_of_lists(lists: Integers, symbol: Integers) -> bits.Bits:
+    return symbols.raw(lists.ravel(), symbol.ravel(), SIGNED_FIELDS * (lists.shape[1] if lists.size else 0))
 
 
 def _steps_before(plans: Sequence[Plan]) -> Integers:
@@ -165,38 +198,57 @@ def _lanes_for(coded: int, raw: int) -> int:
     return int(np.searchsorted(LANES, max(1, fitting), side="right") - 1)
 
 
-def unpack(model: Model, frames: Sequence[int], payloads: Sequence[bytes]) -> list[tuple[Integers, int]]:
-    """The coefficients (frequencies, rows) and the step of each payload, all decoded side by side. Raises Corrupt."""
+def unpack(
+    model: Model, frames: Sequence[int], payloads: Sequence[bytes], fields: int
+) -> list[tuple[Integers, int, Integers]]:
+    """Of each payload the coefficients (frequencies, rows), the step, and the lists (fields, n). Raises Corrupt.
+
+    All are decoded side by side.
+    """
     plans: list[Plan] = []
     states: list[Integers] = []
     words: list[NDArray[np.uint16]] = []
     rests: list[bytes] = []
+    lists: list[Integers] = []
     for count, payload in zip(frames, payloads, strict=True):
         (head, step), at = varint.read(payload, 2)
-        threshold = varint.unsigned(head >> 3)
+        threshold = varint.unsigned(head >> 4)
         if step > 2 * MAX_STEP or abs(threshold) > 4096:
             raise Corrupt("tempo: a chunk whose step is out of range")
+        listed = np.zeros(0, np.int64)
+        if head & 8:
+            (n, *classes), at = varint.read(payload, 1 + fields, at)
+            if n > count * len(model.points.names) or max(classes) >= contexts.CLASSES:
+                raise Corrupt("tempo: a chunk with more corrections than samples")
+            listed = np.repeat(LIST_TABLES + np.array(classes), n)
         p = plan(model, count, step - MAX_STEP, threshold, head & 7)
         plans.append(p)
-        state, at = _read_states(payload, at, p.lanes) if p.frequencies else (np.full(1, lanes.LOWEST), at)
+        lists.append(listed)
+        coded = p.frequencies > 0 or len(listed) > 0
+        state, at = _read_states(payload, at, p.lanes) if coded else (np.full(1, lanes.LOWEST), at)
         states.append(state)
         rests.append(payload[at:])
         words.append(np.frombuffer(payload, "<u2", (len(payload) - at) // 2, at))
     stream = lanes.Lanes(states, words, model.prior.coder)
     found = _decode(model, plans, stream)
+    more = _decode_lists(model, plans, lists, stream)
     result = []
-    for p, symbol, used, riding, rest in zip(plans, found, *stream.finish(), rests, strict=True):
+    for p, symbol, listed, used, riding, rest in zip(plans, found, more, *stream.finish(), rests, strict=True):
         known = symbol[: p.frequencies]
         inside = np.arange(p.frequencies)[:, None] < p.reach
+        signed = SIGNED_FIELDS * (len(listed) // fields)
         count = symbols.raw_count(known[inside])
-        first = bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if p.frequencies else np.zeros(0, np.uint8)
-        beyond = max(0, count - len(first))
+        total = count + symbols.raw_count(listed, signed)
+        first = bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if inside.any() or len(listed) else np.zeros(0, np.uint8)
+        beyond = max(0, total - len(first))
         if len(rest) != 2 * used + (beyond + 7) // 8:
             raise Corrupt("tempo: a chunk that does not end where it should")
         later = np.unpackbits(np.frombuffer(rest, np.uint8, offset=2 * used), count=beyond)
+        raw = np.concatenate([first, later])
         values = np.zeros((p.frequencies, model.rows), np.int64)
-        values[inside] = symbols.values(known[inside], np.concatenate([first, later])[:count])
-        result.append((values, p.step))
+        values[inside] = symbols.values(known[inside], raw[:count])
+        extra = symbols.values(listed, raw[count:total], signed).reshape(fields, -1)
+        result.append((values, p.step, extra))
     return result
 
 
@@ -213,6 +265,8 @@ def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray
     """The symbols (chunks, frequencies, rows) of all chunks."""
     chunks, rows = len(plans), model.rows
     longest = max(p.frequencies for p in plans)
+    if not longest:
+        return np.zeros((chunks, 0, rows), np.int64)
     before = _steps_before(plans)
     idle = model.prior.coder.idle << lanes.PRECISION
     where = np.full((int(before[-1]), *stream.state.shape), chunks * rows)
@@ -238,3 +292,21 @@ def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray
         here[-1] = 0
         magnitude[k + 3, :, 2 : w + 2] = firsts.take(here[:-1].reshape(chunks, rows)[:, :w])
     return symbol[:, :-1].reshape(longest, chunks, rows).swapaxes(0, 1)
+
+
+def _decode_lists(
+    model: Model, plans: Sequence[Plan], tables: Sequence[Integers], stream: lanes.Lanes
+) -> list[Integers]:
+    """The symbols of the lists of all chunks, each coded with the table that is given."""
+    steps = [-(-len(t) // p.lanes) for t, p in zip(tables, plans, strict=True)]
+    idle = model.prior.coder.idle
+    by_table = np.full((max(steps), *stream.state.shape), idle)
+    for j, (t, p, n) in enumerate(zip(tables, plans, steps, strict=True)):
+        padded = np.full(n * p.lanes, idle)
+        padded[: len(t)] = t
+        by_table[:n, j, : p.lanes] = padded.reshape(n, p.lanes)
+    by_table <<= lanes.PRECISION
+    symbol = np.zeros_like(by_table)
+    for found, t in zip(symbol, by_table, strict=True):
+        found[:] = stream.take(t)
+    return [symbol[:n, j, : p.lanes].ravel()[: len(t)] for j, (t, p, n) in enumerate(zip(tables, plans, steps, strict=True))]

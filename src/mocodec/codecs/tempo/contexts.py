@@ -114,7 +114,9 @@ def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Int
     logs = base_here + _NUMERATOR_LOGS.take(_neighbourhood(below, below_2, below_3), mode="clip")
     logs //= CLASS_WIDTH
     logs -= CLASS_LOWEST // CLASS_WIDTH
-    return logs.clip(0, CLASSES - 1, out=logs) + shape * CLASSES
+    np.maximum(logs, 0, out=logs)
+    np.minimum(logs, CLASSES - 1, out=logs)
+    return logs + shape * CLASSES
 
 
 def shape_of(frequency: int) -> int:

@@ -1,6 +1,9 @@
 """What keeps the promise: samples that the transform leaves too far off are moved back, a few numbers each.
 
-positions, decoded, bound ─find─► corrections ─pack─► bytes ─unpack─► corrections ─apply─► within the bound
+    positions − decoded, bound ─find─► corrections ─numbers─► whole numbers for the coder, and back ─apply─► within the bound
+
+An error grows beyond the bound and shrinks back over some frames, so one correction moves a point over a run of frames,
+by a vector times half a wave. Where that does not do, each frame gets a correction of its own, which always can.
 """
 
 from __future__ import annotations
@@ -10,58 +13,95 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...entropy import coder, varint
 from ...errors import CannotEncode, Corrupt
 from ...motion import Floats
-from .direct import LARGEST, cell
+from .direct import LARGEST
 
 Integers = NDArray[np.int64]
 
+FIELDS = 5
+"""Numbers of a correction: x, y, z of its vector, the samples between it and the one before, and its frames less one."""
+
 
 class Corrections(NamedTuple):
-    """which (n,): point · frames + frame, rising; by (n, 3): whole steps to add."""
+    """start (n,): point · frames + frame, rising; length (n,): frames; by (n, 3): the vector in whole steps."""
 
-    which: Integers
+    start: Integers
+    length: Integers
     by: Integers
 
 
-def find(error: Floats, bound: Floats, step: float) -> Corrections:
-    """Corrections for errors (frames, points, 3) beyond the bound (points,), in steps that bring any error within it."""
-    which = np.flatnonzero(np.sqrt((error**2).sum(axis=2)).T > bound[:, None])
-    scaled = error.swapaxes(0, 1).reshape(-1, 3)[which] / step
-    if not (np.abs(scaled) < LARGEST).all():
+NONE = Corrections(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
+
+
+def find(error: Floats, bound: float, step: float) -> Corrections:
+    """Corrections for errors (frames, points, 3) beyond the bound, in steps that bring any single error within it.
+
+    Raises CannotEncode for errors beyond counting.
+    """
+    flat = np.ascontiguousarray(error.swapaxes(0, 1))
+    beyond = np.einsum("pfc,pfc->pf", flat, flat) > bound * bound
+    start, length = _runs(beyond)
+    flat = flat.reshape(-1, 3)
+    if not (np.abs(flat[beyond.ravel()]) < LARGEST * step).all():
         raise CannotEncode("the motion is too large for so small an error")
-    return Corrections(which, np.rint(scaled).astype(np.int64))
+    samples, of, weight = _samples(start, length)
+    here = flat[samples]
+    heads = np.cumsum(length) - length
+    if len(start):
+        fitted = np.add.reduceat(here * weight[:, None], heads, axis=0)
+        fitted /= np.add.reduceat(weight**2, heads)[:, None]
+    else:
+        fitted = np.zeros((0, 3))
+    by = np.rint(fitted / step).astype(np.int64)
+    left = here - by[of] * (weight[:, None] * step)
+    bad = np.einsum("sc,sc->s", left, left) > bound * bound
+    failed = np.bincount(of, bad, minlength=len(start)) > 0
+    single = samples[failed[of] & beyond.ravel()[samples]]
+    starts = np.concatenate([start[~failed], single])
+    order = np.argsort(starts, kind="stable")
+    return Corrections(
+        starts[order],
+        np.concatenate([length[~failed], np.ones(len(single), np.int64)])[order],
+        np.concatenate([by[~failed], np.rint(flat[single] / step).astype(np.int64)])[order],
+    )
+
+
+def _runs(beyond: NDArray[np.bool_]) -> tuple[Integers, Integers]:
+    """Starts and lengths of the runs of True in each row of (points, frames), as places in the flat array."""
+    points, frames = beyond.shape
+    edges = np.diff(np.pad(beyond.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    point, first = np.nonzero(edges == 1)
+    _, last = np.nonzero(edges == -1)
+    return point * frames + first, last - first
+
+
+def _samples(start: Integers, length: Integers) -> tuple[Integers, Integers, Floats]:
+    """The samples of all corrections in turn: place in the flat array, number of the correction, weight."""
+    of = np.repeat(np.arange(len(start)), length)
+    within = np.arange(len(of)) - np.repeat(np.cumsum(length) - length, length)
+    return start[of] + within, of, np.sin(np.pi * (within + 1) / (length[of] + 1))
 
 
 def apply(positions: Floats, corrections: Corrections, step: float) -> None:
     """Add the corrections to positions (frames, points, 3), in place."""
+    samples, of, weight = _samples(corrections.start, corrections.length)
     frames = len(positions)
-    positions[corrections.which % frames, corrections.which // frames] += corrections.by * step
+    positions[samples % frames, samples // frames] += corrections.by[of] * (weight[:, None] * step)
 
 
-def pack(corrections: Corrections) -> bytes:
-    """Bytes; b"" where there are none."""
-    if not len(corrections.which):
-        return b""
-    gaps = np.diff(corrections.which, prepend=-1) - 1
-    return varint.write([len(gaps)]) + coder.pack(np.concatenate([gaps[:, None], corrections.by], axis=1))
+def numbers(corrections: Corrections) -> Integers:
+    """The corrections as whole numbers, (5, n): the first three rows of either sign, the others never negative."""
+    ends = np.concatenate([[0], corrections.start + corrections.length])
+    return np.stack([*corrections.by.T, corrections.start - ends[:-1], corrections.length - 1])
 
 
-def unpack(data: bytes, frames: int, points: int) -> Corrections:
-    """The corrections of `pack`. Raises Corrupt."""
-    if not data:
-        return Corrections(np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
-    (count,), at = varint.read(data, 1)
-    if not 0 < count <= frames * points:
-        raise Corrupt("tempo: more corrections than there are samples")
-    numbers = coder.unpack(data[at:], (count, 4))
-    if (numbers[:, 0] < 0).any() or (numbers[:, 0] > frames * points).any():
+def from_numbers(numbers_: Integers, frames: int, points: int) -> Corrections:
+    """The corrections of `numbers`. Raises Corrupt where they do not fit the chunk."""
+    gaps, lengths = numbers_[3], numbers_[4] + 1
+    if (gaps > frames * points).any() or (lengths > frames).any():
         raise Corrupt("tempo: a correction beyond the last sample")
-    which = np.cumsum(numbers[:, 0] + 1) - 1
-    if which[-1] >= frames * points:
+    start = np.cumsum(gaps + lengths) - lengths
+    if len(start) and (start[-1] + lengths[-1] > frames * points or (start % frames + lengths > frames).any()):
         raise Corrupt("tempo: a correction beyond the last sample")
-    return Corrections(which, numbers[:, 1:])
-
-
-__all__ = ["Corrections", "apply", "cell", "find", "pack", "unpack"]
+    return Corrections(start, lengths, numbers_[:3].T)

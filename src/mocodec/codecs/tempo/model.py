@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...geometry.body_frame import plain as plain_label
 from ...motion import Floats
-from . import body, contexts
+from . import body, contexts, cosine
 from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
@@ -68,8 +68,6 @@ class Model:
 
         The heading comes as it will be decoded, rounded to its steps: what its rounding leaves is in the pose.
         """
-        from scipy.fft import dct, idct
-
         frames, points = positions.shape[:2]
         place = positions.mean(axis=1)
         centred = positions - place[:, None]
@@ -77,27 +75,24 @@ class Model:
         h = body.heading(centred, self.points.pose)
         h -= 2 * np.pi * np.round(h[0] / (2 * np.pi))
         out[:, HEADING] = smooth_heading(h, self.rate)
-        angle = idct(out[:, HEADING], norm="ortho")
-        out[:, PLACE] = dct(place * np.sqrt(points), axis=0, norm="ortho")
+        angle = cosine.inverse(out[:, HEADING], frames)
+        out[:, PLACE] = cosine.forward(place * np.sqrt(points))
         pose = (body.turn(centred, -angle) - self.points.pose).reshape(frames, -1)
-        spectrum = dct(pose, axis=0, norm="ortho")
+        spectrum = cosine.forward(pose)
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             out[band, POSE:] = spectrum[band] @ basis.T
         return out
 
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
         """The positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), in metres."""
-        from scipy.fft import idct
-
         points = len(self.points.pose)
         known = len(coefficients)
-        few = known < frames // 2
-        spectrum = np.zeros((known if few else frames, 4 + 3 * points))
-        spectrum[:known, :4] = coefficients[:, HEADING:POSE]
+        spectrum = np.zeros((known, 4 + 3 * points))
+        spectrum[:, :4] = coefficients[:, HEADING:POSE]
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             part = coefficients[band, POSE:]
             np.matmul(part, basis, out=spectrum[band.start : band.start + len(part), 4:])
-        signals = cosines(frames)[:, :known] @ spectrum if few else idct(spectrum, axis=0, norm="ortho", overwrite_x=True)
+        signals = cosine.inverse(spectrum, frames)
         place = signals[:, 1:4]
         if known:
             place += slope_curves(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
@@ -105,14 +100,6 @@ class Model:
         moved = body.turn(pose, signals[:, 0])
         moved += place[:, None] / np.sqrt(points)
         return moved
-
-
-@lru_cache(maxsize=16)
-def cosines(frames: int) -> Floats:
-    """The inverse DCT as a matrix (frames, frequencies below half of them)."""
-    from scipy.fft import idct
-
-    return np.ascontiguousarray(idct(np.eye(frames // 2 + 1, frames), axis=1, norm="ortho").T)
 
 
 def without_slopes(coefficients: Floats, step: int) -> Floats:
@@ -139,9 +126,7 @@ def slope_curves(frames: int) -> Floats:
 @lru_cache(maxsize=16)
 def slope_spectra(frames: int) -> Floats:
     """The DCT of `slope_curves`, (2, frames)."""
-    from scipy.fft import dct
-
-    return dct(slope_curves(frames), axis=1, norm="ortho")
+    return cosine.forward(slope_curves(frames).T).T
 
 
 SLOPE_GAIN = 4.0
@@ -170,11 +155,9 @@ def step_size(log: int | Integers) -> Floats:
 
 def smooth_heading(heading: Floats, rate: float) -> Floats:
     """The heading's DCT, rounded to its steps, below about 1.2 Hz only."""
-    from scipy.fft import dct
-
     frames = len(heading)
     size = step_size(heading_step(frames))
-    coefficients = np.round(dct(heading, norm="ortho") / size) * size
+    coefficients = np.round(cosine.forward(heading) / size) * size
     coefficients[3 + int(2.4 * frames / rate) :] = 0
     return coefficients
 

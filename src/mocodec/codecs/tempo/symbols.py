@@ -1,9 +1,9 @@
 """Whole numbers of any size as a symbol from a small alphabet and some raw bits.
 
-magnitude 0 … 10       the symbol itself, no bits
-beyond                 ranges of 2, 4, 8, … 512 numbers, as many bits as say which
-≥ 1033                 the last symbol and 48 bits
-sign                   one bit after those, for a magnitude that is not 0
+    magnitude 0 … 10       the symbol itself, no bits
+    beyond                 ranges of 2, 4, 8, … 512 numbers, as many bits as say which
+    ≥ 1033                 the last symbol and 48 bits
+    sign                   one bit after those, for a magnitude that is not 0
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ LARGEST = (1 << 48) - 1
 
 WIDTHS = np.array([0] * DIRECT + list(range(1, RANGES + 1)) + [48])
 FIRSTS = np.array([*range(DIRECT), *(DIRECT + (1 << j) - 2 for j in range(1, RANGES + 2))])
-FIRSTS[-1] = 0 + DIRECT + (1 << (RANGES + 1)) - 2
 
 
 def of(magnitudes: Integers) -> Integers:
@@ -30,18 +29,20 @@ def of(magnitudes: Integers) -> Integers:
     return np.searchsorted(FIRSTS, magnitudes, side="right") - 1
 
 
-def raw(values: Integers, symbol: Integers) -> bits.Bits:
-    """The bits beside the symbols of these values (n,): what remains of each magnitude, then all the signs."""
-    magnitude = np.abs(values)
-    rest = bits.pack(magnitude - FIRSTS[symbol], WIDTHS[symbol])
-    return np.concatenate([rest, (values[values != 0] < 0).astype(np.uint8)])
+def raw(values: Integers, symbol: Integers, signed: int | None = None) -> bits.Bits:
+    """The bits beside the symbols of these values (n,): what remains of each magnitude, then the signs of the first
+    `signed` values (all, if not given)."""
+    rest = bits.pack(np.abs(values) - FIRSTS[symbol], WIDTHS[symbol])
+    with_sign = values[:signed]
+    return np.concatenate([rest, (with_sign[with_sign != 0] < 0).astype(np.uint8)])
 
 
-def raw_count(symbol: Integers) -> int:
-    return int(WIDTHS[symbol].sum() + (symbol > 0).sum())
+def raw_count(symbol: Integers, signed: int | None = None) -> int:
+    """How many bits `raw` makes."""
+    return int(WIDTHS[symbol].sum() + (symbol[:signed] > 0).sum())
 
 
-def values(symbol: Integers, raw_bits: bits.Bits) -> Integers:
+def values(symbol: Integers, raw_bits: bits.Bits, signed: int | None = None) -> Integers:
     """The values of `raw`."""
     widths = WIDTHS[symbol]
     rest = int(widths.sum())
@@ -49,6 +50,6 @@ def values(symbol: Integers, raw_bits: bits.Bits) -> Integers:
     large = widths > 0
     if rest:
         result[large] += bits.unpack(raw_bits[:rest], widths[large])
-    nonzero = np.flatnonzero(symbol > 0)
+    nonzero = np.flatnonzero(symbol[:signed] > 0)
     result[nonzero[raw_bits[rest : rest + len(nonzero)] == 1]] *= -1
     return result

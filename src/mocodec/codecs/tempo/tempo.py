@@ -204,17 +204,19 @@ class Piece:
         best: tuple[float, int, bytes] | None = None
         centre = round(np.log2(bound) * OCTAVE)
         if self.spectrum is not None:
-            tried: dict[int, tuple[float, bytes]] = {}
+            tried: dict[int, tuple[float, np.ndarray]] = {}
             for at in (offset, offset - 10, offset + 10):
                 if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
                     break
                 values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
-                moved = corrections.pack(self.found(decoded, bound))
-                tried[at] = cost / 8 + len(moved), moved
+                moved = corrections.numbers(self.found(decoded, bound))
+                tried[at] = cost + coefficients.list_bits(self.model, moved), moved
             at = min(tried, key=lambda o: tried[o][0])
             values, threshold, _, decoded = self.transformed(centre + at, BOUND_SLOPE)
-            numbers = coefficients.pack(self.model, values, centre + at, threshold)
-            payload = Parts(TRANSFORM, numbers, fine_step(direct.cell(bound)), tried[at][1], self.gaps).pack()
+            moved = tried[at][1]
+            numbers = coefficients.pack(self.model, values, centre + at, threshold, moved)
+            fine = fine_step(direct.cell(bound)) if moved.size else None
+            payload = Parts(TRANSFORM, numbers, fine, self.gaps).pack()
             if self.holds(payload, bound):
                 best = len(payload), at, payload
         if best is None or self.direct_estimate(bound) < 1.2 * best[0]:
@@ -230,7 +232,7 @@ class Piece:
     def found(self, decoded: Floats, bound: float) -> corrections.Corrections:
         d = self.positions - decoded
         d[self.mask] = 0.0
-        return corrections.find(d, np.full(d.shape[1], bound * (1 - 1e-9)), fine_size(fine_step(direct.cell(bound))))
+        return corrections.find(d, bound * (1 - 1e-9), fine_size(fine_step(direct.cell(bound))))
 
     def holds(self, payload: bytes, bound: float) -> bool:
         decoded = chunks.decode(self.model, [Chunk(0, len(self.positions), payload)])[0]
