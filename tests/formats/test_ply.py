@@ -55,9 +55,9 @@ def test_units_and_rate_are_asked_for(tmp_path):
     file.write_bytes(head + b"end_header\n1000 0 5\n")
     with pytest.raises(BadInput, match="fps"):
         ply.read(file)
-    np.testing.assert_allclose(ply.read(file, fps=30, units="mm").positions[0], [[1.0, 0.0, 0.005]])
+    np.testing.assert_allclose(ply.read(file, fps=30, unit="mm").positions[0], [[1.0, 0.0, 0.005]])
     with pytest.raises(BadInput, match="unit"):
-        ply.read(file, fps=30, units="furlong")
+        ply.read(file, fps=30, unit="furlong")
 
 
 def test_unit_goes_back(tmp_path):

@@ -2,7 +2,7 @@
 
     folder | glob | file.ply ──read──► PointClouds ──write──► folder of frame_000000.ply | one file.ply
 
-PLY carries neither time nor unit: `fps` and `units` are given to the reader, or stand in the comments that `write`
+PLY carries neither time nor unit: `fps` and `unit` are given to the reader, or stand in the comments that `write`
 leaves (`comment rate 15`, `comment units m`).
 """
 
@@ -49,11 +49,11 @@ class Header(NamedTuple):
 
 
 def read(
-    path: str | PathLike[str], *, fps: float | None = None, units: str | None = None, up: str | None = None
+    path: str | PathLike[str], *, fps: float | None = None, unit: str | None = None, up: str | None = None
 ) -> PointClouds:
     """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
 
-    fps: frames a second. units: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
+    fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
     three may stand in the files' comments. Points whose coordinates are NaN are kept; properties that are neither
     position, colour nor normal are listed in `source["ignored"]`. Raises BadInput, Truncated.
     """
@@ -63,7 +63,7 @@ def read(
     rate = fps if fps is not None else comments.get("rate")
     if rate is None:
         raise BadInput(f"{path}: PLY files carry no frame rate; say it, for instance fps=15 (--fps 15)")
-    units = units or comments.get("units", "m")
+    units = unit or comments.get("units", "m")
     if units not in UNITS_M:
         raise BadInput(f"{path}: unknown unit {units!r}; known are {', '.join(UNITS_M)}")
     first = frames[0][0].dtype

@@ -17,7 +17,7 @@ from . import icp
 from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
 from .normals import estimate
 
-Labels = NDArray[np.int64]
+Labels = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,6 +101,15 @@ def from_world(body: Body, a: Floats, root_origin: Floats) -> Pose:
     return Pose(rotations, root_origin - body.origins[0])
 
 
+def depth_first(parents: Sequence[int]) -> list[int]:
+    """The links in an order in which each is followed by all below it, as BVH files need them."""
+    order, waiting = list[int](), [i for i, p in enumerate(parents) if p < 0][::-1]
+    while waiting:
+        order.append(waiting.pop())
+        waiting += [i for i, p in enumerate(parents) if p == order[-1]][::-1]
+    return order
+
+
 def exp(vectors: Floats) -> Floats:
     """Rotation matrices (…, 3, 3) of rotation vectors (…, 3), radians."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Labels = NDArray[np.int64]
+Labels = NDArray[Any]
 
 LATITUDES, LONGITUDES = 3, 6  # the poles are one cluster each
 HUES, GREY = 6, 6  # hue clusters 0 to 5; 6 is what has too little saturation to have a hue

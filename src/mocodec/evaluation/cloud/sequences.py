@@ -65,24 +65,22 @@ class Performance:
 
     def skeleton(self) -> Motion:
         """The true skeleton as a Motion that can be written as BVH."""
-        parents = self.actor.parents
+        order = articulation.depth_first(self.actor.parents)
+        above = [self.actor.parents[joint] for joint in order]
+        names = tuple(self.actor.names[joint] for joint in order)
         offsets = np.array(
-            [self.actor.joints[j] - (self.actor.joints[p] if p >= 0 else 0) for j, p in enumerate(parents)]
+            [
+                self.actor.joints[j] - self.actor.joints[p] if p >= 0 else np.zeros(3)
+                for j, p in zip(order, above, strict=True)
+            ]
         )
-        local = np.stack(
-            [self.turns[:, j] if p < 0 else self.turns[:, p].transpose(0, 2, 1) @ self.turns[:, j]
-             for j, p in enumerate(parents)], axis=1
-        )  # fmt: skip
-        offsets[0] = 0
-        skeleton = Skeleton(self.actor.names, parents, offsets)
-        return Motion(
-            self.joints,
-            self.rate,
-            self.actor.names,
-            up="y",
-            skeleton=skeleton,
-            rotations=articulation.quaternions(local),
-        )
+        local = [
+            self.turns[:, j] if p < 0 else self.turns[:, p].transpose(0, 2, 1) @ self.turns[:, j]
+            for j, p in zip(order, above, strict=True)
+        ]
+        rotations = articulation.quaternions(np.stack(local, axis=1))
+        skeleton = Skeleton(names, tuple(order.index(p) if p >= 0 else -1 for p in above), offsets)
+        return Motion(self.joints[:, order], self.rate, names, up="y", skeleton=skeleton, rotations=rotations)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,184 @@
+"""What the codecs of point clouds of people share: bodies, poses and stray frames as bytes.
+
+Body ──pack_body──► bytes         links in millimetres
+Pose ──quantise──► integers ──pack_poses──► bytes         rotation vectors of the joints and the root's translation
+points that are no body ──pack_raw──► bytes               frames of a few points, as they are
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..encoded import Encoded
+from ..entropy import coder, varint
+from ..errors import BadInput, Corrupt, MissingExtra
+from ..geometry import articulation
+from ..geometry.articulation import Body, Floats, Pose
+from ..motion import Motion, Skeleton
+from ..pointcloud import PointClouds
+
+Integers = NDArray[np.int64]
+MILLIMETRE = 1e-3
+MAX_LINKS, MAX_POINTS, MAX_RAW = 255, 1 << 19, 1 << 24
+
+
+class Steps(NamedTuple):
+    """How finely poses are stored: turn in radians, place in metres."""
+
+    turn: float
+    place: float
+
+
+def rounded(body: Body) -> Body:
+    """The body as its bytes will give it back."""
+    body = replace(body, joints=())
+    grid = [np.round(values / MILLIMETRE) * MILLIMETRE for values in (body.origins, body.tips, body.radii)]
+    return replace(body, origins=grid[0], tips=grid[1], radii=grid[2])
+
+
+def pack_body(body: Body) -> bytes:
+    """Names, parents and links in millimetres."""
+    names = zlib.compress("\n".join(body.names).encode(), 9)
+    values = np.column_stack([body.origins, body.tips - body.origins, body.radii]) / MILLIMETRE
+    rows = np.column_stack([np.array(body.parents) + 1, np.round(values)]).astype(np.int64)
+    links = coder.pack(rows)
+    return varint.write([len(body), len(names), len(links)]) + names + links
+
+
+def unpack_body(data: bytes) -> tuple[Body, int]:
+    """The body at the start of the bytes and where it ends. Raises Corrupt."""
+    (links, name_bytes, link_bytes), at = varint.read(data, 3)
+    if not 0 < links <= MAX_LINKS or at + name_bytes + link_bytes > len(data):
+        raise Corrupt("the stored body is damaged")
+    names = inflate(data[at : at + name_bytes], 1 << 16).decode("utf-8", "replace").split("\n")
+    at += name_bytes
+    rows = coder.unpack(data[at : at + link_bytes], (links, 8))
+    parents = rows[:, 0] - 1
+    values = np.asarray(np.clip(rows[:, 1:], -(10**7), 10**7) * MILLIMETRE, np.float64)
+    if len(names) != links or (parents >= np.arange(links)).any() or (parents < -1).any() or (parents[1:] < 0).any():
+        raise Corrupt("the stored body is damaged")
+    origins = values[:, :3]
+    body = Body(
+        tuple(names), tuple(parents.tolist()), origins, origins + values[:, 3:6], np.maximum(values[:, 6], 1e-3)
+    )
+    return body, at + link_bytes
+
+
+def quantise(pose: Pose, steps: Steps, previous: Integers | None) -> Integers:
+    """(3 + 3 links,): root and rotation vectors in steps; each vector the one of its rotation that is nearest the
+    last.
+    """
+    vectors = articulation.log(pose.rotations)
+    if previous is not None:
+        last = previous[3:].reshape(-1, 3) * steps.turn
+        angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+        unit = np.where(angle > 1e-9, vectors / np.maximum(angle, 1e-9), 0.0)
+        turns = np.round((np.sum(last * unit, axis=1, keepdims=True) - angle) / (2 * np.pi))
+        vectors = vectors + unit * turns * 2 * np.pi
+    return np.concatenate([np.round(pose.root / steps.place), np.round(vectors.ravel() / steps.turn)]).astype(np.int64)
+
+
+def dequantise(integers: Integers, steps: Steps) -> Pose:
+    """The pose of integers (3 + 3 links,)."""
+    values = np.clip(integers, -(10**8), 10**8).astype(np.float64)
+    return Pose(articulation.exp(values[3:].reshape(-1, 3) * steps.turn), values[:3] * steps.place)
+
+
+def clean(clouds: PointClouds, frame: int) -> tuple[Floats, NDArray[np.uint8] | None]:
+    """Points and colours of a frame, without those that are NaN or infinite."""
+    points = np.asarray(clouds.positions[frame], np.float64)
+    good = np.isfinite(points).all(axis=1)
+    colours = None if clouds.colours is None else clouds.colours[frame]
+    return (points, colours) if good.all() else (points[good], None if colours is None else colours[good])
+
+
+def pack_raw(frames: Sequence[tuple[Floats, NDArray[np.uint8] | None]]) -> bytes:
+    """Frames of few points, exactly as 32-bit floats; nothing for no frames."""
+    if not frames:
+        return b""
+    body = b"".join(
+        points.astype("<f4").tobytes() + (b"" if colours is None else colours.tobytes()) for points, colours in frames
+    )
+    counts = varint.write(len(points) for points, _ in frames)
+    return counts + zlib.compress(body, 9)
+
+
+def unpack_raw(data: bytes, frames: int, coloured: bool) -> list[tuple[Floats, NDArray[np.uint8] | None]]:
+    """The frames of `pack_raw`. Raises Corrupt."""
+    if not frames:
+        return []
+    counts, at = varint.read(data, frames)
+    width = 15 if coloured else 12
+    if sum(counts) > MAX_RAW:
+        raise Corrupt("a frame of stray points is too large")
+    body = inflate(data[at:], sum(counts) * width)
+    if len(body) != sum(counts) * width:
+        raise Corrupt("a frame of stray points is damaged")
+    result, at = [], 0
+    for count in counts:
+        points = np.frombuffer(body, "<f4", count * 3, at).reshape(count, 3).astype(np.float64)
+        at += count * 12
+        colours = np.frombuffer(body, np.uint8, count * 3, at).reshape(count, 3) if coloured else None
+        at += count * 3 * coloured
+        result.append((points, colours))
+    return result
+
+
+def inflate(data: bytes, most: int) -> bytes:
+    """Deflated bytes, of which there must not be more than `most`. Raises Corrupt."""
+    try:
+        inflater = zlib.decompressobj()
+        out = inflater.decompress(data, most + 1)
+    except zlib.error as error:
+        raise Corrupt(f"damaged data ({error})") from None
+    if len(out) > most or not inflater.eof:
+        raise Corrupt("damaged data: it does not unpack to its size")
+    return out
+
+
+def track(encoded: Encoded[PointClouds], body: Body, poses: Sequence[Pose]) -> Motion:
+    """The tracked body as a motion with skeleton and rotations: what can be written as BVH."""
+    ends = [link for link in range(len(body)) if link not in body.parents]
+    above = [*body.parents, *ends]  # a joint at the tip of each last link, so that the link's turn shows
+    order = articulation.depth_first(above)
+    parents = tuple(order.index(above[joint]) if above[joint] >= 0 else -1 for joint in order)
+    rest = np.concatenate([body.origins, body.tips[ends]])[order]
+    offsets = np.array([rest[i] - rest[p] if p >= 0 else np.zeros(3) for i, p in enumerate(parents)])
+    names = (*body.names, *(f"{body.names[link]}_end" for link in ends))
+    names = tuple(names[joint] for joint in order)
+    positions = np.empty((len(poses), len(order), 3))
+    rotations = np.empty((len(poses), len(order), 4))
+    for frame, pose in enumerate(poses):
+        a, b = articulation.transforms(body, pose)
+        tips = np.einsum("lij,lj->li", a[ends], body.tips[ends]) + b[ends]
+        positions[frame] = np.concatenate([articulation.joints_of(body, a, b), tips])[order]
+        still = np.tile([1.0, 0, 0, 0], (len(ends), 1))
+        rotations[frame] = np.concatenate([articulation.quaternions(pose.rotations), still])[order]
+    about = encoded.about
+    skeleton = Skeleton(names, parents, offsets)
+    return Motion(positions, about.rate, names, up=about.up, skeleton=skeleton, rotations=rotations)
+
+
+def skeleton_motion(skeleton: Any) -> Motion:
+    """The skeleton that a user gives: a Motion, or the path of a file of one. Raises BadInput."""
+    from .. import formats
+
+    motion = skeleton if isinstance(skeleton, Motion) else formats.read(str(skeleton))
+    if not isinstance(motion, Motion) or motion.skeleton is None or not len(motion):
+        raise BadInput(f"{skeleton}: has no skeleton; give a .bvh or .amc whose first frame is the first frame's pose")
+    return motion
+
+
+def imaging() -> Any:
+    """Pillow's Image module. Raises MissingExtra."""
+    try:
+        return import_module("PIL.Image")
+    except ImportError:
+        raise MissingExtra("coding residual maps as stills", "cloud") from None

@@ -1,0 +1,423 @@
+"""Model driven compression of 3-D tele-immersion data (Lien and Bajcsy, 2006).
+
+    first frame ──segment──► model P of cylinder links          stored once
+    each frame Q ──ARTICP──► pose T of the links ──────────────► pose stream
+                    └─ Q and T(P) as maps on the links' cylinders ──difference──► depth as PNG, colour as JPEG
+
+The decoder poses P; with residuals it adds the differences to P's maps and takes a point from every cell that holds
+one.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..encoded import Chunk, Encoded
+from ..entropy import coder, varint
+from ..errors import BadInput, CannotEncode, Corrupt
+from ..geometry import articulated_icp, articulation, body_fit, cylinder_map
+from ..geometry.articulation import Body, Floats, Pose
+from ..geometry.cylinder_map import Frame, Map
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from . import base, body_stream
+from .body_stream import Steps
+
+Integers = NDArray[np.int64]
+STEPS = Steps(turn=0.004, place=0.002)
+POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
+DEPTH_STEP = 0.002  # of residual maps: metres; eight bits reach a quarter of a metre
+FEWEST = 50  # points that a frame must have to be a body
+
+
+class Model(NamedTuple):
+    """What the decoder knows: the body, its points in the canonical pose (n, 3), their colours and links (n,)."""
+
+    body: Body
+    points: Floats
+    colours: NDArray[np.uint8] | None
+    links: Integers
+
+
+class Tile(NamedTuple):
+    """Where a link's map lies in the atlas, its cylinder, and the model's own map there."""
+
+    top: int
+    left: int
+    cylinder: Frame
+    expected: Map
+
+
+@dataclass(frozen=True)
+class Lien2006:
+    """Settings. `residual` is the share of the full residual maps in percent: 0 sends poses alone.
+
+    skeleton: a Motion, or a file of one (.bvh, .amc), whose first frame is the pose of the first frame; fitted where
+    none is given. model_share: of the first frame's points that become the model, 50 % as for the paper's own data.
+    tracked_points: of the model and of a frame, at most, that ARTICP looks at.
+    """
+
+    name: ClassVar[str] = "lien2006"
+    residual: float = 0
+    skeleton: Any = None
+    model_share: float = 0.5
+    tracked_points: int = 2500
+    jpeg_quality: int = 75
+    chunk_frames: int = 60
+    global_fitting: bool = True
+    articulation: bool = True
+
+    def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
+        """Raises CannotEncode where no frame shows a body, BadInput for settings or a skeleton that cannot be used."""
+        if isinstance(clouds, Motion):
+            raise CannotEncode("lien2006 codes point clouds, not motions")
+        if not 0 <= self.residual <= 100 or not 0 < self.model_share <= 1:
+            raise BadInput("residual is a percentage from 0 to 100, model_share a share up to 1")
+        frames = [body_stream.clean(clouds, frame) for frame in range(len(clouds))]
+        first = next((i for i, (points, _) in enumerate(frames) if len(points) >= 4 * FEWEST), None)
+        if first is None:
+            raise CannotEncode(f"no frame has {4 * FEWEST} points or more: there is no body to code")
+        model, tracker = self._begin(*frames[first], clouds)
+        atlas = _atlas(model, self.residual / 100) if self.residual else []
+        chunks, poses, held = list[Chunk](), list[Integers](), list[bytes]()
+        strays = list[tuple[Floats, NDArray[np.uint8] | None]]()
+        previous = np.zeros(3 + 3 * len(model.body), np.int64)
+        for i, (points, colours) in enumerate(frames):
+            is_body = len(points) >= FEWEST and i >= first
+            if is_body:
+                pose = self._fit(tracker, points, colours, i) if i > first else tracker.pose
+                previous = body_stream.quantise(pose, STEPS, previous)
+                if atlas:
+                    maps = _maps(model, atlas, body_stream.dequantise(previous, STEPS), points, colours)
+                    held += _stills(_differences(atlas, maps), clouds.colours is not None, self.jpeg_quality)
+            else:
+                strays.append((points, colours))
+            poses.append(np.concatenate([[not is_body], previous]))
+            if len(poses) == self.chunk_frames or i == len(frames) - 1:
+                payload = _pack_chunk(np.array(poses), body_stream.pack_raw(strays), held, 1 + (colours is not None))
+                chunks.append(Chunk(i + 1 - len(poses), len(poses), payload))
+                poses, held, strays = [], [], []
+        settings = base.settings(self)
+        if self.skeleton is not None:
+            settings["skeleton"] = str(self.skeleton) if not isinstance(self.skeleton, Motion) else "given"
+        about = _about(clouds)
+        return Encoded(self.name, about, chunks, (_pack_model(model, self.residual),), settings=settings)
+
+    def _begin(
+        self, points: Floats, colours: NDArray[np.uint8] | None, clouds: PointClouds
+    ) -> tuple[Model, articulated_icp.Tracker]:
+        """The model of the first frame and the tracker that follows it."""
+        if self.skeleton is None:
+            body = body_fit.first_pose(points, clouds.up).body(one_trunk=True, shortest=0.1)
+        else:
+            motion = body_stream.skeleton_motion(self.skeleton)
+            assert motion.skeleton is not None
+            names, parents = motion.skeleton.names, motion.skeleton.parents
+            body = articulation.from_skeleton(names, parents, motion.positions[0], one_trunk=True, shortest=0.1)
+            body_fit.require_near(body, points)
+        rng = np.random.default_rng(0)
+        share = rng.permutation(len(points))[: max(2 * FEWEST, round(self.model_share * len(points)))]
+        points, colours = points[share], None if colours is None else colours[share]
+        body, model = articulated_icp.make_model(body, points, colours)
+        body = body_stream.rounded(body)
+        few = slice(0, self.tracked_points)
+        small = articulated_icp.Model(
+            model.points[few], model.normals[few], None if colours is None else colours[few], model.links[few]
+        )
+        settings = articulated_icp.Settings(articulation=self.articulation, global_fitting=self.global_fitting)
+        return _rounded(Model(body, points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
+
+    def _fit(
+        self, tracker: articulated_icp.Tracker, points: Floats, colours: NDArray[np.uint8] | None, frame: int
+    ) -> Pose:
+        if len(points) > self.tracked_points:
+            some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
+            points, colours = points[some], None if colours is None else colours[some]
+        return tracker.fit(points, colours)
+
+    @staticmethod
+    def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
+        """The point clouds, or a slice of their frames. Raises Corrupt."""
+        model, residual = _unpack_model(encoded.shared)
+        atlas = _atlas(model, residual / 100) if residual else []
+        positions, colours = list[Floats](), list[NDArray[np.uint8]]()
+        start, stop = encoded.range(frames)
+        for chunk in encoded.covering(start, stop):
+            for i, (points, colour) in enumerate(_decode_chunk(model, atlas, chunk)):
+                if start <= chunk.start + i < stop:
+                    positions.append(points)
+                    colours.append(colour if colour is not None else np.zeros((len(points), 3), np.uint8))
+        return _restore(encoded, positions, None if model.colours is None else colours)
+
+    @staticmethod
+    def track(encoded: Encoded[PointClouds], frames: slice | None = None) -> Motion:
+        """The tracked body: joints and rotations of the links, frame by frame. Raises Corrupt."""
+        model, _ = _unpack_model(encoded.shared)
+        start, stop = encoded.range(frames)
+        poses = list[Pose]()
+        for chunk in encoded.covering(start, stop):
+            rows = _unpack_poses(chunk, len(model.body))[0]
+            poses += [
+                body_stream.dequantise(r[1:], STEPS) for i, r in enumerate(rows) if start <= chunk.start + i < stop
+            ]
+        return body_stream.track(encoded, model.body, poses)
+
+
+def _about(clouds: PointClouds) -> PointClouds:
+    return PointClouds(
+        [], clouds.rate, None if clouds.colours is None else [], None, clouds.up, clouds.source, clouds.extras
+    )
+
+
+def _restore(
+    encoded: Encoded[PointClouds], positions: list[Floats], colours: list[NDArray[np.uint8]] | None
+) -> PointClouds:
+    like = encoded.about
+    return PointClouds(positions, like.rate, colours, None, like.up, like.source, like.extras)
+
+
+# --- the model ------------------------------------------------------------------------------------------------------
+
+
+def _rounded(model: Model) -> Model:
+    """The model as its bytes give it back: on the grid of its steps, points of a link beside each other."""
+    grid = np.round(model.points / POINT_STEP).astype(np.int64)
+    order = np.lexsort((_morton(grid), model.links))
+    colours = None
+    if model.colours is not None:
+        colours = np.minimum(np.round(model.colours[order] / COLOUR_STEP) * COLOUR_STEP, 255).astype(np.uint8)
+    return Model(model.body, grid[order].astype(np.float64) * POINT_STEP, colours, model.links[order])
+
+
+def _morton(grid: Integers) -> Integers:
+    """Bits of the three coordinates in turn, so that neighbours in space are near each other in order."""
+    low = grid - grid.min(axis=0)
+    code = np.zeros(len(grid), np.int64)
+    for bit in range(14):
+        for axis in range(3):
+            code |= ((low[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code
+
+
+def _pack_model(model: Model, residual: float) -> bytes:
+    grid = np.round(model.points / POINT_STEP).astype(np.int64)
+    lanes = [grid]
+    if model.colours is not None:
+        lanes.append(np.round(model.colours / COLOUR_STEP).astype(np.int64))
+    counts = np.bincount(model.links, minlength=len(model.body))
+    points = coder.pack(np.diff(np.concatenate(lanes, axis=1), axis=0, prepend=0))
+    head = varint.write([round(residual * 100), model.colours is not None, len(grid), *counts.tolist()])
+    return body_stream.pack_body(model.body) + head + points
+
+
+def _unpack_model(shared: Sequence[bytes]) -> tuple[Model, float]:
+    if len(shared) != 1:
+        raise Corrupt("lien2006: the model is missing")
+    data = shared[0]
+    body, at = body_stream.unpack_body(data)
+    (residual, coloured, count, *counts), at = varint.read(data, 3 + len(body), at)
+    if residual > 10000 or coloured > 1 or count > body_stream.MAX_POINTS or sum(counts) != count or not count:
+        raise Corrupt("lien2006: the model is damaged")
+    values = np.cumsum(np.clip(coder.unpack(data[at:], (count, 6 if coloured else 3)), -(10**7), 10**7), axis=0)
+    colours = np.clip(values[:, 3:] * COLOUR_STEP, 0, 255).astype(np.uint8) if coloured else None
+    points = np.clip(values[:, :3], -(10**7), 10**7).astype(np.float64) * POINT_STEP
+    return Model(body, points, colours, np.repeat(np.arange(len(body)), counts)), residual / 100
+
+
+# --- residual maps (section 4) ---------------------------------------------------------------------------------------
+
+
+def _atlas(model: Model, share: float) -> list[Tile | None]:
+    """A place for every link's map, in shelves; None for links without points."""
+    tiles = list[Tile | None]()
+    shapes = list[tuple[int, int]]()
+    for link in range(len(model.body)):
+        own = model.links == link
+        if own.sum() < 6:
+            tiles.append(None)
+            shapes.append((0, 0))
+            continue
+        points = model.points[own]
+        body = model.body
+        along = (points - body.origins[link]) @ body.axes[link]
+        low, high = float(along.min()), max(float(along.max()), float(along.min()) + 0.02)
+        cylinder = cylinder_map.frame(body.origins[link], body.tips[link], low, high)
+        shape = cylinder_map.grid_size(int(own.sum()), float(body.radii[link]), high - low, share)
+        colours = np.full((len(points), 3), 128.0) if model.colours is None else model.colours[own].astype(float)
+        expected = cylinder_map.filled(cylinder_map.forward(cylinder, points, colours, shape))
+        tiles.append(Tile(0, 0, cylinder, expected))
+        shapes.append(shape)
+    width = max(max(w for _, w in shapes), int(1.1 * np.sqrt(sum(h * w for h, w in shapes))))
+    left = top = shelf = 0
+    for link in sorted(range(len(tiles)), key=lambda i: -shapes[i][0]):
+        tile, (h, w) = tiles[link], shapes[link]
+        if tile is None:
+            continue
+        if left + w > width:
+            left, top, shelf = 0, top + shelf, 0
+        tiles[link] = tile._replace(top=top, left=left)
+        left, shelf = left + w, max(shelf, h)
+    return tiles
+
+
+def _extent(atlas: Sequence[Tile | None]) -> tuple[int, int]:
+    """(height, width) of the whole atlas."""
+    some = [(t.top + t.expected.distance.shape[0], t.left + t.expected.distance.shape[1]) for t in atlas if t]
+    return max(h for h, _ in some), max(w for _, w in some)
+
+
+def _maps(
+    model: Model, atlas: Sequence[Tile | None], pose: Pose, points: Floats, colours: NDArray[np.uint8] | None
+) -> list[Map | None]:
+    """The frame's points as maps on the links, which are where the stored pose puts them."""
+    a, b = articulation.transforms(model.body, pose)
+    links = articulated_icp.segment(model.body, a, b, points, None)
+    shades = np.full((len(points), 3), 128.0) if colours is None else colours.astype(float)
+    maps = list[Map | None]()
+    for link, tile in enumerate(atlas):
+        own = links == link
+        local = (points[own] - b[link]) @ a[link]
+        maps.append(
+            cylinder_map.forward(tile.cylinder, local, shades[own], tile.expected.distance.shape) if tile else None
+        )
+    return maps
+
+
+def _differences(
+    atlas: Sequence[Tile | None], maps: Sequence[Map | None]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Depth (0: no point; 128: as the model) and colour (128: as the model; half scale) of the whole atlas."""
+    depth = np.zeros(_extent(atlas), np.uint8)
+    colour = np.full((*depth.shape, 3), 128, np.uint8)
+    for tile, found in zip(atlas, maps, strict=True):
+        if tile is None or found is None:
+            continue
+        there = np.isfinite(found.distance)
+        steps = np.where(there, found.distance - tile.expected.distance, 0) / DEPTH_STEP
+        here = _window(tile)
+        depth[here] = np.where(there, np.clip(np.round(steps) + 128, 1, 255), 0)
+        shades = np.where(there[..., None], found.colour - tile.expected.colour, 0)
+        colour[here] = np.clip(np.round(shades / 2) + 128, 0, 255)
+    return depth, colour
+
+
+def _window(tile: Tile) -> tuple[slice, slice]:
+    height, width = tile.expected.distance.shape
+    return slice(tile.top, tile.top + height), slice(tile.left, tile.left + width)
+
+
+def _stills(images: tuple[NDArray[np.uint8], NDArray[np.uint8]], coloured: bool, quality: int) -> Iterator[bytes]:
+    """The depth map as a PNG and the colour map as a JPEG (section 5.2, table 2)."""
+    image = body_stream.imaging()
+    for pixels, kind, options in (
+        (images[0], "PNG", {"optimize": True}),
+        (images[1], "JPEG", {"quality": quality, "subsampling": 2}),
+    )[: 1 + coloured]:
+        out = io.BytesIO()
+        image.fromarray(pixels).save(out, kind, **options)
+        yield out.getvalue()
+
+
+def _open_still(data: bytes, extent: tuple[int, int], mode: str) -> NDArray[np.uint8]:
+    """The pixels of a still of the atlas. Raises Corrupt."""
+    image = body_stream.imaging()
+    try:
+        still = image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+        if still.size != extent[::-1] or still.mode != mode:
+            raise Corrupt("lien2006: a residual map has the wrong size")
+        return np.asarray(still)
+    except Corrupt:
+        raise
+    except Exception as error:
+        raise Corrupt(f"lien2006: a residual map is damaged ({error})") from None
+
+
+# --- chunks -----------------------------------------------------------------------------------------------------------
+
+
+def _pack_chunk(poses: Integers, raw: bytes, stills: list[bytes], kinds: int) -> bytes:
+    """Poses, stray frames, then the stills of each kind without the header that they have in common."""
+    stream = coder.pack(poses)
+    parts = [varint.write([len(stream), len(raw), len(stills) > 0]), stream, raw]
+    if stills:
+        for kind in range(kinds):
+            same = stills[kind::kinds]
+            common = _common_start(same)
+            parts += [varint.write([len(common), *(len(s) - len(common) for s in same)]), common]
+            parts += [still[len(common) :] for still in same]
+    return b"".join(parts)
+
+
+def _common_start(blobs: list[bytes]) -> bytes:
+    """What all of them begin with."""
+    first, last = min(blobs), max(blobs)
+    return first[: next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
+
+
+def _unpack_poses(chunk: Chunk, links: int) -> tuple[Integers, int, int, bool]:
+    """The poses of a chunk, where its stray frames begin and end, and whether stills follow. Raises Corrupt."""
+    (size, raw, stills), at = varint.read(chunk.payload, 3)
+    if at + size + raw > len(chunk.payload) or stills > 1:
+        raise Corrupt("lien2006: a chunk is damaged")
+    poses = coder.unpack(chunk.payload[at : at + size], (chunk.frames, 4 + 3 * links))
+    return poses, at + size, at + size + raw, bool(stills)
+
+
+def _decode_chunk(
+    model: Model, atlas: Sequence[Tile | None], chunk: Chunk
+) -> Iterator[tuple[Floats, NDArray[np.uint8] | None]]:
+    poses, start, at, has_stills = _unpack_poses(chunk, len(model.body))
+    strays = poses[:, 0] != 0
+    raw = iter(body_stream.unpack_raw(chunk.payload[start:at], int(strays.sum()), model.colours is not None))
+    stills = list[list[bytes]]()
+    bodies = int((~strays).sum())
+    if has_stills and not atlas:
+        raise Corrupt("lien2006: residual maps without a grid")
+    for _ in range((1 + (model.colours is not None)) * has_stills):
+        (common, *sizes), at = varint.read(chunk.payload, 1 + bodies, at)
+        prefix, at = chunk.payload[at : at + common], at + common
+        ends = at + np.cumsum([0, *sizes])
+        if ends[-1] > len(chunk.payload):
+            raise Corrupt("lien2006: a chunk of residual maps is cut off")
+        stills.append([prefix + chunk.payload[i:j] for i, j in itertools.pairwise(ends)])
+        at = int(ends[-1])
+    body = 0
+    for row, stray in zip(poses, strays, strict=True):
+        if stray:
+            yield next(raw)
+            continue
+        pose = body_stream.dequantise(row[1:], STEPS)
+        yield _posed(model, atlas, pose, [kind[body] for kind in stills])
+        body += 1
+
+
+def _posed(
+    model: Model, atlas: Sequence[Tile | None], pose: Pose, stills: list[bytes]
+) -> tuple[Floats, NDArray[np.uint8] | None]:
+    """A frame's points: the model's, or those of the residual maps."""
+    a, b = articulation.transforms(model.body, pose)
+    if not stills:
+        return np.einsum("nij,nj->ni", a[model.links], model.points) + b[model.links], model.colours
+    extent = _extent(atlas)
+    depth = _open_still(stills[0], extent, "L")
+    colour = _open_still(stills[1], extent, "RGB").astype(np.float64) if len(stills) > 1 else None
+    points, shades = list[Floats](), list[Floats]()
+    for link, tile in enumerate(atlas):
+        if tile is None:
+            continue
+        here = _window(tile)
+        there = depth[here] > 0
+        distance = np.where(there, tile.expected.distance + (depth[here].astype(float) - 128) * DEPTH_STEP, np.nan)
+        shade = tile.expected.colour if colour is None else tile.expected.colour + 2 * (colour[here] - 128)
+        local, c = cylinder_map.inverse(tile.cylinder, Map(distance, shade))
+        points.append(local @ a[link].T + b[link])
+        shades.append(c)
+    colours = np.clip(np.round(np.concatenate(shades)), 0, 255).astype(np.uint8) if model.colours is not None else None
+    return np.concatenate(points), colours

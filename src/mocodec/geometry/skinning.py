@@ -1,0 +1,70 @@
+"""Points of a body that follow its links, each two of them near a joint: linear blend skinning with weights from the
+body alone.
+
+The weights follow from where a point lies between two links' axes, so that they cost no bytes: encoder and decoder
+derive the same ones from the same body and points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .articulation import Body, Floats
+
+Labels = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """points (n, 3) in the canonical pose; links (n, 2) that each follows, weights (n,) of the first of the two."""
+
+    points: Floats
+    links: Labels
+    weights: Floats
+
+    def posed(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
+        """(n, 3): where transforms a (links, 3, 3), b (links, 3) put the points, or those of `rows`."""
+        points, links, weight = self.points[rows], self.links[rows], self.weights[rows, None]
+        packed = np.concatenate([a, b[:, :, None]], axis=2)
+        blend = packed[links[:, 0]] * weight[..., None]
+        blend += packed[links[:, 1]] * (1 - weight)[..., None]
+        return np.einsum("nij,nj->ni", blend[:, :, :3], points) + blend[:, :, 3]
+
+    def shares(self, links: int) -> Floats:
+        """(n, links): the weight of every link at every point."""
+        shares = np.zeros((len(self.points), links))
+        rows = np.arange(len(self.points))
+        np.add.at(shares, (rows, self.links[:, 0]), self.weights)
+        np.add.at(shares, (rows, self.links[:, 1]), 1 - self.weights)
+        return shares
+
+
+def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Skin:
+    """Weights of points (n, 3), canonical, that belong to links (n,).
+
+    Across each joint the weight passes from one link to the other over `softness` of the thinner link's radius to
+    either side of the plane that halves the angle between their axes. A point near two joints follows the nearer of
+    them.
+    """
+    partner, weight = links.copy(), np.ones(len(points))
+    axes, radii = body.axes, body.radii
+    for child, parent in enumerate(body.parents):
+        if parent < 0:
+            continue
+        across = axes[child] + axes[parent]
+        if np.linalg.norm(across) < 0.3:  # folded back on itself: the child's own direction
+            across = axes[child]
+        across = across / np.linalg.norm(across)
+        width = softness * min(radii[child], radii[parent])
+        near = np.linalg.norm(points - body.origins[child], axis=1) < 2.2 * max(radii[child], width)
+        beyond = (points - body.origins[child]) @ across / width  # positive on the child's side
+        for link, other, sign in ((child, parent, 1.0), (parent, child, -1.0)):
+            mine = np.flatnonzero(near & (links == link) & (sign * beyond < 1))
+            share = np.clip(0.5 + 0.5 * sign * beyond[mine], 0.5, 1.0)
+            better = share < weight[mine]
+            partner[mine[better]], weight[mine[better]] = other, share[better]
+    return Skin(points, np.stack([links, partner], axis=1), weight)
