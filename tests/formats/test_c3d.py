@@ -62,6 +62,31 @@ def test_as_ezc3d_sees_it(tmp_path):
     assert seen["parameters"]["FORCE_PLATFORM"]["CORNERS"]["value"].shape == (3, 4, 1)
 
 
+@pytest.mark.parametrize("sign", ["SIGNED", "UNSIGNED"])
+def test_offsets_have_a_sign_where_samples_have_one(tmp_path, sign):
+    """ANALOG:FORMAT says whether; a file of floats stores such samples as floats (c3d.org, ANALOG:FORMAT)."""
+    counts = np.array([[0, 40000], [65535, 3]]).astype(np.uint16)
+    values = counts if sign == "UNSIGNED" else counts.view(np.int16)
+    analog = {"SCALE": np.ones(2, np.float32), "OFFSET": np.array([-2, 5], np.int16), "FORMAT": sign}
+    motion = replace(
+        markers(2), extras={"analog": Signal(values, 120.0, ("Fx", "Fz")), "parameters": {"ANALOG": analog}}
+    )
+    physical = c3d.analog(motion)
+    assert physical[0, 0] == (2 if sign == "SIGNED" else -65534)
+    again = back(motion, tmp_path)
+    assert again.extras["analog"].values.dtype == values.dtype
+    assert np.array_equal(again.extras["analog"].values, values)
+    assert np.array_equal(c3d.analog(again), physical)
+
+
+def test_numbers_keep_their_shape(tmp_path):
+    for shape in ((), (1,)):
+        point = {"SCALE": np.full(shape, -0.05, np.float32), "LONG_FRAMES": np.full(shape, 20, np.float32)}
+        again = back(replace(markers(), extras={"parameters": {"POINT": point}}), tmp_path)
+        for name, value in point.items():
+            assert same_tree(again.extras["parameters"]["POINT"][name], value)
+
+
 @pytest.mark.parametrize("points", [1, 255, 256, 700])
 def test_any_number_of_labels(tmp_path, points):
     motion = markers(2, points) if points > 1 else markers(20, 2).select(["Subject:M000"])
@@ -124,9 +149,7 @@ def integer_file(order: str, processor: int, dec: bool = False) -> bytes:
     body = struct.pack("bB2B", -1, 2, 4, 2) + b"LASIRASI" + b"\0"
     groups += struct.pack("bb", 6, 1) + b"LABELS" + struct.pack(order + "H", 0) + body
     section = bytes([1, 0x50, 1, processor]) + groups
-    frames = [
-        struct.pack(order + "9h", 100 + f, -200, 300, 0, 7, 8, 9, -1 if f == 1 else 0, 40 + f) for f in range(3)
-    ]
+    frames = [struct.pack(order + "9h", 100 + f, -200, 300, 0, 7, 8, 9, -1 if f == 1 else 0, 40 + f) for f in range(3)]
     return header.ljust(512, b"\0") + section.ljust(512, b"\0") + b"".join(frames).ljust(512, b"\0")
 
 

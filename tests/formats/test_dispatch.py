@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from mocodec import BadInput, formats
+from mocodec.testing import synthetic
 
-from .samples import SHARED, markers, needs_shared
+from .samples import SHARED, capture, markers, needs_shared
 
 
 def test_suffix_in_any_case(tmp_path):
@@ -51,9 +57,71 @@ def test_other_content_under_every_suffix(tmp_path, suffix, content):
 def test_replace_whole_leaves_nothing_half_written(tmp_path):
     formats.replace_whole(tmp_path / "a.bin", b"first")
     with pytest.raises(TypeError):
-        formats.replace_whole(tmp_path / "a.bin", None)
+        formats.replace_whole(tmp_path / "a.bin", None)  # pyright: ignore[reportArgumentType]
     assert (tmp_path / "a.bin").read_bytes() == b"first"
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_replace_whole_follows_links_and_keeps_permissions(tmp_path):
+    (tmp_path / "there").mkdir()
+    target, link = tmp_path / "there" / "a.bin", tmp_path / "link.bin"
+    target.write_bytes(b"before")
+    target.chmod(0o640)
+    link.symlink_to(target)
+    formats.replace_whole(link, b"after")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"after"
+    assert target.stat().st_mode & 0o777 == 0o640
+    (tmp_path / "new.bin").symlink_to(tmp_path / "there" / "b.bin")  # to a file that is not there yet
+    formats.replace_whole(tmp_path / "new.bin", b"new")
+    assert sorted(p.name for p in (tmp_path / "there").iterdir()) == ["a.bin", "b.bin"]
+
+
+def test_replace_whole_gives_a_new_file_the_usual_permissions(tmp_path):
+    before = os.umask(0o027)
+    try:
+        formats.replace_whole(tmp_path / "a.bin", b"")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.bin").stat().st_mode & 0o777 == 0o640
+
+
+def test_replace_whole_names_what_it_was_asked_for(tmp_path):
+    for path in (tmp_path, tmp_path / "no" / "folder.bin"):
+        with pytest.raises(BadInput, match=re.escape(f"{path}: ")) as error:
+            formats.replace_whole(path, b"")
+        assert ".part" not in str(error.value)
+    longest = tmp_path / ("n" * 251 + ".bin")
+    formats.replace_whole(longest, b"x")
+    assert longest.read_bytes() == b"x"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the devices of a Linux")
+def test_replace_whole_on_devices():
+    formats.replace_whole("/dev/null", b"x")
+    assert not Path("/dev/null").is_file()
+    with pytest.raises(BadInput, match="/dev/full: "):
+        formats.replace_whole("/dev/full", b"x")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"),
+    [
+        (".c3d", ["skeleton", "joint rotations"]),
+        (".trc", ["analog channels", "events", "C3D parameters", "skeleton", "joint rotations"]),
+        (".npz", ["analog channels", "events", "C3D parameters"]),
+        (".bvh", ["analog channels", "events", "C3D parameters"]),
+        (".amc", ["analog channels", "events", "C3D parameters"]),
+    ],
+)
+def test_what_a_format_has_no_place_for_is_said(suffix, expected):
+    figure = synthetic.joints(5)
+    assert formats.dropped(f"x{suffix}", replace(figure, extras=capture().extras)) == expected
+    assert formats.dropped(f"x{suffix}", markers()) == []
+
+
+def test_what_nobody_knows_is_said_by_its_name():
+    assert formats.dropped("x.c3d", replace(markers(), extras={"subject": "A", "events": []})) == ["subject"]
 
 
 @needs_shared

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -75,20 +74,57 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
         raise BadInput(printable[:LONGEST_MESSAGE]) from None
 
 
+def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:
+    """What of this motion the format of `path` has no place for, in words: `write` leaves it out.
+
+    Positions, gaps, names and rate are no part of it: a format that cannot hold those refuses. Raises BadInput for an
+    unknown suffix.
+    """
+    if not isinstance(motion, Motion):
+        return []
+    held: frozenset[str] = getattr(import_module(_module(Path(path))), "HOLDS", frozenset())
+    there = [*motion.extras]
+    there += ["skeleton"] if motion.skeleton is not None else []
+    there += ["joint rotations"] if motion.rotations is not None else []
+    return list(dict.fromkeys(IN_WORDS.get(what, what) for what in there if what not in held))
+
+
+# Keys of `Motion.extras` for people; others are shown as they are.
+IN_WORDS = {
+    "analog": "analog channels",
+    "parameters": "C3D parameters",
+    "parameter_notes": "C3D parameters",
+    "parameters_locked": "C3D parameters",
+    "rotations": "segment poses",
+}
+
+
 def replace_whole(path: str | PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: to a temporary file beside it, then renamed over it."""
+    """Write a file whole or not at all: to a temporary file beside it, then renamed over it.
+
+    A link is followed and stays a link; a file that was there keeps its permissions; a pipe or a device takes the bytes
+    as they come. Raises BadInput where that cannot be done.
+    """
     path = Path(path)
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise BadInput(f"{path}: is a folder: name a file in it")
     try:
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        if target.exists() and not target.is_file():
+            target.write_bytes(data)
+            return
+        temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}.part")
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     except OSError as error:
         raise BadInput(f"{path}: cannot write here ({error.strerror})") from error
     try:
         with os.fdopen(descriptor, "wb") as f:
             f.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        if target.exists():
+            os.chmod(temporary, target.stat().st_mode & 0o7777)
+        os.replace(temporary, target)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise BadInput(f"{path}: cannot be written ({error.strerror})") from error
         raise

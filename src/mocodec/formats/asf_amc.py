@@ -4,7 +4,7 @@
     AMC  per frame and bone: angles ─► M ─► own turn C · M · C⁻¹ ──────────┴─► forward kinematics ─► ends of bones
 
 Points are the root and the END of every bone, in the order of the ASF (31 in CMU's), as the field evaluates them. A
-bone's turn therefore moves its own offset too: `Skeleton.offsets` are in each bone's own frame here, not its parent's.
+bone's turn therefore moves its own offset: `Skeleton.offsets` are in each bone's own frame here, not in its parent's.
 Metres are value / (ASF length unit) × 0.0254. An AMC does not say its rate: 120 Hz, CMU's, unless told.
 """
 
@@ -23,6 +23,7 @@ from ..motion import Floats, Motion, Skeleton
 from . import replace_whole
 from .text import decoded, numbers
 
+HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
 DEGREES_OF_FREEDOM = ("rx", "ry", "rz")
 CMU_RATE = 120.0
 

@@ -22,6 +22,7 @@ from ..motion import Floats, Motion, Skeleton
 from . import replace_whole
 from .text import decoded, numbers
 
+HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
 UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # tried in this order
 PLAUSIBLE_HEIGHT_M = (0.8, 2.4)
 CHANNELS = {f"{axis}position": axis for axis in "XYZ"} | {f"{axis}rotation": axis.lower() for axis in "XYZ"}

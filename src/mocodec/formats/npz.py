@@ -26,6 +26,8 @@ from ..motion import Motion, Skeleton
 from . import replace_whole
 from .conventions import UNITS_M, guess_up
 
+HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
+
 POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
 RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
 NAMES = ("names", "labels", "joint_names", "marker_names")

@@ -19,6 +19,8 @@ from . import replace_whole
 from .conventions import UNITS_M, guess_up
 from .text import decoded, numbers
 
+HOLDS: frozenset[str] = frozenset()  # of what is beside the positions
+
 KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip

@@ -10,4 +10,7 @@ float, are read; Intel float files are written. What is kept and how: docs/forma
 from .reading import analog, read
 from .writing import write
 
-__all__ = ["analog", "read", "write"]
+__all__ = ["HOLDS", "analog", "read", "write"]
+
+# Extras that a C3D has a place for.
+HOLDS = frozenset({"analog", "events", "parameters", "parameter_notes", "parameters_locked", "residuals", "rotations"})

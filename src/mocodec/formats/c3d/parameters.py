@@ -1,7 +1,7 @@
 """The parameter section of a C3D: groups of named numbers and texts, to a tree and back.
 
-    record of a group      name, negative number, description
-    record of a parameter  name, its group's number, type, shape, values, description
+record of a group      name, negative number, description
+record of a parameter  name, its group's number, type, shape, values, description
 """
 
 from __future__ import annotations

@@ -157,19 +157,23 @@ def _analog(
     """Analog samples as the file has them (counts): a physical value is (count − OFFSET) × SCALE × GEN_SCALE."""
     counts = np.ascontiguousarray(table).reshape(-1, channels)
     if is_float:
-        counts = _smallest(counts)
-    elif "".join(parameters.texts("ANALOG", "FORMAT")).upper().startswith("UNSIGNED"):
-        counts = counts.astype(np.int16).view(np.uint16)
+        counts = _smallest(counts, np.uint16 if _unsigned(parameters) else np.int16)
     else:
         counts = counts.astype(np.int16)
+        counts = counts.view(np.uint16) if _unsigned(parameters) else counts
     labels = tuple(parameters.texts("ANALOG", "LABELS")[:channels])
     return Signal(counts, rate * per_frame, labels, tuple(parameters.texts("ANALOG", "UNITS")[:channels]))
 
 
-def _smallest(values: NDArray[Any]) -> NDArray[Any]:
-    """Floats that are whole 16-bit numbers, as such; others as they are."""
+def _unsigned(parameters: Parameters) -> bool:
+    """Whether analog samples and offsets are without sign: ANALOG:FORMAT says so, however the file stores them."""
+    return "".join(parameters.texts("ANALOG", "FORMAT")).strip().upper() == "UNSIGNED"
+
+
+def _smallest(values: NDArray[Any], dtype: type[np.integer[Any]] = np.int16) -> NDArray[Any]:
+    """Floats that are all whole numbers of this 16-bit type, as such; others as they are."""
     with np.errstate(invalid="ignore"):
-        whole = values.astype(np.int16)
+        whole = values.astype(dtype)
     same = np.array_equal(whole, values) and not np.signbit(values[values == 0]).any()
     return whole if same else values.astype(np.float32)
 
@@ -188,8 +192,8 @@ def analog(motion: Motion) -> Floats:
     def by_channel(name: str, otherwise: float) -> Floats:
         value = parameters.groups.get("ANALOG", {}).get(name)
         given = np.ravel(value).astype(np.float64)[:channels] if isinstance(value, np.ndarray) else np.empty(0)
-        if name == "OFFSET" and signal.values.dtype == np.uint16:
-            given %= 65536
+        if name == "OFFSET" and _unsigned(parameters):
+            given %= 65536  # a negative offset is one where samples have signs
         return np.concatenate([given, np.full(channels - len(given), otherwise)])
 
     general = parameters.number("ANALOG", "GEN_SCALE")

@@ -49,7 +49,7 @@ def _packed(motion: Motion) -> bytes:
     point["USED"] = counts(points)
     point["FRAMES"] = counts(min(frames, 0xFFFF))
     point["DATA_START"] = counts(0)
-    point["SCALE"] = np.array([-scale], np.float32)
+    point["SCALE"] = _like(point.get("SCALE"), -scale)
     point["RATE"] = np.array([motion.rate], np.float32)
     point["UNITS"] = [units]
     screen = "".join(parameters.texts("POINT", "Y_SCREEN"))[-1:].lower()
@@ -62,9 +62,11 @@ def _packed(motion: Motion) -> bytes:
         trial["ACTUAL_START_FIELD"] = counts(first & 0xFFFF, first >> 16)
         trial["ACTUAL_END_FIELD"] = counts(last & 0xFFFF, last >> 16)
     if frames > 0xFFFF or "LONG_FRAMES" in point:
-        point["LONG_FRAMES"] = np.array([frames], np.float32)
+        point["LONG_FRAMES"] = _like(point.get("LONG_FRAMES"), frames)
     analog_group["USED"] = counts(channels)
     analog_group["RATE"] = np.array([motion.rate * per_frame if channels else 0], np.float32)
+    if samples.dtype == np.uint16:
+        analog_group["FORMAT"] = "UNSIGNED"
     if channels:
         labels = list(analog.labels)
         _set_texts(analog_group, "LABELS", labels + [f"A{i + 1}" for i in range(len(labels), channels)])
@@ -88,9 +90,11 @@ def _packed(motion: Motion) -> bytes:
         block[:, :, :3] = np.where(gap[:, :, None], 0.0, motion.positions / unit_m)
     if np.isinf(block).any():
         raise BadInput(f"a position does not fit a C3D's 32-bit floats in {units}")
-    block[:, :, 3] = _frame_samples(extras["residuals"], frames, motion.rate, "residuals")[:, 0] if (
-        "residuals" in extras
-    ) else source.get("residual_word", 0.0)
+    block[:, :, 3] = (
+        _frame_samples(extras["residuals"], frames, motion.rate, "residuals")[:, 0]
+        if ("residuals" in extras)
+        else source.get("residual_word", 0.0)
+    )
     block[gap, 3] = -1.0
     table[:, : 4 * points] = block.reshape(frames, -1)
     table[:, 4 * points :] = samples.reshape(frames, -1)
@@ -121,6 +125,11 @@ def _packed(motion: Motion) -> bytes:
             header[376 + i] = event["in_header"]
             header[396 + 4 * i : 400 + 4 * i] = encoded(event["label"], 4).ljust(4)
     return bytes(header) + section + body
+
+
+def _like(before: Any, value: float) -> NDArray[np.float32]:
+    """One number, as a scalar or as a list of one, whichever it was."""
+    return np.full(() if isinstance(before, np.ndarray) and before.ndim == 0 else (1,), value, np.float32)
 
 
 def _frame_samples(signal: Any, frames: int, rate: float, what: str) -> NDArray[Any]:
