@@ -28,7 +28,10 @@ class Skeleton:
     """A tree of joints at rest.
 
     names: one per joint, in the order of the points of the motion. parents: index of each joint's parent, −1 for a
-    root; a parent stands before its children. offsets (joints, 3): from parent to joint in the parent's frame, metres.
+    root; a parent stands before its children. offsets (joints, 3): from parent to joint in the parent's frame, metres;
+    at rest all frames are parallel. Where `source["format"]` is "amc" a joint is the end of a bone that turns about its
+    start, so its offset is in its own frame: bones that begin in one joint turn apart, which no one frame of that joint
+    could say (`geometry.kinematics.forward(…, own_frame=True)`).
     """
 
     names: tuple[str, ...]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 from ..errors import UnknownCodec
@@ -133,6 +132,8 @@ def _write_rate(rate: float, _: Mapping[str, Any]) -> bytes:
     for number, (top, bottom) in enumerate(RATES[1:], 1):
         if top / bottom == rate:
             return varint(number)
+    from fractions import Fraction
+
     fraction = Fraction(rate).limit_denominator(10_000)
     if 0 < fraction.numerator < 1 << 31 and fraction.numerator / fraction.denominator == rate:
         return b"\0" + varint(fraction.denominator) + varint(fraction.numerator)

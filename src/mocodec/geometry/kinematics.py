@@ -1,7 +1,7 @@
 """Forward kinematics: where the joints are, given how each is turned against its parent.
 
-    world turn of a joint  =  world turn of its parent · its own turn
-    place of a joint       =  place of its parent + (world turn of the parent) applied to the joint's offset
+world turn of a joint  =  world turn of its parent · its own turn
+place of a joint       =  place of its parent + (world turn of the parent) applied to the joint's offset
 """
 
 from __future__ import annotations

@@ -35,6 +35,9 @@ SAME = 1e-9
 ROUNDING = 1e-12
 """What a bound may be exceeded by, as a share of the largest coordinate: float64 itself."""
 
+OFFSET_ROUNDING = 5e-6 + 1e-12
+"""A file holds a skeleton's offsets in steps of 10 µm (docs/format.md): back within half a step, in metres."""
+
 FEW = settings(
     deadline=None,
     derandomize=True,
@@ -147,7 +150,7 @@ class CodecTests:
         assert skeleton is not None
         assert skeleton.names == motion.skeleton.names
         assert skeleton.parents == motion.skeleton.parents
-        assert np.allclose(skeleton.offsets, motion.skeleton.offsets, atol=1e-6)
+        assert np.abs(skeleton.offsets - motion.skeleton.offsets).max() <= OFFSET_ROUNDING
 
     # -------------------------------------------------------------------------------------------------- odd motions
 
