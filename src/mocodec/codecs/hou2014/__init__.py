@@ -9,5 +9,6 @@ One basis B serves every clip and travels once, so that chunks of clips can be d
 """
 
 from .codec import Hou2014
+from .database import Hou2014Database, Learned
 
-__all__ = ["Hou2014"]
+__all__ = ["Hou2014", "Hou2014Database", "Learned"]

@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 CANDIDATES = (70, 140, 210, 280, 420, 560, 840, 1120)
 """Lengths that are tried for equal clips, in frames."""
 
-RISES = tuple(float(2000 * 0.4**i) for i in range(12))
+RISES = (2000.0, 500.0, 120.0, 30.0, 8.0, 2.0)
 """Thresholds of the segmentation that are tried, fewest clips first."""
 
 BITS_PER_CLIP = 24.0
