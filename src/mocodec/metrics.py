@@ -24,13 +24,17 @@ def mean_distance(original: Floats, decoded: Floats) -> float:
 
 def distortion_percent(original: Floats, decoded: Floats) -> float:
     """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ in the Frobenius norm, E(A) each coordinate's average. Liu & McMillan 2006, s. 4."""
-    spread = np.nansum((original - np.nanmean(original, axis=0)) ** 2)
+    here = ~np.isnan(original)
+    mean = np.nansum(original, axis=0) / np.maximum(here.sum(axis=0), 1)
+    spread = np.nansum((original - mean) ** 2)
     return float(100 * np.sqrt(np.nansum((original - decoded) ** 2) / spread)) if spread > 0 else 0.0
 
 
 def rms_per_frame(original: Floats, decoded: Floats) -> Floats:
     """Root mean square error over the points of each frame, (frames,). Liu & McMillan 2006, section 4, figure 4."""
-    return np.sqrt(np.nanmean(distances(original, decoded) ** 2, axis=1))
+    squares = distances(original, decoded) ** 2
+    here = ~np.isnan(squares)
+    return np.sqrt(np.where(here, squares, 0).sum(axis=1) / np.where(here.any(axis=1), here.sum(axis=1), np.nan))
 
 
 @dataclass(frozen=True)
