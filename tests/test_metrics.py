@@ -11,7 +11,7 @@ from mocodec import BadInput, Motion, compare, metrics
 
 A = np.zeros((2, 2, 3))
 A[1] = [[2, 0, 0], [0, 4, 0]]
-B = A + [[[0, 0, 0.3], [0, 0, 0.4]], [[0, 0, 0], [0.3, 0.4, 0]]]
+B = A + np.array([[[0, 0, 0.3], [0, 0, 0.4]], [[0, 0, 0], [0.3, 0.4, 0]]])
 
 
 def test_distances_and_their_mean() -> None:
