@@ -119,6 +119,9 @@ def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Int
     return logs + shape * CLASSES
 
 
+_SHAPE_STARTS = (0, 1, 4)
+
+
 def shape_of(frequency: int) -> int:
     return 0 if frequency == 0 else 1 if frequency < 4 else 2
 
@@ -130,5 +133,5 @@ def ceiling(magnitudes: Integers) -> Integers:
 def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
     """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
     m = bordered(ceiling(magnitudes))
-    shapes = np.array([shape_of(k) for k in range(len(expected))])[:, None]
+    shapes = np.minimum(np.searchsorted(_SHAPE_STARTS, np.arange(len(expected)), side="right") - 1, 2)[:, None]
     return tables(base(expected), m[2:-1], m[1:-2], m[:-3], shapes)

@@ -24,9 +24,12 @@ WIDTHS = np.array([0] * DIRECT + list(range(1, RANGES + 1)) + [48])
 FIRSTS = np.array([*range(DIRECT), *(DIRECT + (1 << j) - 2 for j in range(1, RANGES + 2))])
 
 
+_OF = np.searchsorted(FIRSTS, np.arange(FIRSTS[-1] + 1), side="right") - 1
+
+
 def of(magnitudes: Integers) -> Integers:
     """The symbol of each magnitude ≥ 0."""
-    return np.searchsorted(FIRSTS, magnitudes, side="right") - 1
+    return _OF.take(magnitudes, mode="clip")
 
 
 def raw(values: Integers, symbol: Integers, signed: int | None = None) -> bits.Bits:

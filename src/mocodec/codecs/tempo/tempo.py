@@ -22,7 +22,7 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion
 from ...stages import gaps
 from ..base import require_frames, settings
-from . import body, chunks, coefficients, corrections, direct, model, own, prior
+from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior
 from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
 from .contexts import OCTAVE
 
@@ -64,10 +64,12 @@ class Tempo:
         require_frames(motion)
         filled, mask = gaps.fill(motion.positions)
         positions = body.level(filled, motion.up)
-        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds)
-        cut = [positions[a:b] for a, b in bounds]
+        spikes = jumps.spikes(positions) & ~mask
+        smooth = jumps.bridged(positions, spikes)
+        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
+        cut = [smooth[a:b] for a, b in bounds]
         shared, known = choose_model(cut, motion.names, motion.rate, self.first_step(motion))
-        pieces = [Piece(known, piece, mask[a:b]) for piece, (a, b) in zip(cut, bounds, strict=True)]
+        pieces = [Piece(known, positions[a:b], mask[a:b], spikes[a:b]) for a, b in bounds]
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
         elif self.ratio is not None or self.size is not None:
@@ -77,6 +79,8 @@ class Tempo:
             for piece in pieces:
                 payload, offset = piece.within(self.max_error or DEFAULT_MAX_ERROR, offset)
                 payloads.append(payload)
+        if all(Parts.unpack(p).engine == DIRECT for p in payloads):
+            shared = bytes([PLAIN]) + known.prior.id
         stored = settings(self)
         if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
@@ -125,7 +129,8 @@ def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: i
     used = prior.shipped()
     frames = sum(map(len, cut))
     candidates = [] if (known := model.of_names(names, used, rate)) is None else [(bytes([KNOWN]) + used.id, known)]
-    if frames >= (OWN_FRAMES if known else 2) and len(names) > 1 and (fitted := own.fit(cut, used, names, rate, step)):
+    if frames >= (OWN_FRAMES if known else 2):
+        fitted = own.fit(cut, used, names, rate, step)
         candidates.append((bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate)))
     if not candidates:
         return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
@@ -160,22 +165,26 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float) -> model.Model
     return found
 
 
-def chunk_bounds(frames: int, rate: float, seconds: float) -> list[tuple[int, int]]:
-    """Frames cut into equal chunks of about `seconds`."""
-    count = max(1, round(frames / (rate * seconds)))
-    edges = [frames * i // count for i in range(count + 1)]
+def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
+    """Frames between cuts, in equal chunks of about `seconds`."""
+    edges = [0]
+    for stop in (*(cuts or ()), frames):
+        start = edges[-1]
+        count = max(1, round((stop - start) / (rate * seconds)))
+        edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
     return list(zip(edges[:-1], edges[1:], strict=True))
 
 
 class Piece:
     """One chunk on its way: its samples, and their coefficients once."""
 
-    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask) -> None:
+    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask, spikes: gaps.Mask | None = None) -> None:
         self.model = known
         self.positions = positions
         self.mask = mask
+        self.spikes = mask & ~mask if spikes is None else spikes
         self.gaps = gaps.pack(mask)
-        self.spectrum = known.analyse(positions) if known.rows else None
+        self.spectrum = known.analyse(jumps.bridged(positions, self.spikes)) if known.rows else None
 
     def errors(self, decoded: Floats) -> Floats:
         """Distances (frames, points) of decoded positions, 0 in gaps."""
@@ -241,14 +250,27 @@ class Piece:
     def at_step(self, step: int) -> bytes:
         if self.spectrum is None:
             return self.directly(step * chunks.FINE // OCTAVE)
-        values, threshold, _, _ = self.transformed(step)
-        return Parts(TRANSFORM, coefficients.pack(self.model, values, step, threshold), gaps=self.gaps).pack()
+        values, threshold, _, decoded = self.transformed(step)
+        moved, fine = self.put_back(decoded, step)
+        return Parts(TRANSFORM, coefficients.pack(self.model, values, step, threshold, moved), fine, self.gaps).pack()
+
+    def put_back(self, decoded: Floats, step: int) -> tuple[np.ndarray | None, int | None]:
+        """Corrections for spikes alone, and their step."""
+        if not self.spikes.any():
+            return None, None
+        fine = step * chunks.FINE // OCTAVE
+        error = np.where(self.spikes[..., None], self.positions - decoded, 0.0)
+        found = corrections.find(error, fine_size(fine), fine_size(fine))
+        corrections.apply(decoded, found, fine_size(fine))
+        return corrections.numbers(found), fine
 
     def mean_at(self, step: int) -> float:
         if self.spectrum is None:
             size = fine_size(step * chunks.FINE // OCTAVE)
             return float(self.errors(direct.quantise(self.positions, size) * size).sum())
-        return float(self.errors(self.transformed(step)[3]).sum())
+        decoded = self.transformed(step)[3]
+        self.put_back(decoded, step)
+        return float(self.errors(decoded).sum())
 
 
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
