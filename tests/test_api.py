@@ -91,7 +91,7 @@ def test_random_access():
     with mc.open(mc.encode(motion, "plain", max_error=0.5)) as f:
         assert f.shape == (95, 4, 3)
         assert (f.rate, f.names, len(f)) == (120.0, motion.names, 95)
-        assert f.info["promise"] == {"max_error_m": 0.5}
+        assert f.info["promise"] == {"max_error": 0.5}
         assert equal(f[12:47], motion[12:47])
         assert f[12:47, ["RANK", "LKNE"]].names == ("RANK", "LKNE")
         np.testing.assert_array_equal(f[90:].positions, motion.positions[90:])

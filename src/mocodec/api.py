@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self, cast
 
 from . import codecs, container, formats
-from .encoded import Encoded
+from .encoded import TARGETS, Encoded
 from .errors import BadInput, CannotEncode
 from .metrics import compare
 from .motion import Deferred, Motion, frame_range, point_columns
@@ -25,7 +25,6 @@ __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 Path_ = str | PathLike[str]
 Source = bytes | bytearray | memoryview | Path_ | BinaryIO
 ATTEMPTS = 4  # at a size or a ratio
-TARGETS = ("max_error", "mean_error", "ratio", "size")
 
 
 def read(path: Path_, **options: Any) -> Motion | PointClouds:

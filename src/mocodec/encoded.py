@@ -15,6 +15,9 @@ from typing import Any, Generic, TypeVar
 from .motion import Floats, Motion, extras_between, frame_range, source_from
 from .pointcloud import PointClouds
 
+TARGETS = ("max_error", "mean_error", "ratio", "size")
+"""Settings that promise something: errors in metres, ratio to float32 positions, bytes of the file."""
+
 About = TypeVar("About", Motion, PointClouds)
 
 
@@ -56,6 +59,12 @@ class Encoded(Generic[About]):
     def payload_bytes(self) -> int:
         """Shared bytes and payloads together: the codec's own size, without container and extras."""
         return sum(map(len, self.shared)) + sum(len(chunk.payload) for chunk in self.chunks)
+
+    @property
+    def promise(self) -> dict[str, float]:
+        """What was promised when it was encoded: those of TARGETS among the settings."""
+        chosen = {name: self.settings.get(name) for name in TARGETS}
+        return {name: value for name, value in chosen.items() if type(value) in (int, float) and value}
 
     def range(self, frames: slice | None) -> tuple[int, int]:
         """(start, stop) of a slice of this recording's frames."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SUFFIXES = (".png", ".svg", ".pdf")
 INK, OURS, FAINT = "#333333", "#c8442e", "#bbbbbb"
 
 
@@ -39,11 +40,11 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
     from .errors import BadInput
     from .formats import replace_whole
 
-    suffix = Path(path).suffix.lower().lstrip(".")
-    if suffix not in ("png", "svg", "pdf"):
-        raise BadInput(f"{path}: pictures are written as .png, .svg or .pdf")
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise BadInput(f"{path}: pictures are written as {', '.join(SUFFIXES)}")
     drawn = BytesIO()
-    picture.savefig(drawn, format=suffix, dpi=120, metadata={"Software": None} if suffix == "png" else None)
+    picture.savefig(drawn, format=suffix[1:], dpi=120, metadata={"Software": None} if suffix == ".png" else None)
     replace_whole(path, drawn.getvalue())
 
 

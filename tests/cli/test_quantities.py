@@ -67,6 +67,7 @@ def test_sizes() -> None:
         ("tolerance=2mm", "tolerance", 0.002),
         ("tolerance=2", "tolerance", 2.0),
         ('feet=["LHEE","LTOE"]', "feet", ("LHEE", "LTOE")),
+        ("feet=LHEE, LTOE", "feet", ("LHEE", "LTOE")),
         ("closed=true", "closed", True),
         ("how=pca", "how", "pca"),
         ("max-error=3mm", "max_error", 0.003),

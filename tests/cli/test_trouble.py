@@ -42,6 +42,8 @@ def assert_one_line(result: Result, code: int) -> None:
         ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no_such=1"],
         ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no equals sign"],
         ["encode", "walk.trc", "-o", "x.trc"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "blend_frames=a,b"],
+        ["decode", "walk.trc", "-o", "x.npz"],
         ["cut", "walk.trc", "--from", "1s", "--to", "0.5s", "-o", "x.trc"],
         ["cut", "walk.trc", "--from", "99s", "-o", "x.trc"],
         ["cut", "walk.trc", "--from", "12", "-o", "x.trc"],
@@ -65,6 +67,8 @@ def test_usage_is_2(command: Command, walk_trc: Path, arguments: list[str]) -> N
         ["encode", "text.npz", "-o", "x.mocz"],
         ["encode", "text.xyz", "-o", "x.mocz"],
         ["encode", "empty.c3d", "-o", "x.mocz"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "normalisation_markers=NO,SUCH,NAMES"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "normalisation_markers=CLAV,STRN"],
         ["encode", "walk.trc", "-o", "no/such/folder/x.mocz", "--codec", LOSSY],
         ["decode", "missing.mocz", "-o", "x.trc"],
         ["decode", "text.mocz", "-o", "x.trc"],
@@ -97,7 +101,9 @@ def test_damage_is_4(command: Command, walk_mocz: Path, verb: str) -> None:
     output = ["-o", "x.trc"] if verb == "decode" else []
     for kept in (len(data) - 1, len(data) // 2, 20):
         Path("cut.mocz").write_bytes(data[:kept])
-        assert_one_line(command(verb, "cut.mocz", *output), cli.DAMAGED)
+        result = command(verb, "cut.mocz", *output)
+        assert_one_line(result, cli.DAMAGED)
+        assert result.err.startswith("mocodec: cut.mocz: ")
     if verb != "info":  # which reads header and index only
         flipped = bytearray(data)
         flipped[len(data) // 2] ^= 0x10

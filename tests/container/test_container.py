@@ -337,7 +337,7 @@ def test_info_is_json_and_accounts_for_every_byte():
         assert json.loads(json.dumps(info)) == info
         assert sum(info["bytes_by_part"].values()) == info["bytes"] == len(data)
         assert (info["frames"], info["points"], info["codec"], info["kind"]) == (12 * chunks, 41, "tempo", "motion")
-        assert info["promise"] == {"max_error_m": 0.002}
+        assert info["promise"] == {"max_error": 0.002}
         assert info["chunks"]["count"] == chunks
 
 
@@ -369,6 +369,24 @@ def test_errors_say_which():
     with pytest.raises(UnknownCodec):
         container.Reader(data[:7] + b"\x7f" + zlib_tail(data, head_end, 7, 0x7F))
     assert issubclass(UnknownCodec, MocodecError)
+
+
+def test_errors_say_where(tmp_path):
+    data = bytearray(container.pack(encoded(3)))
+    (tmp_path / "short.mocz").write_bytes(data[:-3])
+    data[len(data) // 2] ^= 1
+    path = tmp_path / "flipped.mocz"
+    path.write_bytes(data)
+    with pytest.raises(Truncated, match=r"^\S*short\.mocz: the file ends"):
+        container.Reader(tmp_path / "short.mocz")
+    with container.Reader(path) as reader:
+        with pytest.raises(Corrupt, match=r"^\S*flipped\.mocz: chunk 1 [^/]*$"):
+            reader.verify()
+        with pytest.raises(Corrupt, match=r"^\S*flipped\.mocz: chunk 1 [^/]*$"):
+            _ = reader.encoded.chunks[1].payload
+        assert [message[:7] for _, message in reader.damage()] == ["chunk 1"]
+    with open(path, "rb") as file, pytest.raises(Corrupt, match=r"flipped\.mocz: chunk 1"):
+        container.Reader(file).verify()
 
 
 def zlib_tail(data: bytes, head_end: int, at: int, byte: int) -> bytes:

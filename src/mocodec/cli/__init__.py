@@ -12,6 +12,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -136,8 +137,9 @@ def explain(error: Exception) -> tuple[str, int]:
 
 
 def complain(message: str, code: int) -> int:
-    """One line on standard error."""
-    print("mocodec: " + " ".join(message.split()), file=sys.stderr)
+    """One line on standard error, if anyone still reads that."""
+    with suppress(OSError):
+        print("mocodec: " + " ".join(message.split()), file=sys.stderr, flush=True)
     return code
 
 

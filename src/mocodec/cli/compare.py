@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .. import metrics
+from .. import metrics, plots
 from ..errors import BadInput
 from ..motion import Motion
 from . import files, quantities
@@ -30,14 +30,15 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     """
     if a == b == "-":
         raise click.UsageError("only one of the two can be standard input")
+    for path in filter(None, (plot, poses)):
+        if Path(path).suffix.lower() not in plots.SUFFIXES:
+            raise click.UsageError(f"{path}: pictures are written as {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
         original, other = motion(a, **options_for(a, a, options)), motion(b, **options_for(b, a, options))
     result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
     click.echo(result.to_json() if as_json else "\n".join(table(result)))
     for path in (plot, poses):
         if path:
-            from .. import plots
-
             draw = plots.errors if path == plot else plots.recording
             plots.save(draw(original, other, title(a, b, result)), path)
 

@@ -51,7 +51,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
     if not compressed:
         recording = files.read(source, **options)
         start, stop = frames(begin, end, recording.rate, len(recording))
-        files.write(output, recording[start:stop])
+        files.write(output, recording[start:stop], quiet=quiet)
         how = "cut"
     else:
         with api.open(files.source_of(source)) as opened:
@@ -62,7 +62,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
                 encoded, how = cut(opened, start, stop)
                 files.write_bytes(output, container.pack(encoded))
             else:
-                files.write(output, opened[start:stop])
+                files.write(output, opened[start:stop], quiet=quiet)
                 how = "decoded"
     if not quiet:
         click.echo(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)

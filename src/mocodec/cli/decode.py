@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from .. import api, container
+from .. import api, container, formats
 from ..encoded import restore
 from ..errors import BadInput, Corrupt
 from ..motion import Motion
@@ -25,6 +26,8 @@ def command(source: str, output: str, format_: str | None, salvage: bool) -> int
 
     With --salvage a file that is damaged or cut short gives what can be had of it, and the exit code is still 4.
     """
+    if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
+        raise click.UsageError(f"{source} is no .mocz; `mocodec cut {source} -o {output}` writes it in another format")
     lost: list[str] = []
     with files.working(f"decoding {source}"):
         if salvage:

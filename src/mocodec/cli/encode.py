@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,14 +44,14 @@ def command(
         with api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
     if isinstance(recording, Motion):
-        _, broken = verify.hold(files.named(**targets), recording, decoded, len(blob))
+        _, broken = verify.hold(files.named(**targets), recording, decoded, facts)
         if broken:
             raise CannotEncode(f"{chosen.name} does not keep its promise, nothing was written: {'; '.join(broken)}")
     files.write_bytes(output, blob)
     if not quiet:
         click.echo(summary(output, recording, decoded, facts), err=True)
-        if isinstance(recording, Motion) and recording.rotations is not None:
-            click.echo("note: joint positions are stored; rotations are not stored yet", err=True)
+        for note in notes(recording):
+            click.echo(f"note: {note}", err=True)
 
 
 def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Any:
@@ -60,6 +61,14 @@ def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> 
         return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
     except (BadInput, TypeError) as error:
         raise click.UsageError(str(error)) from error
+
+
+def notes(recording: Motion | PointClouds) -> Iterator[str]:
+    """What of the recording does not go into a .mocz, in words."""
+    if isinstance(recording, Motion) and recording.rotations is not None:
+        yield "joint positions are stored; rotations are not stored yet"
+    if recording.source.get("residuals") == "left out":
+        yield "residuals and camera masks of the samples are left out; --residuals keeps them"
 
 
 def summary(output: str, recording: Motion | PointClouds, decoded: Any, facts: dict[str, Any]) -> str:

@@ -23,12 +23,18 @@ READER_OPTIONS = (
     click.option(
         "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc, where none lies beside it."
     ),
-    click.option("--skeleton", type=click.Path(), metavar="FILE", help="A skeleton for an .npz of poses alone."),
     click.option(
         "--rate", type=click.FloatRange(0, min_open=True), help="Frames a second, where the file does not say."
     ),
     click.option("--fps", type=click.FloatRange(0, min_open=True), help="The same, for a folder of point clouds."),
     click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, where it does not say: mm, cm, m, in."),
+    click.option(
+        "--residuals",
+        is_flag=True,
+        flag_value=True,
+        default=None,
+        help="Keep what a .c3d says of each sample's quality.",
+    ),
 )
 
 
@@ -88,31 +94,40 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         return api.read(path, **options)
 
 
-def write(name: str, motion: Motion | PointClouds, format_: str | None = None, **options: Any) -> None:
-    """Write by suffix, or for "-" in the format named. The file appears whole or not at all."""
+def write(name: str, motion: Motion | PointClouds, format_: str | None = None, quiet: bool = False) -> None:
+    """Write by suffix, or for "-" in the format named. The file appears whole or not at all.
+
+    What the format has no place for is said in a line on standard error, unless `quiet`.
+    """
     if name != "-":
-        api.write(Path(name), motion, **options)
+        api.write(Path(name), motion)
+        note_dropped(Path(name).suffix, motion, quiet)
         return
     if format_ is None:
         raise click.UsageError("standard output needs --format c3d, trc, npz, …")
     refuse_terminal()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"stdout.{format_.lower().lstrip('.')}"
-        api.write(path, motion, **options)
+        api.write(path, motion)
         sys.stdout.buffer.write(path.read_bytes())
+        note_dropped(path.suffix, motion, quiet)
+
+
+def note_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> None:
+    """Say on standard error what a file of this suffix has no place for; a .mocz has for all but rotations."""
+    if quiet or suffix.lower() == MAGIC_SUFFIX:
+        return
+    if left_out := formats.dropped(f"motion{suffix}", motion):
+        click.echo(f"note: {suffix.lower()} holds no {', '.join(left_out)}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:
-    """Write bytes to a path, whole or not at all; or to standard output, a pipe or a device, as they stand."""
+    """Write bytes to a path, whole or not at all, or to standard output."""
     if name == "-":
         refuse_terminal()
         sys.stdout.buffer.write(data)
-    elif Path(name).is_dir():
-        raise BadInput(f"{name} is a folder: name a file in it")
-    elif Path(name).exists() and not Path(name).is_file():
-        Path(name).write_bytes(data)
     else:
-        formats.replace_whole(Path(name), data)
+        formats.replace_whole(name, data)
 
 
 def refuse_terminal() -> None:

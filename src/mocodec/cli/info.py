@@ -11,7 +11,7 @@ import click
 from .. import api
 from ..motion import Motion
 from ..pointcloud import PointClouds
-from . import files
+from . import files, quantities
 
 
 @click.command("info")
@@ -52,7 +52,9 @@ def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
     width = max((len(key) for key in facts), default=0) + 2
     for key, value in facts.items():
         label = " " * indent + f"{key.replace('_', ' '):{width}}"
-        if isinstance(value, Mapping):
+        if key.endswith("_error") and isinstance(value, float):
+            yield label + quantities.bound(value)
+        elif isinstance(value, Mapping) and value:
             yield label.rstrip()
             yield from lines(value, indent + 2)
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
@@ -72,6 +74,8 @@ def shown(value: Any) -> str:
             return f"{value:,}"
         case float():
             return f"{value:.6g}"
+        case Mapping():
+            return "none"
         case list() | tuple():
             return ", ".join(shown(item) if isinstance(item, float) else str(item) for item in value) or "none"
         case _:

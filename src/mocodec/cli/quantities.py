@@ -103,6 +103,8 @@ def of_type(value: Any, field: Field[Any], text: str) -> Any:
     while "[" in declared:  # tuple[str, ...] | None → tuple | None; a Literal's values are strings
         declared = re.sub(r"\[[^\[\]]*\]", "", declared.replace("Literal", "str"))
     wanted = {name.strip() for name in declared.split("|")}
+    if isinstance(value, str) and "tuple" in wanted and "str" not in wanted:
+        value = [part.strip() for part in value.split(",")]
     if isinstance(value, list):
         value = tuple(value)
     if type(value) is int and "float" in wanted and "int" not in wanted:

@@ -26,19 +26,19 @@ SLACK = 1 + 1e-9  # a bound met exactly may differ in the last bit of a sum
 def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promise holds.
 
-    A promise is the max-error, mean-error or size that it was encoded for; names, rate, gaps and what was beside
-    the points are promised always.
+    A promise is the max-error, mean-error, ratio or size that it was encoded for; names, rate, gaps and what was
+    beside the points are promised always.
     """
     with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
         opened.verify()
         decoded, facts, stored = opened[:], opened.info, opened.encoded
     report: dict[str, Any] = {"file": file, "undamaged": True, "frames": facts.get("frames", len(decoded))}
-    report["promise"] = {name: stored.settings[name] for name in api.TARGETS if stored.settings.get(name)}
+    report["promise"] = stored.promise
     broken: list[str] = []
     if against is not None:
         with files.working(f"reading {against}"):
             source = files.read(against, **options)
-        comparison, broken = hold(report["promise"], source, decoded, facts.get("bytes"))
+        comparison, broken = hold(report["promise"], source, decoded, facts)
         report |= {**comparison, "held": not broken, "broken": broken}
     if as_json:
         click.echo(json.dumps(report, indent=2))
@@ -48,9 +48,12 @@ def command(file: str, against: str | None, as_json: bool, **options: Any) -> in
 
 
 def hold(
-    promise: dict[str, float], source: Any, decoded: Any, stored_bytes: int | None
+    promise: Mapping[str, float], source: Any, decoded: Any, facts: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Measure a decoded motion against its source: the figures, and every promise that is broken, in words."""
+    """Measure a decoded motion against its source: the figures, and every promise that is broken, in words.
+
+    facts: the file's `info`. A ratio is promised for all of the file but its extras.
+    """
     if not (isinstance(source, Motion) and isinstance(decoded, Motion)):
         raise BadInput("--against measures motions, not point clouds")
     if source.positions.shape != decoded.positions.shape:
@@ -58,6 +61,7 @@ def hold(
             f"the source has {len(source)} frames of {source.points} points, "
             f"the file {len(decoded)} frames of {decoded.points} points"
         ]
+    stored_bytes = facts["bytes"]
     result = metrics.compare(source, decoded, stored_bytes)
     broken = []
     if source.names != decoded.names:
@@ -72,8 +76,11 @@ def hold(
             broken.append(
                 f"{name.replace('_', ' ')} is {quantities.length(measured)}, promised {quantities.bound(promise[name])}"
             )
-    if "size" in promise and stored_bytes and stored_bytes > promise["size"]:
+    if "size" in promise and stored_bytes > promise["size"]:
         broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
+    ratio = source.raw_bytes / (stored_bytes - facts["bytes_by_part"]["extras"])
+    if "ratio" in promise and ratio * SLACK < promise["ratio"]:
+        broken.append(f"the ratio is {ratio:.3g}, promised {promise['ratio']:g}")
     return asdict(result), broken
 
 
@@ -105,7 +112,10 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
     if "max_error" in report:
         mean, largest = quantities.length(report["mean_error"]), quantities.length(report["max_error"])
         text.append(f"against {against}: mean error {mean}, max {largest}")
-    return text + ([f"broken: {what}" for what in report["broken"]] or ["the promise holds"])
+    held = (
+        "the promise holds" if report["promise"] else "no bound was promised; names, rate, gaps and extras are the same"
+    )
+    return text + ([f"broken: {what}" for what in report["broken"]] or [held])
 
 
 def shown(name: str, value: float) -> str:

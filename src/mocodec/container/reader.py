@@ -6,7 +6,8 @@ chunks[k] ──► its bytes ──► checksum ──► payload: damage in on
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple, Self, cast, overload
@@ -32,6 +33,17 @@ class Layout(NamedTuple):
     chunks: int
     index_at: int
     end: int
+
+
+@contextmanager
+def naming(where: Source) -> Iterator[None]:
+    """Errors within say which file they are about."""
+    try:
+        yield
+    except MocodecError as error:
+        if not where.name or str(error).startswith(where.name):
+            raise
+        raise type(error)(f"{where.name}: {error}") from error
 
 
 class StoredChunk(Chunk):
@@ -72,6 +84,11 @@ class StoredChunks(Sequence[Chunk]):
 
     def payload(self, number: int) -> bytes:
         """Raises Corrupt where the chunk's frame, payload or checksum are damaged, Truncated where they are missing."""
+        with naming(self.source):
+            return self.tested(number)
+
+    def tested(self, number: int) -> bytes:
+        """As `payload`; its errors do not say which file."""
         data = self.source.read(self.offsets[number], self.offsets[number + 1] - self.offsets[number])
         frame = records.write(CHUNK, {"frames": self.frames[number], "length": self.lengths[number]})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
@@ -79,7 +96,8 @@ class StoredChunks(Sequence[Chunk]):
             start = self.starts[number]
             raise Corrupt(
                 f"chunk {number} (frames {start} to {start + self.frames[number]}, byte {self.offsets[number]}) is "
-                "damaged; the other chunks can still be read: restore the file from a copy, or salvage it"
+                f"damaged{'; the other chunks can still be read' * (len(self) > 1)}: restore the file from a copy, or "
+                "salvage it"
             )
         return body[len(frame) :]
 
@@ -95,7 +113,8 @@ class Reader:
     def __init__(self, where: Any, salvage: bool = False) -> None:
         self.source = source(where)
         try:
-            self._open(salvage)
+            with naming(self.source):
+                self._open(salvage)
         except BaseException:
             self.source.close()
             raise
@@ -128,7 +147,7 @@ class Reader:
 
     def _about(self) -> Motion | PointClouds:
         header = self.header
-        extras: Mapping[str, Any] = Deferred(self._extras) if header["extras"] else {}
+        extras: Mapping[str, Any] = Deferred(self.extras) if header["extras"] else {}
         if header["kind"] == "motion":
             return Motion(
                 positions=np.empty((0, len(header["names"]), 3)),
@@ -149,6 +168,11 @@ class Reader:
             extras=extras,
         )
 
+    def extras(self) -> dict[str, Any]:
+        """What the codec does not code. Raises Corrupt where it is damaged."""
+        with naming(self.source):
+            return self._extras()
+
     def _extras(self) -> dict[str, Any]:
         stored, size = self.header["extras"]
         data = self.source.read(self.layout.extras, stored + CHECKSUM_BYTES)
@@ -159,8 +183,9 @@ class Reader:
     def verify(self) -> None:
         """Reads all of it. Raises Corrupt (or Truncated) that names every part that is damaged."""
         problems = self.problems + [message for _, message in self.damage()]
-        if problems:
-            raise Corrupt("; ".join(problems))
+        with naming(self.source):
+            if problems:
+                raise Corrupt("; ".join(problems))
 
     def damage(self) -> list[tuple[int | None, str]]:
         """(chunk, message) for each part that is damaged; the number is None for the extras."""
@@ -172,7 +197,7 @@ class Reader:
                 found.append((None, str(error)))
         for number in range(len(self.chunks)):
             try:
-                self.chunks.payload(number)
+                self.chunks.tested(number)
             except (Corrupt, Truncated) as error:
                 found.append((number, str(error)))
         return found
@@ -210,13 +235,12 @@ class Reader:
             "index": layout.end - layout.index_at,
         }
         raw = None if points is None else frames * points * 12
-        promise = (header["settings"] or {}).get("max_error")
         return {
             "format_version": VERSION,
             "kind": header["kind"],
             "codec": header["codec"],
             "settings": header["settings"] or {},
-            "promise": {"max_error_m": promise} if isinstance(promise, (int, float)) else None,
+            "promise": self.encoded.promise,
             "frames": frames,
             "points": points,
             "rate": header["rate"],

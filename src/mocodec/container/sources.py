@@ -14,8 +14,10 @@ TIMEOUT_S = 30.0
 
 
 class Source(Protocol):
-    """size: bytes in all. read(start, count): exactly these; Truncated where they are not there."""
+    """name: for messages, "" where there is none. size: bytes in all. read(start, count): exactly these; Truncated
+    where they are not there."""
 
+    name: str
     size: int
 
     def read(self, start: int, count: int) -> bytes: ...
@@ -38,6 +40,7 @@ def source(where: Any) -> Source:
 
 class Bytes:
     def __init__(self, data: bytes) -> None:
+        self.name = ""
         self.data = data
         self.size = len(data)
 
@@ -52,6 +55,7 @@ class PathFile:
     """A file by path. Once closed it opens for a moment where something (extras) is asked for later."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.name = os.fspath(path)
         self.path = os.path.abspath(path)
         try:
             self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (held until close)
@@ -78,6 +82,8 @@ class FileObject:
     """A seekable binary file that belongs to the caller, who closes it."""
 
     def __init__(self, file: BinaryIO) -> None:
+        named = getattr(file, "name", "")
+        self.name = named if isinstance(named, str) else ""
         self.file = file
         self.size = file.seek(0, io.SEEK_END)
 
@@ -124,7 +130,7 @@ class Url:
     def __init__(self, url: str) -> None:
         if not re.match(r"https?://", url, re.IGNORECASE):
             raise BadInput(f"{url}: a .mocz is opened over http or https; fetch others first")
-        self.url = url
+        self.url = self.name = url
         self.start = 0
         self.block = b""
         self.size = 0
