@@ -97,7 +97,7 @@ class Tempo:
         if self.mean_error is not None:
             size = 3 * self.mean_error
         elif self.max_error is not None or (self.ratio is None and self.size is None):
-            size = 2.2 * (self.max_error or DEFAULT_MAX_ERROR)
+            return step_for_bound(self.max_error or DEFAULT_MAX_ERROR)
         else:
             ratio = self.ratio or motion.raw_bytes / (self.size or 1)
             size = 3e-5 * ratio
@@ -116,6 +116,11 @@ class Tempo:
                 a, b = max(start, chunk.start), min(stop, chunk.stop)
                 positions[a - start : b - start] = body.unlevel(part[a - chunk.start : b - chunk.start], like.up)
         return restore(encoded, positions, start)
+
+
+def step_for_bound(bound: float) -> int:
+    """About which step a hard bound needs, log₂ in 1/32 octave."""
+    return round(np.log2(2.2 * bound) * OCTAVE)
 
 
 PLAIN, KNOWN, OWN = 0, 1, 2

@@ -1,0 +1,86 @@
+"""Tempo as a stream: frames in as they come, chunks out; chunks in, positions out.
+
+    encoder = tempo.Encoder(about, max_error=0.005, latency_seconds=0.1)
+    for frames in camera: wire.send(encoder.push(frames))          a chunk is as long as the latency
+    decoder = tempo.Decoder(encoder.shared, about)
+    for chunk in wire: show(decoder.push(chunk))
+
+Every chunk decodes alone, so a receiver may begin anywhere and lose any. What that costs is in docs/tempo.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ...encoded import Chunk
+from ...errors import BadInput
+from ...motion import Floats, Motion
+from ...stages import gaps
+from . import body, chunks, jumps
+from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bound
+
+
+class Encoder:
+    """about: any motion with the stream's names, rate and up axis; its frames are not coded. max_error: metres, as in Tempo.
+
+    latency_seconds: how long a chunk is, and so how long a frame may wait: from 0.1 up to 10. like: an earlier recording
+    of the same points, for a basis where the prior does not know them.
+    """
+
+    def __init__(
+        self,
+        about: Motion,
+        max_error: float = DEFAULT_MAX_ERROR,
+        latency_seconds: float = 0.5,
+        like: Motion | None = None,
+    ) -> None:
+        if not 0.1 <= latency_seconds <= 10 or not (np.isfinite(max_error) and max_error > 0):
+            raise BadInput("latency_seconds must lie between 0.1 and 10, and max_error must be positive")
+        if like is not None and like.names != about.names:
+            raise BadInput("the earlier recording must have the same points")
+        self.about = about
+        self.max_error = max_error
+        self.chunk_frames = max(1, int(latency_seconds * about.rate))
+        earlier = [] if like is None else [body.level(gaps.fill(like.positions)[0], like.up)]
+        shared, self._model = choose_model(earlier, about.names, about.rate, step_for_bound(max_error))
+        self.shared: tuple[bytes, ...] = (shared,)
+        self._waiting = np.zeros((0, about.points, 3))
+        self._start = 0
+        self._offset = 28
+
+    def push(self, positions: Floats) -> list[Chunk]:
+        """The chunks that frames (n, points, 3), metres, NaN in gaps, complete. Raises BadInput, CannotEncode."""
+        frames = np.asarray(positions, np.float64)
+        if frames.ndim != 3 or frames.shape[1:] != self._waiting.shape[1:]:
+            raise BadInput(f"frames must be (n, {self.about.points}, 3), not {frames.shape}")
+        self._waiting = np.concatenate([self._waiting, frames])
+        ready = len(self._waiting) // self.chunk_frames
+        return [self._chunk(self.chunk_frames) for _ in range(ready)]
+
+    def finish(self) -> list[Chunk]:
+        """The chunk of the frames that are left, if any."""
+        return [self._chunk(len(self._waiting))] if len(self._waiting) else []
+
+    def _chunk(self, frames: int) -> Chunk:
+        filled, mask = gaps.fill(self._waiting[:frames])
+        positions = body.level(filled, self.about.up)
+        piece = Piece(self._model, positions, mask, jumps.spikes(positions) & ~mask)
+        payload, self._offset = piece.within(self.max_error, self._offset)
+        chunk = Chunk(self._start, frames, payload)
+        self._start += frames
+        self._waiting = self._waiting[frames:]
+        return chunk
+
+
+class Decoder:
+    """shared: the encoder's. about: any motion with its names, rate and up axis. Raises Corrupt, UnknownCodec."""
+
+    def __init__(self, shared: Iterable[bytes], about: Motion) -> None:
+        self.about = about
+        self._model = model_of(tuple(shared), about)
+
+    def push(self, chunk: Chunk) -> Floats:
+        """The positions (frames, points, 3) of a chunk, in the axes of `about`. Raises Corrupt."""
+        return body.unlevel(chunks.decode(self._model, [chunk])[0], self.about.up)
