@@ -62,6 +62,32 @@ def test_as_ezc3d_sees_it(tmp_path):
     assert seen["parameters"]["FORCE_PLATFORM"]["CORNERS"]["value"].shape == (3, 4, 1)
 
 
+def test_why_ezc3d_is_not_what_reads_here(tmp_path):
+    """Holds what docs/architecture.md says of ezc3d. Where this fails after an upgrade, think about that page again."""
+    ezc3d = pytest.importorskip("ezc3d")
+    path, again = tmp_path / "a.c3d", tmp_path / "b.c3d"
+    formats.write(path, markers(200))
+    path.write_bytes(path.read_bytes()[:-6000])
+    assert ezc3d.c3d(str(path))["data"]["points"].shape[2] == 129  # and no word of the 71 that are missing
+    with pytest.raises(BadInput, match="cut off: its header promises 200 frames, the file holds 129 whole ones"):
+        formats.read(path)
+
+    motion = capture()
+    mine = {"BYTES": np.array([1, -2, 3], np.int8), "TABLE": [["a", "b", "c"], ["d", "e", "f"]]}
+    formats.write(
+        path, replace(motion, extras={**motion.extras, "parameters": {"MINE": mine, **motion.extras["parameters"]}})
+    )
+    ezc3d.c3d(str(path)).write(str(again))
+    ours, theirs = formats.read(path), formats.read(again)
+    assert ours.extras["parameters"]["ANALOG"]["OFFSET"].tolist() == [4, 0, 12]
+    assert theirs.extras["parameters"]["ANALOG"]["OFFSET"].tolist() == [0, 0, 0]
+    assert np.array_equal(ours.extras["analog"].values - [4, 0, 12], theirs.extras["analog"].values)
+    assert np.allclose(c3d.analog(ours), c3d.analog(theirs))
+    assert same_tree(ours.extras["parameters"]["MINE"], mine)
+    assert theirs.extras["parameters"]["MINE"]["BYTES"].dtype == np.int16
+    assert theirs.extras["parameters"]["MINE"]["TABLE"] == ["a", "b", "c", "d", "e", "f"]
+
+
 @pytest.mark.parametrize("sign", ["SIGNED", "UNSIGNED"])
 def test_offsets_have_a_sign_where_samples_have_one(tmp_path, sign):
     """ANALOG:FORMAT says whether; a file of floats stores such samples as floats (c3d.org, ANALOG:FORMAT)."""
