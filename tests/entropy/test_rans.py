@@ -81,8 +81,8 @@ def test_frequencies_are_whole():
 
 def test_tokens_and_back():
     magnitudes = np.unique(np.concatenate([np.arange(3000), *([[2**k - 1, 2**k, 2**k + 1] for k in range(4, 63)])]))
-    token, shift = models.tokens(magnitudes.astype(np.uint64))
-    assert np.array_equal(models.mantissa_bits(token), shift)
+    token = models.tokens(magnitudes)
+    shift = models.mantissa_bits(token)
     for magnitude, t, s in zip(magnitudes.tolist(), token.tolist(), shift.tolist(), strict=True):
         assert models.token_floor(t) <= magnitude < models.token_floor(t) + (1 << s)
     assert token.max() < models.TOKENS

@@ -3,22 +3,22 @@
     values ─► differences? ─► sign · token · mantissa ─► law from the tokens around ─► rANS ─► bytes
 
 Every token's law is chosen from tokens that are already known: those before it in its lane and those of the lanes
-before it. Long arrays are cut into segments, and one diagonal of all segments is coded at a time. What is best for an
+before it. Short arrays go through one state, symbol by symbol; long ones through many (`bulk`). What is best for an
 array as a whole (how to weigh the neighbours, a wider or narrower ladder of laws, differences or not) is found by
 counting and sent in a few bits. docs/entropy.md has format, figures and reasons.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cache
+from math import gcd
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import Corrupt
-from . import models
+from . import bulk, models
 from .models import PRECISION, Tables
 from .rans import LOW, MASK, Decoder, Encoder
 
@@ -45,13 +45,12 @@ WITHOUT_CONTEXTS = 7  # the first mixtures need none
 OFFSETS = 8  # rungs −4 … 3
 SILENT = 32  # laws that silence may have
 SPARSE = b"\0\0"  # instead of a stream: places and values of what is not zero
+BULK = 1  # first byte of a stream of many states, plus how often differences were taken
 
 SCALAR_SYMBOLS = 8000  # up to here, one state and a loop
 SCALAR_SYMBOLS_QUIET = 1 << 16  # or up to here, where hardly any symbol says something
 SCALAR_LOUD = 4000  # how many may
-SEGMENT_STEPS = 128  # lanes are not cut shorter
-WIDE = 4000  # symbols a NumPy operation should take at a time
-BITS_PER_STATE = 320
+COUNTED = 3000  # symbols among which the best fields are looked for
 
 
 @cache
@@ -94,15 +93,23 @@ def _bits_of_tables(tables: Tables) -> NDArray[np.float64]:
 
 
 @cache
-def _bit_costs(laws: int, shape: int) -> NDArray[np.float64]:
-    """Bits of each token under each law, escapes included; for choosing only, never for coding."""
-    family = models.family(laws, shape)
-    bits = _bits_of_tables(family)
-    cost = np.full((laws, 256), 64.0)
-    for law, size in enumerate(family.sizes[:-1].tolist()):
-        cost[law, : size - 1] = bits[law, : size - 1]
-        cost[law, size - 1 : family.width] = bits[law, size - 1] + bits[-1, : family.width - size + 1]
+def _bit_costs(laws: int) -> NDArray[np.float32]:
+    """Bits of each token under each law, escapes included: (shapes, laws, 256); for choosing only, never for coding."""
+    cost = np.full((len(models.SHAPES), laws, 256), 64, np.float32)
+    for shape in range(len(models.SHAPES)):
+        family = models.family(laws, shape)
+        bits = _bits_of_tables(family)
+        for law, size in enumerate(family.sizes[:-1].tolist()):
+            cost[shape, law, : size - 1] = bits[law, : size - 1]
+            cost[shape, law, size - 1 : family.width] = bits[law, size - 1] + bits[-1, : family.width - size + 1]
     return cost
+
+
+@cache
+def _offset_costs(laws: int) -> NDArray[np.float32]:
+    """The same with each offset along the ladder: (shapes × offsets, laws × 256)."""
+    rungs = np.clip(np.arange(laws) + np.arange(OFFSETS)[:, None] - OFFSETS // 2, 0, laws - 1)
+    return _bit_costs(laws)[:, rungs].reshape(-1, laws * 256)
 
 
 def pack(values: Array, contexts: Array | None = None) -> bytes:
@@ -175,34 +182,37 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
     rows = _kept_symbol(d.shape[0], int(np.flatnonzero(d.any(axis=1))[-1]) + 1)
     columns = _kept_symbol(d.shape[1], int(np.flatnonzero(d.any(axis=0))[-1]) + 1)
     d = d[: _kept(d.shape[0], rows), : _kept(d.shape[1], columns)]
-    cut = _Cut(d.shape, scalar := _is_scalar(d))
-    token, shift = models.tokens(cut(np.abs(d).astype(np.uint64)))
-    around = _neighbours(token, None if contexts is None else cut(_context_tokens(contexts, d.shape)))
-    fields, expected_bits = _choose(around, token, order, rows, columns)
+    given = None if contexts is None else _context_tokens(contexts, d.shape)
+    token = models.tokens(np.abs(d))
+    if not _is_scalar(d):
+        around = _neighbours(*_sample(token, given))
+        fields, bits = _choose(around, order, rows, columns)
+        mixing, laws = bulk.Mixing(MIXTURES[fields.mixture], fields.ladder), bulk.laws(fields.laws, fields.shape)
+        return _bulk_head(fields) + bulk.pack(token, d, mixing, laws, given, bits * token.size)
+    around = _neighbours(token, given)
+    fields, _ = _choose(around, order, rows, columns)
+    return _pack_one(d, token, around, fields)
 
+
+def _pack_one(d: Integers, token: Array, around: _Around, fields: _Fields) -> bytes:
     encoder, family = Encoder(), fields.family
     encoder.put(_header(), np.arange(len(fields)), np.array(fields))
-    law = fields.ladder.take(_mix(around, fields.mixture))
-    symbol = np.minimum(token, family.sizes[law] - 1)
-    escaped = symbol == family.sizes[law] - 1
-    excess = token - symbol
-    if scalar:
+    law = fields.ladder.take(around.mixed(fields.mixture))
+    last = family.sizes.take(law) - 1
+    symbol = np.minimum(token, last)
+    escaped = symbol == last
+    if escaped.any():
         where = np.flatnonzero(escaped) + 1
         table = np.insert(law.ravel().astype(np.int64), where, fields.laws)
-        encoder.put(family, table, np.insert(symbol.ravel(), where, excess[escaped]))
+        encoder.put(family, table, np.insert(symbol.ravel(), where, (token - symbol)[escaped]))
     else:
-        flat = [a.reshape(len(a), -1).T for a in (law, symbol, escaped, excess)]
-        for *_, diagonal in _diagonals(*token.shape[1:]):
-            q, s, beyond, by = (a[diagonal].ravel() for a in flat)
-            encoder.put(family, q, s)
-            if beyond.any():
-                encoder.put(family, np.full(int(beyond.sum()), fields.laws), by[beyond])
+        encoder.put(family, law.ravel(), symbol.ravel())
     there = np.flatnonzero(token)
-    bits = shift.ravel()[there].astype(np.uint64)
-    signed = cut(d).ravel()[there]
+    bits = models.mantissa_bits(token.ravel()[there]).astype(np.uint64)
+    signed = d.ravel()[there]
     mantissa = np.abs(signed).astype(np.uint64) & (np.uint64(1) << bits) - np.uint64(1)
     encoder.raw((signed < 0).astype(np.uint64) << bits | mantissa, bits + np.uint64(1))
-    return encoder.finish(1 if scalar else _states(token.shape, expected_bits))
+    return encoder.finish()
 
 
 def _is_scalar(values: Integers) -> bool:
@@ -212,48 +222,21 @@ def _is_scalar(values: Integers) -> bool:
     return values.size <= SCALAR_SYMBOLS_QUIET and int(np.count_nonzero(values)) <= SCALAR_LOUD
 
 
-def _states(shape: tuple[int, int, int], bits: float) -> int:
-    """How many states: few where there are few bits, but a diagonal should not take more than some thirty turns."""
-    width = shape[0] * min(shape[1:])
-    return 1 << min(15, max(4, int(max(min(bits / BITS_PER_STATE, width), width / 16)).bit_length() - 1))
+def _bulk_head(fields: _Fields) -> bytes:
+    """Five bytes; the low 14 bits of the first two are less than 64, as in no stream of one state."""
+    rest = fields.rows | fields.columns << 5 | fields.silent << 10 | fields.mixture << 15
+    rest |= fields.offset << 19 | fields.shape << 22 | fields.large << 23
+    return bytes([BULK + fields.order, 0]) + rest.to_bytes(3, "little")
 
 
-class _Cut:
-    """(steps, lanes) as segments (segments, steps of each, lanes), so that many symbols can be coded at a time.
-
-    A loop over single symbols needs no segments. Otherwise the longer axis is cut, its end padded with zeros.
-    """
-
-    def __init__(self, shape: tuple[int, int], scalar: bool) -> None:
-        self.plain = shape
-        self.turned = not scalar and shape[1] > shape[0]
-        long, short = shape[::-1] if self.turned else shape
-        segments = 1 if scalar else max(1, min(WIDE // short, long // SEGMENT_STEPS))
-        steps = -(-long // segments)
-        self.shape = -(-long // steps), steps, short
-
-    def __call__(self, plain: Array) -> Array:
-        turned = plain.T if self.turned else plain
-        segments, steps, lanes = self.shape
-        padded = np.zeros((segments * steps, lanes), plain.dtype)
-        padded[: len(turned)] = turned
-        return padded.reshape(self.shape)
-
-    def back(self, segments: Array) -> Array:
-        whole = segments.reshape(-1, self.shape[2])
-        return whole[: self.plain[1]].T if self.turned else whole[: self.plain[0]]
-
-
-def _diagonals(steps: int, lanes: int) -> Iterator[tuple[int, int, int, slice]]:
-    """Step t of lane l belongs to diagonal t + l: (diagonal, first lane, last lane + 1, places in a flat segment).
-
-    Along it all neighbours that a symbol looks at (before it in its lane, beside it in lanes before) are known.
-    """
-    back = -(lanes - 1) or -1
-    for i in range(steps + lanes - 1):
-        low, high = max(0, i - steps + 1), min(lanes, i + 1)
-        begin, end = i * lanes - low * (lanes - 1), i * lanes - (high - 1) * (lanes - 1)
-        yield i, low, high, slice(begin, end - 1 if end > 0 else None, back)
+def _bulk_fields(head: bytes) -> _Fields:
+    rest = int.from_bytes(head[2:], "little")
+    mixture, order = rest >> 15 & 15, head[0] - BULK
+    if len(head) < 5 or mixture >= len(MIXTURES) or not 0 <= order <= 2:
+        raise Corrupt("coded integers of an unknown kind")
+    return _Fields(
+        mixture, rest >> 22 & 1, rest >> 10 & 31, rest >> 19 & 7, order, rest >> 23, rest & 31, rest >> 5 & 31
+    )
 
 
 def _difference(v: Integers, order: int) -> Integers:
@@ -266,14 +249,38 @@ def _best_order(v: Integers) -> int:
     """How often to take differences along the steps: what makes the numbers shortest."""
     if len(v) < 3 or np.abs(v).max() >= 1 << 59:
         return 0
-    sample = v[:: max(1, v.size // 100_000 // 8 * 8)] if v.size > 800_000 else v
-    bits = [float(np.log2(1 + 2 * np.abs(_difference(sample, order))).sum()) for order in (0, 1, 2)]
+    if v.size > 8 * COUNTED:  # whole runs of steps
+        runs = min(8, len(v) // 16)
+        steps = max(3, 8 * COUNTED // (max(runs, 1) * v.shape[1]))
+        at = np.linspace(0, max(0, len(v) - steps), max(runs, 1)).astype(int)
+        lanes = slice(None, None, max(1, steps * v.shape[1] * runs // (8 * COUNTED)))
+        bits = np.sum([_bits_by_order(v[a : a + steps, lanes]) for a in at], axis=0)
+    else:
+        bits = _bits_by_order(v)
     bits[0] *= 0.97  # a tie goes to the plain numbers
     return int(np.argmin(bits))
 
 
+def _bits_by_order(v: Integers) -> NDArray[np.float64]:
+    return np.array([np.log2(1 + 2 * np.abs(_difference(v, order))).sum() for order in (0, 1, 2)])
+
+
 def _context_tokens(contexts: Array, shape: tuple[int, int]) -> NDArray[np.uint8]:
-    return models.tokens(np.abs(np.asarray(contexts)[: shape[0], : shape[1]].astype(np.int64)).astype(np.uint64))[0]
+    return models.tokens(np.abs(np.asarray(contexts)[: shape[0], : shape[1]].astype(np.int64)).view(np.uint64))
+
+
+def _sample(token: Array, given: Array | None) -> tuple[Array, Array | None]:
+    """Some runs of steps of a long array, one below the other."""
+    if token.size <= 10 * COUNTED:
+        return token, given
+    turned = token.shape[1] > len(token)
+    long = token.T if turned else token
+    runs = min(8, max(1, len(long) // 128))
+    steps = max(1, 10 * COUNTED // (runs * long.shape[1]))
+    begin = np.linspace(0, max(0, len(long) - steps), runs).astype(int)
+    places = np.unique(begin[:, None] + np.arange(min(steps, len(long))))
+    hints = None if given is None else (given.T if turned else given)[places]
+    return long[places], hints
 
 
 def _warming(step: int) -> int:
@@ -281,86 +288,160 @@ def _warming(step: int) -> int:
     return 1 if step == 0 else 2 if step < 3 else 3
 
 
-def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> list[Array]:
-    """What each symbol (segments, steps, lanes) looks at, as in MIXTURES; outside, what is nearest inside."""
-    k, n, lanes = token.shape
-    padded = np.zeros((k, n + 2, lanes + 2), np.int32)
-    padded[:, 2:, 2:] = token
-    padded[:, :2, 3:] = token[:, :1, :-1]
-    past, past2 = padded[:, 1:-1, 2:], padded[:, :-2, 2:]
-    beside, beside2, corner = padded[:, 2:, 1:-1].copy(), padded[:, 2:, :-2].copy(), padded[:, 1:-1, 1:-1].copy()
-    beside[:, :, 0] = beside2[:, :, 0] = corner[:, :, 0] = past[:, :, 0]
-    beside2[:, :, 1:2] = token[:, :, :1]
-    mean = np.empty((n, k, lanes), np.int32)
-    mean[0] = past[:, 0] << 8
-    if k * lanes < 8:  # lists are faster than arrays so short
-        for segment in range(k):
-            for lane in range(lanes):
-                value, values = int(mean[0, segment, lane]), []
-                for t, now in enumerate(token[segment, :, lane].tolist()):
-                    values.append(value)
-                    value += (now << 8) - value >> _warming(t)
-                mean[:, segment, lane] = values
+class _Around(NamedTuple):
+    """What each symbol (steps, lanes) looks at, as in MIXTURES; outside, what is nearest inside."""
+
+    token: Array
+    near: tuple[Array, ...]
+    given: Array | None
+
+    def mixed(self, mixture: int) -> Array:
+        """Expected token in sixteenths."""
+        *weights, mean, given = MIXTURES[mixture]
+        result = _means(self.token, self.near[0]) * mean >> 8 if mean else np.zeros(self.token.shape, np.int32)
+        return self._add(result, weights, given)
+
+    def likely(self, mixture: int, means: Array) -> Array:
+        """The same from means that need not be exact, for choosing."""
+        *weights, mean, given = MIXTURES[mixture]
+        return self._add((means * mean).astype(np.int32), weights, given)
+
+    def _add(self, result: Array, weights: list[int], given: int) -> Array:
+        for a, w in zip(self.near, weights, strict=True):
+            if w:
+                result += a * np.int32(w)
+        if self.given is not None and given:
+            result += self.given * np.int32(given)
+        return result
+
+
+def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> _Around:
+    n, lanes = token.shape
+    padded = np.zeros((n + 2, lanes + 2), np.int32)
+    padded[2:, 2:] = token
+    padded[:2, 3:] = token[:1, :-1]
+    past, past2 = padded[1:-1, 2:], padded[:-2, 2:]
+    padded[2:, 0] = padded[2:, 1] = past[:, 0]
+    beside, beside2, corner = padded[2:, 1:-1], padded[2:, :-2].copy(), padded[1:-1, 1:-1].copy()
+    beside2[:, 1:2] = token[:, :1]
+    corner[:, 0] = past[:, 0]
+    return _Around(token, (past, past2, beside, beside2, corner), given)
+
+
+def _means(token: Array, past: Array) -> Array:
+    """Each lane's running mean before each step, × 256: what `_decode_one` does."""
+    n, lanes = token.shape
+    result = np.empty((n, lanes), np.int32)
+    result[0] = past[0] << 8
+    if lanes < 8:  # lists are faster than arrays so short
+        for lane in range(lanes):
+            value, values = int(result[0, lane]), []
+            for t, now in enumerate(token[:, lane].tolist()):
+                values.append(value)
+                value += (now << 8) - value >> _warming(t)
+            result[:, lane] = values
     else:
-        steps = np.ascontiguousarray(padded[:, 2:, 2:].transpose(1, 0, 2)) << 8
+        steps = token.astype(np.int32) << 8
         for t in range(n - 1):
-            np.add(mean[t], steps[t] - mean[t] >> _warming(t), out=mean[t + 1])
-    mean = mean.transpose(1, 0, 2)
-    return [past, past2, beside, beside2, corner, mean, given if given is not None else np.zeros(1, np.uint8)]
+            np.add(result[t], steps[t] - result[t] >> _warming(t), out=result[t + 1])
+    return result
 
 
-def _mix(around: list[Array], mixture: int) -> Array:
-    """Expected token in sixteenths."""
-    *weights, mean, given = MIXTURES[mixture]
-    mixed = (around[5] * mean >> 8) + around[6].astype(np.int32) * given
-    for a, w in zip(around, weights, strict=False):
-        if w:
-            mixed += a * w
-    return mixed
+def _likely_means(token: Array, past: Array) -> NDArray[np.float32]:
+    """About `_means`/256, without a loop over steps: one in seven eighths of the mean before, by doubling."""
+    means = past.astype(np.float32)
+    means[1:] /= 8
+    keep, reach = np.float32(7 / 8), 1
+    while reach < min(len(token), 32):
+        means[reach:] += means[:-reach] * keep
+        keep, reach = keep * keep, 2 * reach
+    return means
 
 
-def _choose(around: list[Array], token: Array, order: int, rows: int, columns: int) -> tuple[_Fields, float]:
-    """What codes these tokens shortest, and in how many bits (without signs and mantissas)."""
-    large = int(token.max() > 56)
+def _choose(around: _Around, order: int, rows: int, columns: int) -> tuple[_Fields, float]:
+    """What codes these tokens shortest, and in how many bits a symbol (without signs and mantissas)."""
+    token = around.token
+    most = int(token.max()) + 1
+    large = int(most > 57)
     laws = models.LAWS_LARGE if large else models.LAWS
-    every = max(1, token.size // 60_000)
-    some = token[::every]
-    around = [a[::every] if a.size > 1 else a for a in around]
-    ladder = models.law_of_expectation(laws, 0, 0)
+    mixtures = len(MIXTURES) if around.given is not None else WITHOUT_CONTEXTS
+    some = _some(token.size, token.shape[1])
+    ladder = _rung_or_silence(laws)
+    means = _likely_means(token, around.near[0])
+    near = tuple(a.ravel()[some] for a in around.near)
+    given = None if around.given is None else around.given.ravel()[some]
+    few = _Around(token.ravel()[some], near, given)
+    means = means.ravel()[some]
+    keys = np.stack([ladder.take(few.likely(m, means)) + m * (laws + 1) for m in range(mixtures)]) * most
+    keys += few.token
+    counts = np.bincount(keys.ravel(), minlength=mixtures * (laws + 1) * most).reshape(mixtures, laws + 1, most)
+
     field_bits = _bits_of_tables(_header())
-    best, least = _Fields(0, 0, 0, 0, order, large, rows, columns), np.inf
-    for mixture in range(len(MIXTURES) if around[6].size > 1 else WITHOUT_CONTEXTS):
-        mixed = _mix(around, mixture)
-        key = np.where(mixed == 0, laws, ladder.take(mixed)).astype(np.int64) * 256 + some
-        counts = np.bincount(key.ravel(), minlength=(laws + 1) * 256)
-        silent_counts = counts[laws * 256 :]
-        pairs = np.flatnonzero(counts[: laws * 256])
-        law, seen, times = pairs // 256, pairs % 256, counts[pairs]
-        rungs = np.clip(law + np.arange(OFFSETS)[:, None] - OFFSETS // 2, 0, laws - 1)
-        for shape in range(len(models.SHAPES)):
-            cost = _bit_costs(laws, shape)
-            silence = cost[:SILENT] @ silent_counts + field_bits[2, :SILENT]
-            sounding = cost[rungs, seen] @ times + field_bits[3, :OFFSETS]
-            bits = float(silence.min() + sounding.min() + field_bits[0, mixture] + field_bits[1, shape])
-            if bits < least:
-                silent, offset = int(silence.argmin()), int(sounding.argmin())
-                best, least = best._replace(mixture=mixture, shape=shape, silent=silent, offset=offset), bits
-    return best, least * token.size / some.size
+    cost = _bit_costs(laws)
+    scale = np.float32(token.size / few.token.size)
+    silence = scale * (counts[:, laws] @ cost[:, :SILENT, :most].reshape(-1, most).T)
+    silence = silence.reshape(mixtures, -1, SILENT) + field_bits[2, :SILENT]
+    sounding = counts[:, :laws].reshape(mixtures, -1)
+    seen = np.flatnonzero(sounding.any(axis=0))
+    costs = _offset_costs(laws).take(seen // most * 256 + seen % most, axis=1)
+    expected = scale * (sounding[:, seen].astype(np.float32) @ costs.T)
+    expected = expected.reshape(mixtures, -1, OFFSETS) + field_bits[3, :OFFSETS]
+    total = silence.min(axis=2) + expected.min(axis=2) + field_bits[0, :mixtures, None] + field_bits[1, :2]
+    mixture, shape = (int(a) for a in np.unravel_index(total.argmin(), total.shape))
+    silent, offset = int(silence[mixture, shape].argmin()), int(expected[mixture, shape].argmin())
+    fields = _Fields(mixture, shape, silent, offset, order, large, rows, columns)
+    return fields, float(total[mixture, shape]) / token.size
+
+
+def _some(size: int, lanes: int) -> slice:
+    """Some of so many symbols, of all lanes alike."""
+    stride = max(1, size // COUNTED)
+    while gcd(stride, lanes) > 1:
+        stride -= 1
+    return slice(None, None, stride)
+
+
+@cache
+def _rung_or_silence(laws: int) -> NDArray[np.int64]:
+    """The law of each expected token; `laws` where it is zero."""
+    ladder = models.law_of_expectation(laws, 0, 0).astype(np.int64)
+    ladder[0] = laws
+    return ladder
 
 
 def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: Array | None) -> Integers:
-    decoder = Decoder(data)
-    fields = _Fields(*decoder.next(_header(), np.arange(len(_Fields._fields))).tolist())
+    decoder = None if _is_bulk(data) else Decoder(data)
+    if decoder:
+        fields = _Fields(*decoder.next(_header(), np.arange(len(_Fields._fields))).tolist())
+    else:
+        fields = _bulk_fields(data[:5])
     if fields.mixture >= WITHOUT_CONTEXTS and contexts is None:
         raise Corrupt("coded integers that need their contexts")
     kept = _kept(shape[0], fields.rows), _kept(shape[1], fields.columns)
-    scalar = decoder.states == 1
-    if scalar and kept[0] * kept[1] > SCALAR_SYMBOLS_QUIET:
+    given = None if contexts is None else _context_tokens(contexts, kept)
+    if decoder:
+        d = _unpack_one(decoder, fields, kept, given)
+    else:
+        mixing, laws = bulk.Mixing(MIXTURES[fields.mixture], fields.ladder), bulk.laws(fields.laws, fields.shape)
+        d = bulk.unpack(data[5:], kept, mixing, laws, given)
+    if kept == shape:
+        whole = d
+    else:
+        whole = np.zeros(shape, np.int64)
+        whole[: kept[0], : kept[1]] = d
+    for _ in range(fields.order):
+        np.cumsum(whole, axis=0, out=whole)
+    return whole
+
+
+def _is_bulk(data: bytes) -> bool:
+    return len(data) > 5 and int.from_bytes(data[:2], "little") & MASK < 64
+
+
+def _unpack_one(decoder: Decoder, fields: _Fields, kept: tuple[int, int], given: Array | None) -> Integers:
+    if kept[0] * kept[1] > SCALAR_SYMBOLS_QUIET:
         raise Corrupt("coded integers of an unknown kind")
-    cut = _Cut(kept, scalar)
-    given = None if contexts is None else cut(_context_tokens(contexts, kept))
-    decode = _decode_one if scalar else _decode_many
-    token = decode(decoder, fields, cut.shape, given)
+    token = _decode_one(decoder, fields, kept, given)
     if token.max() >= models.TOKENS:
         raise Corrupt("coded integers out of range")
     there = np.flatnonzero(token)
@@ -369,21 +450,14 @@ def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: Array | None) -
     raw = decoder.raw(shift + 1).astype(np.int64)
     top = np.where(shift > 0, (tokens - np.uint8(models.DIRECT)) % 4 + 4, tokens).astype(np.int64)
     magnitude = top << shift | raw & (np.int64(1) << shift) - 1
-    d = np.zeros(token.shape, np.int64)
+    d = np.zeros(kept, np.int64)
     d.ravel()[there] = np.where(raw >> shift & 1 == 1, -magnitude, magnitude)
-    d = cut.back(d)
-    whole = np.zeros(shape, np.int64)
-    whole[: kept[0], : kept[1]] = d
-    for _ in range(fields.order):
-        whole = np.cumsum(whole, axis=0)
-    return whole
+    return d
 
 
-def _decode_one(
-    decoder: Decoder, fields: _Fields, shape: tuple[int, int, int], given: Array | None
-) -> NDArray[np.uint8]:
-    """Tokens (1, steps, lanes), one after the other."""
-    _, steps, lanes = shape
+def _decode_one(decoder: Decoder, fields: _Fields, shape: tuple[int, int], given: Array | None) -> NDArray[np.uint8]:
+    """Tokens (steps, lanes), one after the other."""
+    steps, lanes = shape
     family, ladder = fields.family, fields.ladder
     frequency, start, symbols = family.lists
     width, sizes, excess = family.width, family.sizes.tolist(), family.count - 1
@@ -444,47 +518,4 @@ def _decode_one(
         up2, up = up, row
         result.append(row[2 : lanes + 2])
     decoder.x, decoder.at = x, at
-    return np.array([result], np.uint8)
-
-
-def _decode_many(
-    decoder: Decoder, fields: _Fields, shape: tuple[int, int, int], given: Array | None
-) -> NDArray[np.uint8]:
-    """Tokens (segments, steps, lanes), one diagonal of all segments after the other."""
-    k, n, lanes = shape
-    family, ladder = fields.family, fields.ladder
-    w1, w2, v1, v2, w3, wm, wg = MIXTURES[fields.mixture]
-    last, before = np.zeros((2, (lanes + 2) * k), np.int32)  # of each lane, those of all segments; two lanes outside
-    mean = np.zeros(lanes * k, np.int32)
-    warming = np.repeat(np.array([_warming(t) for t in range(n)], np.int32)[::-1], k)
-    result = np.zeros((n * lanes, k), np.uint8)
-    hints = None if given is None else given.reshape(k, n * lanes).T
-    last_of = (family.sizes - 1).astype(np.uint8)
-    for i, low, high, diagonal in _diagonals(n, lanes):
-        if i < lanes:  # a lane begins
-            beside = last[(i + 1) * k : (i + 2) * k]
-            last[(i + 2) * k : (i + 3) * k] = before[(i + 2) * k : (i + 3) * k] = beside
-            mean[i * k : (i + 1) * k] = beside << 8
-        last[:k] = last[k : 2 * k] = before[:k] = before[k : 2 * k] = last[2 * k : 3 * k]
-        if low >= 2:  # a lane has ended
-            before[low * k : (low + 1) * k] = last[low * k : (low + 1) * k]
-        m = mean[low * k : high * k]
-        mixed = m * wm >> 8 if wm else np.zeros(len(m), np.int32)
-        for w, a, shift in ((w1, last, 2), (w2, before, 2), (v1, last, 1), (v2, before, 0), (w3, before, 1)):
-            if w:
-                mixed += w * a[(low + shift) * k : (high + shift) * k]
-        if hints is not None and wg:
-            mixed += hints[diagonal].ravel().astype(np.int32) * wg
-        law = ladder.take(mixed)
-        token = decoder.next(family, law)
-        escaped = (token == last_of.take(law)).nonzero()[0]
-        if len(escaped):
-            beyond = decoder.next(family, np.full(len(escaped), family.count - 1))
-            token[escaped] = np.minimum(token[escaped].astype(np.int64) + beyond, 255)
-        result[diagonal] = token.reshape(high - low, k)
-        here = slice((low + 2) * k, (high + 2) * k)
-        before[here] = last[here]
-        last[here] = token
-        if wm:
-            m += (last[here] << 8) - m >> warming[(n - 1 - i + low) * k : (n - 1 - i + high) * k]
-    return np.ascontiguousarray(result.T).reshape(shape)
+    return np.array(result, np.uint8)

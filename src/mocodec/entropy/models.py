@@ -60,12 +60,12 @@ class Tables:
         return self.frequency.tolist(), self.start.tolist(), self.symbol.tolist()
 
 
-def normalised(weights: Sequence[int]) -> list[int]:
-    """Frequencies that sum to 2^14, at least 1 wherever a weight is not zero, at most 2^14 − 1."""
+def normalised(weights: Sequence[int], precision: int = PRECISION) -> list[int]:
+    """Frequencies that sum to 2^precision, at least 1 wherever a weight is not zero, less than all of it."""
     used = [i for i, w in enumerate(weights) if w > 0]
-    if len(used) == 1:  # a frequency of 2^14 would overflow the coder's 32 bits
+    if len(used) == 1:  # a frequency of all of it would overflow the coder's 32 bits
         used.append(used[0] + 1 if used[0] + 1 < len(weights) else used[0] - 1)
-    room, total = TOTAL - len(used), sum(weights)
+    room, total = (1 << precision) - len(used), sum(weights)
     frequency, below = [0] * len(weights), 0
     for i in used:
         upto = below + weights[i]
@@ -74,23 +74,29 @@ def normalised(weights: Sequence[int]) -> list[int]:
     return frequency
 
 
-def tokens(magnitudes: NDArray[np.uint64]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Token and number of mantissa bits of each magnitude below 2^63."""
-    shift = np.zeros(magnitudes.shape, np.uint8)
-    rest = magnitudes >> np.uint64(3)
-    for step in (32, 16, 8, 4, 2, 1):
-        big = rest >= np.uint64(1 << step)
-        shift[big] += np.uint8(step)
-        rest[big] >>= np.uint64(step)
-    shift[magnitudes >= DIRECT] += 1
-    shift[magnitudes < DIRECT] = 0
-    top = (magnitudes >> shift.astype(np.uint64)).astype(np.int64)  # 4 … 7 where there is a mantissa
-    return np.where(shift > 0, 4 * shift.astype(np.int64) + top + 4, top).astype(np.uint8), shift
+def tokens(magnitudes: NDArray[Any]) -> NDArray[np.uint8]:
+    """Token of each magnitude below 2^63."""
+    table, most = _token_table(), int(magnitudes.max(initial=0))
+    if most < len(table):
+        return table.take(magnitudes)
+    rest, octaves = magnitudes, np.zeros(magnitudes.shape, np.uint8)
+    while most >= len(table):
+        large = rest >= len(table)
+        rest = np.where(large, rest >> rest.dtype.type(12), rest)
+        octaves += large * np.uint8(4 * 12)
+        most >>= 12
+    return table.take(rest) + octaves
+
+
+@cache
+def _token_table() -> NDArray[np.uint8]:
+    floors = [token_floor(t) for t in range(TOKENS) if token_floor(t) <= 1 << 16]
+    return np.repeat(np.arange(len(floors) - 1, dtype=np.uint8), np.diff(floors))
 
 
 def mantissa_bits(token: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Number of mantissa bits that follow each token."""
-    return np.where(token < DIRECT, 0, (np.maximum(token, DIRECT) - DIRECT) // 4 + 2).astype(np.uint8)
+    return np.where(token < DIRECT, np.uint8(0), (np.maximum(token, DIRECT) - np.uint8(DIRECT)) // 4 + np.uint8(2))
 
 
 def token_floor(token: int) -> int:
@@ -104,11 +110,17 @@ def family(laws: int, shape: int) -> Tables:
 
     The last symbol of a law stands for its token and all above; then follows by how much, under the table of excess.
     """
-    weights = [_law(q, shape) for q in range(laws)]
-    return Tables([*weights, [(1 << 20) // (e + 1) ** 2 for e in range(max(map(len, weights)))]])
+    weights = [law(q, shape, PRECISION) for q in range(laws)]
+    return Tables([*weights, excess(max(map(len, weights)))])
 
 
-def _law(q: int, shape: int) -> list[int]:
+def excess(reach: int) -> list[int]:
+    """Weights of how far a token is beyond its law, up to `reach` − 1."""
+    return [(1 << 20) // (e + 1) ** 2 for e in range(reach)]
+
+
+def law(q: int, shape: int, precision: int) -> list[int]:
+    """Weights of the tokens under law q of the ladder, the last for all that are rarer than half of 2^-precision."""
     scale, (linear, square) = LADDER[q % 3] << q // 3, SHAPES[shape]
     one = 1 << 62
     flat = 25 * EXPONENT * scale**2
@@ -118,7 +130,7 @@ def _law(q: int, shape: int) -> list[int]:
         beyond = one * flat**EXPONENT // (flat + a * (linear * scale + square * a)) ** EXPONENT
         weights.append(max(1, survival - beyond))
         survival = beyond
-        if survival * (TOTAL // 2) < one and token > 1:
+        if survival << precision - 1 < one and token > 1:
             break
     return [*weights, max(1, survival)]
 
