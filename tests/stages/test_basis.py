@@ -34,6 +34,16 @@ def test_no_other_basis_holds_more():
     assert (np.take_along_axis(found, np.abs(found).argmax(axis=0)[None], 0) > 0).all()
 
 
+@pytest.mark.parametrize("samples", [10, 40])
+def test_few_rows_and_many(samples: int):
+    rows = np.random.default_rng(3).normal(size=(samples, 20)) * np.exp(-np.arange(20) / 4)
+    whole, energies = basis.fit(rows.T @ rows, 6)
+    found, same = basis.fit_rows(rows, 6)
+    assert np.allclose(found, whole, atol=1e-9)
+    assert np.allclose(same, energies)
+    assert basis.fit_rows(np.zeros((3, 5)))[0].shape == (5, 0)
+
+
 @pytest.mark.parametrize("alike", [None, before(24)], ids=["plain", "differences"])
 def test_the_rounded_basis_comes_back_orthonormal(alike: np.ndarray | None):
     found, energies = basis.fit(covariance())

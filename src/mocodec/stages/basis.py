@@ -36,9 +36,17 @@ def fit(covariance: Floats, components: int | None = None) -> tuple[Floats, Floa
     largest entry positive, so that equal input gives equal bytes.
     """
     variances, vectors = np.linalg.eigh(covariance)
-    vectors = vectors[:, ::-1][:, :components]
-    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0, keepdims=True), axis=0)
-    return vectors * np.where(largest < 0, -1.0, 1.0), np.maximum(variances[::-1][:components], 0.0)
+    return _signed(vectors[:, ::-1][:, :components]), np.maximum(variances[::-1][:components], 0.0)
+
+
+def fit_rows(rows: Floats, components: int | None = None) -> tuple[Floats, Floats]:
+    """`fit` of rowsᵀ rows, (samples, n) → (n, k), without that matrix where samples are fewer than dimensions."""
+    if len(rows) >= rows.shape[1]:
+        return fit(rows.T @ rows, components)
+    variances, weights = np.linalg.eigh(rows @ rows.T)
+    real = variances > np.finfo(float).eps * len(rows) * max(float(variances[-1]), 0.0)
+    variances, weights = variances[real][::-1][:components], weights[:, real][:, ::-1][:, :components]
+    return _signed(rows.T @ weights / np.sqrt(variances)), variances
 
 
 def precisions(variances: Floats, noise: float) -> Integers:
@@ -120,6 +128,12 @@ def _sum_differences(values: Integers, alike: Integers) -> None:
     """Undo `_differences`, in place."""
     for row in np.flatnonzero(alike >= 0):
         values[row] += values[alike[row]]
+
+
+def _signed(vectors: Floats) -> Floats:
+    """With the largest entry of each column positive."""
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0, keepdims=True), axis=0)
+    return vectors * np.where(largest < 0, -1.0, 1.0)
 
 
 def _mirror(entries: Integers) -> Floats:

@@ -17,6 +17,7 @@ slack of 1e-9 m for that.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,8 @@ def _held(error: Floats, nearest: Integers, outside: NDArray[np.bool_]) -> Integ
     blocks = -(-frames // BLOCK)
     pad = ((0, blocks * BLOCK - frames), (0, 0), (0, 0))
     shape = (blocks, BLOCK, points, 3)
-    e, n = (np.pad(a, pad).reshape(shape).transpose(1, 0, 2, 3).reshape(BLOCK, -1, 3) for a in (error, nearest))
+    e = np.pad(error, pad).reshape(shape).transpose(1, 0, 2, 3).reshape(BLOCK, -1, 3)
+    n = np.pad(nearest, pad).reshape(shape).transpose(1, 0, 2, 3).reshape(BLOCK, -1, 3)
     lanes = np.pad(outside, pad[:2]).reshape(shape[:3]).any(axis=1).ravel()
     corrections = np.zeros((BLOCK, blocks * points, 3), np.int64)
     corrections[:, lanes] = _held_in_block(e[:, lanes], n[:, lanes])
@@ -129,7 +131,10 @@ def _held_in_block(error: Floats, nearest: Integers) -> Integers:
 
 
 def _pack_runs(corrections: Integers) -> bytes:
-    """Stretches of an equal correction, zero left out, point after point: frames since the last, length, correction."""
+    """Stretches of an equal correction, zero left out, point after point.
+
+    A bit for each says whether it follows the last at once; then the frames between the others, lengths, corrections.
+    """
     frames, points, _ = corrections.shape
     track = corrections.transpose(1, 0, 2)
     changes = np.ones((points, frames), bool)
@@ -140,16 +145,23 @@ def _pack_runs(corrections: Integers) -> bytes:
     some = values.any(axis=1)
     starts, values, lengths = starts[some], values[some], lengths[some]
     waits = starts - np.append(0, starts + lengths)[:-1]
-    rows = np.column_stack([waits, lengths - 1, values])
-    return varint.write([len(rows)]) + coder.pack(rows, _run_contexts(len(rows)))
+    apart = waits > 0
+    parts = [coder.pack(waits[apart][:, None] - 1), coder.pack(lengths[:, None] - 1)]
+    sizes = varint.write([len(starts), *map(len, parts)])
+    return sizes + np.packbits(apart).tobytes() + b"".join(parts) + coder.pack(values)
 
 
 def _unpack_runs(data: bytes, frames: int, points: int) -> Integers:
-    (count,), at = varint.read(data, 1)
-    if count > frames * points:
+    (count, *sizes), at = varint.read(data, 3)
+    if count > frames * points or at + -(-count // 8) + sum(sizes) > len(data):
         raise Corrupt("a residual layer of more corrections than there are samples")
-    rows = coder.unpack(data[at:], (count, 5), _run_contexts(count))
-    waits, lengths, values = rows[:, 0], rows[:, 1] + 1, rows[:, 2:]
+    ends = np.cumsum([at, -(-count // 8), *sizes]).tolist()
+    bits, waits_part, lengths_part = (data[a:b] for a, b in pairwise(ends))
+    apart = np.unpackbits(np.frombuffer(bits, np.uint8))[:count].astype(bool)
+    waits = np.zeros(count, np.int64)
+    waits[apart] = coder.unpack(waits_part, (int(apart.sum()), 1))[:, 0] + 1
+    lengths = coder.unpack(lengths_part, (count, 1))[:, 0] + 1
+    values = coder.unpack(data[ends[-1] :], (count, 3))
     if count and (waits.min() < 0 or lengths.min() < 1 or max(waits.max(), lengths.max()) > frames * points):
         raise Corrupt("a residual layer with a correction outside the frames")
     stops = np.cumsum(waits + lengths)
@@ -159,7 +171,3 @@ def _unpack_runs(data: bytes, frames: int, points: int) -> Integers:
     inside = np.repeat(stops - np.cumsum(lengths), lengths) + np.arange(lengths.sum())
     track[inside] = np.repeat(values, lengths, axis=0)
     return track.reshape(points, frames, 3).transpose(1, 0, 2)
-
-
-def _run_contexts(count: int) -> Integers:
-    return np.broadcast_to(np.array([0, 1, 2, 2, 2]), (count, 5))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ... import encoded as encodeds
 from ... import metrics
 from ...encoded import Chunk, Encoded
-from ...errors import BadInput, CannotEncode
+from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion
 from ...stages import bounded, gaps, quantise
 from .. import base
@@ -146,7 +146,7 @@ class _Coding:
             compress_basis=codec.compress_basis,
             economy=codec.economy,
             max_error=codec.max_error,
-            given=tuple(transform.unpack(blob, 3 * motion.points, None) for blob in codec.transforms),
+            given=_given(codec.transforms, motion.points),
         )
         material = replace(material, frequencies=self._frequencies(material))
         if not material.given:
@@ -248,6 +248,13 @@ class _Coding:
 def _head(encoded: Encoded[Motion]) -> stream.Head:
     skeleton = encoded.about.skeleton
     return stream.unpack_head(encoded.shared, encoded.about.points, None if skeleton is None else skeleton.parents)
+
+
+def _given(blobs: tuple[bytes, ...], points: int) -> tuple[transform.Transform, ...]:
+    try:
+        return tuple(transform.unpack(blob, 3 * points, None) for blob in blobs)
+    except Corrupt as problem:
+        raise BadInput(f"the transforms are not for motions of {points} points: {problem}") from None
 
 
 def _weight_rungs(weights: Mapping[str, float], names: tuple[str, ...]) -> Integers | None:

@@ -68,19 +68,14 @@ class Draft:
 def fitted(material: Material) -> Material:
     """With B found from the rows: from C = Σ M_i D̃ D̃ᵀ M_iᵀ, equation (5) and Theorem 1."""
     mean = material.rows.mean(axis=0) if material.centre else 0.0
-    return replace(material, fitted=transform.fit(covariance((material.rows - mean) * material.weights, material)))
-
-
-def covariance(rows: Floats, material: Material) -> Floats:
-    """C, (3n, 3n), of the frequencies that are kept; the rows' own where all are."""
+    rows = (material.rows - mean) * material.weights
     if material.frequencies is None:
-        return rows.T @ rows
-    total = np.zeros((rows.shape[1],) * 2)
+        return replace(material, fitted=transform.fit_rows(rows))
+    spectra: list[Floats] = []
     for length, run, frames in clip_runs(material.lengths):
-        spectra = dct.forward(rows[frames].reshape(-1, length, rows.shape[1]), int(material.frequencies[run.start]))
-        flat = spectra.reshape(-1, rows.shape[1])
-        total += flat.T @ flat
-    return total
+        kept = int(material.frequencies[run.start])
+        spectra.append(dct.forward(rows[frames].reshape(-1, length, rows.shape[1]), kept).reshape(-1, rows.shape[1]))
+    return replace(material, fitted=transform.fit_rows(np.concatenate(spectra)))
 
 
 def draft(material: Material, rung: int) -> Draft:

@@ -84,6 +84,12 @@ def fit(covariance: Floats, components: int | None = None) -> Transform:
     return Transform(vectors, None, vectors, variances)
 
 
+def fit_rows(rows: Floats, components: int | None = None) -> Transform:
+    """The same of C = rowsᵀ rows; rows are M_i D̃, transposed, of all clips."""
+    vectors, variances = basis.fit_rows(rows, components)
+    return Transform(vectors, None, vectors, variances)
+
+
 def unpack(data: bytes, dimensions: int, parents: Sequence[int] | None) -> Transform:
     """The transform that `Transform.pack` stored. Raises Corrupt."""
     (form, k), at = varint.read(data, 2)
