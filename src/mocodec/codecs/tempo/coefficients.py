@@ -284,13 +284,15 @@ def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray
     firsts = contexts.ceiling(symbols.FIRSTS)
     for k in range(longest):
         w = int(widest[k])
-        m = magnitude[k : k + 3, :, : w + 4]
-        by_row[:, :w] = contexts.tables(base[k, :, :w], m[2], m[1], m[0], contexts.shape_of(k)) << lanes.PRECISION
+        m = magnitude[k : k + contexts.DEPTH, :, : w + 2 * contexts.BORDER + 1]
+        inner = m[:5, :, contexts.BORDER + 1 : -contexts.BORDER]
+        neighbours = contexts.around(m[6], m[5], inner[4], inner[:4].sum(axis=0))
+        by_row[:, :w] = contexts.tables(base[k, :, :w], neighbours, contexts.shape_of(k)) << lanes.PRECISION
         here = symbol[k]
         for at in where[before[k] : before[k + 1]]:
             here[at] = stream.take(chosen.take(at))
         here[-1] = 0
-        magnitude[k + 3, :, 2 : w + 2] = firsts.take(here[:-1].reshape(chunks, rows)[:, :w])
+        magnitude[k + contexts.DEPTH, :, contexts.BORDER + 1 : w + contexts.BORDER + 1] = firsts.take(here[:-1].reshape(chunks, rows)[:, :w])
     return symbol[:, :-1].reshape(longest, chunks, rows).swapaxes(0, 1)
 
 

@@ -30,10 +30,13 @@ CLASS_WIDTH, CLASS_LOWEST, CLASSES = 10, -260, 56
 SHAPES = 3
 """Each class has a table for the mean (frequency 0), for the next three frequencies, and for the rest."""
 
-ALPHA = 12
-SAME, SAME_3, NEXT, ASIDE = 16, 8, 11, 6
-"""Sixteenths: the same row one and two frequencies below, three below; one row aside, one below; two rows aside, one
-below, and one aside, two below."""
+ALPHA = 10
+"""α and the weights of neighbours, below, are sixteenths."""
+NEAR, BELOW_3, OLDER, BESIDE, BLOCK = 13, 8, 6, 6, 3
+"""The same row one and two frequencies below; three below; four to seven below; one row aside, one below; and all of the
+four rows to either side one below and the three rows to either side two below."""
+DEPTH, BORDER = 7, 4
+"""How many frequencies below, and rows to either side, a neighbour may be."""
 
 _LOG = np.array([round(OCTAVE * math.log2(1 + i / 256)) for i in range(256)], np.int64)
 _EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512, 1024)], np.int64)
@@ -85,33 +88,43 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 def base(expected: Integers) -> Integers:
     """What the prior alone gives to each context, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
-    e = bordered(np.minimum(exp2(expected), 16 * _CEILING))
-    return expected - log2(_neighbourhood(e[2:-1], e[1:-2], e[:-3]) // 16 + ALPHA)
+    return expected - log2(neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING))) // 16 + ALPHA)
 
 
 def bordered(magnitudes: Integers) -> Integers:
-    """Magnitudes (frequencies, …, rows) with zeros around them: three frequencies below, two rows on either side."""
-    shape = (magnitudes.shape[0] + 3, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 4)
+    """Magnitudes (frequencies, …, rows) with zeros below, 4 to either side, and one more at the left."""
+    shape = (magnitudes.shape[0] + DEPTH, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 2 * BORDER + 1)
     out = np.zeros(shape, np.int64)
-    out[3:, ..., 2:-2] = magnitudes
+    out[DEPTH:, ..., BORDER + 1 : -BORDER] = magnitudes
     return out
 
 
-def _neighbourhood(below: Integers, below_2: Integers, below_3: Integers) -> Integers:
-    """Σ w |neighbour| from the bordered magnitudes (…, rows + 4) at the three frequencies below: (…, rows)."""
-    total = (below + below_2)[..., 2:-2] * SAME
-    total += (below[..., 1:-3] + below[..., 3:-1]) * NEXT
-    aside = below_2[..., 1:-3] + below_2[..., 3:-1]
-    aside += below[..., :-4]
-    aside += below[..., 4:]
-    total += aside * ASIDE
-    total += below_3[..., 2:-2] * SAME_3
+def neighbourhood(magnitudes: Integers) -> Integers:
+    """Σ w |neighbour| for all frequencies at once: bordered (frequencies + 7, …, rows + 9) → (frequencies, …, rows)."""
+    sums = np.cumsum(magnitudes[..., BORDER + 1 : -BORDER], axis=0)
+    older = sums[3:-4].copy()
+    older[1:] -= sums[: -8]
+    return around(magnitudes[6:-1], magnitudes[5:-2], magnitudes[4:-3, ..., BORDER + 1 : -BORDER], older)
+
+
+def around(below: Integers, below_2: Integers, below_3: Integers, older: Integers) -> Integers:
+    """Σ w |neighbour| from bordered magnitudes (…, rows + 9) one and two frequencies below, and plain ones (…, rows)
+    three below and summed over four to seven below."""
+    left, right = np.cumsum(below, axis=-1), np.cumsum(below_2, axis=-1)
+    total = left[..., 9:] - left[..., :-9]
+    total += right[..., 8:-1]
+    total -= right[..., 1:-8]
+    total *= BLOCK
+    total += (below + below_2)[..., 5:-4] * NEAR
+    total += (below[..., 4:-5] + below[..., 6:-3]) * BESIDE
+    total += below_3 * BELOW_3
+    total += older * OLDER
     return total
 
 
-def tables(base_here: Integers, below: Integers, below_2: Integers, below_3: Integers, shape: int | Integers) -> Integers:
-    """The table for each row at one frequency, from `base` there and the bordered magnitudes at the three below."""
-    logs = base_here + _NUMERATOR_LOGS.take(_neighbourhood(below, below_2, below_3), mode="clip")
+def tables(base_here: Integers, neighbours: Integers, shape: int | Integers) -> Integers:
+    """The table for each coefficient, from `base` and the sum over its neighbours there."""
+    logs = base_here + _NUMERATOR_LOGS.take(neighbours, mode="clip")
     logs //= CLASS_WIDTH
     logs -= CLASS_LOWEST // CLASS_WIDTH
     np.maximum(logs, 0, out=logs)
@@ -132,6 +145,5 @@ def ceiling(magnitudes: Integers) -> Integers:
 
 def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
     """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
-    m = bordered(ceiling(magnitudes))
     shapes = np.minimum(np.searchsorted(_SHAPE_STARTS, np.arange(len(expected)), side="right") - 1, 2)[:, None]
-    return tables(base(expected), m[2:-1], m[1:-2], m[:-3], shapes)
+    return tables(base(expected), neighbourhood(bordered(ceiling(magnitudes))), shapes)
