@@ -35,6 +35,11 @@ TURNS = 15  # one diagonal takes at most so many
 
 HEAVY = np.uint32(1 << 31)  # marks an escape in `Laws.code`
 
+# operands of the inner loops: arrays without axes are what NumPy takes fastest
+_ONE, _8, _12, _16, _20 = (np.array(n, np.uint32) for n in (1, 8, 12, 16, 20))
+_BYTE, _MASK, _TOTAL = (np.array(n, np.uint32) for n in (255, TOTAL - 1, TOTAL))
+_THREE, _FOUR, _EIGHT = (np.array(n, np.uint16) for n in (3, 4, 8))
+
 
 class Mixing(NamedTuple):
     """How the law of a token follows from those around: weights of past, past2, beside, beside2, corner, mean, given
@@ -157,10 +162,11 @@ class _Around:
         """tokens: flat (uint16), filled diagonal by diagonal. given: flat tokens of the caller's contexts."""
         self._layout, self._tokens, self._given = layout, tokens, given
         row, k = layout.row, layout.segments
-        *near, self._mean_weight, self._given_weight = weights
+        *near, mean, from_given = weights
+        self._mean_weight, self._given_weight = np.array(mean, np.uint16), np.array(from_given, np.uint16)
         offsets = (row, 2 * row, row + k, 2 * row + 2 * k, 2 * row + k)
         self._near = [
-            (np.array([w], np.uint16), [o for o, v in zip(offsets, near, strict=True) if v == w])
+            (np.array(w, np.uint16), [o for o, v in zip(offsets, near, strict=True) if v == w])
             for w in sorted({w for w in near if w})
         ]
         self._mean = np.zeros(layout.lanes * k, np.uint16)
@@ -181,9 +187,9 @@ class _Around:
             if place:
                 np.add(result, part, out=result)
         if self._mean_weight:
-            np.right_shift(self._means(i, begin, end), 4, out=part)
+            np.right_shift(self._means(i, begin, end), _FOUR, out=part)
             np.multiply(part, self._mean_weight, out=part)
-            np.right_shift(part, 4, out=part)
+            np.right_shift(part, _FOUR, out=part)
             np.add(result, part, out=result)
         if self._given_weight and self._given is not None:
             np.multiply(self._given[begin:end], self._given_weight, out=part)
@@ -206,9 +212,9 @@ class _Around:
                 ages = i - np.arange(self._layout.lanes * k)[: len(means)] // k - max(0, i - self._layout.steps + 1)
                 speed = np.where(ages == 0, 1, np.where(ages < 3, 2, 3)).astype(np.uint16)
             else:
-                speed = np.uint16(3)
+                speed = _THREE
             means -= means >> speed
-            means += tokens[begin:end] << np.uint16(8) - speed
+            means += tokens[begin:end] << _EIGHT - speed
         if i + 1 < self._layout.lanes:  # before the first step of the next lane
             ours = left + (i + 2) * k
             newest = tokens[ours : ours + k]
@@ -244,7 +250,7 @@ def pack(token: Array, values: Array, mixing: Mixing, table: Laws, given: Array 
     for k in range(17, 32):
         extra += x >> np.uint32(k) > 0
     nibbles = np.concatenate([extra, np.zeros(states % 2, np.uint8)]).reshape(-1, 2)
-    heads = _planes(x ^ np.uint32(1) << (extra + np.uint32(16)), extra + np.uint8(16))
+    heads = _planes(x ^ _ONE << extra.astype(np.uint32) + _16, extra + np.uint8(16))
     return b"".join(
         [
             bytes([turns]),
@@ -278,17 +284,17 @@ def _move_in(x: Array, code: Array, words: list[bytes]) -> None:
     for a in range((len(code) - 1) // states * states, -1, -states):
         some = code[a : a + states]
         s = x[: len(some)]
-        frequency = some >> np.uint32(PRECISION)
-        full = (s >= frequency << np.uint32(32 - PRECISION)).nonzero()[0]
+        frequency = some >> _12
+        full = (s >= frequency << _20).nonzero()[0]
         if len(full):
             high = s.take(full)
             words.append(high.astype("<u2").tobytes())
-            s[full] = high >> np.uint32(16)
+            s[full] = high >> _16
         quotient = s // frequency
-        np.subtract(np.uint32(TOTAL), frequency, out=frequency)
+        np.subtract(_TOTAL, frequency, out=frequency)
         quotient *= frequency
         s += quotient
-        s += some & np.uint32(TOTAL - 1)
+        s += some & _MASK
 
 
 def unpack(data: bytes, shape: tuple[int, int], mixing: Mixing, table: Laws, given: Array | None) -> NDArray[np.int64]:
@@ -304,7 +310,7 @@ def unpack(data: bytes, shape: tuple[int, int], mixing: Mixing, table: Laws, giv
     if len(extra) < states or len(data) < at + size:
         raise Corrupt("coded integers end too early")
     heads, _ = _numbers(np.unpackbits(np.frombuffer(data, np.uint8, size, at)), extra + np.uint8(16))
-    x = heads.astype(np.uint32) | np.uint32(1) << (extra + np.uint32(16))
+    x = heads.astype(np.uint32) | _ONE << extra.astype(np.uint32) + _16
     at += size
     words = np.frombuffer(data, "<u2", (len(data) - at) // 2, at).astype(np.uint32)
 
@@ -348,13 +354,13 @@ def _move_out(x: Array, slots: Array, places: Array, symbols: Array, words: Arra
     for a in range(0, len(places), states):
         place = places[a : a + states]
         s = x[: len(place)]
-        place += s & np.uint32(TOTAL - 1)
+        place += s & _MASK
         found = slots.take(place)
-        np.bitwise_and(found, np.uint32(255), out=symbols[a : a + states], casting="same_kind")
-        s >>= np.uint32(PRECISION)
-        s *= found >> np.uint32(20)
-        found >>= np.uint32(8)
-        found &= np.uint32(TOTAL - 1)
+        symbols[a : a + states] = found & _BYTE
+        s >>= _12
+        s *= found >> _20
+        found >>= _8
+        found &= _MASK
         s += found
         short = (s < LOW).nonzero()[0]
         if len(short):
@@ -362,7 +368,7 @@ def _move_out(x: Array, slots: Array, places: Array, symbols: Array, words: Arra
             if len(new) < len(short):
                 raise Corrupt("coded integers end too early")
             at += len(short)
-            s[short] = s.take(short) << np.uint32(16) | new
+            s[short] = s.take(short) << _16 | new
     return at
 
 

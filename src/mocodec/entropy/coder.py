@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import Corrupt
 from . import bulk, models
 from .models import PRECISION, Tables
-from .rans import LOW, MASK, Decoder, Encoder
+from .rans import LOW, MANY, MASK, Decoder, Encoder
 
 __all__ = ["Decoder", "Encoder", "Tables", "pack", "unpack"]
 
@@ -395,7 +395,7 @@ def _choose(around: _Around, order: int, rows: int, columns: int) -> tuple[_Fiel
 
 def _some(size: int, lanes: int) -> slice:
     """Some of so many symbols, of all lanes alike."""
-    stride = max(1, size // COUNTED)
+    stride = max(1, size // (COUNTED + size // 8))
     while gcd(stride, lanes) > 1:
         stride -= 1
     return slice(None, None, stride)
@@ -435,7 +435,7 @@ def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: Array | None) -
 
 
 def _is_bulk(data: bytes) -> bool:
-    return len(data) > 5 and int.from_bytes(data[:2], "little") & MASK < 64
+    return len(data) > 5 and int.from_bytes(data[:2], "little") & MASK < MANY
 
 
 def _unpack_one(decoder: Decoder, fields: _Fields, kept: tuple[int, int], given: Array | None) -> Integers:
