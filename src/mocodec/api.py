@@ -173,7 +173,8 @@ class File:
         frame_range(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
-        motion = self.codec.decode(self.encoded, frames)
+        with self._reader.naming():
+            motion = self.codec.decode(self.encoded, frames)
         return motion if names is None else motion.select(names)
 
     def at(self, seconds: slice) -> Any:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import click
 
 from .. import api, formats
-from ..errors import BadInput
+from ..errors import BadInput, MocodecError
 from ..motion import Motion
 from ..pointcloud import PointClouds
 
@@ -57,19 +59,23 @@ def is_mocz(name: str) -> bool:
 
 def is_url(name: str) -> bool:
     """Whether it is to be fetched from the network."""
-    return name.startswith(("http://", "https://"))
+    return re.match(r"[a-z][a-z0-9+.-]+://", name, re.IGNORECASE) is not None
 
 
-def standard_input() -> bytes:
-    """All of standard input."""
-    if sys.stdin.isatty():
-        raise click.UsageError('"-" reads standard input, but that is the terminal: pipe a file into it')
-    return sys.stdin.buffer.read()
+class StandardInput(BytesIO):
+    """All of standard input, with a name for messages."""
+
+    name = "standard input"
+
+    def __init__(self) -> None:
+        if sys.stdin.isatty():
+            raise click.UsageError('"-" reads standard input, but that is the terminal: pipe a file into it')
+        super().__init__(sys.stdin.buffer.read())
 
 
 def source_of(name: str) -> Any:
-    """What `mocodec.open` takes for a name: a path, a URL, or the bytes of standard input."""
-    return standard_input() if name == "-" else name if is_url(name) else Path(name)
+    """What `mocodec.open` takes for a name: a path, a URL, or standard input."""
+    return StandardInput() if name == "-" else name if is_url(name) else Path(name)
 
 
 def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
@@ -82,16 +88,20 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         if format_ and path.suffix.lower() != f".{format_.lower().lstrip('.')}":
             raise BadInput(f"--format is for standard input; {name} is read by its suffix")
         return api.read(path, **options)
-    data = standard_input()
+    data = StandardInput()
     if format_ is None or format_.lower() == MAGIC_SUFFIX[1:]:
         try:
             return api.decode(data)
         except BadInput as error:
-            raise BadInput(f"standard input: {error}; say what it is with --format c3d, trc, …") from error
+            raise BadInput(f"{error}; say what it is with --format c3d, trc, …") from error
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"stdin.{format_.lower().lstrip('.')}"
-        path.write_bytes(data)
-        return api.read(path, **options)
+        path.write_bytes(data.getvalue())
+        try:
+            return api.read(path, **options)
+        except MocodecError as error:
+            error.args = (str(error).replace(str(path), "standard input"),)
+            raise
 
 
 def write(name: str, motion: Motion | PointClouds, format_: str | None = None, quiet: bool = False) -> None:

@@ -7,7 +7,7 @@ chunks[k] ──► its bytes ──► checksum ──► payload: damage in on
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple, Self, cast, overload
@@ -41,9 +41,9 @@ def naming(where: Source) -> Iterator[None]:
     try:
         yield
     except MocodecError as error:
-        if not where.name or str(error).startswith(where.name):
-            raise
-        raise type(error)(f"{where.name}: {error}") from error
+        if where.name and not str(error).startswith(where.name):
+            error.args = (f"{where.name}: {error}",)
+        raise
 
 
 class StoredChunk(Chunk):
@@ -179,6 +179,10 @@ class Reader:
         if checksum(data[:stored]) != data[stored:]:
             raise Corrupt("the extras (what the codec does not code) are damaged; the motion itself can still be read")
         return values.unpack_extras(data[:stored], size)
+
+    def naming(self) -> AbstractContextManager[None]:
+        """Errors within say which file they are about."""
+        return naming(self.source)
 
     def verify(self) -> None:
         """Reads all of it. Raises Corrupt (or Truncated) that names every part that is damaged."""
