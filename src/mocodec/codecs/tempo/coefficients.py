@@ -45,11 +45,18 @@ class Plan:
         return len(self.expected)
 
     def order(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """For each coefficient that is coded: frequency, row, which step of that frequency codes it, and on which lane."""
+        """For each coefficient that is coded: frequency, row, which step of its group codes it, and on which lane."""
         frequency, row = np.nonzero(np.arange(self.frequencies)[:, None] < self.reach)
-        count = np.bincount(frequency, minlength=self.frequencies)
-        rank = np.arange(len(frequency)) - np.repeat(np.cumsum(count) - count, count)
+        group = contexts.groups(self.frequencies)[1][frequency]
+        first = np.searchsorted(group, np.arange(group[-1] + 1))
+        rank = np.arange(len(frequency)) - first[group]
         return frequency, row, rank // self.lanes, rank % self.lanes
+
+    def steps(self) -> Integers:
+        """How many steps each group of frequencies takes."""
+        starts, number = contexts.groups(self.frequencies)
+        active = (np.arange(self.frequencies)[:, None] < self.reach).sum(axis=1)
+        return -(-np.bincount(number, active, minlength=len(starts)).astype(np.int64) // self.lanes)
 
 
 def plan(model: Model, frames: int, step: int, threshold: int, lane_code: int) -> Plan:
@@ -147,8 +154,9 @@ def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integ
     by_table = np.full(shape, model.prior.coder.idle)
     if p.frequencies:
         frequency, row, at, lane = p.order()
-        of_step[before[frequency] + at, lane] = symbol[frequency, row]
-        by_table[before[frequency] + at, lane] = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])[frequency, row]
+        at += before[contexts.groups(p.frequencies)[1][frequency]]
+        of_step[at, lane] = symbol[frequency, row]
+        by_table[at, lane] = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])[frequency, row]
     of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
     by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
     riding = np.zeros(16 * p.lanes, np.uint8)
@@ -183,13 +191,12 @@ def _raw_of_lists(lists: Integers, symbol: Integers) -> bits.Bits:
 
 
 def _steps_before(plans: Sequence[Plan]) -> Integers:
-    """How many steps come before each frequency, and all of them, (frequencies + 1,), when these chunks go together."""
-    steps = np.zeros(max(p.frequencies for p in plans) + 1, np.int64)
-    for p in plans:
-        active = np.cumsum(np.bincount(p.reach, minlength=p.frequencies + 1)[::-1])[::-1]
-        here = -(-active[1:] // p.lanes)
-        steps[1 : len(here) + 1] = np.maximum(steps[1 : len(here) + 1], here)
-    return np.cumsum(steps)
+    """How many steps come before each group, and all of them, (groups + 1,), when these chunks go together."""
+    each = [p.steps() for p in plans]
+    most = np.zeros(max(map(len, each)) + 1, np.int64)
+    for steps in each:
+        most[1 : len(steps) + 1] = np.maximum(most[1 : len(steps) + 1], steps)
+    return np.cumsum(most)
 
 
 def _lanes_for(coded: int, raw: int) -> int:
@@ -267,33 +274,35 @@ def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray
     longest = max(p.frequencies for p in plans)
     if not longest:
         return np.zeros((chunks, 0, rows), np.int64)
+    starts, number = contexts.groups(longest)
     before = _steps_before(plans)
-    idle = model.prior.coder.idle << lanes.PRECISION
-    where = np.full((int(before[-1]), *stream.state.shape), chunks * rows)
+    nowhere = longest * chunks * rows
+    where = np.full((int(before[-1]), *stream.state.shape), nowhere)
     base = np.zeros((longest, chunks, rows), np.int64)
-    widest = np.zeros(longest, np.int64)
+    widest = np.zeros(len(starts), np.int64)
     for j, p in enumerate(plans):
-        frequency, row, step, lane = p.order()
-        where[before[frequency] + step, j, lane] = j * rows + row
-        base[: p.frequencies, j] = contexts.base(p.expected)
-        np.maximum.at(widest, frequency, row + 1)
-    symbol = np.zeros((longest, chunks * rows + 1), np.int64)
+        if p.frequencies:
+            frequency, row, step, lane = p.order()
+            where[before[number[frequency]] + step, j, lane] = (frequency * chunks + j) * rows + row
+            base[: p.frequencies, j] = contexts.base(p.expected)
+            np.maximum.at(widest, number[frequency], row + 1)
+    shapes = contexts.shapes(longest)[:, None, None]
+    symbol = np.zeros(nowhere + 1, np.int64)
+    by_place = symbol[:-1].reshape(longest, chunks, rows)
     magnitude = contexts.bordered(np.zeros((longest, chunks, rows), np.int64))
-    chosen = np.full(chunks * rows + 1, idle)
-    by_row = chosen[:-1].reshape(chunks, rows)
+    chosen = np.full(nowhere + 1, model.prior.coder.idle << lanes.PRECISION)
+    by_table = chosen[:-1].reshape(longest, chunks, rows)
     firsts = contexts.ceiling(symbols.FIRSTS)
-    for k in range(longest):
-        w = int(widest[k])
-        m = magnitude[k : k + contexts.DEPTH, :, : w + 2 * contexts.BORDER + 1]
-        inner = m[:5, :, contexts.BORDER + 1 : -contexts.BORDER]
-        neighbours = contexts.around(m[6], m[5], inner[4], inner[:4].sum(axis=0))
-        by_row[:, :w] = contexts.tables(base[k, :, :w], neighbours, contexts.shape_of(k)) << lanes.PRECISION
-        here = symbol[k]
-        for at in where[before[k] : before[k + 1]]:
-            here[at] = stream.take(chosen.take(at))
-        here[-1] = 0
-        magnitude[k + contexts.DEPTH, :, contexts.BORDER + 1 : w + contexts.BORDER + 1] = firsts.take(here[:-1].reshape(chunks, rows)[:, :w])
-    return symbol[:, :-1].reshape(longest, chunks, rows).swapaxes(0, 1)
+    left, right = contexts.BORDER + 1, contexts.BORDER
+    for g, (k, end, w) in enumerate(zip(starts, (*starts[1:], longest), widest, strict=True)):
+        m = magnitude[k : k + contexts.DEPTH, :, : w + left + right]
+        inner = m[:5, :, left:-right]
+        near = contexts.around(m[6], m[5], inner[4], inner[:4].sum(axis=0))
+        by_table[k:end, :, :w] = contexts.tables(base[k:end, :, :w], near, shapes[k:end]) << lanes.PRECISION
+        for at in where[before[g] : before[g + 1]]:
+            symbol[at] = stream.take(chosen.take(at))
+        magnitude[k + contexts.DEPTH : end + contexts.DEPTH, :, left : w + left] = firsts.take(by_place[k:end, :, :w])
+    return by_place.swapaxes(0, 1)
 
 
 def _decode_lists(

@@ -15,6 +15,7 @@ All arithmetic is on integers: logarithms in 1/32 of an octave, magnitudes in 1/
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,12 @@ NEAR, BELOW_3, OLDER, BESIDE, BLOCK = 13, 8, 6, 6, 3
 four rows to either side one below and the three rows to either side two below."""
 DEPTH, BORDER = 7, 4
 """How many frequencies below, and rows to either side, a neighbour may be."""
+
+SHAPE_STARTS = (0, 1, 4)
+"""The first frequency of each shape."""
+GROUPS = ((0, 1), (16, 2), (64, 4), (128, 8))
+"""From each of these frequencies on, so many are coded at a time, with the neighbours that the first of them has: fewer
+steps, for less than a hundredth of the bytes."""
 
 _LOG = np.array([round(OCTAVE * math.log2(1 + i / 256)) for i in range(256)], np.int64)
 _EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512, 1024)], np.int64)
@@ -88,7 +95,19 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 def base(expected: Integers) -> Integers:
     """What the prior alone gives to each context, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
-    return expected - log2(neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING))) // 16 + ALPHA)
+    near = neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING)))
+    return expected - log2(near // 16 + ALPHA)
+
+
+@lru_cache(maxsize=64)
+def groups(frequencies: int) -> tuple[Integers, Integers]:
+    """The first frequency of each group, (groups,), and the number of each frequency's group, (frequencies,)."""
+    starts: list[int] = []
+    for (first, size), (end, _) in zip(GROUPS, (*GROUPS[1:], (frequencies, 0)), strict=True):
+        starts += range(first, min(end, frequencies), size)
+    number = np.zeros(frequencies, np.int64)
+    number[starts] = 1
+    return np.array(starts, np.int64), np.cumsum(number) - 1
 
 
 def bordered(magnitudes: Integers) -> Integers:
@@ -101,10 +120,10 @@ def bordered(magnitudes: Integers) -> Integers:
 
 def neighbourhood(magnitudes: Integers) -> Integers:
     """Σ w |neighbour| for all frequencies at once: bordered (frequencies + 7, …, rows + 9) → (frequencies, …, rows)."""
-    sums = np.cumsum(magnitudes[..., BORDER + 1 : -BORDER], axis=0)
-    older = sums[3:-4].copy()
-    older[1:] -= sums[: -8]
-    return around(magnitudes[6:-1], magnitudes[5:-2], magnitudes[4:-3, ..., BORDER + 1 : -BORDER], older)
+    starts, number = groups(len(magnitudes) - DEPTH)
+    inner = magnitudes[..., BORDER + 1 : -BORDER]
+    older = inner[starts] + inner[starts + 1] + inner[starts + 2] + inner[starts + 3]
+    return around(magnitudes[starts + 6], magnitudes[starts + 5], inner[starts + 4], older)[number]
 
 
 def around(below: Integers, below_2: Integers, below_3: Integers, older: Integers) -> Integers:
@@ -132,18 +151,16 @@ def tables(base_here: Integers, neighbours: Integers, shape: int | Integers) -> 
     return logs + shape * CLASSES
 
 
-_SHAPE_STARTS = (0, 1, 4)
-
-
-def shape_of(frequency: int) -> int:
-    return 0 if frequency == 0 else 1 if frequency < 4 else 2
-
-
 def ceiling(magnitudes: Integers) -> Integers:
     return np.minimum(magnitudes, _CEILING)
 
 
 def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
     """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
-    shapes = np.minimum(np.searchsorted(_SHAPE_STARTS, np.arange(len(expected)), side="right") - 1, 2)[:, None]
-    return tables(base(expected), neighbourhood(bordered(ceiling(magnitudes))), shapes)
+    near = neighbourhood(bordered(ceiling(magnitudes)))
+    return tables(base(expected), near, shapes(len(expected))[:, None])
+
+
+def shapes(frequencies: int) -> Integers:
+    """The shape of each frequency's tables, (frequencies,)."""
+    return np.searchsorted(SHAPE_STARTS, np.arange(frequencies), side="right") - 1
