@@ -21,26 +21,43 @@ Integers = NDArray[np.int64]
 CANDIDATES = (70, 140, 210, 280, 420, 560, 840, 1120)
 """Lengths that are tried for equal clips, in frames."""
 
-RISES = (2000.0, 500.0, 120.0, 30.0, 8.0, 2.0)
-"""Thresholds of the segmentation that are tried, fewest clips first."""
+FINEST = {"initial": 60, "ahead": 40, "rise": 30.0}
+"""The segmentation that adaptive clips are put together from: windows in frames, threshold of the rise."""
 
 BITS_PER_CLIP = 24.0
 """What a clip costs beside its coefficients, for comparing segmentations."""
 
 
-def adaptive(positions: Floats, wanted: int) -> Integers:
-    """L_i of about so many clips, by PPCA on poses about their centre. Positions (frames, points, 3)."""
-    return min(adaptives(positions), key=lambda lengths: abs(len(lengths) - wanted))
+def adaptive(positions: Floats, curves: Floats, step: float, wanted: int | None, longest: int) -> Integers:
+    """L_i of clips cut where the distribution of poses changes: so many, or of the fewest bits (section VII).
 
-
-def adaptives(positions: Floats) -> list[Integers]:
-    """Segmentations of rising numbers of clips, no two of one number."""
+    Positions (frames, points, 3), curves (frames, k): rows in the basis. Probabilistic PCA on poses about their centre
+    finds more cuts than are wanted; neighbours are then joined, those first that gain most or lose least by it, none to
+    more than `longest` frames.
+    """
     poses = (positions - positions.mean(axis=1, keepdims=True)).reshape(len(positions), -1)
-    by_number: dict[int, Integers] = {}
-    for rise in RISES:
-        segments = segment.ppca(poses, initial=100, ahead=80, rise=rise).segments
-        by_number.setdefault(len(segments), np.array([s.stop - s.start for s in segments], np.int64))
-    return list(by_number.values())
+    edges = [0, *(s.stop for s in segment.ppca(poses, **FINEST).segments)]
+
+    def cost(start: int, stop: int) -> float:
+        return bits(curves[start:stop], np.array([stop - start]), step)
+
+    costs = [cost(a, b) for a, b in pairwise(edges)]
+    joint = [cost(a, b) if b - a <= longest else np.inf for a, b in zip(edges, edges[2:], strict=False)]
+    path = [(sum(costs), list(edges))]
+    while len(costs) > (wanted or 1):
+        gains = [both - one - other for both, (one, other) in zip(joint, pairwise(costs), strict=True)]
+        i = int(np.argmin(gains))
+        if not np.isfinite(gains[i]):
+            break
+        costs[i : i + 2] = [joint[i]]
+        del edges[i + 1], joint[i]
+        for j in (i - 1, i):
+            if 0 <= j < len(joint):
+                near = edges[j + 2] - edges[j] <= longest
+                joint[j] = cost(edges[j], edges[j + 2]) if near else np.inf
+        path.append((sum(costs), list(edges)))
+    chosen = path[-1] if wanted else min(path)
+    return np.diff(chosen[1])
 
 
 def best_equal_length(curves: Floats, step: float) -> int:
@@ -48,11 +65,6 @@ def best_equal_length(curves: Floats, step: float) -> int:
     frames = len(curves)
     tried = sorted({-(-frames // max(1, round(frames / length))) for length in CANDIDATES})
     return min(tried, key=lambda length: bits(curves, stream.equal_lengths(frames, length), step))
-
-
-def best_adaptive(positions: Floats, curves: Floats, step: float) -> Integers:
-    """The segmentation of the fewest bits, and so the number of clips."""
-    return min(adaptives(positions), key=lambda lengths: bits(curves, lengths, step))
 
 
 def bits(curves: Floats, lengths: Integers, step: float) -> float:

@@ -54,7 +54,7 @@ class Hou2014:
     frequencies: int | None = None  # l; by (12), or under a target all that are not zero
     fraction_bits: int | None = None  # Q; by (13)
     segmentation: str = "equal"  # or "adaptive": where the distribution of poses changes
-    clips: int | None = None  # of an adaptive segmentation, about; the best number where none is given
+    clips: int | None = None  # of an adaptive segmentation, at most; the best number where none is given
     unit: float = parameters.UNIT_M  # of the quantiser, metres
     compress_basis: bool = True  # each component as finely as its variance deserves; False: 16 bits an entry
     centre: bool = True  # code around the mean pose
@@ -128,16 +128,13 @@ class _Coding:
     def __init__(self, codec: Hou2014, motion: Motion, filled: Floats, mask: NDArray[np.bool_]) -> None:
         self.codec, self.motion, self.mask = codec, motion, mask
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
-        lengths = np.array([len(motion)], np.int64)
-        if codec.segmentation == "equal" and (codec.clip_frames or not codec.has_target):
-            lengths = stream.equal_lengths(len(motion), codec.clip_frames or parameters.CLIP_FRAMES)
-        elif codec.segmentation == "adaptive" and codec.clips:
-            lengths = clipping.adaptive(filled, codec.clips)
+        length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
+        lengths = stream.equal_lengths(len(motion), length)
         material = Material(
             points=motion.points,
             rows=filled.reshape(len(motion), -1),
             lengths=lengths,
-            clip_frames=int(lengths[0]) * (codec.segmentation == "equal"),
+            clip_frames=length,
             offsets=np.zeros(len(lengths), np.int64),
             weight_rungs=_weight_rungs(codec.point_weights, motion.names),
             components=codec.components or (None if codec.has_target else parameters.COMPONENTS),
@@ -148,13 +145,13 @@ class _Coding:
             max_error=codec.max_error,
             given=_given(codec.transforms, motion.points),
         )
-        material = replace(material, frequencies=self._frequencies(material))
-        if not material.given:
-            material = drafts.fitted(material)
-        if (codec.clip_frames, codec.clips) == (None, None) and (codec.has_target or codec.segmentation == "adaptive"):
-            material = self._well_cut(material, filled)
+        if codec.segmentation == "adaptive" or (codec.has_target and not codec.clip_frames):
+            material = self._well_cut(drafts.fitted(material), filled)
         offsets = clipping.offsets(filled, motion.rate, material.lengths, codec.masking)
-        self.material = replace(material, offsets=offsets, frequencies=self._frequencies(material))
+        material = replace(material, offsets=offsets, frequencies=self._frequencies(material))
+        if material.fitted is None or material.frequencies is not None:
+            material = drafts.fitted(material)
+        self.material = material
         self.draft: Callable[[int], Draft] = cache(lambda rung: drafts.draft(self.material, rung))
         self.encoded: Callable[[int], Encoded[Motion]] = cache(self._encoded)
 
@@ -168,12 +165,15 @@ class _Coding:
 
     def _well_cut(self, material: Material, filled: Floats) -> Material:
         """With clips of the length, or adaptive ones of the number, that costs the fewest bits."""
-        step = self.codec.unit * quantise.step(self.first_rung)
+        codec = self.codec
+        step = codec.unit * quantise.step(self.first_rung)
         curves = drafts.curves(material, step)
-        if self.codec.segmentation == "adaptive":
-            return replace(material, lengths=clipping.best_adaptive(filled, curves, step))
-        length = clipping.best_equal_length(curves, step)
-        return replace(material, lengths=stream.equal_lengths(len(filled), length), clip_frames=length)
+        if codec.segmentation == "adaptive":
+            lengths, length = clipping.adaptive(filled, curves, step, codec.clips, codec.chunk_frames), 0
+        else:
+            length = clipping.best_equal_length(curves, step)
+            lengths = stream.equal_lengths(len(filled), length)
+        return replace(material, lengths=lengths, clip_frames=length)
 
     @property
     def first_rung(self) -> int:

@@ -66,7 +66,9 @@ class Draft:
 
 
 def fitted(material: Material) -> Material:
-    """With B found from the rows: from C = Σ M_i D̃ D̃ᵀ M_iᵀ, equation (5) and Theorem 1."""
+    """With B found from the rows, unless some is given: from C = Σ M_i D̃ D̃ᵀ M_iᵀ, equation (5) and Theorem 1."""
+    if material.given:
+        return material
     mean = material.rows.mean(axis=0) if material.centre else 0.0
     rows = (material.rows - mean) * material.weights
     if material.frequencies is None:

@@ -266,7 +266,7 @@ def closely_measured(motion: Motion) -> dict[str, Any]:
                 measured(published(components=k, segmentation="adaptive", clips=clips), motion, k=k)
                 for k in FEW_COMPONENTS
             ]
-            for clips in (1, 4, 8, 16)
+            for clips in (2, 4, 8, 16)
         },
         "steered at 120 and 60 Hz": {
             "120": [measured(Hou2014(mean_error=t), motion, target_m=t) for t in TARGETS_M[2::2]],
@@ -582,9 +582,14 @@ def draw_closely(plt: Any, sequences: Sequence[dict[str, Any]], key: str, title:
         1, len(sequences), figsize=(5.2 * len(sequences), 3.8), squeeze=False, layout="constrained"
     )
     for panel, one in zip(axes[0], sequences, strict=True):
-        colours = plt.get_cmap("viridis")(np.linspace(0, 0.92, len(one[key])))
-        for colour, (label, points) in zip(colours, one[key].items(), strict=True):
-            draw_points(panel, points, label, color=colour)
+        groups = list(dict.fromkeys(label.split(",")[0] for label in one[key]))  # a colour each; r as the kind of line
+        colours = plt.get_cmap("viridis")(np.linspace(0, 0.88, len(groups)))
+        drawn = dict.fromkeys(groups, 0)
+        for label, points in one[key].items():
+            group = label.split(",")[0]
+            line = (":", "-.", "--", "-")[drawn[group]] if "," in label else "-"
+            draw_points(panel, points, label, color=colours[groups.index(group)], ls=line)
+            drawn[group] += 1
         panel.set_title(f"{one['sequence']}: {title}", fontsize=10)
         finish(panel)
     save(plt, figure, axes[0], path)
@@ -642,7 +647,7 @@ def finish(panel: Any, legend: bool = True) -> None:
     panel.set(xscale="log", yscale="log", xlabel="compression ratio", ylabel="mean error, cm")
     report.plain_logarithmic(panel)
     if legend:
-        panel.legend(frameon=False, fontsize=7)
+        panel.legend(frameon=False, fontsize=7, loc="upper left")
 
 
 def save(plt: Any, figure: Any, axes: Any, path: Path) -> None:
