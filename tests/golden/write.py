@@ -4,7 +4,7 @@
     python tests/golden/write.py NAME …       write these afresh, only where the version in the twin is this package's
 
 `NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres. A file of
-`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and positions in metres. A file of
+an earlier version is never written again: it is what must decode for ever.
 """
 
 from __future__ import annotations
