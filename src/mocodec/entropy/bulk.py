@@ -38,6 +38,7 @@ HEAVY = np.uint32(1 << 31)  # marks an escape in `Laws.code`
 # operands of the inner loops: arrays without axes are what NumPy takes fastest
 _ONE, _8, _12, _16, _20 = (np.array(n, np.uint32) for n in (1, 8, 12, 16, 20))
 _BYTE, _MASK, _TOTAL = (np.array(n, np.uint32) for n in (255, TOTAL - 1, TOTAL))
+_ONE64, _5, _31, _32, _64 = (np.array(n, np.uint64) for n in (1, 5, 31, 32, 64))
 _THREE, _FOUR, _EIGHT = (np.array(n, np.uint16) for n in (3, 4, 8))
 
 
@@ -250,7 +251,7 @@ def pack(token: Array, values: Array, mixing: Mixing, table: Laws, given: Array 
     for k in range(17, 32):
         extra += x >> np.uint32(k) > 0
     nibbles = np.concatenate([extra, np.zeros(states % 2, np.uint8)]).reshape(-1, 2)
-    heads = _planes(x ^ _ONE << extra.astype(np.uint32) + _16, extra + np.uint8(16))
+    heads = _fields((x ^ _ONE << extra.astype(np.uint32) + _16).astype(np.uint64), extra + np.uint8(16))
     return b"".join(
         [
             bytes([turns]),
@@ -373,11 +374,10 @@ def _move_out(x: Array, slots: Array, places: Array, symbols: Array, words: Arra
 
 
 def _raw_bits(token: Array, values: Array) -> NDArray[np.uint8]:
-    """Signs, then mantissas, as single bits."""
-    bits = models.mantissa_bits(token)
+    """Signs, then mantissas, as single bits; none of the values is zero."""
     signs = (values < 0).astype(np.uint8)
-    some = bits.nonzero()[0]
-    return np.concatenate([signs, _planes(np.abs(values[some]).view(np.uint64), bits[some])]) if len(some) else signs
+    bits = models.mantissa_bits(token)
+    return np.concatenate([signs, _fields(np.abs(values).view(np.uint64), bits)]) if bits.any() else signs
 
 
 def _values(token: NDArray[np.uint8], hidden: Array, rest: Array) -> NDArray[np.int64]:
@@ -388,12 +388,10 @@ def _values(token: NDArray[np.uint8], hidden: Array, rest: Array) -> NDArray[np.
     values = token.astype(np.int64, order="C")
     flat, used = values.ravel(), len(there)
     if token.max() >= models.DIRECT:
-        some = np.flatnonzero(token >= models.DIRECT)
-        large = token.ravel()[some]
-        bits = models.mantissa_bits(large)
-        mantissa, taken = _numbers(every[used:], bits)
+        some = token.ravel()[there]
+        mantissa, taken = _numbers(every[used:], models.mantissa_bits(some))
         used += taken
-        flat[some] = (large.astype(np.int64) % 4 + 4 << bits) | mantissa.view(np.int64)
+        flat[there] = models.floors().take(some) | mantissa.view(np.int64)
     if not 0 <= len(rest) - max(0, used - len(hidden)) < 8 or every[used:].any():
         raise Corrupt("coded integers do not end where they should")
     negative = there[every[: len(there)].view(np.bool_)]
@@ -401,42 +399,42 @@ def _values(token: NDArray[np.uint8], hidden: Array, rest: Array) -> NDArray[np.
     return values
 
 
-def _planes(values: Array, bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The lowest so many bits (0 … 63) of each number, as single bits: first 32 of all that have as many, then 16 of
-    all that have a sixteen in their number of bits, and so on down to 1; the lowest bits first."""
-    rest, pieces = values.astype(np.uint64), []
-    for width in (32, 16, 8, 4, 2, 1):
-        some = (bits & np.uint8(width)).nonzero()[0]
-        if not len(some):
-            continue
-        chunk = rest[some]
-        rest[some] = chunk >> np.uint64(width)
-        if width >= 8:
-            pieces.append(np.unpackbits(chunk.astype(f">u{width // 8}").view(np.uint8)))
-        else:
-            chunk = chunk.astype(np.uint8)
-            pieces.append(np.stack([chunk >> k & 1 for k in reversed(range(width))], axis=1).ravel())
-    return np.concatenate(pieces) if pieces else np.zeros(0, np.uint8)
+def _fields(values: NDArray[np.uint64], bits: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The lowest so many bits (0 … 63) of each number, as single bits: first the lowest 32 of all that have as many,
+    then the others of each."""
+    wide = bits >= 32
+    whole = np.zeros(0, np.uint8)
+    if wide.any():
+        whole = np.unpackbits(values[wide].astype(">u4").view(np.uint8))
+        values, bits = np.where(wide, values >> np.uint64(32), values), np.where(wide, bits - np.uint8(32), bits)
+    ends = np.cumsum(bits, dtype=np.uint64)
+    starts = ends - bits
+    word, place = (starts >> _5).astype(np.int64), starts & _31
+    inside = values & (_ONE64 << bits.astype(np.uint64)) - _ONE64
+    inside <<= _64 - place - bits
+    first = np.flatnonzero(np.diff(word, prepend=-1))
+    joined = np.bitwise_or.reduceat(inside, first)
+    words = np.zeros(int(word[-1]) + 2, np.uint64)
+    words[word[first]] = joined >> _32
+    words[word[first] + 1] |= joined & np.uint64(0xFFFFFFFF)
+    return np.concatenate([whole, np.unpackbits(words.astype(">u4").view(np.uint8))[: int(ends[-1])]])
 
 
 def _numbers(stream: NDArray[np.uint8], bits: NDArray[np.uint8]) -> tuple[NDArray[np.uint64], int]:
-    """The numbers of `_planes`, and how many bits of the stream they took."""
-    result, at = np.zeros(len(bits), np.uint64), 0
-    below = np.zeros(len(bits), np.uint8)
-    for width in (32, 16, 8, 4, 2, 1):
-        some = (bits & np.uint8(width)).nonzero()[0]
-        if not len(some):
-            continue
-        part = stream[at : at + width * len(some)]
-        at += width * len(some)
-        if len(part) < width * len(some):
-            raise Corrupt("coded integers end too early")
-        if width >= 8:
-            chunk = np.packbits(part).view(f">u{width // 8}").astype(np.uint64)
-        else:
-            chunk = np.zeros(len(some), np.uint64)
-            for k in range(width):
-                chunk = chunk << np.uint64(1) | part[k::width]
-        result[some] |= chunk << below[some].astype(np.uint64)
-        below[some] += np.uint8(width)
-    return result, at
+    """The numbers of `_fields`, and how many bits of the stream they took. Raises Corrupt."""
+    total = int(bits.sum(dtype=np.int64))
+    if total > len(stream):
+        raise Corrupt("coded integers end too early")
+    wide = (bits >= 32).nonzero()[0]
+    whole = np.packbits(stream[: 32 * len(wide)]).view(">u4")
+    if len(wide):
+        bits = np.where(bits >= 32, bits - np.uint8(32), bits)
+    starts = np.cumsum(bits, dtype=np.uint64) - bits
+    packed = np.packbits(stream[32 * len(wide) : total])
+    words = np.concatenate([packed, np.zeros(8 - len(packed) % 4, np.uint8)]).view(">u4").astype(np.uint64)
+    result = (words[:-1] << _32 | words[1:]).take((starts >> _5).astype(np.int64))
+    result <<= starts & _31
+    result >>= _64 - bits
+    if len(wide):
+        result[wide] = result[wide] << _32 | whole
+    return result, total

@@ -105,6 +105,12 @@ def token_floor(token: int) -> int:
 
 
 @cache
+def floors() -> NDArray[np.int64]:
+    """`token_floor` of all tokens."""
+    return np.array([token_floor(t) for t in range(TOKENS)])
+
+
+@cache
 def family(laws: int, shape: int) -> Tables:
     """The first `laws` laws of the ladder in one of SHAPES, and a last table for excess.
 

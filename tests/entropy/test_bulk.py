@@ -1,0 +1,102 @@
+"""Many states: the layout of segments, raw bits, laws for the inner loops, damage."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocodec.entropy import bulk, coder, models
+from mocodec.errors import Corrupt
+from mocodec.testing import corruption
+
+SHAPES = [(1, 1), (1, 9), (9, 1), (200, 1), (3, 700), (120, 93), (93, 120), (300, 64), (300, 65), (65, 65), (1000, 131)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_diagonals_are_all_places_once_and_in_order(shape: tuple[int, int]):
+    layout = bulk.Layout(shape)
+    plain = np.arange(1, 1 + shape[0] * shape[1]).reshape(shape)
+    flat = layout.skewed(plain, np.int64)
+    assert np.array_equal(layout.back(flat, np.int64), plain)
+    seen = np.concatenate([flat[begin:end] for _, begin, end in layout.diagonals()])
+    assert np.array_equal(np.sort(seen[seen > 0]), plain.ravel())
+    assert len(seen) - plain.size < layout.lanes * layout.segments * layout.pieces  # what pads the last piece
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("mixture", range(coder.WITHOUT_CONTEXTS))
+def test_any_shape_and_mixture_comes_back(shape: tuple[int, int], mixture: int):
+    random = np.random.default_rng(mixture)
+    values = np.rint(random.laplace(size=shape) * 2.0 ** random.uniform(0, 9, shape[1])).astype(np.int64)
+    mixing = bulk.Mixing(coder.MIXTURES[mixture], models.law_of_expectation(models.LAWS, 20, 0))
+    laws = bulk.laws(models.LAWS, mixture % 2)
+    for bits in (100.0, 1e9):
+        data = bulk.pack(models.tokens(np.abs(values)), values, mixing, laws, None, bits)
+        assert np.array_equal(bulk.unpack(data, shape, mixing, laws, None), values)
+
+
+@settings(deadline=None, derandomize=True, max_examples=100)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([2, 8, 33, 64]))
+def test_fields_of_bits_come_back(seed: int, count: int, most: int):
+    random = np.random.default_rng(seed)
+    bits = random.integers(0, most, count).astype(np.uint8)
+    values = random.integers(0, 1 << 63, count).astype(np.uint64)
+    stream = bulk._fields(values, bits)
+    assert len(stream) == bits.sum()
+    numbers, taken = bulk._numbers(np.concatenate([stream, np.ones(5, np.uint8)]), bits)
+    assert taken == len(stream)
+    assert np.array_equal(numbers, values & (np.uint64(1) << bits.astype(np.uint64)) - np.uint64(1))
+
+
+@pytest.mark.parametrize(("count", "shape"), [(models.LAWS, 0), (models.LAWS, 1), (models.LAWS_LARGE, 0)])
+def test_slots_and_codes_agree(count: int, shape: int):
+    laws = bulk.laws(count, shape)
+    assert laws.slots.shape == ((count + 1) << bulk.PRECISION,)
+    law = np.repeat(np.arange(count + 1), bulk.TOTAL)
+    symbol, frequency, inside = laws.slots & 255, laws.slots >> 20, laws.slots >> 8 & bulk.TOTAL - 1
+    escaped = symbol == bulk.ESCAPE
+    token = np.where(escaped, laws.last[law], symbol)
+    code = laws.code[law * 256 + token]
+    assert np.array_equal(code >= bulk.HEAVY, escaped)
+    code &= bulk.HEAVY - np.uint32(1)
+    assert np.array_equal(code >> bulk.PRECISION, frequency)
+    assert np.array_equal((code & bulk.TOTAL - 1) + inside, np.tile(np.arange(bulk.TOTAL), count + 1))
+
+
+def test_laws_are_the_same_for_ever():
+    """Literal numbers, so that no change of the arithmetic slips by: files depend on them."""
+    code = bulk.laws(models.LAWS, 0).code.reshape(-1, 256) & bulk.HEAVY - np.uint32(1)
+    assert (code[12, :4] >> bulk.PRECISION).tolist() == [3853, 237, 4, 2]
+    assert (code[30, :6] >> bulk.PRECISION).tolist() == [198, 367, 329, 296, 267, 241]
+
+
+def loud(steps: int, lanes: int) -> np.ndarray:
+    random = np.random.default_rng(5)
+    return np.rint(random.laplace(size=(steps, lanes)) * 2.0 ** random.uniform(0, 5, lanes)).astype(np.int64)
+
+
+def test_damage_raises_or_gives_integers():
+    values = loud(100, 90)
+    data = coder.pack(values)
+    assert data[1] == 0  # many states
+    assert np.array_equal(coder.unpack(data, values.shape), values)
+    bad = [*corruption.prefixes(data, every=1 + len(data) // 60), *corruption.damaged(data, 60)]
+    bad += [broken for _, broken in corruption.flips(data, every=1 + len(data) // 60)]
+    bad += [bytes([*data[:k], b, *data[k + 1 :]]) for k in range(8) for b in (0, 1, 3, 15, 127, 255)]
+    for broken in bad:
+        with contextlib.suppress(Corrupt):
+            assert coder.unpack(broken, values.shape).shape == values.shape
+    for wrong in (data[:-1], data[:-2], data + b"\x07", data + b"\x07\x07"):
+        with pytest.raises(Corrupt):
+            coder.unpack(wrong, values.shape)
+
+
+@settings(deadline=None, derandomize=True, max_examples=200)
+@given(st.integers(1, 3), st.binary(min_size=3, max_size=60), st.integers(1, 40), st.integers(1, 300))
+def test_any_bytes_raise_or_give_integers(first: int, data: bytes, steps: int, lanes: int):
+    with contextlib.suppress(Corrupt):
+        assert coder.unpack(bytes([first, 0]) + data, (steps, lanes)).shape == (steps, lanes)
