@@ -159,3 +159,15 @@ def test_bytes_by_part_add_up_to_the_file() -> None:
     for codec in ("hou2014", "liu2006", "lossless"):
         outcome = runner.ours(codec, motion)
         assert sum(outcome.parts.values()) == outcome.data_bytes
+
+
+STORED = Path(__file__).parents[2] / "docs" / "results" / "0.1.0"
+
+
+@pytest.mark.skipif(not (STORED / "results.json").is_file(), reason="no stored evaluation of this version")
+def test_the_stored_report_comes_out_again_from_its_records() -> None:
+    stored = runner.load(STORED / "results.json")
+    machine = json.loads((STORED / "machine.json").read_text())
+    assert report.markdown(stored, machine) == (STORED / "report.md").read_text()
+    picture = (STORED / "curves.png").relative_to(STORED.parents[2]).as_posix()
+    assert report.summary(stored, machine, picture) == (STORED / "summary.md").read_text()

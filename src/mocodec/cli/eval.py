@@ -171,7 +171,7 @@ class progress:
 
 
 def write_report(folder: Path) -> None:
-    """DIR/report.html and DIR/report.md from DIR/results.json. Raises BadInput where there is none."""
+    """The report's pages and a summary with its picture, from DIR/results.json. Raises BadInput where there is none."""
     from .. import formats
     from ..evaluation import report, runner
 
@@ -182,4 +182,7 @@ def write_report(folder: Path) -> None:
     machine = json.loads(machine_path.read_text()) if machine_path.is_file() else {}
     formats.replace_whole(folder / "report.md", report.markdown(records, machine).encode())
     formats.replace_whole(folder / "report.html", report.page(records, machine).encode())
+    formats.replace_whole(folder / "curves.png", report.curves(records))
+    picture = (folder / "curves.png").as_posix()
+    formats.replace_whole(folder / "summary.md", report.summary(records, machine, picture).encode())
     click.echo(f"{folder / 'report.html'}\n{folder / 'report.md'}")

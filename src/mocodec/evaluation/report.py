@@ -46,10 +46,18 @@ def cell(records: Sequence[Record], codec: str, target: str, wanted: float) -> l
     return [r for r in good(records) if (r.codec, r.target, r.target_m) == (codec, target, wanted)]
 
 
-def common_files(records: Sequence[Record], names: Sequence[str], target: str, wanted: float) -> set[str]:
-    """Files that every one of these coders could code at this target."""
-    sets = [{r.file for r in cell(records, n, target, wanted)} for n in names]
-    return set.intersection(*(s for s in sets if s)) if any(sets) else set()
+MOST = 0.8
+"""A coder that manages less than this share of the recordings at a target is left out of that comparison."""
+
+
+def comparable(
+    records: Sequence[Record], names: Sequence[str], target: str, wanted: float
+) -> tuple[list[str], set[str]]:
+    """The coders that managed most recordings at this target, and the recordings that all of these could code."""
+    files = {n: {r.file for r in cell(records, n, target, wanted)} for n in names}
+    most = max(map(len, files.values()), default=0)
+    able = [n for n in names if files[n] and len(files[n]) >= MOST * most]
+    return able, set.intersection(*(files[n] for n in able)) if able else set()
 
 
 def targets_of(records: Sequence[Record]) -> list[tuple[str, float]]:
@@ -80,19 +88,20 @@ def bjontegaard(records: Sequence[Record], codec: str, against: str, target: str
 
 
 def ratio_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
-    """The main table: geometric mean ratio of every coder at every target, over the files that all could code."""
+    """The main table: geometric mean ratio of every coder at every target, over files that all of them could code."""
     wanted = targets_of(records)
     names = [n for n in coders(good(records)) if any(cell(records, n, *t) for t in wanted)]
-    files = {t: common_files(records, names, *t) for t in wanted}
+    compared = {t: comparable(records, names, *t) for t in wanted}
     head = ["codec"] + [f"{HEADINGS[t]} {m * 100:g} cm" for t, m in wanted]
     rows = []
     for name in names:
         row = [name]
         for t in wanted:
-            ratios = [r.ratio for r in cell(records, name, *t) if r.file in files[t]]
+            able, files = compared[t]
+            ratios = [r.ratio for r in cell(records, name, *t) if name in able and r.file in files]
             row.append(f"{geometric(ratios):.1f}" if ratios else "–")
         rows.append(row)
-    rows.append(["recordings"] + [str(len(files[t])) for t in wanted])
+    rows.append(["recordings"] + [str(len(compared[t][1])) for t in wanted])
     return head, rows
 
 
@@ -114,7 +123,7 @@ def difference_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str
 def lossless_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
     """Ratios without loss."""
     names = [n for n in coders(good(records)) if cell(records, n, "lossless", 0.0)]
-    files = common_files(records, names, "lossless", 0.0)
+    names, files = comparable(records, names, "lossless", 0.0)
     return ["codec", "lossless ratio", "recordings"], [
         [
             n,
@@ -200,6 +209,50 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
         if rows:
             parts += [f"## {title}", markdown_table(head, rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def summary(records: Sequence[Record], machine: dict[str, Any], picture: str) -> str:
+    """What a README shows: the main table, bytes saved, how it was measured, and the curves as a picture."""
+    people = sorted({r.settings["prior"] for r in good(records) if "prior" in r.settings})
+    unseen = (
+        "tempo's prior had not seen the people it is judged on (leave-subjects-out)."
+        if people
+        else "tempo used the prior inside the package."
+    )
+    count = len({r.file for r in good(records)})
+    return (
+        "\n\n".join(
+            [
+                f"![Ratio against mean error, ours and what else there is]({picture})",
+                "*Compression ratio against float32 positions at equal error, all side information counted: geometric "
+                f"mean over the recordings that all codecs of a column could code, of {count} measured. {unseen} "
+                f"{measured_on(machine)} Made by `mocodec eval`.*",
+                markdown_table(*ratio_rows(records)),
+                "*Bytes at equal error, average over the three errors (Bjøntegaard), and over how many recordings:*",
+                markdown_table(*ours_only(difference_rows(records))),
+            ]
+        )
+        + "\n"
+    )
+
+
+def ours_only(table: tuple[list[str], list[list[str]]]) -> tuple[list[str], list[list[str]]]:
+    """The rows of our codecs."""
+    head, rows = table
+    return head, [row for row in rows if row[0] in OURS]
+
+
+def curves(records: Sequence[Record]) -> bytes:
+    """The ratio against mean error as a PNG. Raises MissingExtra without Matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as missing:
+        raise MissingExtra("the report's charts", "plot") from missing
+    figure = Figure(figsize=(8.6, 4.4), layout="constrained")
+    draw_mean(figure, records)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def page(records: Sequence[Record], machine: dict[str, Any]) -> str:

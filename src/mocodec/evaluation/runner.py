@@ -337,11 +337,21 @@ def current(record: Record) -> bool:
 
 
 def save(path: Path, records: Sequence[Record]) -> None:
-    """Records as JSON, a list."""
+    """Records as JSON: a list, a line for each record, so that a changed figure is one changed line."""
     from .. import formats
 
     ordered = sorted(records, key=lambda r: (r.file, not r.ours, r.codec, r.target, r.target_m))
-    formats.replace_whole(path, (json.dumps([asdict(r) for r in ordered], indent=1) + "\n").encode())
+    lines = [json.dumps(rounded(asdict(record)), ensure_ascii=False) for record in ordered]
+    formats.replace_whole(path, ("[\n" + ",\n".join(lines) + "\n]\n").encode())
+
+
+def rounded(value: Any) -> Any:
+    """Floats to six digits, in whatever holds them: what was measured is not better than that."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {name: rounded(item) for name, item in value.items()}
+    return [rounded(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def load(path: Path) -> list[Record]:
