@@ -18,8 +18,9 @@ from ..motion import Motion
 from . import files, quantities
 
 RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("hou2014", {"max_error": 0.002}),
-    ("hou2014", {"max_error": 0.005}),
+    ("tempo", {"max_error": 0.002}),
+    ("tempo", {"max_error": 0.005}),
+    ("tempo", {"max_error": 0.01}),
     ("hou2014", {"max_error": 0.01}),
     ("liu2006", {"max_error": 0.01}),
     ("lossless", {}),
@@ -54,7 +55,7 @@ def command(output: str) -> None:
 
 
 def file_name(codec: str, options: dict[str, Any]) -> str:
-    """tempo-1mm.mocz."""
+    """jumps-tempo-2mm.mocz."""
     bound = f"-{options['max_error'] * 1000:g}mm" if options else ""
     return f"jumps-{codec}{bound}.mocz"
 
@@ -79,7 +80,7 @@ def row(original: Motion, codec: str, options: dict[str, Any], folder: Path) -> 
 
 
 def draw(original: Motion, folder: Path) -> Path | None:
-    """The picture of the first run; None where matplotlib is not installed."""
+    """The picture of the second run; None where matplotlib is not installed."""
     from .. import plots
 
     codec, options = RUNS[1]
