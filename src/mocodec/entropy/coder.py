@@ -325,7 +325,7 @@ def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> _A
     beside, beside2, corner = padded[2:, 1:-1], padded[2:, :-2].copy(), padded[1:-1, 1:-1].copy()
     beside2[:, 1:2] = token[:, :1]
     corner[:, 0] = past[:, 0]
-    return _Around(token, (past, past2, beside, beside2, corner), given)
+    return _Around(token, (past, past2, beside, beside2, corner), None if given is None else given.astype(np.int32))
 
 
 def _means(token: Array, past: Array) -> Array:

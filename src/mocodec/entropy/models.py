@@ -78,14 +78,14 @@ def tokens(magnitudes: NDArray[Any]) -> NDArray[np.uint8]:
     """Token of each magnitude below 2^63."""
     table, most = _token_table(), int(magnitudes.max(initial=0))
     if most < len(table):
-        return table.take(magnitudes)
+        return table.take(magnitudes.astype(np.int64, copy=False))
     rest, octaves = magnitudes, np.zeros(magnitudes.shape, np.uint8)
     while most >= len(table):
         large = rest >= len(table)
         rest = np.where(large, rest >> rest.dtype.type(12), rest)
         octaves += large * np.uint8(4 * 12)
         most >>= 12
-    return table.take(rest) + octaves
+    return table.take(rest.astype(np.int64, copy=False)) + octaves
 
 
 @cache
