@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,6 @@ class Plan:
 
     frames: int
     step: int
-    threshold: int
     lanes: int
     expected: Integers
     reach: Integers
@@ -44,25 +44,38 @@ class Plan:
     def frequencies(self) -> int:
         return len(self.expected)
 
-    def order(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """For each coefficient that is coded: frequency, row, which step of its group codes it, and on which lane."""
-        frequency, row = np.nonzero(np.arange(self.frequencies)[:, None] < self.reach)
-        group = contexts.groups(self.frequencies)[1][frequency]
-        first = np.searchsorted(group, np.arange(group[-1] + 1))
-        rank = np.arange(len(frequency)) - first[group]
-        return frequency, row, rank // self.lanes, rank % self.lanes
+    @cached_property
+    def base(self) -> Integers:
+        """`contexts.base`, (frequencies, rows)."""
+        return contexts.base(self.expected)
 
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which coefficients are coded, (frequencies, rows)."""
+        return np.arange(self.frequencies)[:, None] < self.reach
+
+    @cached_property
+    def order(self) -> tuple[Integers, Integers, Integers, Integers, Integers]:
+        """For each coefficient that is coded: frequency, row, group, which step of the group codes it, on which lane."""
+        frequency, row = np.nonzero(self.inside)
+        group = contexts.groups(self.frequencies)[1][frequency]
+        first = np.searchsorted(group, np.arange(group.max(initial=-1) + 1))
+        rank = np.arange(len(frequency)) - first[group]
+        return frequency, row, group, rank // self.lanes, rank % self.lanes
+
+    @cached_property
     def steps(self) -> Integers:
         """How many steps each group of frequencies takes."""
         starts, number = contexts.groups(self.frequencies)
-        active = (np.arange(self.frequencies)[:, None] < self.reach).sum(axis=1)
-        return -(-np.bincount(number, active, minlength=len(starts)).astype(np.int64) // self.lanes)
+        active = np.bincount(number, self.inside.sum(axis=1), minlength=len(starts)).astype(np.int64)
+        return -(-active // self.lanes)
 
 
+@lru_cache(maxsize=24)
 def plan(model: Model, frames: int, step: int, threshold: int, lane_code: int) -> Plan:
     logs = model.expected(frames, step)
     reach = contexts.zone(logs, threshold * THRESHOLD_UNIT)
-    return Plan(frames, step, threshold, LANES[lane_code], logs[: reach.max()], reach)
+    return Plan(frames, step, LANES[lane_code], logs[: reach.max()], reach)
 
 
 SLOPE = 0.16
@@ -131,7 +144,7 @@ def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integ
     """
     frames = len(values)
     p = plan(model, frames, step, threshold, 0)
-    inside = np.arange(p.frequencies)[:, None] < p.reach
+    inside = p.inside
     known = values[: p.frequencies]
     symbol = symbols.of(np.abs(known))
     more = np.zeros((0, 0), np.int64) if lists is None else lists
@@ -153,8 +166,8 @@ def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integ
     of_step = np.zeros(shape, np.int64)
     by_table = np.full(shape, model.prior.coder.idle)
     if p.frequencies:
-        frequency, row, at, lane = p.order()
-        at += before[contexts.groups(p.frequencies)[1][frequency]]
+        frequency, row, group, at, lane = p.order
+        at = at + before[group]
         of_step[at, lane] = symbol[frequency, row]
         by_table[at, lane] = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])[frequency, row]
     of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
@@ -192,7 +205,7 @@ def _raw_of_lists(lists: Integers, symbol: Integers) -> bits.Bits:
 
 def _steps_before(plans: Sequence[Plan]) -> Integers:
     """How many steps come before each group, and all of them, (groups + 1,), when these chunks go together."""
-    each = [p.steps() for p in plans]
+    each = [p.steps for p in plans]
     most = np.zeros(max(map(len, each)) + 1, np.int64)
     for steps in each:
         most[1 : len(steps) + 1] = np.maximum(most[1 : len(steps) + 1], steps)
@@ -242,7 +255,7 @@ def unpack(
     result = []
     for p, symbol, listed, used, riding, rest in zip(plans, found, more, *stream.finish(), rests, strict=True):
         known = symbol[: p.frequencies]
-        inside = np.arange(p.frequencies)[:, None] < p.reach
+        inside = p.inside
         signed = SIGNED_FIELDS * (len(listed) // fields)
         count = symbols.raw_count(known[inside])
         total = count + symbols.raw_count(listed, signed)
@@ -268,41 +281,41 @@ def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:
     return bits.unpack(area[4 * count :], sizes) + (1 << sizes), at + (end + 7) // 8
 
 
-def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray[np.int64]:
+def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray[np.uint8]:
     """The symbols (chunks, frequencies, rows) of all chunks."""
     chunks, rows = len(plans), model.rows
     longest = max(p.frequencies for p in plans)
     if not longest:
-        return np.zeros((chunks, 0, rows), np.int64)
-    starts, number = contexts.groups(longest)
+        return np.zeros((chunks, 0, rows), np.uint8)
+    coder = model.prior.coder
+    starts, _ = contexts.groups(longest)
     before = _steps_before(plans)
-    nowhere = longest * chunks * rows
-    where = np.full((int(before[-1]), *stream.state.shape), nowhere)
-    base = np.zeros((longest, chunks, rows), np.int64)
     widest = np.zeros(len(starts), np.int64)
+    for p in plans:
+        np.maximum.at(widest, p.order[2], p.order[1] + 1)
+    where = np.full((int(before[-1]), *stream.state.shape), -1)  # within a group's (frequencies, chunks, rows), flat
+    base = np.zeros((longest, chunks, rows), np.int32)
     for j, p in enumerate(plans):
-        if p.frequencies:
-            frequency, row, step, lane = p.order()
-            where[before[number[frequency]] + step, j, lane] = (frequency * chunks + j) * rows + row
-            base[: p.frequencies, j] = contexts.base(p.expected)
-            np.maximum.at(widest, number[frequency], row + 1)
+        frequency, row, group, step, lane = p.order
+        where[before[group] + step, j, lane] = ((frequency - starts[group]) * chunks + j) * widest[group] + row
+        base[: p.frequencies, j] = p.base
     shapes = contexts.shapes(longest)[:, None, None]
-    symbol = np.zeros(nowhere + 1, np.int64)
-    by_place = symbol[:-1].reshape(longest, chunks, rows)
-    magnitude = contexts.bordered(np.zeros((longest, chunks, rows), np.int64))
-    chosen = np.full(nowhere + 1, model.prior.coder.idle << lanes.PRECISION)
-    by_table = chosen[:-1].reshape(longest, chunks, rows)
-    firsts = contexts.ceiling(symbols.FIRSTS)
+    firsts = contexts.ceiling(symbols.FIRSTS).astype(np.int32)
+    magnitude = contexts.bordered(np.zeros((longest, chunks, rows), np.int32))
+    symbol = np.zeros((longest, chunks, rows), np.uint8)
     left, right = contexts.BORDER + 1, contexts.BORDER
     for g, (k, end, w) in enumerate(zip(starts, (*starts[1:], longest), widest, strict=True)):
         m = magnitude[k : k + contexts.DEPTH, :, : w + left + right]
         inner = m[:5, :, left:-right]
         near = contexts.around(m[6], m[5], inner[4], inner[:4].sum(axis=0))
-        by_table[k:end, :, :w] = contexts.tables(base[k:end, :, :w], near, shapes[k:end]) << lanes.PRECISION
+        chosen = np.append(contexts.tables(base[k:end, :, :w], near, shapes[k:end]), coder.idle) << lanes.PRECISION
+        places = np.full(len(chosen), coder.nothing)
         for at in where[before[g] : before[g + 1]]:
-            symbol[at] = stream.take(chosen.take(at))
-        magnitude[k + contexts.DEPTH : end + contexts.DEPTH, :, left : w + left] = firsts.take(by_place[k:end, :, :w])
-    return by_place.swapaxes(0, 1)
+            places[at] = stream.take(chosen.take(at, mode="wrap"))
+        here = coder.symbols.take(places[:-1]).reshape(end - k, chunks, w)
+        symbol[k:end, :, :w] = here
+        magnitude[k + contexts.DEPTH : end + contexts.DEPTH, :, left : w + left] = firsts.take(here)
+    return symbol.swapaxes(0, 1)
 
 
 def _decode_lists(
@@ -319,5 +332,5 @@ def _decode_lists(
     by_table <<= lanes.PRECISION
     symbol = np.zeros_like(by_table)
     for found, t in zip(symbol, by_table, strict=True):
-        found[:] = stream.take(t)
+        found[:] = model.prior.coder.symbols.take(stream.take(t))
     return [symbol[:n, j, : p.lanes].ravel()[: len(t)] for j, (t, p, n) in enumerate(zip(tables, plans, steps, strict=True))]

@@ -113,7 +113,7 @@ def groups(frequencies: int) -> tuple[Integers, Integers]:
 def bordered(magnitudes: Integers) -> Integers:
     """Magnitudes (frequencies, …, rows) with zeros below, 4 to either side, and one more at the left."""
     shape = (magnitudes.shape[0] + DEPTH, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 2 * BORDER + 1)
-    out = np.zeros(shape, np.int64)
+    out = np.zeros(shape, magnitudes.dtype)
     out[DEPTH:, ..., BORDER + 1 : -BORDER] = magnitudes
     return out
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...motion import Floats
 
 MATRIX_FRAMES = 1024
-"""Up to here the few lowest frequencies are inverted by a matrix, which is faster."""
+"""Up to here the inverse is a product with a matrix, which is faster for the few lowest frequencies."""
 
 
 def forward(samples: Floats) -> Floats:
@@ -30,7 +30,7 @@ def inverse(coefficients: Floats, frames: int) -> Floats:
     known = len(coefficients)
     if not known:
         return np.zeros((frames, *coefficients.shape[1:]))
-    if 2 * known <= frames <= MATRIX_FRAMES:
+    if frames <= MATRIX_FRAMES:
         return (_matrix(frames)[:, :known] @ coefficients.reshape(known, -1)).reshape(frames, *coefficients.shape[1:])
     turns = _turns(frames).reshape(-1, *[1] * (coefficients.ndim - 1))
     scale = np.abs(turns)
@@ -55,8 +55,7 @@ def _turns(frames: int) -> NDArray[np.complex128]:
 
 @lru_cache(maxsize=16)
 def _matrix(frames: int) -> Floats:
-    """The inverse for the lower half of the frequencies, (frames, frequencies)."""
-    k = np.arange(frames // 2 + 1)
-    cosines = np.cos(np.pi / frames * (np.arange(frames)[:, None] + 0.5) * k) * np.sqrt(2 / frames)
+    """The inverse as a matrix, (frames, frequencies)."""
+    cosines = np.cos(np.pi / frames * (np.arange(frames)[:, None] + 0.5) * np.arange(frames)) * np.sqrt(2 / frames)
     cosines[:, 0] /= np.sqrt(2)
     return cosines

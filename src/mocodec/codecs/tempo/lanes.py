@@ -35,6 +35,9 @@ class Tables:
     frequencies: Integers
     starts: Integers
     packed: Integers
+    """For each table and value of a state's low 12 bits, within its symbol's range << 16 | the range's width."""
+    symbols: Integers
+    """For the same, the symbol."""
 
     @classmethod
     def of(cls, frequencies: NDArray[np.integer]) -> Tables:
@@ -45,12 +48,16 @@ class Tables:
         symbols = np.repeat(np.tile(np.arange(rows.shape[1]), len(rows)), rows.ravel())
         at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL
         within = np.tile(np.arange(TOTAL), len(rows)) - starts[at, symbols]
-        packed = symbols << 32 | within << 16 | rows[at, symbols]
-        return cls(rows, starts, packed)
+        return cls(rows, starts, within << 16 | rows[at, symbols], symbols)
 
     @property
     def idle(self) -> int:
         return len(self.frequencies) - 1
+
+    @property
+    def nothing(self) -> int:
+        """A place in `symbols` that holds symbol 0."""
+        return self.idle << PRECISION
 
     def cost(self) -> NDArray[np.float64]:
         """Bits of each symbol in each table, (tables, symbols); a symbol that a table cannot code costs 1000."""
@@ -88,22 +95,29 @@ class Lanes:
             padded[j, : len(w)] = w
         self.words = padded.ravel()
         self.first = np.arange(len(states))[:, None] * padded.shape[1] - 1
-        self.limit = self.first + longest
         self.next = self.first.copy()
         self.packed = coder.packed
 
     def take(self, tables: Integers) -> Integers:
-        """The next symbol of every lane, (chunks, lanes), given the table of each, times 2¹²."""
+        """The next symbol of every lane, (chunks, lanes), given the table of each, times 2¹².
+
+        It comes as a place in `Tables.symbols`, to be looked up for many steps at once.
+        """
         x = self.state
-        entry = self.packed.take(tables + (x & (TOTAL - 1)))
-        x = (entry & 0xFFFF) * (x >> PRECISION)
-        x += entry >> 16 & 0xFFFF
+        place = x & (TOTAL - 1)
+        place += tables
+        entry = self.packed.take(place)
+        x >>= PRECISION
+        x *= entry & 0xFFFF
+        entry >>= 16
+        x += entry
         empty = x < LOWEST
         count = empty.cumsum(axis=1)
-        word = self.words.take(count + self.next)
-        self.state = np.where(empty, x << 16 | word, x)
-        self.next = np.minimum(self.next + count[:, -1:], self.limit)
-        return entry >> 32
+        word = self.words.take(count + self.next, mode="clip")
+        word |= x << 16
+        self.state = np.where(empty, word, x)
+        self.next += count[:, -1:]
+        return place
 
     def finish(self) -> tuple[list[int], list[Integers]]:
         """How many words each chunk used, and the raw bits that rode along, (lanes,) a chunk. Raises Corrupt."""

@@ -86,18 +86,17 @@ class Model:
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
         """The positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), in metres."""
         points = len(self.points.pose)
-        known = len(coefficients)
-        spectrum = np.zeros((known, 4 + 3 * points))
-        spectrum[:, :4] = coefficients[:, HEADING:POSE]
+        curves = cosine.inverse(coefficients[:, HEADING:POSE], frames)
+        known = int(np.flatnonzero(coefficients[:, POSE:].any(axis=1)).max(initial=-1)) + 1
+        spectrum = np.zeros((known, 3 * points))
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
-            part = coefficients[band, POSE:]
-            np.matmul(part, basis, out=spectrum[band.start : band.start + len(part), 4:])
-        signals = cosine.inverse(spectrum, frames)
-        place = signals[:, 1:4]
-        if known:
+            part = coefficients[band.start : min(band.stop, known), POSE:]
+            np.matmul(part, basis, out=spectrum[band.start : band.start + len(part)])
+        place = curves[:, 1:]
+        if len(coefficients):
             place += slope_curves(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
-        pose = signals[:, 4:].reshape(-1, points, 3) + self.points.pose
-        moved = body.turn(pose, signals[:, 0])
+        pose = cosine.inverse(spectrum, frames).reshape(-1, points, 3) + self.points.pose
+        moved = body.turn(pose, curves[:, 0])
         moved += place[:, None] / np.sqrt(points)
         return moved
 

@@ -218,16 +218,15 @@ class Piece:
         best: tuple[float, int, bytes] | None = None
         centre = round(np.log2(bound) * OCTAVE)
         if self.spectrum is not None:
-            tried: dict[int, tuple[float, np.ndarray]] = {}
+            tried: dict[int, tuple[float, np.ndarray, int, np.ndarray]] = {}
             for at in (offset, offset - 10, offset + 10):
                 if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
                     break
                 values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
                 moved = corrections.numbers(self.found(decoded, bound))
-                tried[at] = cost + coefficients.list_bits(self.model, moved), moved
+                tried[at] = cost + coefficients.list_bits(self.model, moved), values, threshold, moved
             at = min(tried, key=lambda o: tried[o][0])
-            values, threshold, _, decoded = self.transformed(centre + at, BOUND_SLOPE)
-            moved = tried[at][1]
+            _, values, threshold, moved = tried[at]
             numbers = coefficients.pack(self.model, values, centre + at, threshold, moved)
             fine = fine_step(direct.cell(bound)) if moved.size else None
             payload = Parts(TRANSFORM, numbers, fine, self.gaps).pack()
