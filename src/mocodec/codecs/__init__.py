@@ -13,6 +13,7 @@ CODECS = {
     "tempo": "mocodec.codecs.tempo:Tempo",
     "lossless": "mocodec.codecs.lossless:Lossless",
     "lien2006": "mocodec.codecs.lien2006:Lien2006",
+    "bodycast": "mocodec.codecs.bodycast:Bodycast",
 }
 
 

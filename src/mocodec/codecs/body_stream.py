@@ -30,10 +30,19 @@ MAX_LINKS, MAX_POINTS, MAX_RAW = 255, 1 << 19, 1 << 24
 
 
 class Steps(NamedTuple):
-    """How finely poses are stored: turn in radians, place in metres."""
+    """How finely poses are stored, in metres: the root's place, and how far a turn of one step moves what hangs on
+    it.
+    """
 
-    turn: float
+    reach: float
     place: float
+
+    def turns(self, body: Body) -> Floats:
+        """(links,): radians of one step of each joint: the farther the body reaches beyond it, the finer."""
+        ends = np.concatenate([body.origins, body.tips])
+        away = np.linalg.norm(ends[None] - body.origins[:, None], axis=2)
+        lever = np.where(np.tile(body.ancestors, (1, 2)), away, 0.0).max(axis=1)
+        return self.reach / np.maximum(lever, 0.05)
 
 
 def rounded(body: Body) -> Body:
@@ -71,24 +80,34 @@ def unpack_body(data: bytes) -> tuple[Body, int]:
     return body, at + link_bytes
 
 
-def quantise(pose: Pose, steps: Steps, previous: Integers | None) -> Integers:
-    """(3 + 3 links,): root and rotation vectors in steps; each vector the one of its rotation that is nearest the
-    last.
+def quantise(body: Body, pose: Pose, steps: Steps, previous: Integers) -> Integers:
+    """(3 + 3 links,): the root's place and the joints' rotation vectors in steps.
+
+    Each link is turned to where the pose has it in the world, so that a joint makes up for the rounding of those
+    above it. Of the vectors of a rotation, the one nearest to the last frame's is taken.
     """
-    vectors = articulation.log(pose.rotations)
-    if previous is not None:
-        last = previous[3:].reshape(-1, 3) * steps.turn
-        angle = np.linalg.norm(vectors, axis=1, keepdims=True)
-        unit = np.where(angle > 1e-9, vectors / np.maximum(angle, 1e-9), 0.0)
-        turns = np.round((np.sum(last * unit, axis=1, keepdims=True) - angle) / (2 * np.pi))
-        vectors = vectors + unit * turns * 2 * np.pi
-    return np.concatenate([np.round(pose.root / steps.place), np.round(vectors.ravel() / steps.turn)]).astype(np.int64)
+    turns = steps.turns(body)
+    wanted, _ = articulation.transforms(body, pose)
+    stored = np.empty_like(wanted)
+    integers = np.empty((len(body), 3), np.int64)
+    for link, parent in enumerate(body.parents):
+        above = stored[parent] if parent >= 0 else np.eye(3)
+        vector = articulation.log(above.T @ wanted[link])
+        last = previous[3 + 3 * link : 6 + 3 * link] * turns[link]
+        angle = float(np.linalg.norm(vector))
+        if angle > 1e-9:
+            unit = vector / angle
+            vector = unit * (angle + 2 * np.pi * round((float(last @ unit) - angle) / (2 * np.pi)))
+        integers[link] = np.round(vector / turns[link])
+        stored[link] = above @ articulation.exp(integers[link] * turns[link])
+    return np.concatenate([np.round(pose.root / steps.place).astype(np.int64), integers.ravel()])
 
 
-def dequantise(integers: Integers, steps: Steps) -> Pose:
+def dequantise(body: Body, integers: Integers, steps: Steps) -> Pose:
     """The pose of integers (3 + 3 links,)."""
     values = np.clip(integers, -(10**8), 10**8).astype(np.float64)
-    return Pose(articulation.exp(values[3:].reshape(-1, 3) * steps.turn), values[:3] * steps.place)
+    vectors = values[3:].reshape(-1, 3) * steps.turns(body)[:, None]
+    return Pose(articulation.exp(vectors), values[:3] * steps.place)
 
 
 def clean(clouds: PointClouds, frame: int) -> tuple[Floats, NDArray[np.uint8] | None]:

@@ -31,7 +31,7 @@ from . import base, body_stream
 from .body_stream import Steps
 
 Integers = NDArray[np.int64]
-STEPS = Steps(turn=0.004, place=0.002)
+STEPS = Steps(reach=0.002, place=0.002)
 POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
 DEPTH_STEP = 0.002  # of residual maps: metres; eight bits reach a quarter of a metre
 FEWEST = 50  # points that a frame must have to be a body
@@ -93,9 +93,9 @@ class Lien2006:
             is_body = len(points) >= FEWEST and i >= first
             if is_body:
                 pose = self._fit(tracker, points, colours, i) if i > first else tracker.pose
-                previous = body_stream.quantise(pose, STEPS, previous)
+                previous = body_stream.quantise(model.body, pose, STEPS, previous)
                 if atlas:
-                    maps = _maps(model, atlas, body_stream.dequantise(previous, STEPS), points, colours)
+                    maps = _maps(model, atlas, body_stream.dequantise(model.body, previous, STEPS), points, colours)
                     held += _stills(_differences(atlas, maps), clouds.colours is not None, self.jpeg_quality)
             else:
                 strays.append((points, colours))
@@ -165,7 +165,9 @@ class Lien2006:
         for chunk in encoded.covering(start, stop):
             rows = _unpack_poses(chunk, len(model.body))[0]
             poses += [
-                body_stream.dequantise(r[1:], STEPS) for i, r in enumerate(rows) if start <= chunk.start + i < stop
+                body_stream.dequantise(model.body, r[1:], STEPS)
+                for i, r in enumerate(rows)
+                if start <= chunk.start + i < stop
             ]
         return body_stream.track(encoded, model.body, poses)
 
@@ -393,7 +395,7 @@ def _decode_chunk(
         if stray:
             yield next(raw)
             continue
-        pose = body_stream.dequantise(row[1:], STEPS)
+        pose = body_stream.dequantise(model.body, row[1:], STEPS)
         yield _posed(model, atlas, pose, [kind[body] for kind in stills])
         body += 1
 

@@ -79,15 +79,46 @@ def outward(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats) -
 
 
 def make_model(
-    body: Body, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None = None
+    body: Body,
+    points: Floats,
+    colours: NDArray[np.uint8] | None,
+    normals: Floats | None = None,
+    by_surface: bool = False,
 ) -> tuple[Body, Model]:
-    """The model of the first frame: its points by links; and the body with radii and lengths that fit them."""
+    """The model of the first frame: its points by links; and the body with radii and lengths that fit them.
+
+    by_surface: points go to the link whose surface is nearest, in metres, not by equation (4), which favours thick
+    links and gives them a hand that hangs beside a thigh.
+    """
     a, b = transforms(body, Pose.canonical(len(body)))
     n = outward(body, a, b, points, estimate(points)) if normals is None else normals
-    for _ in range(2):
-        links = segment(body, a, b, points, n)
-        body = fit_cylinders(body, points, links)
-    return body, Model(points, n, colours, segment(body, a, b, points, n))
+
+    def links_of(fitted: Body) -> Labels:
+        return nearest_surface(fitted, points, n) if by_surface else segment(fitted, a, b, points, n)
+
+    for _ in range(3 if by_surface else 2):
+        body = fit_cylinders(body, points, links_of(body))
+    return body, Model(points, n, colours, links_of(body))
+
+
+def is_near(body: Body, points: Floats, within: float = 0.15) -> NDArray[np.bool_]:
+    """(n,): whether canonical points are within so many metres of a link's cylinder."""
+    offset = points[None] - body.origins[:, None]
+    foot = np.clip(np.einsum("lni,li->ln", offset, body.axes), 0, body.lengths[:, None])
+    away = np.linalg.norm(offset - foot[..., None] * body.axes[:, None], axis=2)
+    return (away - body.radii[:, None]).min(axis=0) < within
+
+
+def nearest_surface(body: Body, points: Floats, normals: Floats) -> Labels:
+    """(n,): the link whose cylinder's surface each canonical point is nearest to, and on whose outside it is."""
+    offset = points[None] - body.origins[:, None]
+    along = np.einsum("lni,li->ln", offset, body.axes)
+    foot = np.clip(along, 0, body.lengths[:, None])
+    out = offset - foot[..., None] * body.axes[:, None]
+    away = np.linalg.norm(out, axis=2)
+    distance = np.abs(away - body.radii[:, None]) + 0.5 * np.abs(along - foot)
+    facing = np.einsum("lni,ni->ln", out, normals) / np.maximum(away, 1e-6)
+    return (distance + 0.05 * (1 - np.abs(facing))).argmin(axis=0)
 
 
 def fit_cylinders(body: Body, points: Floats, links: Labels) -> Body:

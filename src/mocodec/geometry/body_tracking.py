@@ -92,19 +92,28 @@ class Tables:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How well a pose fits a frame: residuals (m,), the distance of each data point that was looked at, metres; links
-    (m,), the link that explains it; gaps (k,), the distance of each template point that was looked at from the data.
+    """How well a pose fits the data: residuals (m,), the distance of each data point from the template, metres; rows
+    and links (m,), the template point and the link that explain it; gaps (k,), how far template points are from the
+    data.
     """
 
     pose: Pose
+    data: Data
     residuals: Floats
+    rows: Labels
     links: Labels
     gaps: Floats
+
+    @staticmethod
+    def nothing(pose: Pose) -> Fit:
+        """A pose that no data speak for."""
+        none = np.zeros(0, np.int64)
+        return Fit(pose, Data.build(np.zeros((0, 3)), None, None), np.zeros(0), none, none, np.zeros(0))
 
     @property
     def cost(self) -> float:
         """Mean squared distances both ways, none counted beyond 12 cm; square metres."""
-        return float(np.minimum(self.residuals, 0.12).__pow__(2).mean() + np.minimum(self.gaps, 0.12).__pow__(2).mean())
+        return float(np.mean(np.minimum(self.residuals, 0.12) ** 2) + np.mean(np.minimum(self.gaps, 0.12) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,20 +185,26 @@ class Tracker:
         """The pose of one frame of points (n, 3), metres. A frame of fewer than 10 leaves the pose as it was."""
         if len(points) < 10:
             self.before = self.pose
-            return Fit(self.pose, np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
+            return Fit.nothing(self.pose)
         data = self.look_at(points, colours, seed)
         found = self.solve(data, self.predict())
         better = self._search(data, found, seed) if self.settings.search else found
         self.before, self.pose = self.pose if better is found else better.pose, better.pose
         return better
 
-    def look_at(self, points: Floats, colours: NDArray[np.uint8] | None, seed: int) -> Data:
+    def see(
+        self, points: Floats, colours: NDArray[np.uint8] | None = None, seed: int = 0, most: int | None = None
+    ) -> Fit:
+        """How the pose that the tracker has fits a frame, of which at most `most` points are looked at."""
+        return self.assess(self.look_at(points, colours, seed, most), self.pose)
+
+    def look_at(self, points: Floats, colours: NDArray[np.uint8] | None, seed: int, most: int | None = None) -> Data:
         """The points of a frame that the tracker looks at, drawn at random where there are more than it wants."""
-        if len(points) > self.settings.points:
-            some = np.random.default_rng(seed).integers(0, len(points), self.settings.points)
+        if len(points) > (most := most or self.settings.points):
+            some = np.random.default_rng(seed).integers(0, len(points), most)
             points, colours = points[some], None if colours is None else colours[some]
         shades = None if colours is None or self.shades is None else self._shades(colours)
-        return Data.build(points, shades)
+        return Data.build(points, shades, colours)
 
     def solve(self, data: Data, start: Pose, widths: tuple[float, ...] | None = None) -> Fit:
         """Gauss–Newton from a pose, with the start as prior."""
@@ -212,7 +227,7 @@ class Tracker:
         row, link = self._match(data, a, b, self._candidates(data.points, a, b))
         residuals = data.away(self.skin.posed(a, b, row), None if self.shades is None else self.shades[row])
         gaps, _ = data.nearest(*self._seen_template(a, b), 0.5)
-        return Fit(pose, residuals, link, np.minimum(gaps, 0.5))
+        return Fit(pose, data, residuals, row, link, np.minimum(gaps, 0.5))
 
     def nearest(self, data: Data, pose: Pose) -> Labels:
         """(n,): the template point that each data point is matched to."""
@@ -412,14 +427,15 @@ class Data:
 
     points: Floats
     shades: Floats | None
+    colours: NDArray[np.uint8] | None
     tree: Any
 
     @staticmethod
-    def build(points: Floats, shades: Floats | None) -> Data:
+    def build(points: Floats, shades: Floats | None, colours: NDArray[np.uint8] | None) -> Data:
         from scipy.spatial import KDTree
 
         both = points if shades is None else np.concatenate([points, shades], axis=1)
-        return Data(points, shades, KDTree(both, leafsize=16, compact_nodes=False, balanced_tree=False))
+        return Data(points, shades, colours, KDTree(both, leafsize=16, compact_nodes=False, balanced_tree=False))
 
     def nearest(self, points: Floats, shades: Floats | None, within: float) -> tuple[Floats, Labels]:
         """Distance and row of the data point nearest to each of these, in place and colour; ∞ where none is so near."""

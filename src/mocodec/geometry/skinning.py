@@ -26,13 +26,25 @@ class Skin:
     links: Labels
     weights: Floats
 
-    def posed(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
-        """(n, 3): where transforms a (links, 3, 3), b (links, 3) put the points, or those of `rows`."""
-        points, links, weight = self.points[rows], self.links[rows], self.weights[rows, None]
+    def blend(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
+        """(n, 3, 4): the transform of each point, or of those of `rows`."""
+        links, weight = self.links[rows], self.weights[rows, None]
         packed = np.concatenate([a, b[:, :, None]], axis=2)
         blend = packed[links[:, 0]] * weight[..., None]
         blend += packed[links[:, 1]] * (1 - weight)[..., None]
-        return np.einsum("nij,nj->ni", blend[:, :, :3], points) + blend[:, :, 3]
+        return blend
+
+    def posed(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
+        """(n, 3): where transforms a (links, 3, 3), b (links, 3) put the points, or those of `rows`."""
+        blend = self.blend(a, b, rows)
+        return np.einsum("nij,nj->ni", blend[:, :, :3], self.points[rows]) + blend[:, :, 3]
+
+    def unposed(self, a: Floats, b: Floats, rows: Labels, places: Floats) -> Floats:
+        """(n, 3): places in the world brought back into the canonical pose, as if they moved with the points of
+        `rows`.
+        """
+        blend = self.blend(a, b, rows)
+        return np.asarray(np.linalg.solve(blend[:, :, :3], (places - blend[:, :, 3])[..., None])[..., 0], np.float64)
 
     def shares(self, links: int) -> Floats:
         """(n, links): the weight of every link at every point."""

@@ -1,0 +1,130 @@
+"""bodycast: a tracked, skinned body with its surface as video; whole sequences, layers, odd frames, strangers,
+damage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import container
+from mocodec.codecs.bodycast import Bodycast
+from mocodec.encoded import Chunk, Encoded
+from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
+from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.motion import Motion
+from mocodec.pointcloud import PointClouds
+
+pytest.importorskip("av")
+
+
+@pytest.fixture(scope="module")
+def performance() -> sequences.Performance:
+    return sequences.jumping_jacks(actors.capsules(), 8)
+
+
+@pytest.fixture(scope="module")
+def clouds(performance) -> PointClouds:
+    return sequences.record(performance, 2500, seed=1)
+
+
+@pytest.fixture(scope="module")
+def encoded(performance, clouds) -> dict[float, Encoded[PointClouds]]:
+    skeleton = performance.skeleton()
+    return {r: Bodycast(residual=r, skeleton=skeleton, chunk_frames=3).encode(clouds) for r in (0, 100)}
+
+
+def test_near_the_resampling_floor(performance, clouds, encoded):
+    floor = measures.d1(clouds, sequences.record(performance, 2500, seed=9), 6)
+    for e in encoded.values():
+        assert measures.d1(clouds, Bodycast.decode(e), 6) < 1.6 * floor
+    chunks = {r: sum(len(c.payload) for c in e.chunks) for r, e in encoded.items()}
+    assert chunks[0] < chunks[100] < clouds.raw_bytes / 100
+
+
+def test_joints_come_out(performance, encoded):
+    motion = Bodycast.track(encoded[0])
+    column = motion.names.index("LeftForeArm")
+    truth = performance.joints[:, performance.actor.names.index("LeftForeArm")]
+    assert np.linalg.norm(motion.positions[:, column] - truth, axis=1).mean() < 0.03
+
+
+def test_same_bytes_twice(performance, clouds, encoded):
+    again = Bodycast(residual=100, skeleton=performance.skeleton(), chunk_frames=3).encode(clouds)
+    assert again.shared == encoded[100].shared
+    assert [c.payload for c in again.chunks] == [c.payload for c in encoded[100].chunks]
+
+
+@pytest.mark.parametrize("frames", [slice(0, 3), slice(2, 5), slice(7, 8), slice(4, 4)])
+@pytest.mark.parametrize("residual", [0, 100])
+def test_slice_of_decode_is_decode_of_slice(encoded, frames, residual):
+    whole, part = Bodycast.decode(encoded[residual]), Bodycast.decode(encoded[residual], frames)
+    assert len(part) == frames.stop - frames.start
+    for i, frame in enumerate(range(frames.start, frames.stop)):
+        np.testing.assert_array_equal(part.positions[i], whole.positions[frame])
+
+
+def test_through_a_file(encoded, clouds):
+    decoded = mc.decode(container.pack(encoded[100]))
+    assert isinstance(decoded, PointClouds)
+    assert len(decoded) == len(clouds)
+    assert decoded.rate == clouds.rate
+
+
+def test_odd_frames(performance, clouds):
+    assert clouds.colours is not None
+    positions, colours = list(clouds.positions), list(clouds.colours)
+    for frame, few in ((2, 0), (4, 3)):
+        positions[frame], colours[frame] = positions[frame][:few], colours[frame][:few]
+    positions[5] = positions[5].copy()
+    positions[5][::7] = np.nan
+    decoded = Bodycast.decode(Bodycast(skeleton=performance.skeleton()).encode(PointClouds(positions, 15.0, colours)))
+    assert [len(decoded.positions[f]) for f in (2, 4)] == [0, 3]
+    assert measures.d1(clouds, decoded, 7) < 0.05
+
+
+def test_without_colours_and_skeleton(clouds):
+    grey = PointClouds(clouds.positions[:3], 15.0)
+    decoded = Bodycast.decode(Bodycast().encode(grey))
+    assert decoded.colours is None
+    assert measures.d1(grey, decoded, 2) < 0.05
+
+
+def test_strangers_are_kept(performance, clouds):
+    assert clouds.colours is not None
+    rng = np.random.default_rng(3)
+    box = rng.uniform([1.2, 0.0, 0.0], [1.5, 0.4, 0.005], (700, 3))
+    positions = [np.concatenate([p, box]) for p in clouds.positions]
+    colours = [np.concatenate([c, np.full((700, 3), 90, np.uint8)]) for c in clouds.colours]
+    both = PointClouds(positions, 15.0, colours)
+    decoded = Bodycast.decode(Bodycast(skeleton=performance.skeleton()).encode(both))
+    assert (decoded.positions[5][:, 0] > 1.15).sum() > 300
+    alone = Bodycast.decode(Bodycast(skeleton=performance.skeleton(), strangers=False).encode(both))
+    assert (alone.positions[5][:, 0] > 1.15).sum() == 0
+
+
+def test_what_cannot_be_coded(clouds):
+    with pytest.raises(CannotEncode, match="no body"):
+        Bodycast().encode(PointClouds([np.zeros((0, 3))] * 3, 15.0))
+    with pytest.raises(CannotEncode, match="not motions"):
+        Bodycast().encode(Motion(np.zeros((2, 1, 3)), 30.0))  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="percentage"):
+        Bodycast(residual=-1).encode(clouds)
+
+
+def test_damage_raises_corrupt_or_decodes(encoded):
+    rng = np.random.default_rng(4)
+    original = encoded[100]
+    for _ in range(50):
+        shared, payload = bytearray(original.shared[0]), bytearray(original.chunks[0].payload)
+        target = shared if rng.random() < 0.5 else payload
+        if rng.random() < 0.3:
+            del target[rng.integers(0, len(target)) :]
+        else:
+            target[rng.integers(0, len(target))] ^= int(rng.integers(1, 256))
+        broken = Encoded("bodycast", original.about, [Chunk(0, 3, bytes(payload))], (bytes(shared),))
+        try:
+            Bodycast.decode(broken)
+        except MocodecError as error:
+            assert isinstance(error, Corrupt)  # noqa: PT017
