@@ -40,7 +40,11 @@ def read(path: Path_, **options: Any) -> Motion | PointClouds:
 
 
 def write(path: Path_, motion: Motion | PointClouds, **options: Any) -> None:
-    """Write by suffix; for a .mocz the options are those of `encode`. The file appears whole or not at all."""
+    """Write by suffix; for a .mocz the options are those of `encode`. The file appears whole or not at all.
+
+    What a format has no place for beside the positions (a .trc for analog channels, say) is left out;
+    `formats.dropped(path, motion)` says what that is. Raises BadInput, and CannotEncode for a .mocz.
+    """
     if Path(path).suffix.lower() == ".mocz":
         formats.replace_whole(path, encode(motion, **options))
     else:

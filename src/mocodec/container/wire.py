@@ -8,7 +8,15 @@ from __future__ import annotations
 import struct
 import zlib
 
+from ..entropy.varint import signed as zigzag
+from ..entropy.varint import unsigned as unzigzag
+from ..entropy.varint import write
 from ..errors import Corrupt, Truncated
+
+__all__ = [
+    "BitReader", "BitWriter", "Cursor", "blob", "checksum", "deflate", "inflate", "text", "unzigzag", "varint",
+    "zigzag",
+]  # fmt: skip
 
 MAX_VARINT_BYTES = 9  # 63 bits: every count and offset fits a signed 64-bit integer
 
@@ -23,23 +31,7 @@ def checksum(*parts: bytes | memoryview) -> bytes:
 
 def varint(value: int) -> bytes:
     """Seven bits a byte, lowest first, the high bit set on all bytes but the last (LEB128); 0 ≤ value < 2⁶³."""
-    if not 0 <= value < 1 << 63:
-        raise AssertionError(f"varint of {value}")
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-def zigzag(value: int) -> int:
-    """0, −1, 1, −2, … as 0, 1, 2, 3, …"""
-    return value << 1 if value >= 0 else (-value << 1) - 1
-
-
-def unzigzag(value: int) -> int:
-    return value >> 1 if value & 1 == 0 else -((value + 1) >> 1)
+    return write([value])
 
 
 def blob(data: bytes) -> bytes:
