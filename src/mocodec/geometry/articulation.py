@@ -191,7 +191,7 @@ def from_skeleton(
         in_trunk = parent == 0 or chains[parent] >= 2
         turns = below[joint] >= shortest * size and not (leaf[joint] and bones[joint] < 0.04 * size)
         nested = chains[joint] == 1 and not in_limb[joint]
-        if nested and np.linalg.norm(positions[joint] - positions[kept[link_of[parent]]]) < 0.02 * size:
+        if nested and np.linalg.norm(positions[joint] - positions[kept[link_of[parent]]]) < 0.01 * size:
             turns = False  # a second joint in one place, as CMU's BVH files have at the hips
         if one_trunk:
             turns &= in_limb[joint] or (chains[joint] == 0 and in_trunk)
