@@ -15,7 +15,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,12 +184,11 @@ DCT_2D = Baseline("2-D DCT", _pack_dct, _unpack_dct)
 """Equation (2): D_lᵀ M_i D_r."""
 
 
-def _pywt():
+def _pywt() -> Any:
     try:
-        import pywt
+        return import_module("pywt")
     except ImportError as missing:
         raise MissingExtra("the 2-D DWT", "bench") from missing
-    return pywt
 
 
 def _levels(shape: tuple[int, int]) -> int:

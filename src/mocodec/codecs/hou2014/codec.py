@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +31,9 @@ from . import drafts, parameters, search, stream, transform
 from .drafts import Draft, Material
 
 Integers = NDArray[np.int64]
+
+SAMPLED_CHUNKS = 3
+"""Chunks that the search under a bound looks at: the best step is much the same for all."""
 
 STEP_OF_MEAN, MEAN_OF_BOUND = 5.0, 0.22
 """Where searches begin: the step for a mean error, and the mean error for a bound, as are usual."""
@@ -152,7 +156,7 @@ class _Coding:
         if material.fitted is None or material.frequencies is not None:
             material = drafts.fitted(material)
         self.material = material
-        self.draft: Callable[[int], Draft] = cache(lambda rung: drafts.draft(self.material, rung))
+        self.draft: Callable[[int], Draft] = lru_cache(1)(lambda rung: drafts.draft(self.material, rung))
         self.encoded: Callable[[int], Encoded[Motion]] = cache(self._encoded)
 
     def _frequencies(self, material: Material) -> Integers | None:
@@ -193,18 +197,11 @@ class _Coding:
     def _encoded(self, rung: int) -> Encoded[Motion]:
         """Everything, corrections too where there is a bound."""
         draft = self.draft(rung)
+        parts = clipping.chunked(draft.clips, self.codec.chunk_frames)
+        stops = np.cumsum([clips.lengths.sum() for clips in parts]).tolist()
         chunks: list[Chunk] = []
-        start = 0
-        for clips in clipping.chunked(draft.clips, self.codec.chunk_frames):
-            stop = start + int(clips.lengths.sum())
-            corrections = b""
-            if self.codec.max_error is not None:
-                original, prediction = self.motion.positions[start:stop], stream.reconstruct(clips, draft.head)
-                corrections = bounded.pack(original, prediction, self.codec.max_error)
-            packed = stream.pack_clips(clips, draft.head)
-            payload = stream.pack_payload(packed, gaps.pack(self.mask[start:stop]), corrections)
-            chunks.append(Chunk(start, stop - start, payload))
-            start = stop
+        for clips, (start, stop) in zip(parts, pairwise([0, *stops]), strict=True):
+            chunks.append(Chunk(start, stop - start, self._payload(clips, draft.head, start, stop)))
         return Encoded(
             codec=self.codec.name,
             about=encodeds.about(self.motion),
@@ -212,6 +209,27 @@ class _Coding:
             shared=(draft.head.pack(self.parents), *self.codec.transforms),
             settings=base.settings(replace(self.codec, transforms=())),
         )
+
+    def _payload(self, clips: stream.Clips, head: stream.Head, start: int, stop: int) -> bytes:
+        """The bytes of one chunk, frames [start, stop)."""
+        corrections = b""
+        if head.max_error is not None:
+            original, prediction = self.motion.positions[start:stop], stream.reconstruct(clips, head)
+            corrections = bounded.pack(original, prediction, head.max_error)
+        packed = stream.pack_clips(clips, head)
+        return stream.pack_payload(packed, gaps.pack(self.mask[start:stop]), corrections)
+
+    def _sampled_size(self, rung: int) -> float:
+        """Bytes, from a few chunks of a long motion; infinite where it cannot be coded at this step."""
+        try:
+            draft = self.draft(rung)
+            parts = clipping.chunked(draft.clips, self.codec.chunk_frames)
+            starts = np.cumsum([0, *(clips.lengths.sum() for clips in parts)]).tolist()
+            some = range(0, len(parts), -(-len(parts) // SAMPLED_CHUNKS))
+            sizes = [len(self._payload(parts[i], draft.head, starts[i], starts[i + 1])) for i in some]
+            return len(draft.head.pack(self.parents)) + sum(sizes) * len(parts) / len(sizes)
+        except CannotEncode:
+            return math.inf
 
     def for_mean_error(self, target: float) -> Encoded[Motion]:
         """The coarsest step whose mean error is within the target."""
@@ -230,14 +248,7 @@ class _Coding:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """The step at which coefficients and corrections together are smallest; decoded and checked."""
-
-        def size(rung: int) -> float:
-            try:
-                return self.encoded(rung).payload_bytes
-            except CannotEncode:
-                return math.inf
-
-        encoded = self.encoded(search.smallest(size, self.first_rung))
+        encoded = self.encoded(search.smallest(self._sampled_size, self.first_rung))
         decoded = Hou2014.decode(encoded).positions
         furthest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not furthest <= bound:
