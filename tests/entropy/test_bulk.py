@@ -79,6 +79,16 @@ def loud(steps: int, lanes: int) -> np.ndarray:
     return np.rint(random.laplace(size=(steps, lanes)) * 2.0 ** random.uniform(0, 5, lanes)).astype(np.int64)
 
 
+def test_what_no_sample_shows_comes_back():
+    for at in (0, 777, 12_345, 59_999):
+        values = np.zeros((60_000, 4), np.int64)
+        values[at - 700 if at else 0 : at + 3000] = loud(60_000, 4)[at - 700 if at else 0 : at + 3000]
+        values[at, 2] = 1 << 62
+        data = coder.pack(values)
+        assert data[1] == 0
+        assert np.array_equal(coder.unpack(data, values.shape), values)
+
+
 def test_damage_raises_or_gives_integers():
     values = loud(100, 90)
     data = coder.pack(values)

@@ -50,6 +50,7 @@ BULK = 1  # first byte of a stream of many states, plus how often differences we
 SCALAR_SYMBOLS = 8000  # up to here, one state and a loop
 SCALAR_SYMBOLS_QUIET = 1 << 16  # or up to here, where hardly any symbol says something
 SCALAR_LOUD = 4000  # how many may
+LARGEST = 56  # token for which the short ladder will do
 COUNTED = 3000  # symbols among which the best fields are looked for
 
 
@@ -184,13 +185,14 @@ def _pack_dense(v: Integers, contexts: Array | None) -> bytes:
     d = d[: _kept(d.shape[0], rows), : _kept(d.shape[1], columns)]
     given = None if contexts is None else _context_tokens(contexts, d.shape)
     token = models.tokens(np.abs(d))
+    known = order, int(token.max() > LARGEST), rows, columns
     if not _is_scalar(d):
         around = _neighbours(*_sample(token, given))
-        fields, bits = _choose(around, order, rows, columns)
+        fields, bits = _choose(around, *known)
         mixing, laws = bulk.Mixing(MIXTURES[fields.mixture], fields.ladder), bulk.laws(fields.laws, fields.shape)
         return _bulk_head(fields) + bulk.pack(token, d, mixing, laws, given, bits * token.size)
     around = _neighbours(token, given)
-    fields, _ = _choose(around, order, rows, columns)
+    fields, _ = _choose(around, *known)
     return _pack_one(d, token, around, fields)
 
 
@@ -249,20 +251,20 @@ def _best_order(v: Integers) -> int:
     """How often to take differences along the steps: what makes the numbers shortest."""
     if len(v) < 3 or np.abs(v).max() >= 1 << 59:
         return 0
-    if v.size > 8 * COUNTED:  # whole runs of steps
-        runs = min(8, len(v) // 16)
-        steps = max(3, 8 * COUNTED // (max(runs, 1) * v.shape[1]))
-        at = np.linspace(0, max(0, len(v) - steps), max(runs, 1)).astype(int)
-        lanes = slice(None, None, max(1, steps * v.shape[1] * runs // (8 * COUNTED)))
-        bits = np.sum([_bits_by_order(v[a : a + steps, lanes]) for a in at], axis=0)
+    v = v[:, :: max(1, v.shape[1] // 512)]
+    if v.size > 8 * COUNTED and len(v) >= 64:  # eight runs of steps
+        steps = max(8, COUNTED // v.shape[1])
+        begins = np.linspace(0, len(v) - steps, 8).astype(int).tolist()
+        bits = np.sum([_bits_by_order(v[a : a + steps], 2) for a in begins], axis=0)
     else:
         bits = _bits_by_order(v)
     bits[0] *= 0.97  # a tie goes to the plain numbers
     return int(np.argmin(bits))
 
 
-def _bits_by_order(v: Integers) -> NDArray[np.float64]:
-    return np.array([np.log2(1 + 2 * np.abs(_difference(v, order))).sum() for order in (0, 1, 2)])
+def _bits_by_order(v: Integers, begin: int = 0) -> NDArray[np.float64]:
+    """About how many bits the steps from `begin` take, plain and as first and second differences."""
+    return np.array([np.log2(1 + 2 * np.abs(_difference(v, order)[begin:])).sum() for order in (0, 1, 2)])
 
 
 def _context_tokens(contexts: Array, shape: tuple[int, int]) -> NDArray[np.uint8]:
@@ -270,17 +272,16 @@ def _context_tokens(contexts: Array, shape: tuple[int, int]) -> NDArray[np.uint8
 
 
 def _sample(token: Array, given: Array | None) -> tuple[Array, Array | None]:
-    """Some runs of steps of a long array, one below the other."""
+    """Some runs of steps of a long array, one below the other, along its longer axis (as `bulk` codes it)."""
+    if token.shape[1] > len(token):
+        token, given = token.T, None if given is None else given.T
     if token.size <= 10 * COUNTED:
         return token, given
-    turned = token.shape[1] > len(token)
-    long = token.T if turned else token
-    runs = min(8, max(1, len(long) // 128))
-    steps = max(1, 10 * COUNTED // (runs * long.shape[1]))
-    begin = np.linspace(0, max(0, len(long) - steps), runs).astype(int)
-    places = np.unique(begin[:, None] + np.arange(min(steps, len(long))))
-    hints = None if given is None else (given.T if turned else given)[places]
-    return long[places], hints
+    runs = min(8, max(1, len(token) // 128))
+    steps = min(len(token), max(1, 10 * COUNTED // (runs * token.shape[1])))
+    begins = np.linspace(0, len(token) - steps, runs).astype(int)
+    places = np.unique(begins[:, None] + np.arange(steps))
+    return token[places], None if given is None else given[places]
 
 
 def _warming(step: int) -> int:
@@ -358,16 +359,15 @@ def _likely_means(token: Array, past: Array) -> NDArray[np.float32]:
     return means
 
 
-def _choose(around: _Around, order: int, rows: int, columns: int) -> tuple[_Fields, float]:
+def _choose(around: _Around, order: int, large: int, rows: int, columns: int) -> tuple[_Fields, float]:
     """What codes these tokens shortest, and in how many bits a symbol (without signs and mantissas)."""
     token = around.token
     most = int(token.max()) + 1
-    large = int(most > 57)
     laws = models.LAWS_LARGE if large else models.LAWS
     mixtures = len(MIXTURES) if around.given is not None else WITHOUT_CONTEXTS
-    some = _some(token.size, token.shape[1])
     ladder = _rung_or_silence(laws)
     means = _likely_means(token, around.near[0])
+    some, share, silences = _some(around, means)
     near = tuple(a.ravel()[some] for a in around.near)
     given = None if around.given is None else around.given.ravel()[some]
     few = _Around(token.ravel()[some], near, given)
@@ -375,16 +375,17 @@ def _choose(around: _Around, order: int, rows: int, columns: int) -> tuple[_Fiel
     keys = np.stack([ladder.take(few.likely(m, means)) + m * (laws + 1) for m in range(mixtures)]) * most
     keys += few.token
     counts = np.bincount(keys.ravel(), minlength=mixtures * (laws + 1) * most).reshape(mixtures, laws + 1, most)
+    counts = counts * share
+    counts[:, laws, 0] += silences
 
     field_bits = _bits_of_tables(_header())
     cost = _bit_costs(laws)
-    scale = np.float32(token.size / few.token.size)
-    silence = scale * (counts[:, laws] @ cost[:, :SILENT, :most].reshape(-1, most).T)
+    silence = counts[:, laws] @ cost[:, :SILENT, :most].reshape(-1, most).T
     silence = silence.reshape(mixtures, -1, SILENT) + field_bits[2, :SILENT]
     sounding = counts[:, :laws].reshape(mixtures, -1)
     seen = np.flatnonzero(sounding.any(axis=0))
     costs = _offset_costs(laws).take(seen // most * 256 + seen % most, axis=1)
-    expected = scale * (sounding[:, seen].astype(np.float32) @ costs.T)
+    expected = sounding[:, seen].astype(np.float32) @ costs.T
     expected = expected.reshape(mixtures, -1, OFFSETS) + field_bits[3, :OFFSETS]
     total = silence.min(axis=2) + expected.min(axis=2) + field_bits[0, :mixtures, None] + field_bits[1, :2]
     mixture, shape = (int(a) for a in np.unravel_index(total.argmin(), total.shape))
@@ -393,12 +394,15 @@ def _choose(around: _Around, order: int, rows: int, columns: int) -> tuple[_Fiel
     return fields, float(total[mixture, shape]) / token.size
 
 
-def _some(size: int, lanes: int) -> slice:
-    """Some of so many symbols, of all lanes alike."""
-    stride = max(1, size // (COUNTED + size // 8))
-    while gcd(stride, lanes) > 1:
+def _some(around: _Around, means: Array) -> tuple[Array, float, int]:
+    """Some of the symbols that are not zero among zeros, of how many each is one, and how many zeros among zeros."""
+    any_sound = np.bitwise_or.reduce([around.token, *around.near] + ([] if around.given is None else [around.given]))
+    sounding = np.flatnonzero((any_sound > 0) | (means >= 1 / 16))
+    stride, lanes = max(1, len(sounding) // COUNTED), around.token.shape[1]
+    while gcd(stride, lanes) > 1:  # all lanes alike
         stride -= 1
-    return slice(None, None, stride)
+    some = sounding[::stride]
+    return some, len(sounding) / max(1, len(some)), any_sound.size - len(sounding)
 
 
 @cache
