@@ -123,11 +123,16 @@ def run(data: Path = datasets.SHARED, output: Path | None = None) -> dict[str, A
     ]
     results["claims"] = claims(results)
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        (output / "hou2014.json").write_text(json.dumps(results, indent=1) + "\n")
-        (output / "hou2014.md").write_text(markdown(results))
-        draw(results, output)
+        write(results, output)
     return results
+
+
+def write(results: dict[str, Any], output: Path) -> None:
+    """The JSON, the tables and the figures."""
+    output.mkdir(parents=True, exist_ok=True)
+    (output / "hou2014.json").write_text(json.dumps(results, indent=1) + "\n")
+    (output / "hou2014.md").write_text(markdown(results))
+    draw(results, output)
 
 
 class Recordings:
@@ -385,12 +390,15 @@ def claims(results: dict[str, Any]) -> list[dict[str, Any]]:
         if one["points"] <= 31 and one["rate"] > 100:
             for name in ("as published, steered", "as published", "ours, steered"):
                 error = error_at(one["curves"][name], 100)
+                least = min(one["curves"][name], key=lambda point: point["ratio"])
+                finer = error is None and least["ratio"] > 100  # the curve begins beyond 100
+                value = f"below {least['mean_cm']:.2f} cm" if finer else None if error is None else f"{error:.2f} cm"
                 found.append(
                     {
                         "claim": "mean error below 1 cm at a ratio of 100 (joints, 120 Hz)",
                         "on": f"{one['sequence']}, {name}",
-                        "value": None if error is None else f"{error:.2f} cm",
-                        "holds": None if error is None else error < 1,
+                        "value": value,
+                        "holds": least["mean_cm"] < 1 if finer else None if error is None else error < 1,
                     }
                 )
         for rival in ("clip-wise SVD", "2-D DCT", "2-D DWT"):
@@ -640,7 +648,8 @@ def draw_rivals(plt: Any, sequences: Sequence[dict[str, Any]], path: Path) -> No
         for i, (ratio, error) in enumerate(TABLE_IV.get(one["sequence"], ())):
             panel.plot(ratio, error, "o", mfc="none", color="0.2", label="printed in Table IV" if i == 0 else None)
         panel.set_title(f"{one['sequence']}, {one['points']} points", fontsize=10)
-        finish(panel, legend=panel is axes.flat[0])
+        finish(panel, legend=False)
+    figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
     for spare in axes.flat[len(sequences) :]:
         spare.axis("off")
     save(plt, figure, axes.flat[: len(sequences)], path)
