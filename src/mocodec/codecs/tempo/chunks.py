@@ -19,7 +19,7 @@ from ...errors import Corrupt
 from ...motion import Floats
 from ...stages import gaps
 from . import body, coefficients, corrections, direct
-from .model import HEADING, POSE, Model, heading_step, step_size
+from .model import HEADING, Model, heading_step, step_size
 
 TRANSFORM, DIRECT = 0, 1
 ENGINES = 2
@@ -109,10 +109,13 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
             values, step, lists = found[i]
             positions = model.synthesise(coefficients.dequantise(values, sizes(model, chunk.frames, step)), chunk.frames)
             if lists.size:
-                corrections.apply(positions, corrections.from_numbers(lists, chunk.frames, points), size)
+                moved = corrections.from_numbers(lists, chunk.frames, points)
+                corrections.apply(positions, moved, size, model.weights)
         else:
             values = direct.unpack(p.numbers, (chunk.frames, 3 * points))
             positions = values.reshape(chunk.frames, points, 3) * size
+            if model.weights is not None:
+                positions /= model.weights[:, None]
         out.append(gaps.apply(positions, gaps.unpack(p.gaps, (chunk.frames, points))))
     return out
 

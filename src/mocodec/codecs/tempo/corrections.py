@@ -69,7 +69,7 @@ def find(error: Floats, bound: float, step: float) -> Corrections:
 
 def _runs(beyond: NDArray[np.bool_]) -> tuple[Integers, Integers]:
     """Starts and lengths of the runs of True in each row of (points, frames), as places in the flat array."""
-    points, frames = beyond.shape
+    frames = beyond.shape[1]
     edges = np.diff(np.pad(beyond.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     point, first = np.nonzero(edges == 1)
     _, last = np.nonzero(edges == -1)
@@ -83,11 +83,14 @@ def _samples(start: Integers, length: Integers) -> tuple[Integers, Integers, Flo
     return start[of] + within, of, np.sin(np.pi * (within + 1) / (length[of] + 1))
 
 
-def apply(positions: Floats, corrections: Corrections, step: float) -> None:
-    """Add the corrections to positions (frames, points, 3), in place."""
+def apply(positions: Floats, corrections: Corrections, step: float, weights: Floats | None = None) -> None:
+    """Add the corrections to positions (frames, points, 3), in place. weights (points,): how much smaller a step is."""
     samples, of, weight = _samples(corrections.start, corrections.length)
     frames = len(positions)
-    positions[samples % frames, samples // frames] += corrections.by[of] * (weight[:, None] * step)
+    point = samples // frames
+    if weights is not None:
+        weight = weight / weights[point]
+    positions[samples % frames, point] += corrections.by[of] * (weight[:, None] * step)
 
 
 def numbers(corrections: Corrections) -> Integers:

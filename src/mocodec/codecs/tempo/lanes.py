@@ -43,7 +43,8 @@ class Tables:
     def of(cls, frequencies: NDArray[np.integer]) -> Tables:
         rows = np.concatenate([np.asarray(frequencies, np.int64), np.zeros((1, frequencies.shape[1]), np.int64)])
         rows[-1, 0] = TOTAL
-        assert (rows.sum(axis=1) == TOTAL).all() and (rows >= 0).all()
+        assert (rows.sum(axis=1) == TOTAL).all()
+        assert (rows >= 0).all()
         starts = np.cumsum(rows, axis=1) - rows
         symbols = np.repeat(np.tile(np.arange(rows.shape[1]), len(rows)), rows.ravel())
         at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL

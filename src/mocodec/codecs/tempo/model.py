@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ class Model:
     points: PointSet
     prior: Prior
     rate: float
+    weights: Floats | None = None
+    """How much closer than the bound each point is kept, (points,), for corrections and the direct engine."""
     _cache: dict[tuple[int, ...], Integers] = field(default_factory=dict)
 
     @property
@@ -61,7 +64,7 @@ class Model:
     def bands(self, frames: int) -> list[slice]:
         """The frequencies of a chunk that each basis serves. Integers only."""
         edges = [0, *(min(frames, -(-2 * frames * e // round(self.rate * 1000))) for e in EDGES_MHZ), frames]
-        return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [slice(a, b) for a, b in pairwise(edges)]
 
     def analyse(self, positions: Floats) -> Floats:
         """Positions (frames, points, 3), y up, as coefficients (frames, rows) in metres; no slopes taken out yet.

@@ -10,16 +10,17 @@ Where this suits a motion badly, a chunk is coded directly on a grid instead; th
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
 from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput, CannotEncode, Corrupt
-from ...motion import Floats, Motion
+from ...motion import Floats, Motion, point_columns
 from ...stages import gaps
 from ..base import require_frames, settings
 from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior
@@ -38,6 +39,7 @@ class Tempo:
     """Settings. At most one target; without any, no point of any frame is moved by more than 5 mm.
 
     max_error, mean_error: metres. ratio: against float32 positions. size: bytes of payload. chunk_seconds: 0.5 to 10.
+    weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
     """
 
     name: ClassVar[str] = "tempo"
@@ -47,6 +49,7 @@ class Tempo:
     ratio: float | None = None
     size: int | None = None
     chunk_seconds: float = 4.0
+    weights: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         targets = {
@@ -58,6 +61,10 @@ class Tempo:
             raise BadInput(f"a target must be positive: {targets}")
         if not 0.5 <= self.chunk_seconds <= 10:
             raise BadInput("chunk_seconds must lie between 0.5 and 10")
+        if self.weights and targets.keys() - {"max_error"}:
+            raise BadInput("weights go with a hard bound: max_error")
+        if self.weights and not all(1 <= w <= 1000 for w in self.weights.values()):
+            raise BadInput("weights must lie between 1 and 1000")
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large to be held to the target."""
@@ -69,6 +76,9 @@ class Tempo:
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
         cut = [smooth[a:b] for a, b in bounds]
         shared, known = choose_model(cut, motion.names, motion.rate, self.first_step(motion))
+        if self.weights:
+            weighting = weight_bytes(motion.names, self.weights)
+            shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
         pieces = [Piece(known, positions[a:b], mask[a:b], spikes[a:b]) for a, b in bounds]
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
@@ -80,7 +90,7 @@ class Tempo:
                 payload, offset = piece.within(self.max_error or DEFAULT_MAX_ERROR, offset)
                 payloads.append(payload)
         if all(Parts.unpack(p).engine == DIRECT for p in payloads):
-            shared = bytes([PLAIN]) + known.prior.id
+            shared = plain_shared(shared, motion.points)
         stored = settings(self)
         if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
@@ -125,6 +135,8 @@ def step_for_bound(bound: float) -> int:
 
 PLAIN, KNOWN, OWN = 0, 1, 2
 """Kinds of model: none (every chunk is coded directly), the prior's, and one stored in the file. Never change them."""
+WEIGHTED = 8
+"""Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
 """Points that the prior knows get a basis of their own only in recordings at least this long."""
 
@@ -151,23 +163,46 @@ def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: i
     return min(candidates, key=size)
 
 
+def weight_bytes(names: tuple[str, ...], weights: Mapping[str, float]) -> bytes:
+    """A byte a point: log₂ of its weight in sixteenths, rounded up. Raises BadInput for an unknown name."""
+    point_columns(names, list(weights))
+    return bytes(int(np.ceil(16 * np.log2(weights.get(name, 1.0)))) for name in names)
+
+
+def weighted(known: model.Model, weighting: bytes) -> model.Model:
+    return replace(known, weights=2.0 ** (np.frombuffer(weighting, np.uint8) / 16))
+
+
+def plain_shared(shared: bytes, points: int) -> bytes:
+    """Shared bytes for chunks that are all coded directly: what they need of these."""
+    flag = shared[0] & WEIGHTED
+    return bytes([PLAIN | flag]) + shared[1 : 1 + (points if flag else 0) + prior.ID_BYTES]
+
+
 def model_of(shared: tuple[bytes, ...], like: Motion) -> model.Model:
     """The model that a file was coded with. Raises Corrupt, UnknownCodec."""
-    if len(shared) != 1 or len(shared[0]) < 1 + prior.ID_BYTES:
+    if len(shared) != 1 or not shared[0]:
         raise Corrupt("tempo: the shared bytes are not its own")
     return _model_of(shared[0], like.names, like.rate)
 
 
 @lru_cache(maxsize=8)
 def _model_of(shared: bytes, names: tuple[str, ...], rate: float) -> model.Model:
-    kind, id_, rest = shared[0], shared[1 : 1 + prior.ID_BYTES], shared[1 + prior.ID_BYTES :]
+    kind, at = shared[0] & ~WEIGHTED, 1
+    weighting = b""
+    if shared[0] & WEIGHTED:
+        weighting, at = shared[at : at + len(names)], at + len(names)
+    id_, rest = shared[at : at + prior.ID_BYTES], shared[at + prior.ID_BYTES :]
+    if len(id_) < prior.ID_BYTES or kind > OWN:
+        raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
     if kind == OWN:
-        return own.unpack(rest, used, names, rate)
-    found = model.of_names(names, used, rate) if kind == KNOWN else model.plain(names, used, rate)
-    if found is None or rest or kind > OWN:
-        raise Corrupt("tempo: the shared bytes do not fit the names of the points")
-    return found
+        found = own.unpack(rest, used, names, rate)
+    else:
+        found = model.of_names(names, used, rate) if kind == KNOWN else model.plain(names, used, rate)
+        if found is None or rest:
+            raise Corrupt("tempo: the shared bytes do not fit the names of the points")
+    return weighted(found, weighting) if weighting else found
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
@@ -177,7 +212,7 @@ def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | Non
         start = edges[-1]
         count = max(1, round((stop - start) / (rate * seconds)))
         edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 class Piece:
@@ -191,10 +226,14 @@ class Piece:
         self.gaps = gaps.pack(mask)
         self.spectrum = known.analyse(jumps.bridged(positions, self.spikes)) if known.rows else None
 
+    def scaled(self) -> Floats:
+        """The positions, times their weights."""
+        return self.positions if self.model.weights is None else self.positions * self.model.weights[:, None]
+
     def errors(self, decoded: Floats) -> Floats:
-        """Distances (frames, points) of decoded positions, 0 in gaps."""
-        d = self.positions - decoded
-        return np.where(self.mask, 0.0, np.sqrt((d**2).sum(axis=2)))
+        """Distances (frames, points) of decoded positions, 0 in gaps, times the weights of the points."""
+        d = np.where(self.mask, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=2)))
+        return d if self.model.weights is None else d * self.model.weights
 
     def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
         """Whole numbers, threshold, about how many bits, and the positions that they decode to."""
@@ -207,7 +246,7 @@ class Piece:
         return values, threshold, cost, decoded
 
     def directly(self, step: int) -> bytes:
-        values = direct.quantise(self.positions, fine_size(step)).reshape(len(self.positions), -1)
+        values = direct.quantise(self.scaled(), fine_size(step)).reshape(len(self.positions), -1)
         return Parts(DIRECT, direct.pack(values), step, gaps=self.gaps).pack()
 
     def within(self, bound: float, offset: int = 32) -> tuple[bytes, int]:
@@ -240,11 +279,13 @@ class Piece:
 
     def direct_estimate(self, bound: float) -> float:
         """About how many bytes the direct engine will need."""
-        return direct.estimate(direct.quantise(self.positions, direct.cell(bound)).reshape(len(self.positions), -1))
+        return direct.estimate(direct.quantise(self.scaled(), direct.cell(bound)).reshape(len(self.positions), -1))
 
     def found(self, decoded: Floats, bound: float) -> corrections.Corrections:
         d = self.positions - decoded
         d[self.mask] = 0.0
+        if self.model.weights is not None:
+            d *= self.model.weights[:, None]
         return corrections.find(d, bound * (1 - 1e-9), fine_size(fine_step(direct.cell(bound))))
 
     def holds(self, payload: bytes, bound: float) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,7 @@ def _flips(motion: Motion) -> bool:
 def chunk_bounds(frames: int, rate: float, seconds: float = CHUNK_SECONDS) -> list[tuple[int, int]]:
     """Frames cut into equal chunks of about `seconds`."""
     count = max(1, round(frames / (rate * seconds)))
-    edges = [frames * i // count for i in range(count + 1)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(frames * i // count for i in range(count + 1)))
 
 
 def train(recordings: Mapping[str, Sequence[Motion]]) -> bytes:

@@ -1,0 +1,267 @@
+"""What tempo's page states, measured anew: `python -m mocodec.evaluation.tempo`.
+
+    recordings ─► tempo, each with a prior that never saw the person ─► bytes at mean errors and under hard bounds
+               ─► SZ3 at the same errors; hou2014 at its own ─► docs/results/tempo.json ─► the tables of docs/tempo.md
+
+Bytes are whole .mocz files, with names and skeleton, against float32 positions. A recording of one of the people in the
+prior's data is coded with a prior trained without that person; the markers of subject 85 and the BVH files with one
+trained on all nine, none of whom is 85, and whose points the prior does not know.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import metrics
+from ..codecs.tempo import Encoder, Tempo
+from ..motion import Motion
+from . import datasets, folds, rivals, runner
+
+RESULTS = Path("docs/results/tempo.json")
+PAGE = Path("docs/tempo.md")
+MEANS = (0.001, 0.003, 0.01)
+HOU_MEANS = (0.002, 0.004, 0.008)
+BOUNDS = (0.001, 0.003, 0.01)
+LATENCIES_S = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+CHUNKS_S = (0.5, 1.0, 2.0, 4.0, 10.0)
+LONG_FRAMES, CLIP_FRAMES = 2000, (300, 1000)
+HOU_FILES = 12
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measurement. Errors and targets in metres, times in seconds."""
+
+    file: str
+    kind: str
+    frames: int
+    codec: str
+    target: str
+    target_m: float
+    bytes: int
+    ratio: float
+    mean_error_m: float
+    max_error_m: float
+    encode_s: float
+    decode_s: float
+    setting: float = 0.0
+
+
+def kind_of(recording: datasets.Recording, motion: Motion) -> str:
+    """Which of the page's rows a recording belongs to."""
+    if recording.path is not None and recording.path.suffix.lower() == ".amc":
+        if len(motion) >= LONG_FRAMES:
+            return "joints, long"
+        return "joints, clips" if CLIP_FRAMES[0] <= len(motion) <= CLIP_FRAMES[1] else "joints, other"
+    return "markers" if recording.path is not None and recording.path.suffix.lower() == ".c3d" else "other skeletons"
+
+
+def person(recording: datasets.Recording) -> str | None:
+    """The folder of a recording of one of the prior's people."""
+    path = recording.path
+    return path.parent.name if path is not None and path.suffix.lower() == ".amc" else None
+
+
+def figure(file: str, kind: str, motion: Motion, codec: str, target: str, wanted: float, outcome: runner.Outcome) -> Figure:
+    error = metrics.distances(motion.positions, outcome.positions)
+    return Figure(
+        file, kind, len(motion), codec, target, wanted, outcome.data_bytes, motion.raw_bytes / outcome.data_bytes,
+        float(np.nanmean(error)), float(np.nanmax(error)), outcome.encode_s, outcome.decode_s,
+    )  # fmt: skip
+
+
+def of_recording(recording: datasets.Recording, prior: Path | None, with_hou: bool) -> list[Figure]:
+    """All figures of one recording."""
+    motion, problem = datasets.loaded(recording)
+    if motion is None or problem:
+        return []
+    motion = replace(motion, extras={}, rotations=None)
+    kind, label = kind_of(recording, motion), recording.label
+    found = []
+    sz3 = rivals.Sz3()
+    with folds.unseen(prior):
+        for target, wanted in [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]:
+            outcome = runner.ours("tempo", motion, **{target: wanted})
+            found.append(figure(label, kind, motion, "tempo", target, wanted, outcome))
+            guess = sz3.knob_of(wanted if target == "mean_error" else wanted / 3)
+
+            def run(knob: float) -> runner.Outcome:
+                return runner.theirs(sz3, motion, knob)
+
+            theirs = runner.search(run, motion, target, wanted, guess)
+            if theirs is not None:
+                found.append(figure(label, kind, motion, "sz3", target, wanted, theirs))
+        for wanted in HOU_MEANS if with_hou else ():
+            for codec in ("tempo", "hou2014"):
+                outcome = runner.ours(codec, motion, mean_error=wanted)
+                found.append(figure(label, kind, motion, codec, "mean_error", wanted, outcome))
+        if kind == "joints, long" and with_hou:
+            found += of_chunks(label, kind, motion)
+    return found
+
+
+def of_chunks(label: str, kind: str, motion: Motion) -> list[Figure]:
+    """What shorter chunks and a low latency cost under the default bound; payload bytes."""
+    found = []
+    for seconds in CHUNKS_S:
+        encoded = Tempo(chunk_seconds=seconds).encode(motion)
+        size = encoded.payload_bytes
+        found.append(Figure(label, kind, len(motion), "tempo", "chunk", 0.005, size, motion.raw_bytes / size, 0, 0, 0, 0, seconds))
+    for seconds in LATENCIES_S:
+        stream = Encoder(motion[:0], latency_seconds=seconds)
+        chunks = [*stream.push(motion.positions), *stream.finish()]
+        size = sum(len(c.payload) for c in chunks) + sum(map(len, stream.shared))
+        found.append(Figure(label, kind, len(motion), "tempo", "latency", 0.005, size, motion.raw_bytes / size, 0, 0, 0, 0, seconds))
+    return found
+
+
+def speeds(motion: Motion, repeats: int = 5) -> dict[str, float]:
+    """Frames a second on one thread, medians: encoding and decoding whole, and milliseconds for 120 frames of an hour."""
+    from .. import api, container
+
+    motion = replace(motion[:5000], extras={}, rotations=None, skeleton=None)
+    result: dict[str, float] = {"frames": len(motion), "points": motion.points}
+    for target in ({"mean_error": 0.003}, {"max_error": 0.005}):
+        name = "_".join(map(str, *target.items()))
+        encoded = Tempo(**target).encode(motion)
+        result[f"encode_fps_{name}"] = len(motion) / median_s(lambda t=target: Tempo(**t).encode(motion), 3)
+        result[f"decode_fps_{name}"] = len(motion) / median_s(lambda e=encoded: Tempo.decode(e), repeats)
+    hour = int(3600 * motion.rate)
+    long = replace(motion, positions=np.tile(motion.positions, (-(-hour // len(motion)), 1, 1))[:hour])
+    blob = container.pack(Tempo(mean_error=0.003).encode(long))
+
+    def open_and_read() -> None:
+        with api.open(blob) as f:
+            _ = f[hour // 2 : hour // 2 + 120]
+
+    open_and_read()
+    result["hour_bytes"] = len(blob)
+    result["hour_120_frames_ms"] = 1000 * median_s(open_and_read, 2 * repeats + 1)
+    return result
+
+
+def median_s(run: Callable[[], Any], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - started)
+    return float(np.median(times))
+
+
+def geometric(values: Iterable[float]) -> float:
+    return float(np.exp(np.mean(np.log(list(values)))))
+
+
+def pick(figures: Sequence[Figure], codec: str, target: str, wanted: float, kind: str | None = None) -> dict[str, Figure]:
+    """Figures of one cell, by file."""
+    return {
+        f.file: f
+        for f in figures
+        if f.codec == codec and f.target == target and f.target_m == wanted and kind in (None, f.kind)
+    }
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in rows), ""]
+
+
+def markdown(figures: Sequence[Figure], speed: dict[str, float], machine: dict[str, Any]) -> str:
+    """The tables of the page."""
+    lines = []
+    rows = []
+    for kind in ("joints, long", "joints, clips", "markers", "other skeletons"):
+        cells = [pick(figures, "tempo", "mean_error", e, kind) for e in MEANS]
+        if cells[0]:
+            theirs = [pick(figures, "sz3", "mean_error", e, kind) for e in MEANS]
+            rows.append([
+                f"{kind}: median of {len(cells[0])}",
+                " / ".join(f"{np.median([f.ratio for f in c.values()]):.0f}" for c in cells),
+                " / ".join(f"{np.median([f.ratio for f in c.values()]):.0f}" for c in theirs),
+            ])  # fmt: skip
+    for file in sorted({f.file for f in figures if f.file.endswith(("85_12.c3d", "03_04.amc", "02_10.amc", "01_02.amc"))}):
+        cells = [pick(figures, "tempo", "mean_error", e)[file].ratio for e in MEANS]
+        theirs = [pick(figures, "sz3", "mean_error", e)[file].ratio for e in MEANS]
+        rows.append([file, " / ".join(f"{c:.0f}" for c in cells), " / ".join(f"{c:.0f}" for c in theirs)])
+    lines += ["Ratio at mean error 0.1 / 0.3 / 1.0 cm:", ""]
+    lines += table(["recordings", "tempo", "SZ3"], rows)
+    rows = []
+    for bound in BOUNDS:
+        ours, theirs = pick(figures, "tempo", "max_error", bound), pick(figures, "sz3", "max_error", bound)
+        times = {f: ours[f].ratio / theirs[f].ratio for f in ours if f in theirs}
+        worst = min(times, key=lambda f: times[f])
+        rows.append([
+            f"{100 * bound:g} cm", str(len(times)), f"{geometric(ours[f].ratio for f in times):.1f}",
+            f"{geometric(theirs[f].ratio for f in times):.1f}", f"{geometric(times.values()):.2f}",
+            f"{times[worst]:.2f} ({worst})", f"{max(o.max_error_m for o in ours.values()) * 100:.4f} cm",
+        ])  # fmt: skip
+    lines += ["Under a hard maximum, geometric means over every recording:", ""]
+    lines += table(["maximum", "recordings", "tempo", "SZ3", "times SZ3", "worst", "largest error found"], rows)
+    rows = []
+    for wanted in HOU_MEANS:
+        ours, theirs = pick(figures, "tempo", "mean_error", wanted), pick(figures, "hou2014", "mean_error", wanted)
+        shares = [ours[f].bytes / theirs[f].bytes for f in theirs]
+        if shares:
+            rows.append([f"{100 * wanted:g} cm", str(len(shares)), f"{geometric(shares):.3f}", f"{max(shares):.3f}"])
+    lines += ["Bytes as a share of hou2014's at the same mean error:", ""]
+    lines += table(["mean error", "recordings", "geometric mean", "worst"], rows)
+    for target, what in (("chunk", "chunk_seconds"), ("latency", "latency of the stream, seconds")):
+        cells = [f for f in figures if f.target == target]
+        files = sorted({f.file for f in cells})
+        settings = sorted({f.setting for f in cells})
+        rows = [[f"{s:g}", *(f"{f.ratio:.1f}" for name in files for f in cells if (f.file, f.setting) == (name, s))] for s in settings]
+        lines += [f"Ratio of the payload under the default bound of 0.5 cm, by {what}:", "", *table([what, *files], rows)]
+    if speed:
+        rows = [[name.replace("_", " "), f"{value:,.1f}"] for name, value in speed.items()]
+        lines += [f"Speed on {machine['cores']} shared cores, one thread, medians:", "", *table(["", ""], rows)]
+    return "\n".join(lines)
+
+
+def write_page(text: str, page: Path = PAGE) -> None:
+    """Put the tables between the page's two marks."""
+    before, _, rest = page.read_text().partition("<!-- results -->\n")
+    after = rest.partition("<!-- end of results -->")[2]
+    page.write_text(f"{before}<!-- results -->\n{text}\n<!-- end of results -->{after}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=datasets.SHARED / "cmu")
+    parser.add_argument("--priors", type=Path, default=Path("build/priors"), help="where priors without one person are kept")
+    parser.add_argument("--quick", action="store_true", help="every fifth recording")
+    parser.add_argument("--tables", action="store_true", help="only draw the tables again")
+    chosen = parser.parse_args()
+    if not chosen.tables:
+        figures: list[Figure] = []
+        recordings = datasets.recordings(chosen.data)
+        for number, recording in enumerate(recordings[:: 5 if chosen.quick else 1]):
+            who = person(recording)
+            prior = None
+            if who is not None:
+                prior = folds.prior_path(chosen.priors, (who,))
+                if not prior.is_file():
+                    folds.train((who,), prior)
+            every = max(1, len(recordings) // HOU_FILES)
+            figures += of_recording(recording, prior, number % every == 0 or recording.label.endswith("85_12.c3d"))
+            print(number, recording.label, flush=True)
+        long = next(r for r in recordings if r.label.endswith("03_04.amc"))
+        machine = runner.machine()
+        speed = speeds(long.load())
+        RESULTS.write_text(
+            json.dumps({"machine": machine, "speed": speed, "figures": [asdict(f) for f in figures]}, indent=0)
+        )
+    stored = json.loads(RESULTS.read_text())
+    figures = [Figure(**f) for f in stored["figures"]]
+    write_page(markdown(figures, stored["speed"], stored["machine"]))
+
+
+if __name__ == "__main__":
+    main()
