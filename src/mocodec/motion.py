@@ -204,7 +204,7 @@ def point_columns(all_names: Sequence[str], wanted: Iterable[str]) -> list[int]:
 
 
 class Deferred(Mapping[str, Any]):
-    """Extras that are fetched when they are first looked at: so that opening a file and taking a slice of it need not."""
+    """Extras that are fetched when first looked at: so that opening a file and taking a slice of it need not."""
 
     def __init__(self, load: Callable[[], dict[str, Any]]) -> None:
         self._load = load

@@ -1,4 +1,4 @@
-"""Motion to Encoded and back. `CODECS` is the literal table of names on disk: never change one that has been released."""
+"""Motion to Encoded and back. `CODECS` is the literal table of names on disk: never change a released one."""
 
 from __future__ import annotations
 

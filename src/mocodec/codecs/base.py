@@ -1,4 +1,4 @@
-"""What every codec is: a frozen dataclass of settings with `encode`, and a static `decode` that needs only the bytes."""
+"""What every codec is: a frozen dataclass of settings with `encode`, and a static `decode` that needs only bytes."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Lossless:
 
 
 def numbers(positions: Floats, present: NDArray[np.bool_], unit: float) -> tuple[int, float, float, NDArray[Any]]:
-    """Form, unit, steps in a unit and values such that value / steps × unit is each present position, bit for bit in float32.
+    """Form, unit, steps in a unit and values: value / steps × unit is each present position, bit for bit in float32.
 
     In the units of the source where that gives the very float64 back, in metres otherwise. Raises CannotEncode beyond
     the range of float32.

@@ -1,9 +1,9 @@
 """TRC: tab-separated marker positions (Motion Analysis; also OpenSim's marker format).
 
-    PathFileType …        kind of file, and the name it had
-    DataRate …            keys of the next line, then their values: rate, counts, units
-    Frame#  Time  LASI … names, one every three columns; then X1 Y1 Z1 …
-    1  0.000  x y z …     a line a frame; an empty cell is a gap
+PathFileType …        kind of file, and the name it had
+DataRate …            keys of the next line, then their values: rate, counts, units
+Frame#  Time  LASI … names, one every three columns; then X1 Y1 Z1 …
+1  0.000  x y z …     a line a frame; an empty cell is a gap
 """
 
 from __future__ import annotations
