@@ -3,6 +3,7 @@
 mocodec eval -o DIR                     the data set, every coder, every target
 mocodec eval report DIR                 the pages again, from DIR/results.json
 mocodec eval liu2006 | hou2014 …        a paper's tables and figures
+mocodec eval cloud -o DIR               point-cloud codecs, ours and rivals
 mocodec eval fetch cmu --subjects 14    recordings from the CMU site
 """
 
@@ -78,6 +79,34 @@ def command(
 def report_command(folder: str) -> None:
     """Write the report of FOLDER again from its results.json."""
     write_report(Path(folder))
+
+
+@command.command("cloud")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(file_okay=False), help="Folder for cloud.json, .md and pictures."
+)
+@click.option("--quick", is_flag=True, help="One short sequence, fewer settings: under five minutes on one core.")
+@click.option("--codec", "chosen", multiple=True, metavar="NAME", help="Only these coders; may be repeated.")
+def cloud_command(output: str, quick: bool, chosen: tuple[str, ...]) -> None:
+    """Measure coders of point clouds, ours and rivals, on people whose truth is known; write a table and a picture.
+
+    A coder whose package is not installed is listed as not measured. Rivals need: pip install 'mocodec[bench]'.
+    """
+    from ..evaluation.cloud import runner
+
+    unknown = [name for name in chosen if name not in runner.coders()]
+    if unknown:
+        raise click.UsageError(f"no coder named {', '.join(unknown)}; there are: {', '.join(runner.coders())}")
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    scenes, codings = runner.scenes(quick), runner.codings(chosen or runner.coders(), quick)
+    measured: list[runner.Measured] = []
+    with progress(len(scenes) * len(codings)) as advance:
+        for one in runner.run(scenes, codings):
+            measured.append(one)
+            advance(f"{one.record.label} on {one.record.sequence}")
+    for path in runner.write(folder, measured):
+        click.echo(path)
 
 
 @command.group("fetch")
