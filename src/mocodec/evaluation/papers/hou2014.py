@@ -44,9 +44,10 @@ DATABASES = {
     "database_2": (105, 106, 111, 113),
     "database_3": (6, 15, 16, 17, 35, 94, 135),
     "database_4": (1, 2, 5, 6, 9, 12),
+    "subjects 1, 2, 3": (1, 2, 3),
     "subjects here": (1, 2, 3, 10, 16, 49, 64, 118, 131),
 }
-"""Subjects of the databases of Table II; the last stands in where those are not there."""
+"""Subjects of the databases of Table II; the last two stand in where those are not there."""
 
 TABLE_I = {"14_14": (0.0516, 2.895), "15_12": (0.0305, 1.683), "83_36": (0.0363, 10.217), "86_06": (0.0483, 8.2831)}
 """v̄ and σ̄ as printed, in the unit of the raw ASF files as it seems."""
@@ -71,7 +72,7 @@ COMPONENTS = (15, 20, 30, 40, 55, 65)
 FEW_COMPONENTS = (10, 20, 30, 45)
 LENGTHS = (140, 210, 280, 350, 420)
 RIVAL_STEPS_M = (0.002, 0.006, 0.015, 0.035, 0.08)
-DATABASE_FRAMES = 60_000
+DATABASE_FRAMES = 80_000
 """Frames of a database that are measured at most, whole files: each third file and so on where there are more."""
 
 
