@@ -1,4 +1,4 @@
-"""The residual layer: the bound holds in three dimensions, whatever was predicted, and costs nothing where it is kept."""
+"""The residual layer: the bound holds in space, whatever was predicted, and costs nothing where it is kept."""
 
 from __future__ import annotations
 
