@@ -58,12 +58,19 @@ class Signal:
     """Samples beside the points: analog channels, camera masks, residuals. Sliced along time with the motion.
 
     values (samples, …), any dtype, kept bit for bit; rate in hertz (samples a second); labels and units by channel.
+    Raises BadInput where these do not hold.
     """
 
     values: NDArray[Any]
     rate: float
     labels: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rate) and self.rate > 0) or self.values.ndim == 0:
+            raise BadInput(
+                f"a signal is an array of samples at a positive rate, not {self.values.shape} at {self.rate}"
+            )
 
     def between(self, start: int, stop: int, frame_rate: float) -> Signal:
         """The samples that fall into frames [start, stop) of a motion at `frame_rate`."""
@@ -116,6 +123,8 @@ class Motion:
             if rotations.shape != (*positions.shape[:2], 4):
                 raise BadInput(f"rotations must be (frames, joints, 4), not {rotations.shape}")
             object.__setattr__(self, "rotations", rotations)
+        if not isinstance(self.extras, Deferred):
+            require_events(self.extras)
         missing = np.isnan(positions)
         if np.isinf(positions).any():
             frame, point = np.argwhere(np.isinf(positions))[0, :2]
@@ -221,6 +230,17 @@ class Deferred(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._loaded)
+
+
+def require_events(extras: Mapping[str, Any]) -> None:
+    """Raises BadInput where `extras["events"]` is not a list of dicts with their `time_s`."""
+    events = extras.get("events", [])
+    timed = isinstance(events, list | tuple) and all(
+        isinstance(event, Mapping) and isinstance(time := event.get("time_s"), float | int) and -1e12 < time < 1e12
+        for event in events
+    )
+    if not timed:
+        raise BadInput("events must be a list of dicts, each with its time_s in seconds")
 
 
 def extras_between(extras: Mapping[str, Any], start: int, stop: int, rate: float) -> Mapping[str, Any]:

@@ -10,6 +10,7 @@ import pytest
 import mocodec as mc
 from mocodec import BadInput, Motion, formats
 from mocodec.formats import asf_amc
+from mocodec.testing import synthetic
 
 from .samples import AMC, ASF, SHARED, markers, needs_shared
 
@@ -143,6 +144,18 @@ def test_damage_of_the_motion(tmp_path, old, new, says):
 def test_damage_of_the_skeleton(tmp_path, old, new, says):
     with pytest.raises(BadInput, match=says):
         formats.read(pair(tmp_path, asf=ASF.replace(old, new, 1)))
+
+
+def test_gaps_are_refused_before_anything_is_written(tmp_path):
+    motion = synthetic.joints(3)
+    positions = motion.positions.copy()
+    positions[1, 2] = np.nan
+    skeleton = replace(motion.skeleton, names=("root", *motion.names[1:]))
+    source = {"format": "amc", "unit_m": 0.0564}
+    gappy = replace(motion, positions=positions, names=skeleton.names, skeleton=skeleton, source=source)
+    with pytest.raises(BadInput, match="gaps"):
+        formats.write(tmp_path / "x.amc", gappy)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_an_amc_cannot_hold_is_refused(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from dataclasses import replace
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocodec import BadInput, formats
+from mocodec import BadInput, Signal, formats
 from mocodec.testing import synthetic
 
 from .samples import SHARED, capture, markers, needs_shared
@@ -118,6 +119,39 @@ def test_what_a_format_has_no_place_for_is_said(suffix, expected):
     figure = synthetic.joints(5)
     assert formats.dropped(f"x{suffix}", replace(figure, extras=capture().extras)) == expected
     assert formats.dropped(f"x{suffix}", markers()) == []
+
+
+ODD = (None, "a", -1, 1e300, float("nan"), [], ["zyx*x"], {}, [3])
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".trc", ".bvh", ".amc", ".npz"])
+@pytest.mark.parametrize("key", ["units", "unit_m", "first_frame", "channels", "residual_word", "up_guessed"])
+def test_a_source_that_makes_no_sense_is_refused_or_left_alone(tmp_path, suffix, key):
+    """A source comes out of files, and those may lie."""
+    good = {"format": suffix[1:], "units": "cm", "unit_m": 0.01, "first_frame": 1, "channels": ["XYZzyx*21"]}
+    figure = synthetic.joints(3)
+    for value in ODD:
+        motion = replace(figure, source={**good, key: value})
+        with contextlib.suppress(BadInput):
+            formats.write(tmp_path / f"x{suffix}", motion)
+
+
+@pytest.mark.parametrize("key", ["analog", "events", "parameters", "parameter_notes", "residuals", "rotations"])
+def test_extras_that_make_no_sense_are_one_line_or_nothing(tmp_path, key):
+    odd = [*ODD, [{"time_s": "now"}], [{}], {"POINT": 3}, {"POINT": {"SCALE": "x", "LABELS": {}}}, {"A" * 300: {}}]
+    for value in odd:
+        with contextlib.suppress(BadInput):
+            formats.write(tmp_path / "x.c3d", replace(markers(), extras={**capture().extras, key: value}))
+
+
+def test_signals_and_events_are_what_they_say():
+    with pytest.raises(BadInput, match="a signal is"):
+        Signal(np.zeros(3), 0.0)
+    with pytest.raises(BadInput, match="a signal is"):
+        Signal(np.array(3), 100.0)
+    for events in (3, [3], [{"label": "x"}], [{"time_s": "now"}], [{"time_s": float("nan")}]):
+        with pytest.raises(BadInput, match="events"):
+            replace(markers(), extras={"events": events})
 
 
 def test_what_nobody_knows_is_said_by_its_name():

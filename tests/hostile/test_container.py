@@ -89,6 +89,18 @@ def test_a_damaged_chunk_costs_no_other():
         assert len(dict(reader.encoded.about.extras)) == 3
 
 
+def test_events_that_are_none_are_corrupt():
+    """Made to be wrong, checksums and all: met when the extras are looked at, not when a slice is cut."""
+    for events in (3, [{"label": "x"}], [{"time_s": "now"}]):
+        like = Motion(np.zeros((0, 1, 3)), 120.0)
+        object.__setattr__(like, "extras", {"events": events})
+        reader = container.Reader(container.pack(Encoded("lossless", like, ())))
+        with pytest.raises(Corrupt, match="events"):
+            len(reader.encoded.about.extras)
+        with pytest.raises(Corrupt, match="events"):
+            reader.verify()
+
+
 def test_damaged_extras_cost_no_chunk():
     data = bytearray(small_file(3))
     reader = container.Reader(bytes(data))

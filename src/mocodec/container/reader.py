@@ -16,7 +16,7 @@ import numpy as np
 
 from ..encoded import Chunk, Encoded
 from ..errors import BadInput, Corrupt, MocodecError, TooNew, Truncated
-from ..motion import Deferred, Motion
+from ..motion import Deferred, Motion, require_events
 from ..pointcloud import PointClouds
 from . import records, values
 from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
@@ -178,7 +178,12 @@ class Reader:
         data = self.source.read(self.layout.extras, stored + CHECKSUM_BYTES)
         if checksum(data[:stored]) != data[stored:]:
             raise Corrupt("the extras (what the codec does not code) are damaged; the motion itself can still be read")
-        return values.unpack_extras(data[:stored], size)
+        try:
+            extras = values.unpack_extras(data[:stored], size)
+            require_events(extras)
+        except BadInput as error:
+            raise Corrupt(f"the extras: {error}") from None
+        return extras
 
     def naming(self) -> AbstractContextManager[None]:
         """Errors within say which file they are about."""

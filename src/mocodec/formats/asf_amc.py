@@ -21,6 +21,7 @@ from ..errors import BadInput
 from ..geometry import kinematics, rigid
 from ..motion import Floats, Motion, Skeleton
 from . import replace_whole
+from .conventions import first_frame, unit_of
 from .text import decoded, numbers
 
 HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
@@ -286,12 +287,14 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
         )
     if motion.source.get("format") != "amc" or skeleton.names[0] != "root":
         raise BadInput(f"{path}: only what was read from an .amc can be written as one; write a .bvh")
+    if motion.gaps.any():
+        raise BadInput(f"{path}: an AMC cannot hold gaps")
     if asf is None:
         try:
             asf = _find_asf(path)
         except BadInput:
             asf = path.with_suffix(".asf")
-            replace_whole(asf, _asf_text(skeleton, motion.source["unit_m"]).encode("utf-8"))
+            replace_whole(asf, _asf_text(skeleton, unit_of(motion.source)).encode("utf-8"))
     acclaim = read_asf(asf)
     its = acclaim.skeleton
     if its.names != skeleton.names or not np.allclose(its.offsets, skeleton.offsets, atol=1e-6):
@@ -299,7 +302,7 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> No
     moved = motion.positions[:, 0] - skeleton.offsets[0]
     columns = [_angles(bone, rotations[:, j], moved, acclaim) for j, bone in enumerate(acclaim.bones)]
     lines = [":FULLY-SPECIFIED", ":DEGREES" if acclaim.degrees else ":RADIANS"]
-    first = int(motion.source.get("first_frame", 1))
+    first = first_frame(motion.source)
     form = "\n".join(f"{b.name}{' %.8g' * len(b.dof)}" for b in acclaim.bones if b.dof)
     for frame, row in enumerate(np.concatenate(columns, axis=1).tolist()):
         lines += [str(first + frame), form % tuple(row)]

@@ -20,12 +20,15 @@ from ..errors import BadInput
 from ..geometry import kinematics, rigid
 from ..motion import Floats, Motion, Skeleton
 from . import replace_whole
+from .conventions import unit_of
 from .text import decoded, numbers
 
 HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
 UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # tried in this order
 PLAUSIBLE_HEIGHT_M = (0.8, 2.4)
 CHANNELS = {f"{axis}position": axis for axis in "XYZ"} | {f"{axis}rotation": axis.lower() for axis in "XYZ"}
+
+RUN_OF_CHANNELS = re.compile(r"(?:([XYZxyz])(?!.*\1)){0,6}(?:\*\d{1,4})?")
 
 
 @dataclass
@@ -220,10 +223,10 @@ def write(path: str | Path, motion: Motion) -> None:
     if motion.gaps.any():
         raise BadInput(f"{path}: a BVH cannot hold gaps")
     own = motion.source.get("format") == "bvh"
-    unit_m = float(motion.source["unit_m"]) if own else 0.01
+    unit_m = unit_of(motion.source) if own else 0.01
     has_child = set(skeleton.parents)
     if own:
-        specs = _spread(motion.source["channels"], skeleton, has_child)
+        specs = _spread(motion.source.get("channels"), skeleton, has_child)
     else:
         specs = ["XYZzxy" if p < 0 else "zxy" if j in has_child else "" for j, p in enumerate(skeleton.parents)]
     turns = kinematics.world_rotations(skeleton, rotations)
@@ -238,8 +241,10 @@ def write(path: str | Path, motion: Motion) -> None:
     replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
-def _spread(runs: list[str], skeleton: Skeleton, has_child: set[int]) -> list[str]:
+def _spread(runs: Any, skeleton: Skeleton, has_child: set[int]) -> list[str]:
     """The inverse of `_channels`. Leaves are End Sites where there are channels for the other joints only."""
+    if not isinstance(runs, list) or not all(isinstance(r, str) and RUN_OF_CHANNELS.fullmatch(r) for r in runs):
+        raise BadInput(f"the motion's source does not say its channels as a BVH has them: {runs!r:.80}")
     specs: list[str] = []
     for run in runs:
         spec, _, count = run.partition("*")

@@ -35,9 +35,7 @@ MAX_BYTES = 1 << 32  # of one array unpacked: 4 GiB
 MAX_RATIO = 1100  # the most that deflate packs into a byte is about 1,032
 
 
-def read(
-    path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None
-) -> Motion:
+def read(path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None) -> Motion:
     """Positions of an NPZ as a motion.
 
     rate: frames a second where the file does not say. unit: of the positions, metres unless told (millimetres for a

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import BadInput
 from ..motion import Floats, Motion
 from . import replace_whole
-from .conventions import UNITS_M, guess_up
+from .conventions import UNITS_M, first_frame, guess_up
 from .text import decoded, numbers
 
 HOLDS: frozenset[str] = frozenset()  # of what is beside the positions
@@ -109,7 +109,7 @@ def write(path: str | Path, motion: Motion) -> None:
         raise BadInput("a TRC cannot hold a marker whose name is empty or has tabs or spaces around it")
     known = str(motion.source.get("units", "")).lower() in UNITS_M
     units = str(motion.source["units"]) if known else "mm"
-    first, count = int(motion.source.get("first_frame", 1)), len(motion)
+    first, count = first_frame(motion.source), len(motion)
     rate = f"{motion.rate:.10g}"
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",

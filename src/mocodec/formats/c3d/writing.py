@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...errors import BadInput
 from ...motion import Motion, Signal
 from .. import replace_whole
+from ..conventions import first_frame, unit_of
 from .parameters import BLOCK, EVENT_FIELDS, HEADER_EVENTS, STANDARD, Parameters, counts, encoded, pack, padded
 
 
@@ -20,7 +21,13 @@ def write(path: str | Path, motion: Motion) -> None:
 
     Raises BadInput for what the format cannot hold: more than 65,535 points, or parameters of more than 255 blocks.
     """
-    replace_whole(path, _packed(motion))
+    try:
+        data = _packed(motion)
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError, OverflowError, struct.error) as error:
+        if isinstance(error, BadInput):
+            raise
+        raise BadInput(f"{path}: what is beside the points is not what a C3D has ({error!r})") from error
+    replace_whole(path, data)
 
 
 def _packed(motion: Motion) -> bytes:
@@ -30,9 +37,9 @@ def _packed(motion: Motion) -> bytes:
     if frames == 0:
         raise BadInput("a C3D needs at least one frame")
     source, extras = motion.source, motion.extras
-    from_c3d = source.get("format") == "c3d"
-    units, unit_m = (source["units"], source["unit_m"]) if from_c3d else ("mm", 1e-3)
-    first = int(source.get("first_frame", 1))
+    its_own = source.get("format") == "c3d" and "units" in source
+    units, unit_m = (str(source["units"]), unit_of(source)) if its_own else ("mm", 1e-3)
+    first = first_frame(source)
 
     kept = extras.get("parameters", {})
     parameters = Parameters({name: dict(kept.get(name, {})) for name in ("POINT", "ANALOG", "FORCE_PLATFORM")})
@@ -90,11 +97,10 @@ def _packed(motion: Motion) -> bytes:
         block[:, :, :3] = np.where(gap[:, :, None], 0.0, motion.positions / unit_m)
     if np.isinf(block).any():
         raise BadInput(f"a position does not fit a C3D's 32-bit floats in {units}")
-    block[:, :, 3] = (
-        _frame_samples(extras["residuals"], frames, motion.rate, "residuals")[:, 0]
-        if ("residuals" in extras)
-        else source.get("residual_word", 0.0)
-    )
+    if "residuals" in extras:
+        block[:, :, 3] = _frame_samples(extras["residuals"], frames, motion.rate, "residuals")[:, 0]
+    else:
+        block[:, :, 3] = np.clip(source.get("residual_word", 0.0), -0x8000, 0x7FFF)
     block[gap, 3] = -1.0
     table[:, : 4 * points] = block.reshape(frames, -1)
     table[:, 4 * points :] = samples.reshape(frames, -1)
