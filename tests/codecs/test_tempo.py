@@ -2,13 +2,245 @@
 
 from __future__ import annotations
 
-from typing import Any
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
 
-from mocodec.codecs.tempo import Tempo
-from mocodec.testing import CodecTests
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import mocodec
+from mocodec import metrics
+from mocodec.codecs.tempo import Decoder, Encoder, Tempo, prior, training
+from mocodec.codecs.tempo.model import POSE
+from mocodec.encoded import Chunk
+from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError, UnknownCodec
+from mocodec.motion import Motion
+from mocodec.testing import CodecTests, strategies, synthetic
+from mocodec.testing.codec_tests import FEW, ROUNDING
 
 
 class TestTempo(CodecTests):
     codec = staticmethod(lambda **settings: Tempo(**settings))
     can_bound = True
-    quick: Any = {"max_error": 0.02}
+    quick: ClassVar[Mapping[str, Any]] = {"max_error": 0.02}
+
+
+def joints(frames: int = 480, seed: int = 1) -> Motion:
+    """As many points of a figure as the prior's skeleton has joints, under their names."""
+    motion = synthetic.markers(frames=frames, seed=seed)
+    names = prior.shipped().sets[0].names
+    return Motion(motion.positions[:, : len(names)], motion.rate, names, motion.up)
+
+
+def error(motion: Motion, decoded: Motion) -> np.ndarray:
+    return metrics.distances(motion.positions, decoded.positions)
+
+
+def through(motion: Motion, **settings: Any) -> tuple[Motion, int]:
+    encoded = Tempo(**settings).encode(motion)
+    return Tempo.decode(encoded), encoded.payload_bytes
+
+
+# ------------------------------------------------------------------------------------------------------------- targets
+
+
+@FEW
+@given(motion=strategies.motions(), bound=st.floats(-9, 1).map(lambda x: 10.0**x))
+def test_any_motion_keeps_any_bound_or_is_refused(motion: Motion, bound: float) -> None:
+    extent = float(np.nanmax(np.abs(motion.positions)))
+    try:
+        decoded, _ = through(motion, max_error=bound)
+    except CannotEncode:
+        assert bound < extent * 1e-6
+        return
+    assert np.nanmax(error(motion, decoded)) <= bound + ROUNDING * extent
+
+
+@pytest.mark.parametrize("mean", [0.0003, 0.001, 0.01])
+def test_a_mean_error_is_met_within_two_per_cent(mean: float) -> None:
+    motion = synthetic.markers(frames=600, seed=3)
+    decoded, _ = through(motion, mean_error=mean)
+    assert np.nanmean(error(motion, decoded)) == pytest.approx(mean, rel=0.02)
+
+
+def test_a_mean_error_finer_than_the_bases_are_exact() -> None:
+    motion = synthetic.markers(frames=60, seed=3)
+    decoded, _ = through(motion, mean_error=1e-10)
+    assert np.nanmean(error(motion, decoded)) <= 1.02e-10
+
+
+def test_size_and_ratio_are_kept() -> None:
+    motion = synthetic.markers(frames=600, seed=3)
+    assert 0.9 * 9000 < through(motion, size=9000)[1] <= 9000
+    assert through(motion, ratio=60)[1] <= motion.raw_bytes / 60
+    with pytest.raises(CannotEncode):
+        through(motion, size=5)
+
+
+def test_weighted_points_are_kept_closer() -> None:
+    motion = synthetic.markers(frames=240, seed=3)
+    decoded, _ = through(motion, max_error=0.01, weights={"LTOE": 8.0})
+    worst = error(motion, decoded).max(axis=0)
+    assert worst.max() <= 0.01
+    assert worst[motion.names.index("LTOE")] <= 0.01 / 8
+    with pytest.raises(BadInput):
+        through(motion, max_error=0.01, weights={"NOSE": 8.0})
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"max_error": 0.01, "mean_error": 0.01},
+        {"max_error": -1.0},
+        {"mean_error": float("nan")},
+        {"chunk_seconds": 0.1},
+        {"mean_error": 0.01, "weights": {"LTOE": 2.0}},
+    ],
+)
+def test_settings_that_make_no_sense(settings: dict[str, Any]) -> None:
+    with pytest.raises(BadInput):
+        Tempo(**settings)
+
+
+# ---------------------------------------------------------------------------------------------------------- real motion
+
+
+def test_chunks_begin_where_a_motion_leaps() -> None:
+    motion = synthetic.markers(frames=480, seed=5)
+    leaping = motion.positions.copy()
+    leaping[200:, 7:15] += (0.5, 0.3, -0.4)
+    encoded = Tempo().encode(replace(motion, positions=leaping))
+    assert 200 in [c.start for c in encoded.chunks]
+    assert encoded.payload_bytes < 1.7 * Tempo().encode(motion).payload_bytes
+
+
+@pytest.mark.parametrize("settings", [{"max_error": 0.005}, {"mean_error": 0.002}])
+def test_spikes_cost_little_and_come_back(settings: dict[str, float]) -> None:
+    motion = synthetic.markers(frames=480, seed=5)
+    spiked = motion.positions.copy()
+    spiked[100, 3] += 0.7
+    spiked[300, 20] -= 0.6
+    decoded, size = through(replace(motion, positions=spiked), **settings)
+    assert np.sqrt(((decoded.positions - spiked) ** 2).sum(axis=2))[[100, 300], [3, 20]].max() < 0.02
+    assert size < through(motion, **settings)[1] + 60
+
+
+def test_points_that_stand_still_cost_next_to_nothing() -> None:
+    motion = synthetic.markers(frames=480, seed=5)
+    still = np.repeat(np.random.default_rng(0).normal(size=(1, 20, 3)), len(motion), axis=0)
+    more = Motion(np.concatenate([motion.positions, still], axis=1), motion.rate, (), motion.up)
+    alone = through(replace(motion, names=()), max_error=0.005)[1]
+    assert through(more, max_error=0.005)[1] < 1.35 * alone
+
+
+def test_known_points_in_any_order_and_spelling_use_the_prior() -> None:
+    motion = joints()
+    shuffled = np.random.default_rng(1).permutation(motion.points)
+    names = tuple(f"S:{motion.names[i].upper()}" for i in shuffled)
+    other = Motion(motion.positions[:, shuffled], motion.rate, names, motion.up)
+    sizes = [Tempo().encode(m).payload_bytes for m in (motion, other)]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.02)
+    assert Tempo().encode(other).shared[0][0] == 1
+
+
+# ------------------------------------------------------------------------------------------------------------ the prior
+
+
+def test_the_prior_is_orthonormal_small_and_named() -> None:
+    shipped = prior.shipped()
+    for points in shipped.sets:
+        for basis in points.bases:
+            assert np.abs(basis @ basis.T - np.eye(len(basis))).max() < 1e-5
+        assert len(points.spreads) == len(points.means) == POSE + len(points.bases[0])
+    with pytest.raises(UnknownCodec):
+        prior.named(b"nope")
+
+
+def test_a_prior_can_be_trained_and_installed() -> None:
+    motions = [joints(frames=300, seed=s) for s in range(3)]
+    data = training.train({"someone": motions})
+    assert data == training.train({"someone": motions})
+    with prior.installed(data) as other:
+        encoded = Tempo(max_error=0.01).encode(motions[0])
+        assert encoded.shared[0][1:5] == other.id
+        assert error(motions[0], Tempo.decode(encoded)).max() <= 0.01
+    with pytest.raises(UnknownCodec):
+        Tempo.decode(replace(encoded, about=replace(encoded.about, rate=119.0)))
+
+
+# ---------------------------------------------------------------------------------------------------------- the stream
+
+
+@pytest.mark.parametrize("latency", [0.1, 0.5])
+def test_a_stream_keeps_its_bound_at_its_latency(latency: float) -> None:
+    motion = joints(frames=200)
+    positions = motion.positions.copy()
+    positions[50:60, 2] = np.nan
+    encoder = Encoder(motion[:0], max_error=0.005, latency_seconds=latency)
+    chunks: list[Chunk] = []
+    for start in range(0, 200, 7):
+        chunks += encoder.push(positions[start : start + 7])
+        done = chunks[-1].stop if chunks else 0
+        assert min(start + 7, 200) - done < latency * motion.rate + 1
+    chunks += encoder.finish()
+    decoder = Decoder(encoder.shared, motion[:0])
+    decoded = np.concatenate([decoder.push(c) for c in chunks])
+    assert np.nanmax(metrics.distances(positions, decoded)) <= 0.005
+    assert (np.isnan(decoded) == np.isnan(positions)).all()
+
+
+def test_a_stream_of_unknown_points_learns_from_an_earlier_recording() -> None:
+    earlier, motion = (synthetic.markers(frames=360, seed=s) for s in (1, 2))
+    sizes = []
+    for like in (None, earlier):
+        encoder = Encoder(motion[:0], latency_seconds=1.0, like=like)
+        sizes.append(sum(len(c.payload) for c in [*encoder.push(motion.positions), *encoder.finish()]))
+    assert sizes[1] < 0.8 * sizes[0]
+
+
+# --------------------------------------------------------------------------------------------------------- the decoder
+
+
+def test_the_same_numbers_whatever_the_threads(tmp_path: Path) -> None:
+    path = tmp_path / "walk.mocz"
+    path.write_bytes(mocodec.encode(synthetic.markers(frames=300, seed=2)))
+    code = (
+        "import sys, hashlib, mocodec; from mocodec.codecs.tempo import chunks, coefficients, corrections, tempo;"
+        "e = mocodec.open(sys.argv[1]).encoded; m = tempo.model_of(e.shared, e.about);"
+        "p = [chunks.Parts.unpack(c.payload) for c in e.chunks];"
+        "v = coefficients.unpack(m, [c.frames for c in e.chunks], [q.numbers for q in p], corrections.FIELDS);"
+        "print(hashlib.sha256(b''.join(a[0].tobytes() for a in v)).hexdigest())"
+    )
+    results = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(path)],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": n, "OMP_NUM_THREADS": n},
+            capture_output=True,
+            check=True,
+            text=True,
+        ).stdout
+        for n in ("1", "4")
+    }
+    assert len(results) == 1
+
+
+def test_damaged_shared_bytes_are_noticed() -> None:
+    encoded = Tempo().encode(synthetic.markers(frames=120, seed=2))
+    shared = encoded.shared[0]
+    random = np.random.default_rng(0)
+    for at in random.integers(0, len(shared), 60):
+        damaged = bytearray(shared)
+        damaged[at] ^= 1 << random.integers(8)
+        with contextlib.suppress(MocodecError):
+            Tempo.decode(replace(encoded, shared=(bytes(damaged),)))
+    for other in ((), (b"",), (shared[:3],), (b"\x07" + shared[1:],)):
+        with pytest.raises((Corrupt, UnknownCodec)):
+            Tempo.decode(replace(encoded, shared=other))

@@ -107,13 +107,15 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
         size = 0.0 if p.step is None else fine_size(p.step)
         if p.engine == TRANSFORM:
             values, step, lists = found[i]
-            positions = model.synthesise(coefficients.dequantise(values, sizes(model, chunk.frames, step)), chunk.frames)
+            positions = model.synthesise(
+                coefficients.dequantise(values, sizes(model, chunk.frames, step)), chunk.frames
+            )
             if lists.size:
                 moved = corrections.from_numbers(lists, chunk.frames, points)
                 corrections.apply(positions, moved, size, model.weights)
         else:
             values = direct.unpack(p.numbers, (chunk.frames, 3 * points))
-            positions = values.reshape(chunk.frames, points, 3) * size
+            positions = np.asarray(values.reshape(chunk.frames, points, 3) * size, np.float64)
             if model.weights is not None:
                 positions /= model.weights[:, None]
         out.append(gaps.apply(positions, gaps.unpack(p.gaps, (chunk.frames, points))))

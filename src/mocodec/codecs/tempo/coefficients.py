@@ -56,7 +56,7 @@ class Plan:
 
     @cached_property
     def order(self) -> tuple[Integers, Integers, Integers, Integers, Integers]:
-        """For each coefficient that is coded: frequency, row, group, which step of the group codes it, on which lane."""
+        """For each coefficient that is coded: frequency, row, group, step within the group, and lane."""
         frequency, row = np.nonzero(self.inside)
         group = contexts.groups(self.frequencies)[1][frequency]
         first = np.searchsorted(group, np.arange(group.max(initial=-1) + 1))
@@ -139,8 +139,8 @@ def dequantise(values: Integers, sizes: Floats) -> Floats:
 def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integers | None = None) -> bytes:
     """Whole numbers (frames, rows), zero outside the threshold's zone, as bytes.
 
-    lists (fields, n): more numbers to go with them, coded after the coefficients with one table a field; the first three
-    fields may be negative.
+    lists (fields, n): more numbers to go with them, coded after the coefficients with one table a field; the first
+    three fields may be negative.
     """
     frames = len(values)
     p = plan(model, frames, step, threshold, 0)
@@ -176,7 +176,9 @@ def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integ
     riding[: len(raw)] = raw[: len(riding)]
     states, words = lanes.encode(of_step, by_table, model.prior.coder, bits.unpack(riding, np.full(p.lanes, 16)))
     sizes = np.array([int(s).bit_length() for s in states])
-    heads = np.concatenate([bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)])
+    heads = np.concatenate(
+        [bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)]
+    )
     beyond = np.packbits(raw[len(riding) :])
     return first + np.packbits(heads).tobytes() + words.astype("<u2").tobytes() + beyond.tobytes()
 
@@ -259,7 +261,9 @@ def unpack(
         signed = SIGNED_FIELDS * (len(listed) // fields)
         count = symbols.raw_count(known[inside])
         total = count + symbols.raw_count(listed, signed)
-        first = bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if inside.any() or len(listed) else np.zeros(0, np.uint8)
+        first = (
+            bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if inside.any() or len(listed) else np.zeros(0, np.uint8)
+        )
         beyond = max(0, total - len(first))
         if len(rest) != 2 * used + (beyond + 7) // 8:
             raise Corrupt("tempo: a chunk that does not end where it should")
@@ -333,4 +337,6 @@ def _decode_lists(
     symbol = np.zeros_like(by_table)
     for found, t in zip(symbol, by_table, strict=True):
         found[:] = model.prior.coder.symbols.take(stream.take(t))
-    return [symbol[:n, j, : p.lanes].ravel()[: len(t)] for j, (t, p, n) in enumerate(zip(tables, plans, steps, strict=True))]
+    return [
+        symbol[:n, j, : p.lanes].ravel()[: len(t)] for j, (t, p, n) in enumerate(zip(tables, plans, steps, strict=True))
+    ]

@@ -2,7 +2,7 @@
 
     spreads of the prior, rate, chunk length, step ─expect─► log₂ of the expected magnitude of every coefficient
     expected magnitudes ─zone─► which coefficients are coded at all
-    expected magnitudes, coded neighbours ─Contexts─► the table for each coefficient, frequency by frequency
+    expected magnitudes, coded neighbours ─tables─► the table for each coefficient, frequency by frequency
 
 The coefficients of a chunk are (frequencies, rows). A row's magnitude at one frequency is expected to be its prior's
 spread, times how much larger its neighbours at the frequencies below came out than the prior expected of them:
@@ -16,11 +16,14 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Integers = NDArray[np.int64]
+Array = NDArray[Any]
+"""Whole numbers of any width."""
 
 OCTAVE = 32
 BANDS_MHZ = (0, 200, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000, 11000, 16000, 22000, 32000, 45000, 60000)
@@ -34,8 +37,8 @@ SHAPES = 3
 ALPHA = 10
 """α and the weights of neighbours, below, are sixteenths."""
 NEAR, BELOW_3, OLDER, BESIDE, BLOCK = 13, 8, 6, 6, 3
-"""The same row one and two frequencies below; three below; four to seven below; one row aside, one below; and all of the
-four rows to either side one below and the three rows to either side two below."""
+"""The same row one and two frequencies below; three below; four to seven below; one row aside, one below; and all of
+the four rows to either side one below and the three rows to either side two below."""
 DEPTH, BORDER = 7, 4
 """How many frequencies below, and rows to either side, a neighbour may be."""
 
@@ -94,7 +97,7 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 
 def base(expected: Integers) -> Integers:
-    """What the prior alone gives to each context, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
+    """The prior's share in each context: log(expected) − log(α + Σ w · expected neighbour), (frequencies, rows)."""
     near = neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING)))
     return expected - log2(near // 16 + ALPHA)
 
@@ -110,7 +113,7 @@ def groups(frequencies: int) -> tuple[Integers, Integers]:
     return np.array(starts, np.int64), np.cumsum(number) - 1
 
 
-def bordered(magnitudes: Integers) -> Integers:
+def bordered(magnitudes: Array) -> Array:
     """Magnitudes (frequencies, …, rows) with zeros below, 4 to either side, and one more at the left."""
     shape = (magnitudes.shape[0] + DEPTH, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 2 * BORDER + 1)
     out = np.zeros(shape, magnitudes.dtype)
@@ -126,7 +129,7 @@ def neighbourhood(magnitudes: Integers) -> Integers:
     return around(magnitudes[starts + 6], magnitudes[starts + 5], inner[starts + 4], older)[number]
 
 
-def around(below: Integers, below_2: Integers, below_3: Integers, older: Integers) -> Integers:
+def around(below: Array, below_2: Array, below_3: Array, older: Array) -> Integers:
     """Σ w |neighbour| from bordered magnitudes (…, rows + 9) one and two frequencies below, and plain ones (…, rows)
     three below and summed over four to seven below."""
     left, right = np.cumsum(below, axis=-1), np.cumsum(below_2, axis=-1)
@@ -141,7 +144,7 @@ def around(below: Integers, below_2: Integers, below_3: Integers, older: Integer
     return total
 
 
-def tables(base_here: Integers, neighbours: Integers, shape: int | Integers) -> Integers:
+def tables(base_here: Array, neighbours: Integers, shape: int | Integers) -> Integers:
     """The table for each coefficient, from `base` and the sum over its neighbours there."""
     logs = base_here + _NUMERATOR_LOGS.take(neighbours, mode="clip")
     logs //= CLASS_WIDTH

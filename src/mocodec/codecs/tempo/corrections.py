@@ -1,6 +1,7 @@
 """What keeps the promise: samples that the transform leaves too far off are moved back, a few numbers each.
 
-    positions − decoded, bound ─find─► corrections ─numbers─► whole numbers for the coder, and back ─apply─► within the bound
+    positions − decoded, bound ─find─► corrections ─numbers─► whole numbers for the coder
+    whole numbers ─from_numbers─► corrections ─apply─► positions within the bound
 
 An error grows beyond the bound and shrinks back over some frames, so one correction moves a point over a run of frames,
 by a vector times half a wave. Where that does not do, each frame gets a correction of its own, which always can.
@@ -20,7 +21,7 @@ from .direct import LARGEST
 Integers = NDArray[np.int64]
 
 FIELDS = 5
-"""Numbers of a correction: x, y, z of its vector, the samples between it and the one before, and its frames less one."""
+"""Numbers of a correction: x, y, z of its vector, samples between it and the one before, and its frames less one."""
 
 
 class Corrections(NamedTuple):

@@ -1,7 +1,7 @@
 """The orthonormal DCT-II along the first axis and its inverse, with NumPy alone (scipy takes long to import).
 
-Makhoul, "A fast cosine transform in one and two dimensions", 1980: one complex transform of the samples, evens first and
-the odds after them in reverse.
+Makhoul, "A fast cosine transform in one and two dimensions", 1980: one complex transform of the samples, evens first
+and the odds after them in reverse.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What no body does: points that leap in one frame. Found before coding, so that the motion around them does not pay.
 
-    a sample far from both its neighbours       a spike: bridged here, and put back by a correction
-    a leap after which the motion goes on       a cut: a new chunk begins there
+a sample far from both its neighbours       a spike: bridged here, and put back by a correction
+a leap after which the motion goes on       a cut: a new chunk begins there
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CUTS_PER_SECOND = 1.0
 
 
 def spikes(positions: Floats) -> NDArray[np.bool_]:
-    """Which samples (frames, points) of positions (frames, points, 3) lie far from both neighbours, which lie together."""
+    """Which samples of positions (frames, points, 3) lie far from both neighbours, which agree: (frames, points)."""
     found = np.zeros(positions.shape[:2], bool)
     if len(positions) > 2:
         off = _length(positions[1:-1] - (positions[:-2] + positions[2:]) / 2)

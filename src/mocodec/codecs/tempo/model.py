@@ -26,7 +26,7 @@ SLOPES = slice(0, 6)
 HEADING = 6
 PLACE = slice(7, 10)
 POSE = 10
-"""Rows: the place's slope where the chunk starts (3) and where it ends (3), heading, place (3), components of the pose."""
+"""Rows: the place's slope where the chunk starts (3) and ends (3), heading, place (3), components of the pose."""
 HEADING_STEP = -213
 """log₂ of the step of the heading's mean, radians, in 1/32 octave: about 0.01. Steps of its DCT grow with √frames."""
 EDGES_MHZ = (700, 2000, 5000)
@@ -118,8 +118,8 @@ def without_slopes(coefficients: Floats, step: int) -> Floats:
 def slope_curves(frames: int) -> Floats:
     """Two curves (2, frames), one bent at the start of a chunk and one at its end.
 
-    A DCT continues a curve by its mirror image: a slope at an end makes a kink there, and coefficients that fall only as
-    1/k². Walking is such a slope. These curves take it out: parabolas that are level at one end.
+    A DCT continues a curve by its mirror image: a slope at an end makes a kink there, and coefficients that fall only
+    as 1/k². Walking is such a slope. These curves take it out: parabolas that are level at one end.
     """
     t = (np.arange(frames) + 0.5) / frames
     return SLOPE_GAIN / np.sqrt(frames) * np.stack([t - t * t / 2, t * t / 2])
@@ -132,6 +132,7 @@ def slope_spectra(frames: int) -> Floats:
 
 
 SLOPE_GAIN = 4.0
+"""Makes one step of a slope about as much error as one step of a coefficient."""
 
 
 def _fit_slopes(curves: Floats, bends: Floats) -> Floats:
@@ -139,11 +140,13 @@ def _fit_slopes(curves: Floats, bends: Floats) -> Floats:
     first, last = SLOPE_FIT
     if len(curves) < 2 * first:
         return np.zeros((2, curves.shape[1]))
-    weight = np.arange(first, min(last, len(curves)))[:, None] ** 1.0
-    return np.linalg.lstsq(weight * bends.T[first:last], weight * curves[first:last], rcond=None)[0]
+    weight = np.arange(first, min(last, len(curves)))[:, None]
+    slopes = np.linalg.lstsq(weight * bends.T[first:last], weight * curves[first:last], rcond=None)[0]
+    return np.asarray(slopes, np.float64)
 
 
 SLOPE_FIT = (12, 120)
+"""Between these frequencies of a chunk."""
 
 
 def heading_step(frames: int) -> int:
@@ -166,7 +169,7 @@ def smooth_heading(heading: Floats, rate: float) -> Floats:
 
 @lru_cache(maxsize=8)
 def of_names(names: tuple[str, ...], prior: Prior, rate: float) -> Model | None:
-    """The model of a set of points that the prior knows by these names, in any order; None where it knows no such set."""
+    """The model of a set of points that the prior knows by these names, in any order; None where it has no such set."""
     labels = [plain_label(n) for n in names]
     for points in prior.sets:
         known = [plain_label(n) for n in points.names]

@@ -23,10 +23,10 @@ from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bo
 
 
 class Encoder:
-    """about: any motion with the stream's names, rate and up axis; its frames are not coded. max_error: metres, as in Tempo.
+    """about: any motion with the stream's names, rate and up axis; its frames are not coded. max_error: metres.
 
-    latency_seconds: how long a chunk is, and so how long a frame may wait: from 0.1 up to 10. like: an earlier recording
-    of the same points, for a basis where the prior does not know them.
+    latency_seconds: how long a chunk is, and so how long a frame may wait: from 0.1 up to 10. like: an earlier
+    recording of the same points, for a basis where the prior does not know them.
     """
 
     def __init__(

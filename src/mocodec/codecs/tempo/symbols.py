@@ -1,9 +1,9 @@
 """Whole numbers of any size as a symbol from a small alphabet and some raw bits.
 
-    magnitude 0 … 10       the symbol itself, no bits
-    beyond                 ranges of 2, 4, 8, … 512 numbers, as many bits as say which
-    ≥ 1033                 the last symbol and 48 bits
-    sign                   one bit after those, for a magnitude that is not 0
+magnitude 0 … 10       the symbol itself, no bits
+beyond                 ranges of 2, 4, 8, … 512 numbers, as many bits as say which
+≥ 1033                 the last symbol and 48 bits
+sign                   one bit after those, for a magnitude that is not 0
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ class Tempo:
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
         elif self.ratio is not None or self.size is not None:
-            payloads = to_size(pieces, self.size or motion.raw_bytes / (self.ratio or 1))
+            payloads = to_size(pieces, (self.size or motion.raw_bytes / (self.ratio or 1)) - len(shared))
         else:
             payloads, offset = [], 28
             for piece in pieces:
@@ -142,7 +142,7 @@ OWN_FRAMES = 1200
 
 
 def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: int) -> tuple[bytes, model.Model]:
-    """The shared bytes of the model that makes chunks (frames, points, 3) smallest in about this step, and the model."""
+    """The model that makes chunks (frames, points, 3) smallest in about this step, after its shared bytes."""
     used = prior.shipped()
     frames = sum(map(len, cut))
     candidates = [] if (known := model.of_names(names, used, rate)) is None else [(bytes([KNOWN]) + used.id, known)]
@@ -312,7 +312,8 @@ class Piece:
     def mean_at(self, step: int) -> float:
         if self.spectrum is None:
             size = fine_size(step * chunks.FINE // OCTAVE)
-            return float(self.errors(direct.quantise(self.positions, size) * size).sum())
+            on_grid = np.asarray(direct.quantise(self.positions, size) * size, np.float64)
+            return float(self.errors(on_grid).sum())
         decoded = self.transformed(step)[3]
         self.put_back(decoded, step)
         return float(self.errors(decoded).sum())
@@ -331,11 +332,17 @@ def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
         tried[step] = OCTAVE * np.log2(max(error, 1e-12) / target)
         step = _next_step(tried)
     step = min(tried, key=lambda s: abs(tried[s]))
+    if tried[step] > OCTAVE * np.log2(1.02):  # finer than the stored bases are exact
+        return [p.directly(fine_step(target / CUBE_MEAN)) for p in pieces]
     return [p.at_step(step) for p in pieces]
 
 
+CUBE_MEAN = 0.4803
+"""The mean distance of the points of a cube from its middle, in sides."""
+
+
 def _next_step(tried: dict[int, float]) -> int:
-    """Where the excess (1/32 octave) ought to vanish, from the steps tried: between two of them, or along the usual slope."""
+    """Where the excess (1/32 octave) ought to vanish, from the steps tried: between two, or along the usual slope."""
     below = [s for s in tried if tried[s] <= 0]
     above = [s for s in tried if tried[s] > 0]
     if below and above:
