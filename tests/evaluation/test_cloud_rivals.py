@@ -167,6 +167,17 @@ def test_a_missing_package_is_listed_with_the_reason(performance, monkeypatch, t
     assert "the rival DracoPy needs the [bench] extra" in page
 
 
+def test_a_rivals_own_failure_is_a_result_and_ours_is_not_hidden(performance):
+    def broken(*_):
+        raise RuntimeError("no such encoder")
+
+    theirs = replace(runner.of_rival(RIVALS["zlib"], 9), encode=broken)
+    (one,) = runner.run([scene(performance)], [theirs], measured=1)
+    assert one.record.problem == "RuntimeError: no such encoder"
+    with pytest.raises(RuntimeError):
+        list(runner.run([scene(performance)], [replace(theirs, ours=True)], measured=1))
+
+
 def test_report_is_drawn_from_records(performance, tmp_path):
     pytest.importorskip("matplotlib")
     work = [runner.of_rival(RIVALS["zlib"], 9), runner.of_rival(RIVALS["yang-zlib"], 4)]

@@ -90,7 +90,8 @@ def report_command(folder: str) -> None:
 def cloud_command(output: str, quick: bool, chosen: tuple[str, ...]) -> None:
     """Measure coders of point clouds, ours and rivals, on people whose truth is known; write a table and a picture.
 
-    A coder whose package is not installed is listed as not measured. Rivals need: pip install 'mocodec[bench]'.
+    Without --quick it takes about an hour. A coder whose package is not installed is listed as not measured, with the
+    reason. Rivals need: pip install 'mocodec[bench]'.
     """
     from ..evaluation.cloud import runner
 
@@ -101,12 +102,14 @@ def cloud_command(output: str, quick: bool, chosen: tuple[str, ...]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scenes, codings = runner.scenes(quick), runner.codings(chosen or runner.coders(), quick)
     measured: list[runner.Measured] = []
-    with progress(len(scenes) * len(codings)) as advance:
-        for one in runner.run(scenes, codings):
-            measured.append(one)
-            advance(f"{one.record.label} on {one.record.sequence}")
-    for path in runner.write(folder, measured):
-        click.echo(path)
+    try:
+        with progress(len(scenes) * len(codings)) as advance:
+            for one in runner.run(scenes, codings):
+                measured.append(one)
+                advance(f"{one.record.label} on {one.record.sequence}")
+    finally:  # a run that is stopped keeps what it has measured
+        for path in runner.write(folder, measured) if measured else ():
+            click.echo(path)
 
 
 @command.group("fetch")

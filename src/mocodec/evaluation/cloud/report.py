@@ -108,8 +108,9 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
         measured_on(machine),
         "Every ratio counts all bytes, against float32 positions and 8-bit colours; the ratio at "
         f"{LONG:,} frames spreads what is sent once over that many. In brackets stands the resampling floor: what a "
-        "second perfect sample of the same surface scores. D1 and D2 are symmetric root mean squares, in dB against "
-        f"{PEAK_M:g} m; Y is the PSNR of luma between nearest points; views is the mean PSNR of six rendered views.",
+        "second perfect sample of the same surface scores (of noisy recordings, a coder that smooths may pass it). D1 "
+        f"and D2 are symmetric root mean squares, in dB against {PEAK_M:g} m; Y is the PSNR of luma between nearest "
+        "points; views is the mean PSNR of six rendered views.",
     ]
     for name in dict.fromkeys(r.sequence for r in records):
         of = [r for r in records if r.sequence == name]

@@ -244,6 +244,11 @@ def measure(
     except MocodecError as error:
         record.problem = str(error)
         return None
+    except Exception as error:  # a rival's own failure is a result; one of ours is a fault that must be seen
+        if coding.ours:
+            raise
+        record.problem = f"{type(error).__name__}: {error}"
+        return None
     record.bytes, record.once_bytes = len(data), coding.once(data)
     record.bytes_per_frame = len(data) / record.frames
     record.ratio = original.raw_bytes / len(data)
