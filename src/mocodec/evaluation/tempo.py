@@ -26,6 +26,7 @@ from ..motion import Motion
 from . import datasets, folds, rivals, runner
 
 RESULTS = Path("docs/results/tempo.json")
+PARTS = Path("docs/results/tempo_parts.json")
 PAGE = Path("docs/tempo.md")
 MEANS = (0.001, 0.003, 0.01)
 HOU_MEANS = (0.002, 0.004, 0.008)
@@ -245,11 +246,24 @@ def markdown(figures: Sequence[Figure], speed: dict[str, float], machine: dict[s
     return "\n".join(lines)
 
 
-def write_page(text: str, page: Path = PAGE) -> None:
-    """Put the tables between the page's two marks."""
-    before, _, rest = page.read_text().partition("<!-- results -->\n")
-    after = rest.partition("<!-- end of results -->")[2]
-    page.write_text(f"{before}<!-- results -->\n{text}\n<!-- end of results -->{after}")
+def parts_markdown(figures: Sequence[dict[str, Any]]) -> str:
+    """What each part is worth, from the records of `tempo_parts`."""
+    targets = [("mean_error", 0.001), ("mean_error", 0.003), ("mean_error", 0.01), ("max_error", 0.003)]
+    files = list(dict.fromkeys(f["file"] for f in figures))
+    ratios = {(f["file"], f["without"], t): f["ratio"] for f in figures for t in targets if f.get(t[0]) == t[1]}
+    rows = []
+    for name in dict.fromkeys(f["without"] for f in figures):
+        cells = [geometric(ratios[f, name, t] / ratios[f, "all of it", t] for f in files) for t in targets]
+        rows.append([name, *(f"{100 * (c - 1):+.1f} %" for c in cells)])
+    head = ["", "mean 0.1 cm", "mean 0.3 cm", "mean 1 cm", "maximum 0.3 cm"]
+    return "\n".join([f"Change of the ratio, geometric mean over {', '.join(files)}:", "", *table(head, rows[1:])])
+
+
+def write_page(text: str, mark: str = "results", page: Path = PAGE) -> None:
+    """Put tables between two marks of the page."""
+    before, start, rest = page.read_text().partition(f"<!-- {mark} -->\n")
+    end = f"<!-- end of {mark} -->"
+    page.write_text(f"{before}{start}{text}\n{end}{rest.partition(end)[2]}")
 
 
 def main() -> None:
@@ -283,6 +297,8 @@ def main() -> None:
     stored = json.loads(RESULTS.read_text())
     figures = [Figure(**f) for f in stored["figures"]]
     write_page(markdown(figures, stored["speed"], stored["machine"]))
+    if PARTS.is_file():
+        write_page(parts_markdown(json.loads(PARTS.read_text())["figures"]), "parts")
 
 
 if __name__ == "__main__":

@@ -99,14 +99,14 @@ def quantise(model: Model, scaled: Floats, step: int, slope: float = SLOPE) -> t
     price = model.prior.coder.cost() + symbols.WIDTHS + (np.arange(symbols.SYMBOLS) > 0)
     free = np.arange(scaled.shape[1]) > HEADING
     kept = np.maximum(nearest - (free & (size < nearest)), 0)
-    chosen = nearest
+    known = contexts.base(logs)
+    chosen, bits_each = nearest, np.zeros(logs.shape)
     for _ in range(2):
-        tables = contexts.all_tables(logs, symbols.FIRSTS[symbols.of(chosen)])
+        tables = contexts.all_tables(known, symbols.FIRSTS[symbols.of(chosen)])
         up, down = price[tables, symbols.of(nearest)], price[tables, symbols.of(kept)]
         better = (size - _stands_for(kept)) ** 2 + slope * down < (size - _stands_for(nearest)) ** 2 + slope * up
         chosen = np.where(better, kept, nearest)
-    tables = contexts.all_tables(logs, symbols.FIRSTS[symbols.of(chosen)])
-    bits_each = price[tables, symbols.of(chosen)]
+        bits_each = np.where(better, down, up)
     gain = size**2 - (size - _stands_for(chosen)) ** 2 - slope * bits_each
     reached = np.maximum.accumulate(logs[::-1], axis=0)[::-1] // THRESHOLD_UNIT
     must = reached[(chosen > 0) & ~free]
@@ -169,7 +169,7 @@ def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integ
         frequency, row, group, at, lane = p.order
         at = at + before[group]
         of_step[at, lane] = symbol[frequency, row]
-        by_table[at, lane] = contexts.all_tables(p.expected, symbols.FIRSTS[symbol])[frequency, row]
+        by_table[at, lane] = contexts.all_tables(p.base, symbols.FIRSTS[symbol])[frequency, row]
     of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
     by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
     riding = np.zeros(16 * p.lanes, np.uint8)

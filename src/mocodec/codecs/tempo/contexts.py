@@ -158,10 +158,10 @@ def ceiling(magnitudes: Integers) -> Integers:
     return np.minimum(magnitudes, _CEILING)
 
 
-def all_tables(expected: Integers, magnitudes: Integers) -> Integers:
-    """The tables for all coefficients of a chunk at once, (frequencies, rows): what the encoder needs."""
+def all_tables(base_: Integers, magnitudes: Integers) -> Integers:
+    """The tables for all coefficients of a chunk at once, (frequencies, rows), from its `base`: for the encoder."""
     near = neighbourhood(bordered(ceiling(magnitudes)))
-    return tables(base(expected), near, shapes(len(expected))[:, None])
+    return tables(base_, near, shapes(len(base_))[:, None])
 
 
 def shapes(frequencies: int) -> Integers:

@@ -159,7 +159,7 @@ def coder_tables(
                     expected = model.expected(len(s), step)
                     known = (expected > -400).any(axis=1).sum()
                     symbol = symbols.of(np.abs(values[:known]))
-                    chosen = contexts.all_tables(expected[:known], symbols.FIRSTS[symbol])
+                    chosen = contexts.all_tables(contexts.base(expected[:known]), symbols.FIRSTS[symbol])
                     np.add.at(counts, (chosen.ravel(), symbol.ravel()), 1)
     return frequencies(_smoothed(counts))
 
