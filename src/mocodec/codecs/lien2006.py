@@ -4,8 +4,8 @@
     each frame Q ──ARTICP──► pose T of the links ──────────────► pose stream
                     └─ Q and T(P) as maps on the links' cylinders ──difference──► depth as PNG, colour as JPEG
 
-The decoder poses P; with residuals it adds the differences to P's maps and takes a point from every cell that holds
-one.
+The decoder poses P; with residuals it moves P's points by the differences of their cells, and adds a point for every
+cell that holds one of Q's and none of P's.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .body_stream import Steps
 Integers = NDArray[np.int64]
 STEPS = Steps(reach=0.002, place=0.002)
 POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
-DEPTH_STEP = 0.002  # of residual maps: metres; eight bits reach a quarter of a metre
+DEPTH_STEP = 0.004  # of residual maps: metres; eight bits reach half a metre
 FEWEST = 50  # points that a frame must have to be a body
 
 
@@ -400,6 +400,31 @@ def _decode_chunk(
         body += 1
 
 
+def _corrected(
+    model: Model, link: int, tile: Tile, there: NDArray[np.bool_], farther: Floats, brighter: Floats
+) -> tuple[Floats, Floats]:
+    """A link's points with the differences of their cells added; and a point in every cell that has one but no model's.
+
+    A cell of a small grid holds several of the model's points, each of which it moves: so a quarter of the full maps
+    still makes as many points as the model has.
+    """
+    own = model.links == link
+    points = model.points[own]
+    cell, distance = cylinder_map.cells(tile.cylinder, points, (there.shape[0], there.shape[1]))
+    seen = there.ravel()[cell]
+    along, _, _ = cylinder_map.coordinates(tile.cylinder, points)
+    out = points - tile.cylinder.origin - along[:, None] * tile.cylinder.axis
+    out /= np.maximum(distance, 1e-6)[:, None]
+    moved = points[seen] + (out * farther.ravel()[cell][:, None])[seen]
+    shades = np.full((len(points), 3), 128.0) if model.colours is None else model.colours[own].astype(np.float64)
+    shades = (shades + brighter.reshape(-1, 3)[cell])[seen]
+    empty = there.copy()
+    empty.reshape(-1)[cell] = False
+    fresh = Map(np.where(empty, tile.expected.distance + farther, np.nan), tile.expected.colour + brighter)
+    more, more_shades = cylinder_map.inverse(tile.cylinder, fresh)
+    return np.concatenate([moved, more]), np.concatenate([shades, more_shades])
+
+
 def _posed(
     model: Model, atlas: Sequence[Tile | None], pose: Pose, stills: list[bytes]
 ) -> tuple[Floats, NDArray[np.uint8] | None]:
@@ -416,9 +441,9 @@ def _posed(
             continue
         here = _window(tile)
         there = depth[here] > 0
-        distance = np.where(there, tile.expected.distance + (depth[here].astype(float) - 128) * DEPTH_STEP, np.nan)
-        shade = tile.expected.colour if colour is None else tile.expected.colour + 2 * (colour[here] - 128)
-        local, c = cylinder_map.inverse(tile.cylinder, Map(distance, shade))
+        farther = (depth[here].astype(np.float64) - 128) * DEPTH_STEP
+        brighter = np.zeros_like(tile.expected.colour) if colour is None else 2 * (colour[here] - 128)
+        local, c = _corrected(model, link, tile, there, farther, brighter)
         points.append(local @ a[link].T + b[link])
         shades.append(c)
     colours = np.clip(np.round(np.concatenate(shades)), 0, 255).astype(np.uint8) if model.colours is not None else None

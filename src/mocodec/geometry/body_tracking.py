@@ -94,7 +94,7 @@ class Tables:
 class Fit:
     """How well a pose fits the data: residuals (m,), the distance of each data point from the template, metres; rows
     and links (m,), the template point and the link that explain it; gaps (k,), how far template points are from the
-    data.
+    data; cost: mean squared distances both ways, in place and colour, none counted beyond 12 cm, square metres.
     """
 
     pose: Pose
@@ -103,17 +103,13 @@ class Fit:
     rows: Labels
     links: Labels
     gaps: Floats
+    cost: float
 
     @staticmethod
     def nothing(pose: Pose) -> Fit:
         """A pose that no data speak for."""
         none = np.zeros(0, np.int64)
-        return Fit(pose, Data.build(np.zeros((0, 3)), None, None), np.zeros(0), none, none, np.zeros(0))
-
-    @property
-    def cost(self) -> float:
-        """Mean squared distances both ways, none counted beyond 12 cm; square metres."""
-        return float(np.mean(np.minimum(self.residuals, 0.12) ** 2) + np.mean(np.minimum(self.gaps, 0.12) ** 2))
+        return Fit(pose, Data.build(np.zeros((0, 3)), None, None), np.zeros(0), none, none, np.zeros(0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +221,14 @@ class Tracker:
         """How well a pose fits."""
         a, b = transforms(self.body, pose)
         row, link = self._match(data, a, b, self._candidates(data.points, a, b))
-        residuals = data.away(self.skin.posed(a, b, row), None if self.shades is None else self.shades[row])
-        gaps, _ = data.nearest(*self._seen_template(a, b), 0.5)
-        return Fit(pose, data, residuals, row, link, np.minimum(gaps, 0.5))
+        residuals = np.linalg.norm(data.points - self.skin.posed(a, b, row), axis=1)
+        seen, shades = self._seen_template(a, b)
+        both, index = data.nearest(seen, shades, 0.5)
+        index = np.minimum(index, len(data.points) - 1)  # where none is so near
+        gaps = np.where(np.isfinite(both), np.linalg.norm(seen - data.points[index], axis=1), 0.5)
+        cost = np.mean(np.minimum(data.away(residuals, self.shades, row), 0.12) ** 2)
+        cost += np.mean(np.minimum(both, 0.12) ** 2)
+        return Fit(pose, data, residuals, row, link, gaps, float(cost))
 
     def nearest(self, data: Data, pose: Pose) -> Labels:
         """(n,): the template point that each data point is matched to."""
@@ -270,7 +271,7 @@ class Tracker:
         other link explains, and those points to the limb; the best are refined, and the best of all poses is kept.
         """
         lost_points = found.residuals > LOST
-        if lost_points.sum() < 0.008 * len(data.points):
+        if lost_points.sum() < 0.01 * len(data.points):
             return found
         owner = self.skin.links[self.some, 0]
         best = found
@@ -443,12 +444,11 @@ class Data:
             return self.tree.query(points, distance_upper_bound=within)
         return self.tree.query(np.concatenate([points, shades], axis=1), distance_upper_bound=within)
 
-    def away(self, points: Floats, shades: Floats | None) -> Floats:
-        """(n,): how far the data points are from these, in place and colour."""
-        square = np.sum((self.points - points) ** 2, axis=1)
-        if self.shades is not None and shades is not None:
-            square += np.sum((self.shades - shades) ** 2, axis=1)
-        return np.sqrt(square)
+    def away(self, distance: Floats, shades: Floats | None, row: Labels) -> Floats:
+        """(n,): distances of the data points from template points of these rows, with that of their colours added."""
+        if self.shades is None or shades is None:
+            return distance
+        return np.sqrt(distance**2 + np.sum((self.shades - shades[row]) ** 2, axis=1))
 
 
 def _cross(u: Floats, v: Floats) -> Floats:

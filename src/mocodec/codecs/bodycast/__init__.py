@@ -85,7 +85,7 @@ class Bodycast:
         poses, sightings = self._follow(tracker, frames, first)
         atlas, sums = self._survey(body, sightings, len(frames[first][0]))
         planes = picture(atlas, sums)
-        key = video.encode([planes], self.surface_quality)[0]
+        key = video.encode([planes], self.surface_quality, self._moving_quality())[0]
         model = Model(atlas, _valid(atlas, sums), key, clouds.colours is not None)
         chunks = list[Chunk]()
         for start in range(0, len(frames), self.chunk_frames):
@@ -166,9 +166,13 @@ class Bodycast:
                 sums.gather(model.atlas, sighting.points, sighting.links, sighting.colours, KEEP)
                 yield picture(model.atlas, sums)
 
-        packets = video.encode(changing(), self.surface_quality + round(14 * (1 - self.residual / 100)))
+        packets = video.encode(changing(), self.surface_quality, self._moving_quality())
         own_key = packets[0] if packets[0] != model.key else b""
         return [own_key, *packets[1:]]
+
+    def _moving_quality(self) -> int:
+        """x265's rate factor of the changes of the surface."""
+        return self.surface_quality + round(14 * (1 - self.residual / 100))
 
     def _begin_from(self, atlas: Atlas, planes: NDArray[np.uint8], sums: Sums, weight: float = 3.0) -> None:
         """Fill the running sums with what the first picture shows."""

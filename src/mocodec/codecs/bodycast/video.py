@@ -30,8 +30,11 @@ def _av() -> Any:
         raise MissingExtra("coding a body's atlas as video", "cloud") from None
 
 
-def encode(pictures: Iterable[Planes], quality: int, preset: str = "fast") -> list[bytes]:
-    """One packet a picture; the first stands alone. quality: x265's constant rate factor, 0 (best) to 51."""
+def encode(pictures: Iterable[Planes], key_quality: int, quality: int, preset: str = "fast") -> list[bytes]:
+    """One packet a picture; the first stands alone, and is the same whatever follows it.
+
+    key_quality, quality: x265's rate factors, 0 (best) to 51, of the first picture and of the others.
+    """
     av = _av()
     context, packets = None, list[bytes]()
     for i, planes in enumerate(pictures):
@@ -39,7 +42,9 @@ def encode(pictures: Iterable[Planes], quality: int, preset: str = "fast") -> li
             context = av.CodecContext.create("libx265", "w")
             context.width, context.height, context.pix_fmt = planes.shape[2], planes.shape[1], "yuv444p"
             context.time_base, context.framerate, context.thread_count = 1 / RATE, RATE, 1
-            context.options = {"crf": str(quality), "preset": preset, "tune": "zerolatency", "x265-params": X265}
+            finer = f":ipratio={2 ** (max(quality - key_quality, 0) / 6):.4f}"  # six steps halve the error
+            options = {"crf": str(quality), "preset": preset, "tune": "zerolatency", "x265-params": X265 + finer}
+            context.options = options
         frame = av.VideoFrame(planes.shape[2], planes.shape[1], "yuv444p")
         for plane, values in zip(frame.planes, planes, strict=True):
             padded = np.zeros((plane.height, plane.line_size), np.uint8)
