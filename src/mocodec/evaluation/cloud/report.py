@@ -115,11 +115,12 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
     for name in dict.fromkeys(r.sequence for r in records):
         of = [r for r in records if r.sequence == name]
         first = of[0]
-        about = f"{first.frames} frames of {first.points:,.0f} points, {first.raw_bytes / first.frames / 1000:,.0f} kB"
+        kilobytes = first.raw_bytes / first.frames / 1000
+        about = f"{first.frames} frames of {first.points:,.0f} points at {first.rate:g} Hz, {kilobytes:,.0f} kB a frame"
         measured = max(r.measured_frames for r in of)
         parts += [
             f"## {name}",
-            f"{about} a frame; measures are means over {measured} frames.",
+            f"{about}, of the actor {first.actor}; measures are means over {measured} frames.",
             markdown_table(*rows(of)),
         ]
     counted = {r.coder: (r.counted, r.version) for r in good(records)}
@@ -176,10 +177,12 @@ def averages(records: Sequence[Record]) -> dict[tuple[str, bool], list[Point]]:
 def picture(records: Sequence[Record]) -> Figure:
     """Ratio against the PSNR of six views and against D1; cited figures in grey. Raises MissingExtra."""
     figure = plots.figure(11, 6)
+    from matplotlib import ticker
+
     seen, distance = figure.subplots(1, 2)
     ours = {r.coder for r in records if r.ours}
     for (coder, given), points in averages(records).items():
-        ratio, views, d1, long = np.array(sorted(points)).T
+        ratio, views, d1, long = np.array(points).T
         style: dict[str, Any] = {"color": COLOURS.get(coder, plots.INK), "linewidth": 1.2}
         style |= (
             {"marker": "*" if given else "o", "markersize": 8} if coder in ours else {"marker": "s", "markersize": 4}
@@ -195,10 +198,11 @@ def picture(records: Sequence[Record]) -> Figure:
                   label=f"ours, were it {LONG:,} frames")  # fmt: skip
     draw_cited(seen, distance)
     dotted: dict[str, Any] = {"color": plots.INK, "linestyle": ":", "linewidth": 1}
-    seen.axhline(float(np.mean([r.floor["views_psnr_db"] for r in records])), **dotted)
-    distance.axhline(
-        100 * float(np.mean([r.floor["d1_m"] for r in records])), label="a second perfect sample", **dotted
-    )
+    floor = {key: float(np.mean([r.floor[key] for r in records])) for key in ("views_psnr_db", "d1_m")}
+    seen.axhline(floor["views_psnr_db"], **dotted)
+    seen.axhline(CITED_FLOOR_DB, **dotted | {"color": plots.FAINT})
+    distance.axhline(100 * floor["d1_m"], label="a second perfect sample", **dotted)
+    distance.plot([], [], label="the same, where G-PCC was run", **dotted | {"color": plots.FAINT})
     frames = sorted({r.frames for r in records})
     for axes, what in ((seen, "PSNR over six views, dB"), (distance, "D1, cm (less is better)")):
         axes.set_xscale("log")
@@ -207,8 +211,9 @@ def picture(records: Sequence[Record]) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     distance.set_yscale("log")
-    for formatted in (distance.yaxis.set_major_formatter, distance.yaxis.set_minor_formatter):
-        formatted(lambda value, _: f"{value:g}")
+    distance.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    distance.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    distance.yaxis.set_minor_formatter(ticker.NullFormatter())
     handles, labels = distance.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     return figure

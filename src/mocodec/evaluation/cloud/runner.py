@@ -75,6 +75,8 @@ class Record:
     ours: bool
     setting: str
     frames: int
+    actor: str = ""
+    rate: float = 0.0
     points: float = 0.0
     raw_bytes: int = 0
     counted: str = ""
@@ -219,7 +221,7 @@ def run(chosen: Sequence[Scene], work: Sequence[Coding], measured: int = 6) -> I
         for coding in work:
             record = Record(scene.label, coding.coder, coding.ours, coding.setting, len(original))
             record.points = float(np.mean([len(p) for p in original.positions]))
-            record.floor = floor
+            record.actor, record.rate, record.floor = performance.actor.name, original.rate, floor
             decoded = measure(record, coding, performance, original, at)
             middle = len(original) // 2
             seen = None if decoded is None else sides(decoded, middle, original)
