@@ -19,7 +19,7 @@ from ...errors import BadInput
 from ...motion import Floats, Motion
 from ...stages import gaps
 from . import body, chunks, jumps
-from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bound
+from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bound, to_bound
 
 
 class Encoder:
@@ -48,7 +48,6 @@ class Encoder:
         self.shared: tuple[bytes, ...] = (shared,)
         self._waiting = np.zeros((0, about.points, 3))
         self._start = 0
-        self._offset = 28
 
     def push(self, positions: Floats) -> list[Chunk]:
         """The chunks that frames (n, points, 3), metres, NaN in gaps, complete. Raises BadInput, CannotEncode."""
@@ -67,8 +66,7 @@ class Encoder:
         filled, mask = gaps.fill(self._waiting[:frames])
         positions = body.level(filled, self.about.up)
         piece = Piece(self._model, positions, mask, jumps.spikes(positions) & ~mask)
-        payload, self._offset = piece.within(self.max_error, self._offset)
-        chunk = Chunk(self._start, frames, payload)
+        chunk = Chunk(self._start, frames, to_bound([piece], self.max_error)[0])
         self._start += frames
         self._waiting = self._waiting[frames:]
         return chunk

@@ -23,13 +23,15 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion, point_columns
 from ...stages import gaps
 from ..base import require_frames, settings
-from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior
+from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior, tailored
 from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
 from .contexts import OCTAVE
 
 DEFAULT_MAX_ERROR = 0.005
 BATCH = 64
 """Chunks decoded side by side: enough to be fast, few enough to be small in memory."""
+FIRST_OFFSET = 28
+"""The step to try first under a bound: this many 1/32 octaves above it."""
 BOUND_SLOPE = 0.1
 """λ under a bound: zeros that save bits elsewhere make the errors uneven here."""
 
@@ -69,6 +71,20 @@ class Tempo:
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large to be held to the target."""
         require_frames(motion)
+        encoded = self.in_chunks(motion)
+        if self.weights:
+            return encoded
+        if self.ratio is not None or self.size is not None:
+            return tailored.closer(encoded, motion, self.payload_bytes(motion), self.chunk_seconds)
+        target = "max_error" if self.mean_error is None else "mean_error"
+        return tailored.smaller(encoded, motion, target, encoded.settings[target], self.chunk_seconds)
+
+    def payload_bytes(self, motion: Motion) -> int:
+        """The size that `size` or `ratio` asks for."""
+        return self.size or int(motion.raw_bytes / (self.ratio or 1))
+
+    def in_chunks(self, motion: Motion) -> Encoded[Motion]:
+        """Each chunk on its own: with the prior's basis, one for all chunks, or directly."""
         filled, mask = gaps.fill(motion.positions)
         positions = body.level(filled, motion.up)
         spikes = jumps.spikes(positions) & ~mask
@@ -83,12 +99,9 @@ class Tempo:
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
         elif self.ratio is not None or self.size is not None:
-            payloads = to_size(pieces, (self.size or motion.raw_bytes / (self.ratio or 1)) - len(shared))
+            payloads = to_size(pieces, self.payload_bytes(motion) - len(shared))
         else:
-            payloads, offset = [], 28
-            for piece in pieces:
-                payload, offset = piece.within(self.max_error or DEFAULT_MAX_ERROR, offset)
-                payloads.append(payload)
+            payloads = to_bound(pieces, self.max_error or DEFAULT_MAX_ERROR)
         if all(Parts.unpack(p).engine == DIRECT for p in payloads):
             shared = plain_shared(shared, motion.points)
         stored = settings(self)
@@ -115,6 +128,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if encoded.shared and encoded.shared[0][:1] == bytes([tailored.KIND]):
+            return tailored.decode(encoded, frames)
         start, stop = encoded.range(frames)
         like = encoded.about
         positions = np.empty((stop - start, like.points, 3))
@@ -134,7 +149,8 @@ def step_for_bound(bound: float) -> int:
 
 
 PLAIN, KNOWN, OWN = 0, 1, 2
-"""Kinds of model: none (every chunk is coded directly), the prior's, and one stored in the file. Never change them."""
+"""Kinds of model: none (every chunk is coded directly), the prior's, and one stored in the file; `tailored.KIND` is the
+fourth. Never change them."""
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
@@ -249,33 +265,29 @@ class Piece:
         values = direct.quantise(self.scaled(), fine_size(step)).reshape(len(self.positions), -1)
         return Parts(DIRECT, direct.pack(values), step, gaps=self.gaps).pack()
 
-    def within(self, bound: float, offset: int = 32) -> tuple[bytes, int]:
-        """The smallest payload found that decodes to within the bound at every sample, and the step that it took.
+    def within(self, bound: float, offset: int) -> tuple[bytes, int]:
+        """The smallest payload found that should decode to within the bound at every sample, and its offset.
 
         offset: where to begin to look for the best step, log₂ of its size in bounds, 1/32 octave.
         """
-        best: tuple[float, int, bytes] | None = None
+        if self.spectrum is None:
+            return self.directly(fine_step(direct.cell(bound))), offset
         centre = round(np.log2(bound) * OCTAVE)
-        if self.spectrum is not None:
-            tried: dict[int, tuple[float, np.ndarray, int, np.ndarray]] = {}
-            for at in (offset, offset - 10, offset + 10):
-                if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
-                    break
-                values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
-                moved = corrections.numbers(self.found(decoded, bound))
-                tried[at] = cost + coefficients.list_bits(self.model, moved), values, threshold, moved
-            at = min(tried, key=lambda o: tried[o][0])
-            _, values, threshold, moved = tried[at]
-            numbers = coefficients.pack(self.model, values, centre + at, threshold, moved)
-            fine = fine_step(direct.cell(bound)) if moved.size else None
-            payload = Parts(TRANSFORM, numbers, fine, self.gaps).pack()
-            if self.holds(payload, bound):
-                best = len(payload), at, payload
-        if best is None or self.direct_estimate(bound) < 1.2 * best[0]:
-            payload = self.directly(fine_step(direct.cell(bound)))
-            if best is None or len(payload) < best[0]:
-                best = len(payload), offset, payload
-        return best[2], best[1]
+        tried: dict[int, tuple[float, np.ndarray, int, np.ndarray]] = {}
+        for at in (offset, offset - 10, offset + 10):
+            if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
+                break
+            values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
+            moved = corrections.numbers(self.found(decoded, bound))
+            tried[at] = cost + coefficients.list_bits(self.model, moved), values, threshold, moved
+        at = min(tried, key=lambda o: tried[o][0])
+        _, values, threshold, moved = tried[at]
+        numbers = coefficients.pack(self.model, values, centre + at, threshold, moved)
+        fine = fine_step(direct.cell(bound)) if moved.size else None
+        payload = Parts(TRANSFORM, numbers, fine, self.gaps).pack()
+        if self.direct_estimate(bound) < 1.2 * len(payload):
+            payload = min(self.directly(fine_step(direct.cell(bound))), payload, key=len)
+        return payload, at
 
     def direct_estimate(self, bound: float) -> float:
         """About how many bytes the direct engine will need."""
@@ -287,10 +299,6 @@ class Piece:
         if self.model.weights is not None:
             d *= self.model.weights[:, None]
         return corrections.find(d, bound * (1 - 1e-9), fine_size(fine_step(direct.cell(bound))))
-
-    def holds(self, payload: bytes, bound: float) -> bool:
-        decoded = chunks.decode(self.model, [Chunk(0, len(self.positions), payload)])[0]
-        return bool((np.isnan(decoded[..., 0]) == self.mask).all() and self.errors(decoded).max() <= bound)
 
     def at_step(self, step: int) -> bytes:
         if self.spectrum is None:
@@ -317,6 +325,23 @@ class Piece:
         decoded = self.transformed(step)[3]
         self.put_back(decoded, step)
         return float(self.errors(decoded).sum())
+
+
+def to_bound(pieces: list[Piece], bound: float, offset: int = FIRST_OFFSET) -> list[bytes]:
+    """Payloads that decode to within the bound at every sample: all are decoded, and those that do not hold are replaced
+    by the direct engine's, which always does."""
+    payloads = []
+    for piece in pieces:
+        payload, offset = piece.within(bound, offset)
+        payloads.append(payload)
+    for first in range(0, len(pieces), BATCH):
+        batch = pieces[first : first + BATCH]
+        coded = [Chunk(0, len(p.positions), b) for p, b in zip(batch, payloads[first:], strict=False)]
+        for i, (piece, decoded) in enumerate(zip(batch, chunks.decode(batch[0].model, coded), strict=True), first):
+            gone = np.isnan(decoded[..., 0])
+            if (gone != piece.mask).any() or not piece.errors(decoded).max() <= bound:
+                payloads[i] = piece.directly(fine_step(direct.cell(bound)))
+    return payloads
 
 
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:

@@ -1,0 +1,122 @@
+"""A transform made for the recording at hand, where it is smaller than what the prior gives.
+
+    tempo's stream ─► its bytes ─────────────────┐
+    one coding with the motion's own basis ──────┴─► promising? ── yes ─► coded to the same target ─► the smaller is kept
+
+Calm, long or unusual motion pays for a basis of its own, and then the whole of `hou2014` (clips of up to ten seconds,
+one basis, corrections under a bound) stands in for tempo's chunks, behind tempo's first shared byte. The search costs
+several codings of the whole motion, so one is looked at first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ... import metrics
+from ...encoded import Encoded
+from ...errors import CannotEncode
+from ...motion import Motion
+from ..hou2014 import Hou2014
+
+KIND = 3
+"""The first shared byte. Never change it."""
+
+LONGEST_CHUNK = 2.5
+"""Chunks may be this many times as long as asked for, though not beyond ten seconds."""
+
+LONGEST_FRAMES = 60_000
+"""Beyond, a recording is too varied for one basis, and the trial too large."""
+
+PROMISING = 1.06
+"""A first coding this much larger than tempo's may still come out smaller at its best step."""
+
+SLOPE = 0.7
+"""About how many octaves of bytes an octave of mean error costs."""
+
+MEAN_OF_BOUND = 0.5
+"""A bound's usual mean error: where the search for a mean by way of a bound begins."""
+
+MEAN_WITHIN = 0.015
+MEAN_TRIES = 7
+
+
+def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
+    """The encoding given, or one with the motion's own transform where that is smaller at the same target.
+
+    target: "max_error" or "mean_error", metres; seconds: how long chunks are to be.
+    """
+    if len(motion) > LONGEST_FRAMES:
+        return encoded
+    best = encoded
+    for codec in candidates(motion, target, wanted, longest_chunk(motion, seconds)):
+        try:
+            size, mean = codec.estimate(motion)
+            if codec.mean_error and mean > 0:
+                size = size * (mean / wanted) ** SLOPE
+            if size > PROMISING * best.payload_bytes:
+                continue
+            rival = (
+                to_mean(codec, motion, wanted) if codec.max_error and target == "mean_error" else codec.encode(motion)
+            )
+        except CannotEncode:
+            continue
+        if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
+            best = taken(encoded, rival)
+    return best
+
+
+def closer(encoded: Encoded[Motion], motion: Motion, size: int, seconds: float) -> Encoded[Motion]:
+    """The encoding given, or one of no more bytes with the motion's own transform where that is nearer on average."""
+    mean = mean_error(encoded, motion)
+    if mean == 0 or smaller(encoded, motion, "mean_error", mean, seconds) is encoded:
+        return encoded
+    codec = Hou2014(chunk_frames=longest_chunk(motion, seconds), ratio=motion.raw_bytes / max(size - 1, 1))
+    try:
+        rival = taken(encoded, codec.encode(motion))
+    except CannotEncode:
+        return encoded
+    return rival if mean_error(rival, motion) < mean else encoded
+
+
+def mean_error(encoded: Encoded[Motion], motion: Motion) -> float:
+    from .tempo import Tempo
+
+    return metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
+
+
+def longest_chunk(motion: Motion, seconds: float) -> int:
+    """Frames that a chunk may have."""
+    return max(1, round(min(LONGEST_CHUNK * seconds, 10.0) * motion.rate))
+
+
+def taken(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Motion]:
+    """The rival's chunks and head in place of those of tempo."""
+    return replace(encoded, chunks=rival.chunks, shared=(bytes([KIND]) + rival.shared[0],))
+
+
+def candidates(motion: Motion, target: str, wanted: float, longest: int) -> list[Hou2014]:
+    """What is tried: for a mean also a bound, which suits recordings full of gaps and jumps better."""
+    tried: list[dict[str, Any]] = [{target: wanted}]
+    if target == "mean_error" and np.isnan(motion.positions).any():
+        tried.append({"max_error": wanted / MEAN_OF_BOUND})
+    return [Hou2014(chunk_frames=longest, **one) for one in tried]
+
+
+def to_mean(codec: Hou2014, motion: Motion, wanted: float) -> Encoded[Motion] | None:
+    """Coded under the bound whose mean error is the one wanted; none where the search does not arrive."""
+    bound = codec.max_error or wanted
+    for _ in range(MEAN_TRIES):
+        encoded = replace(codec, max_error=bound).encode(motion)
+        mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
+        if abs(mean / wanted - 1) <= MEAN_WITHIN:
+            return encoded
+        bound *= wanted / max(mean, 0.1 * wanted)
+    return None
+
+
+def decode(encoded: Encoded[Motion], frames: slice | None) -> Motion:
+    """The motion, or a slice of its frames. Raises Corrupt."""
+    return Hou2014.decode(replace(encoded, shared=(encoded.shared[0][1:],)), frames)
