@@ -23,6 +23,7 @@ CODEC_CLASSES = {
     "Tempo": "tempo",
     "Lossless": "lossless",
     "Lien2006": "lien2006",
+    "Bodycast": "bodycast",
 }
 
 

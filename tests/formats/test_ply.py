@@ -7,6 +7,7 @@ import contextlib
 import numpy as np
 import pytest
 
+from mocodec import formats
 from mocodec.errors import BadInput, MocodecError
 from mocodec.formats import ply
 from mocodec.pointcloud import PointClouds
@@ -118,3 +119,10 @@ def test_folders_are_not_overwritten_by_accident(tmp_path):
     assert len(ply.read(tmp_path / "out")) == 2
     with pytest.raises(BadInput, match=r"no \.ply"):
         ply.read(tmp_path / "nothing", fps=1)
+
+
+def test_globs_and_folders_through_the_front_door(tmp_path):
+    for i in (1, 2, 11):
+        ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
+    for path, count in ((tmp_path, 3), (tmp_path / "f1*.ply", 2), (tmp_path / "f2.ply", 1)):
+        assert len(formats.read(path)) == count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ import click
 from .. import metrics, plots
 from ..errors import BadInput
 from ..motion import Motion
+from ..pointcloud import PointClouds
 from . import files, quantities
+
+CLOUD_FRAMES = 12
 
 
 @click.command("compare")
@@ -34,7 +38,14 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if Path(path).suffix.lower() not in plots.SUFFIXES:
             raise click.UsageError(f"{path}: pictures are written as {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
-        original, other = motion(a, **options_for(a, a, options)), motion(b, **options_for(b, a, options))
+        original, other = (files.read(name, **options_for(name, a, options)) for name in (a, b))
+    if isinstance(original, PointClouds) and isinstance(other, PointClouds):
+        if plot or poses:
+            raise click.UsageError("--plot and --poses draw motions, not point clouds")
+        click.echo(clouds(original, other, stored_bytes(b) or stored_bytes(a), as_json))
+        return
+    if not isinstance(original, Motion) or not isinstance(other, Motion):
+        raise BadInput("one of the two holds point clouds, the other a motion")
     result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
     click.echo(result.to_json() if as_json else "\n".join(table(result)))
     for path in (plot, poses):
@@ -57,12 +68,24 @@ def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
     return {**options, "format_": None} if alike else {}
 
 
-def motion(name: str, **options: Any) -> Motion:
-    """Read a motion. Raises BadInput for point clouds."""
-    recording = files.read(name, **options)
-    if not isinstance(recording, Motion):
-        raise BadInput(f"{name} holds point clouds; compare measures motions point by point")
-    return recording
+def clouds(a: PointClouds, b: PointClouds, stored: int | None, as_json: bool) -> str:
+    """How far point clouds are from others, over at most CLOUD_FRAMES of their frames, evenly spaced."""
+    from ..evaluation.cloud import measures
+
+    if len(a) != len(b):
+        raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
+    frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
+    frames = [f for f in frames if len(a.positions[f]) and len(b.positions[f])]
+    result: dict[str, Any] = {"frames": len(a), "measured_frames": len(frames)}
+    if frames:
+        result |= measures.compare(a, b, frames)
+    if stored:
+        result["ratio"] = a.raw_bytes / stored
+    if as_json:
+        return json.dumps({k: None if v != v else v for k, v in result.items()}, indent=2)
+    units = {"m": lambda v: quantities.length(v), "db": lambda v: f"{v:.2f} dB"}
+    shown = (units.get(k.rpartition("_")[2], lambda v: f"{v:.6g}")(v) for k, v in result.items())
+    return "\n".join(f"{k.removesuffix('_m').removesuffix('_db'):16}{v}" for k, v in zip(result, shown, strict=True))
 
 
 def stored_bytes(name: str) -> int | None:

@@ -13,6 +13,7 @@ from .. import api, container, formats
 from ..encoded import restore
 from ..errors import BadInput, Corrupt
 from ..motion import Motion
+from ..pointcloud import PointClouds
 from . import DAMAGED, files
 
 
@@ -24,6 +25,8 @@ from . import DAMAGED, files
 def command(source: str, output: str, format_: str | None, salvage: bool) -> int | None:
     """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
 
+    Of point clouds, OUT.bvh gives the motion of the body that they were coded through.
+
     With --salvage a file that is damaged or cut short gives what can be had of it, and the exit code is still 4.
     """
     if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
@@ -33,12 +36,22 @@ def command(source: str, output: str, format_: str | None, salvage: bool) -> int
         if salvage:
             recording, lost = what_is_left(container.Reader(files.source_of(source), salvage=True))
         else:
-            recording = api.decode(files.source_of(source))
+            recording = played(source, Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower())
     with files.working(f"writing {output}"):
         files.write(output, recording, format_)
     for line in lost:
         click.echo(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
+
+
+def played(source: str, suffix: str) -> Motion | PointClouds:
+    """The recording; of point clouds coded through a body, the body's motion where a motion's format is asked for."""
+    with api.open(files.source_of(source)) as opened:
+        if len(opened.shape) == 1 and suffix in formats.FORMATS and suffix != ".ply":
+            if not hasattr(opened.codec, "track"):
+                raise BadInput(f"{source} holds point clouds without a body; name a folder for .ply files")
+            return opened.codec.track(opened.encoded)
+        return opened[:]
 
 
 def what_is_left(reader: container.Reader) -> tuple[Motion, list[str]]:

@@ -24,6 +24,10 @@ from . import files, quantities, verify
 @click.option("--ratio", type=click.FloatRange(1), help="This many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="No larger than this: 50kB.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; may be repeated.")
+@click.option(
+    "--skeleton", type=click.Path(), metavar="FILE", help="For point clouds: a .bvh or .amc in the first frame's pose."
+)
+@click.option("--residual", type=click.FloatRange(0, 100), help="For point clouds: how much of the residual, percent.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 @files.reader_options
 def command(
@@ -34,6 +38,8 @@ def command(
     Every file that is written has been decoded and measured first; the error is in the summary, on standard error.
     """
     targets = {name: options.pop(name) for name in ("max_error", "mean_error", "ratio", "size")}
+    about_clouds = files.named(**{name: options.pop(name) for name in ("skeleton", "residual")})
+    settings += tuple(f"{name}={value}" for name, value in about_clouds.items())
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec decode` writes the formats of the field")
     with files.working(f"reading {source}"):

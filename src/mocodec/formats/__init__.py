@@ -28,12 +28,12 @@ LONGEST_MESSAGE = 400  # letters; one line, whatever names a damaged file has
 
 
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
-    """Read a file, or a folder of .ply, by its suffix; the options are those of the format's own `read`.
+    """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
 
     Raises BadInput where there is no such file, no such format or option, or the content is not what the suffix says.
     """
     path = Path(path)
-    if path.is_dir():
+    if path.is_dir() or (path.suffix.lower() == ".ply" and any(sign in str(path) for sign in "*?[")):
         return _call(FORMATS[".ply"], "read", path, **options)
     module = _module(path)
     if not path.exists():
