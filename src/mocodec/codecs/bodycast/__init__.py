@@ -86,7 +86,7 @@ class Bodycast:
         atlas, sums = self._survey(body, sightings, len(frames[first][0]))
         planes = picture(atlas, sums)
         key = video.encode([planes], self.surface_quality, self._moving_quality())[0]
-        model = Model(atlas, _valid(atlas, sums), key, clouds.colours is not None)
+        model = Model(atlas, valid_cells(atlas, sums), key, clouds.colours is not None)
         chunks = list[Chunk]()
         for start in range(0, len(frames), self.chunk_frames):
             rows = slice(start, start + self.chunk_frames)
@@ -270,7 +270,7 @@ def _none() -> Cloud:
     return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
 
 
-def _valid(atlas: Atlas, sums: Sums) -> NDArray[np.bool_]:
+def valid_cells(atlas: Atlas, sums: Sums) -> NDArray[np.bool_]:
     """Cells that hold a fifth or more of the usual number of points: those hidden in joints do not."""
     count = sums.values[0].reshape(atlas.height, atlas.width)
     some = count[count > 0]
