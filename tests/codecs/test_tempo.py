@@ -16,9 +16,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import mocodec
-from mocodec import metrics
-from mocodec.codecs.tempo import Decoder, Encoder, Tempo, prior, training
+from mocodec import container, metrics
+from mocodec.codecs.tempo import Decoder, Encoder, Tempo, prior, tailored, training
 from mocodec.codecs.tempo.model import POSE
 from mocodec.encoded import Chunk
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError, UnknownCodec
@@ -146,9 +145,9 @@ def test_known_points_in_any_order_and_spelling_use_the_prior() -> None:
     shuffled = np.random.default_rng(1).permutation(motion.points)
     names = tuple(f"S:{motion.names[i].upper()}" for i in shuffled)
     other = Motion(motion.positions[:, shuffled], motion.rate, names, motion.up)
-    sizes = [Tempo().encode(m).payload_bytes for m in (motion, other)]
+    sizes = [Tempo().in_chunks(m).payload_bytes for m in (motion, other)]
     assert sizes[0] == pytest.approx(sizes[1], rel=0.02)
-    assert Tempo().encode(other).shared[0][0] == 1
+    assert Tempo().in_chunks(other).shared[0][0] == 1
 
 
 # ------------------------------------------------------------------------------------------------------------ the prior
@@ -211,7 +210,7 @@ def test_a_stream_of_unknown_points_learns_from_an_earlier_recording() -> None:
 
 def test_the_same_numbers_whatever_the_threads(tmp_path: Path) -> None:
     path = tmp_path / "walk.mocz"
-    path.write_bytes(mocodec.encode(synthetic.markers(frames=300, seed=2)))
+    path.write_bytes(container.pack(Tempo().in_chunks(synthetic.markers(frames=300, seed=2))))
     code = (
         "import sys, hashlib, mocodec; from mocodec.codecs.tempo import chunks, coefficients, corrections, tempo;"
         "e = mocodec.open(sys.argv[1]).encoded; m = tempo.model_of(e.shared, e.about);"
@@ -244,3 +243,33 @@ def test_damaged_shared_bytes_are_noticed() -> None:
     for other in ((), (b"",), (shared[:3],), (b"\x07" + shared[1:],)):
         with pytest.raises((Corrupt, UnknownCodec)):
             Tempo.decode(replace(encoded, shared=other))
+
+
+# ------------------------------------------------------------------------------------- a transform made for the motion
+
+
+@pytest.mark.parametrize("settings", [{"max_error": 0.003}, {"mean_error": 0.002}, {"ratio": 80.0}])
+def test_the_motions_own_transform_is_taken_where_it_is_smaller(settings: dict[str, float]) -> None:
+    motion = synthetic.markers(frames=480, seed=2)
+    plain, best = Tempo(**settings).in_chunks(motion), Tempo(**settings).encode(motion)
+    if "max_error" in settings:
+        assert best.shared[0][0] == tailored.KIND
+    errors = metrics.distances(motion.positions, Tempo.decode(best).positions)
+    if "ratio" in settings:
+        assert best.payload_bytes <= motion.raw_bytes / settings["ratio"]
+        assert errors.mean() <= metrics.mean_distance(motion.positions, Tempo.decode(plain).positions)
+    else:
+        assert best.payload_bytes <= plain.payload_bytes
+    if "max_error" in settings:
+        assert errors.max() <= settings["max_error"]
+    if "mean_error" in settings:
+        assert errors.mean() == pytest.approx(settings["mean_error"], rel=0.02)
+    assert dict(best.settings) == dict(plain.settings)
+
+
+def test_chunks_of_the_motions_own_transform_keep_to_the_length_asked_for() -> None:
+    motion = synthetic.markers(frames=1500, seed=2)
+    encoded = Tempo(mean_error=0.002, chunk_seconds=1.0).encode(motion)
+    assert max(chunk.frames for chunk in encoded.chunks) <= 2.5 * motion.rate + 1
+    part = Tempo.decode(encoded, slice(700, 800)).positions
+    assert part == pytest.approx(Tempo.decode(encoded).positions[700:800], abs=1e-9)

@@ -60,11 +60,15 @@ def adaptive(positions: Floats, curves: Floats, step: float, wanted: int | None,
     return np.diff(chosen[1])
 
 
-def best_equal_length(curves: Floats, step: float) -> int:
-    """L of the fewest bits, near enough: section VII's last open end. curves (frames, k): rows in the basis."""
+def best_equal_length(curves: Floats, step: float, longest: int) -> int:
+    """L of the fewest bits, near enough: section VII's last open end. curves (frames, k): rows in the basis.
+
+    longest: frames that no clip has more of.
+    """
     frames = len(curves)
-    tried = sorted({-(-frames // max(1, round(frames / length))) for length in CANDIDATES})
-    return min(tried, key=lambda length: bits(curves, stream.equal_lengths(frames, length), step))
+    tried = {-(-frames // max(1, round(frames / length))) for length in CANDIDATES}
+    short = sorted(length for length in tried if length <= longest) or [-(-frames // -(-frames // longest))]
+    return min(short, key=lambda length: bits(curves, stream.equal_lengths(frames, length), step))
 
 
 def bits(curves: Floats, lengths: Integers, step: float) -> float:

@@ -35,8 +35,8 @@ Integers = NDArray[np.int64]
 SAMPLED_CHUNKS = 3
 """Chunks that the search under a bound looks at: the best step is much the same for all."""
 
-STEP_OF_MEAN, MEAN_OF_BOUND = 5.0, 0.22
-"""Where searches begin: the step for a mean error, and the mean error for a bound, as are usual."""
+STEP_OF_MEAN, STEP_OF_BOUND = 5.0, 2.6
+"""Where searches begin: the steps for a mean error and for a bound, in these lengths, that are usual."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,17 @@ class Hou2014:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode, and BadInput for settings that cannot be."""
+        return self.encode_near(motion, gaps.fill(motion.positions)[0])
+
+    def encode_near(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
+        """`encode`, with positions for the transform that are the motion's own but for gaps.
+
+        smooth (frames, points, 3): without gaps; under a bound without leaps of single frames too, which corrections
+        put back.
+        """
         base.require_frames(motion)
         self._check(motion)
-        filled, mask = gaps.fill(motion.positions)
-        coding = _Coding(self, motion, filled, mask)
+        coding = _Coding(self, motion, smooth, motion.gaps)
         if self.max_error is not None:
             return coding.for_max_error(self.max_error)
         if self.mean_error is not None:
@@ -104,6 +111,17 @@ class Hou2014:
     def has_target(self) -> bool:
         """Whether the step is searched for."""
         return (self.max_error, self.mean_error, self.ratio) != (None, None, None)
+
+    def estimate(self, motion: Motion, smooth: Floats) -> tuple[float, float]:
+        """About how many payload bytes `encode_near` takes, and at which mean error (m), at the first step of a search.
+
+        What `mean_error` or `max_error` is going to cost, for the price of one coding. Raises as `encode` does.
+        """
+        base.require_frames(motion)
+        self._check(motion)
+        coding = _Coding(self, motion, smooth, motion.gaps)
+        rung = coding.first_rung
+        return coding.sampled_size(rung), coding.mean_error(rung)
 
     def _check(self, motion: Motion) -> None:
         targets = {name: getattr(self, name) for name in ("max_error", "mean_error", "ratio")}
@@ -175,7 +193,7 @@ class _Coding:
         if codec.segmentation == "adaptive":
             lengths, length = clipping.adaptive(filled, curves, step, codec.clips, codec.chunk_frames), 0
         else:
-            length = clipping.best_equal_length(curves, step)
+            length = clipping.best_equal_length(curves, step, codec.chunk_frames)
             lengths = stream.equal_lengths(len(filled), length)
         return replace(material, lengths=lengths, clip_frames=length)
 
@@ -187,8 +205,9 @@ class _Coding:
             bits = codec.fraction_bits
             k = codec.components or parameters.COMPONENTS
             return -quantise.LADDER * (parameters.fraction_bits(k) if bits is None else bits)
-        mean = codec.mean_error or (MEAN_OF_BOUND * codec.max_error if codec.max_error else 0.003)
-        return quantise.rung(STEP_OF_MEAN * mean / codec.unit)
+        if codec.max_error is not None:
+            return quantise.rung(STEP_OF_BOUND * codec.max_error / codec.unit)
+        return quantise.rung(STEP_OF_MEAN * (codec.mean_error or 0.003) / codec.unit)
 
     def mean_error(self, rung: int) -> float:
         draft = self.draft(rung)
@@ -219,7 +238,7 @@ class _Coding:
         packed = stream.pack_clips(clips, head)
         return stream.pack_payload(packed, gaps.pack(self.mask[start:stop]), corrections)
 
-    def _sampled_size(self, rung: int) -> float:
+    def sampled_size(self, rung: int) -> float:
         """Bytes, from a few chunks of a long motion; infinite where it cannot be coded at this step."""
         try:
             draft = self.draft(rung)
@@ -248,7 +267,7 @@ class _Coding:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """The step at which coefficients and corrections together are smallest; decoded and checked."""
-        encoded = self.encoded(search.smallest(self._sampled_size, self.first_rung))
+        encoded = self.encoded(search.smallest(self.sampled_size, self.first_rung))
         decoded = Hou2014.decode(encoded).positions
         furthest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not furthest <= bound:

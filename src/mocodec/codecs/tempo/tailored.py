@@ -1,7 +1,7 @@
 """A transform made for the recording at hand, where it is smaller than what the prior gives.
 
-    tempo's stream ─► its bytes ─────────────────┐
-    one coding with the motion's own basis ──────┴─► promising? ── yes ─► coded to the same target ─► the smaller is kept
+    tempo's stream ─► its bytes ──────────────────┐
+    one coding in the motion's own basis ─────────┴─► promising? ── yes ─► coded to the target ─► the smaller is kept
 
 Calm, long or unusual motion pays for a basis of its own, and then the whole of `hou2014` (clips of up to ten seconds,
 one basis, corrections under a bound) stands in for tempo's chunks, behind tempo's first shared byte. The search costs
@@ -13,13 +13,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from ... import metrics
 from ...encoded import Encoded
 from ...errors import CannotEncode
-from ...motion import Motion
+from ...motion import Floats, Motion
+from ...stages import gaps
 from ..hou2014 import Hou2014
+from . import body, jumps
 
 KIND = 3
 """The first shared byte. Never change it."""
@@ -51,16 +51,19 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
     if len(motion) > LONGEST_FRAMES:
         return encoded
     best = encoded
-    for codec in candidates(motion, target, wanted, longest_chunk(motion, seconds)):
+    filled, smooth = without_leaps(motion)
+    for codec in candidates(motion, smooth is not filled, target, wanted, longest_chunk(motion, seconds)):
+        near = smooth if codec.max_error else filled
         try:
-            size, mean = codec.estimate(motion)
+            size, mean = codec.estimate(motion, near)
             if codec.mean_error and mean > 0:
                 size = size * (mean / wanted) ** SLOPE
             if size > PROMISING * best.payload_bytes:
                 continue
-            rival = (
-                to_mean(codec, motion, wanted) if codec.max_error and target == "mean_error" else codec.encode(motion)
-            )
+            if codec.max_error and target == "mean_error":
+                rival = to_mean(codec, motion, near, wanted)
+            else:
+                rival = codec.encode_near(motion, near)
         except CannotEncode:
             continue
         if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
@@ -97,19 +100,29 @@ def taken(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Motion]:
     return replace(encoded, chunks=rival.chunks, shared=(bytes([KIND]) + rival.shared[0],))
 
 
-def candidates(motion: Motion, target: str, wanted: float, longest: int) -> list[Hou2014]:
-    """What is tried: for a mean also a bound, which suits recordings full of gaps and jumps better."""
+def without_leaps(motion: Motion) -> tuple[Floats, Floats]:
+    """Positions without gaps, and without leaps of single frames too: the same array where there are none."""
+    filled, mask = gaps.fill(motion.positions)
+    level = body.level(filled, motion.up)
+    spikes = jumps.spikes(level) & ~mask
+    if not spikes.any():
+        return filled, filled
+    return filled, body.unlevel(jumps.bridged(level, spikes), motion.up)
+
+
+def candidates(motion: Motion, leaps: bool, target: str, wanted: float, longest: int) -> list[Hou2014]:
+    """What is tried: for a mean also a bound, which suits recordings full of gaps and leaps better."""
     tried: list[dict[str, Any]] = [{target: wanted}]
-    if target == "mean_error" and np.isnan(motion.positions).any():
+    if target == "mean_error" and (leaps or motion.gaps.any()):
         tried.append({"max_error": wanted / MEAN_OF_BOUND})
     return [Hou2014(chunk_frames=longest, **one) for one in tried]
 
 
-def to_mean(codec: Hou2014, motion: Motion, wanted: float) -> Encoded[Motion] | None:
+def to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> Encoded[Motion] | None:
     """Coded under the bound whose mean error is the one wanted; none where the search does not arrive."""
     bound = codec.max_error or wanted
     for _ in range(MEAN_TRIES):
-        encoded = replace(codec, max_error=bound).encode(motion)
+        encoded = replace(codec, max_error=bound).encode_near(motion, smooth)
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
         if abs(mean / wanted - 1) <= MEAN_WITHIN:
             return encoded
