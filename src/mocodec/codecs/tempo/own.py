@@ -13,7 +13,7 @@ serves the low frequencies only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,10 @@ GAIN_UNIT = 8
 """Gains are stored in quarters of an octave."""
 POSE_COARSER = 64
 """The mean pose is rounded to steps of Δ/√frames, made coarser by this (1/32 octave)."""
-WEAKEST = 64
+WEAKEST = 96
 """A component is stored while its standard deviation is above Δ/√frames by this (1/32 octave)."""
-STRENGTH = -105
-"""From a component's gain (its magnitudes at 1 Hz) to the finest that its entries need to be, in 1/32 octave."""
+COARSER = 36
+"""Entries of the basis are rounded to steps of Δ/√(λ frames), made coarser by this (1/32 octave)."""
 MEAN_BELOW = 128
 """A component's mean over a chunk against its movement at 0.2 Hz over the root of the frames (1/32 octave)."""
 START_BAND = 1
@@ -53,17 +53,14 @@ class Stored:
     noise: int
     pose: Integers
     gains: Integers
+    precision: Integers
     basis: bytes
 
     def pack(self) -> bytes:
         pose = coder.pack(np.diff(self.pose, axis=0, prepend=0)) if len(self.pose) else b""
-        gains = coder.pack(np.diff(self.gains, prepend=0)[:, None])
-        return (
-            varint.write([varint.signed(self.noise), len(self.gains), len(pose), len(gains)])
-            + pose
-            + gains
-            + self.basis
-        )
+        numbers = coder.pack(np.diff(np.concatenate([self.gains, self.precision]), prepend=0)[:, None])
+        head = varint.write([varint.signed(self.noise), len(self.gains), len(pose), len(numbers)])
+        return head + pose + numbers + self.basis
 
     @classmethod
     def unpack(cls, data: bytes, points: int, dimensions: int) -> Stored:
@@ -73,16 +70,12 @@ class Stored:
             raise Corrupt("tempo: a model that is out of range")
         pose = np.cumsum(coder.unpack(data[at : at + pose_size], (points, 3)), axis=0)
         at += pose_size
-        gains = np.cumsum(coder.unpack(data[at : at + gains_size], (count, 1))[:, 0])
-        if (np.abs(gains) > 4000).any() or (np.abs(pose) > 1 << 40).any():
+        numbers = np.cumsum(coder.unpack(data[at : at + gains_size], (2 * count - 1, 1))[:, 0])
+        gains, precision = numbers[:count], numbers[count:]
+        fits = (precision == precision.clip(0, basis.FINEST)).all() and (np.abs(gains) <= 4000).all()
+        if not fits or (np.abs(pose) > 1 << 40).any():
             raise Corrupt("tempo: a model that is out of range")
-        return cls(varint.unsigned(noise), pose, gains, data[at + gains_size :])
-
-    @property
-    def precision(self) -> Integers:
-        """How finely each component is rounded. Integers only."""
-        strength = self.gains[:-1] * GAIN_UNIT + STRENGTH
-        return np.clip(2 * (strength - self.noise) // contexts.OCTAVE, 0, basis.FINEST)
+        return cls(varint.unsigned(noise), pose, gains, precision, data[at + gains_size :])
 
 
 def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int) -> bytes:
@@ -105,13 +98,13 @@ def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate:
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
     shape = _shape(prior, count + 1)
     gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shape, strict=False)]
-    stored = Stored(noise, pose, np.rint(np.array([*gains, gains[-1]]) / GAIN_UNIT).astype(np.int64), b"")
-    packed = basis.pack(vectors[:, :count], stored.precision, _alike(pose))
-    completed = _completed(basis.unpack(packed, len(vectors), stored.precision, _alike(pose)))
+    precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
+    packed = basis.pack(vectors[:, :count], precision, _alike(pose))
+    completed = _completed(basis.unpack(packed, len(vectors), precision, _alike(pose)))
     left = [s @ completed[:, count:] for s in spectra]
     last = _gain([np.sqrt((part**2).mean(axis=1)) for part in left], rate, shape[-1]) if left[0].shape[1] else gains[-1]
-    stored.gains[-1] = round(last / GAIN_UNIT)
-    return replace(stored, basis=packed).pack()
+    rounded = np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64)
+    return Stored(noise, pose, rounded, precision, packed).pack()
 
 
 def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
