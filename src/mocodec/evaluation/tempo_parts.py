@@ -103,7 +103,7 @@ def main() -> None:
 
 
 def ratio(motion: Motion, target: dict[str, float]) -> float:
-    return motion.raw_bytes / Tempo(**target).encode(motion).payload_bytes  # type: ignore[arg-type]
+    return motion.raw_bytes / Tempo(**target).in_chunks(motion).payload_bytes  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":
