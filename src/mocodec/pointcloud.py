@@ -21,7 +21,8 @@ class PointClouds:
     """Frames of points, a different number in each.
 
     positions: one (n, 3) float64 array a frame, metres. colours: one (n, 3) uint8 array a frame, or none at all.
-    normals: one (n, 3) array a frame, or none. rate: frames a second. up: the vertical axis. source, extras: as in Motion.
+    normals: one (n, 3) array a frame, or none. rate: frames a second. up: the vertical axis. source, extras: as in
+    Motion.
     Raises BadInput where the arrays do not fit each other.
     """
 
