@@ -113,7 +113,8 @@ def of_recording(
             if theirs is not None:
                 found.append(figure(label, kind, motion, "sz3", target, wanted, theirs))
         for wanted in HOU_MEANS if with_hou else ():
-            for name, codec in (("tempo", Tempo()), ("hou2014", Hou2014()), (PUBLISHED, Hou2014.as_published())):
+            codecs: dict[str, Any] = {"tempo": Tempo(), "hou2014": Hou2014(), PUBLISHED: Hou2014.as_published()}
+            for name, codec in codecs.items():
                 with contextlib.suppress(CannotEncode):
                     outcome = runner.ours(codec, motion, mean_error=wanted)
                     found.append(figure(label, kind, motion, name, "mean_error", wanted, outcome))
