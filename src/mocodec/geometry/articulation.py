@@ -156,7 +156,7 @@ def between(directions: Floats, onto: Floats) -> Floats:
 
 
 def from_skeleton(
-    names: Sequence[str], parents: Sequence[int], positions: Floats, *, one_trunk: bool = False, shortest: float = 0.08
+    names: Sequence[str], parents: Sequence[int], positions: Floats, *, one_trunk: bool = False, shortest: float = 0.085
 ) -> Body:
     """The links of a skeleton that stands in a pose: bones too small to be seen in points are joined to their parents.
 

@@ -30,7 +30,7 @@ class Figure(NamedTuple):
     places: Floats
     error_m: float
 
-    def body(self, one_trunk: bool = False, shortest: float = 0.08) -> Body:
+    def body(self, one_trunk: bool = False, shortest: float = 0.085) -> Body:
         """Its links."""
         return articulation.from_skeleton(self.names, self.parents, self.places, one_trunk=one_trunk, shortest=shortest)
 

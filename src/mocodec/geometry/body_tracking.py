@@ -120,6 +120,8 @@ class Limb:
     rows: Labels
 
 
+DOUBT = 1.15  # times the usual cost, above which a fit is not trusted at once
+LOST_POINTS, LOST_LIMB = 0.01, 0.15  # shares of the data, and of a limb's template, that make a search worth while
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
 UPPER = np.triu_indices(6)
 CROSS = np.zeros((3, 3, 3))  # CROSS @ v is the matrix of v ×
@@ -154,6 +156,7 @@ class Tracker:
         self.limbs = self._limbs()
         self.pose = Pose.canonical(len(body))
         self.before = self.pose
+        self.usual = np.inf  # cost of a frame that fits
 
     def _stiffness(self) -> Floats:
         """(links,): the expected turn of each joint: little for short bones that carry others, and those without
@@ -184,8 +187,11 @@ class Tracker:
             return Fit.nothing(self.pose)
         data = self.look_at(points, colours, seed)
         found = self.solve(data, self.predict())
+        if found.cost > DOUBT * self.usual:  # it may have turned back: start from where it was
+            found = min(found, self.solve(data, self.pose), key=lambda fit: fit.cost)
         better = self._search(data, found, seed) if self.settings.search else found
         self.before, self.pose = self.pose if better is found else better.pose, better.pose
+        self.usual = min(better.cost, 0.9 * self.usual + 0.1 * better.cost)
         return better
 
     def see(
@@ -215,12 +221,14 @@ class Tracker:
             source = np.concatenate([row, self.some[near]])
             pose = self._step(target, source, pose, start, a, b, width)
             a, b = transforms(self.body, pose)
-        return self.assess(data, pose)
+        return self.assess(data, pose, candidates)
 
-    def assess(self, data: Data, pose: Pose) -> Fit:
-        """How well a pose fits."""
+    def assess(self, data: Data, pose: Pose, candidates: Labels | None = None) -> Fit:
+        """How well a pose fits. candidates: links for each data point, where they are known."""
         a, b = transforms(self.body, pose)
-        row, link = self._match(data, a, b, self._candidates(data.points, a, b))
+        if candidates is None:
+            candidates = self._candidates(data.points, a, b)
+        row, link = self._match(data, a, b, candidates)
         residuals = np.linalg.norm(data.points - self.skin.posed(a, b, row), axis=1)
         seen, shades = self._seen_template(a, b)
         both, index = data.nearest(seen, shades, 0.5)
@@ -271,13 +279,13 @@ class Tracker:
         other link explains, and those points to the limb; the best are refined, and the best of all poses is kept.
         """
         lost_points = found.residuals > LOST
-        if lost_points.sum() < 0.01 * len(data.points):
+        if lost_points.sum() < LOST_POINTS * len(data.points):
             return found
         owner = self.skin.links[self.some, 0]
         best = found
         for limb in self.limbs:
             gaps = best.gaps[np.isin(owner, limb.links)]
-            if not len(gaps) or np.mean(gaps > LOST) < 0.15:
+            if not len(gaps) or np.mean(gaps > LOST) < LOST_LIMB:
                 continue
             for pose in self._draw(limb, data, best, seed):
                 other = self.solve(data, pose, self.settings.widths[1:])
