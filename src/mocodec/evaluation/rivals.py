@@ -15,7 +15,8 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version as installed_version
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -61,6 +62,14 @@ def needs(module: str) -> Any:
         return import_module(module)
     except ImportError as missing:
         raise MissingExtra(f"the rival {module}", "bench") from missing
+
+
+def installed_version(package: str) -> str:
+    """The version of a package that is installed; says so where it is not."""
+    try:
+        return version_of(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 @dataclass(frozen=True)

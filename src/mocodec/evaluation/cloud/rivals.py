@@ -21,7 +21,6 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib.metadata import version as installed_version
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 from ...entropy import varint
 from ...motion import Floats
 from ...pointcloud import PointClouds
-from ..rivals import needs
+from ..rivals import installed_version, needs
 from . import maps, splats
 
 Image = NDArray[np.uint8]
