@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocodec.errors import CannotEncode
-from mocodec.evaluation.cloud import actors, sequences
+from mocodec.evaluation.cloud import actors, sequences, tracking
 from mocodec.geometry import articulated_icp, articulation, body_fit, body_tracking, skinning
 from mocodec.pointcloud import PointClouds
 
@@ -96,3 +96,12 @@ def test_no_person_no_pose():
     rng = np.random.default_rng(0)
     with pytest.raises(CannotEncode, match="not a standing person"):
         body_fit.first_pose(rng.uniform(0, 0.3, (500, 3)))
+
+
+def test_tracking_is_measured_where_no_recordings_are(tmp_path, monkeypatch):
+    monkeypatch.setattr(actors, "find", actors.capsules)
+    results = tracking.run(tmp_path, 4)
+    assert results["motions"].keys() == {"jumping jacks"}
+    found = results["motions"]["jumping jacks"]["2,500 points"]
+    assert found["mean_cm"] < 3
+    assert found["lost_frames"] == found["longest_loss"] == 0
