@@ -266,4 +266,5 @@ INDEX = (
 
 def chunk_bytes(frames: int, length: int) -> int:
     """What a chunk takes in the file, its frame and checksum included."""
-    return len(varint(frames)) + len(varint(length)) + length + CHECKSUM_BYTES
+    bits = max(frames.bit_length(), 1), max(length.bit_length(), 1)
+    return (bits[0] + 6) // 7 + (bits[1] + 6) // 7 + length + CHECKSUM_BYTES

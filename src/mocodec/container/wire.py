@@ -67,11 +67,15 @@ class Cursor:
         return self.take(1)[0]
 
     def varint(self) -> int:
-        value = 0
+        data, at, value = self.data, self.at, 0  # an index has a thousand: no call for each byte
         for shift in range(0, 7 * MAX_VARINT_BYTES, 7):
-            byte = self.byte()
+            if at == self.end:
+                self.take(at - self.at + 1)  # raises Truncated
+            byte = data[at]
+            at += 1
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
+                self.at = at
                 if byte == 0 and shift:
                     break  # one number, one spelling: so that a file's bytes follow from its content
                 return value
