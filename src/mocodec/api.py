@@ -55,7 +55,7 @@ def encode(motion: Motion | PointClouds, codec: Any = None, **options: Any) -> b
     """A motion, or point clouds, as the bytes of a .mocz.
 
     codec: a name, or an instance with settings such as `Hou2014(components=40)`; unless given, "tempo" for motion and
-    "lien2006" for point clouds. options: settings by keyword, among them the targets `max_error`, `mean_error`
+    "bodycast" for point clouds. options: settings by keyword, among them the targets `max_error`, `mean_error`
     (metres), `ratio`, `size`. Raises BadInput for a setting the codec does not have, CannotEncode where it cannot do
     what was asked.
     """
@@ -104,7 +104,7 @@ def extras_bytes(blob: bytes) -> int:
 
 def default_codec(motion: Motion | PointClouds) -> str:
     """The codec that is used where none is named."""
-    return "tempo" if isinstance(motion, Motion) else "lien2006"
+    return "tempo" if isinstance(motion, Motion) else "bodycast"
 
 
 def with_options(codec: Any, **options: Any) -> Any:

@@ -18,7 +18,7 @@ from . import files, quantities, verify
 @click.command("encode")
 @click.argument("source", metavar="IN")
 @click.option("-o", "--output", required=True, metavar="OUT.mocz", help='The file to write; "-" is standard output.')
-@click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; lien2006 for point clouds.")
+@click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds.")
 @click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
 @click.option("--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames: 1mm.")
 @click.option("--ratio", type=click.FloatRange(1), help="This many times smaller than float32 positions: 100.")

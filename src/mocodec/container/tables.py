@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-CODEC_IDS = {1: "tempo", 2: "hou2014", 3: "liu2006", 4: "lossless", 5: "lien2006"}
+CODEC_IDS = {1: "tempo", 2: "hou2014", 3: "liu2006", 4: "lossless", 5: "lien2006", 6: "bodycast"}
 """0 = a name follows."""
 
 RATES: tuple[tuple[int, int], ...] = (
