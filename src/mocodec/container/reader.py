@@ -68,7 +68,7 @@ class StoredChunks(Sequence[Chunk]):
         self.frames = frames
         self.lengths = lengths
         self.starts = list(accumulate(frames, initial=0))
-        self.offsets = list(accumulate(map(chunk_bytes, frames, lengths), initial=offset))
+        self.offsets = list(accumulate(chunk_bytes(frames, lengths).tolist(), initial=offset))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -382,7 +382,7 @@ def _read_index(where: Source, chunks_at: int, index: int, end: int) -> tuple[li
     frames, lengths = record["frames"], record["lengths"]
     if min(frames, default=1) < 1 or sum(frames) > records.MAX_FRAMES:
         raise Corrupt("the number of frames is out of range")
-    if chunks_at + sum(map(chunk_bytes, frames, lengths)) != index:
+    if max(lengths, default=0) > index or chunks_at + int(chunk_bytes(frames, lengths).sum()) != index:
         raise Corrupt("the index does not fit the chunks; they can be salvaged")
     return frames, lengths
 
@@ -398,7 +398,7 @@ def _walk(where: Source, chunks_at: int) -> tuple[list[int], list[int], int]:
             chunk = records.read(CHUNK, cursor)
         except (Truncated, Corrupt):
             break
-        size = chunk_bytes(chunk["frames"], chunk["length"])
+        size = int(chunk_bytes([chunk["frames"]], [chunk["length"]])[0])
         if chunk["frames"] == 0 or at + size > where.size:
             break
         frames.append(chunk["frames"])

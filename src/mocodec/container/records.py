@@ -10,9 +10,12 @@ docs/format.md says the same in words, with the reasons.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import UnknownCodec
 from ..motion import UP_AXES, Skeleton
@@ -264,7 +267,12 @@ INDEX = (
 )
 
 
-def chunk_bytes(frames: int, length: int) -> int:
-    """What a chunk takes in the file, its frame and checksum included."""
-    bits = max(frames.bit_length(), 1), max(length.bit_length(), 1)
-    return (bits[0] + 6) // 7 + (bits[1] + 6) // 7 + length + CHECKSUM_BYTES
+def chunk_bytes(frames: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:
+    """What each chunk takes in the file, its frame and checksum included; frames and payload lengths of each."""
+    counts, sizes = np.asarray(frames, np.int64), np.asarray(lengths, np.int64)
+    return varint_bytes(counts) + varint_bytes(sizes) + sizes + CHECKSUM_BYTES
+
+
+def varint_bytes(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many bytes each number takes."""
+    return 1 + np.searchsorted(1 << np.arange(7, 63, 7), numbers, "right")

@@ -115,13 +115,14 @@ class Hou2014:
     def estimate(self, motion: Motion, smooth: Floats) -> tuple[float, float]:
         """About how many payload bytes `encode_near` takes, and at which mean error (m), at the first step of a search.
 
-        What `mean_error` or `max_error` is going to cost, for the price of one coding. Raises as `encode` does.
+        What `mean_error` or `max_error` is going to cost, for the price of one coding; under a bound the mean error is
+        not looked at, and nan. Raises as `encode` does.
         """
         base.require_frames(motion)
         self._check(motion)
         coding = _Coding(self, motion, smooth, motion.gaps)
         rung = coding.first_rung
-        return coding.sampled_size(rung), coding.mean_error(rung)
+        return coding.sampled_size(rung), math.nan if self.max_error is not None else coding.mean_error(rung)
 
     def _check(self, motion: Motion) -> None:
         targets = {name: getattr(self, name) for name in ("max_error", "mean_error", "ratio")}
