@@ -215,6 +215,5 @@ def write_report(folder: Path) -> None:
     formats.replace_whole(folder / "report.md", report.markdown(records, machine).encode())
     formats.replace_whole(folder / "report.html", report.page(records, machine).encode())
     formats.replace_whole(folder / "curves.png", report.curves(records))
-    picture = (folder / "curves.png").as_posix()
-    formats.replace_whole(folder / "summary.md", report.summary(records, machine, picture).encode())
+    formats.replace_whole(folder / "summary.md", report.summary(records, machine).encode())
     click.echo(f"{folder / 'report.html'}\n{folder / 'report.md'}")

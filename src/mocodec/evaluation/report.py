@@ -211,8 +211,8 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def summary(records: Sequence[Record], machine: dict[str, Any], picture: str) -> str:
-    """What a README shows: the main table, bytes saved, how it was measured, and the curves as a picture."""
+def summary(records: Sequence[Record], machine: dict[str, Any]) -> str:
+    """What a README shows: the main table, bytes saved, and how they were measured."""
     people = sorted({r.settings["prior"] for r in good(records) if "prior" in r.settings})
     unseen = (
         "tempo's prior had not seen the people it is judged on (leave-subjects-out)."
@@ -223,7 +223,6 @@ def summary(records: Sequence[Record], machine: dict[str, Any], picture: str) ->
     return (
         "\n\n".join(
             [
-                f"![Ratio against mean error, ours and what else there is]({picture})",
                 "*Compression ratio against float32 positions at equal error, all side information counted: geometric "
                 f"mean over the recordings that all codecs of a column could code, of {count} measured. {unseen} "
                 f"{measured_on(machine)} Made by `mocodec eval`.*",
