@@ -319,7 +319,7 @@ def colour_of(name: str) -> Any:
     """The same colour for the same coder in every chart."""
     from matplotlib import colormaps
 
-    return COLOURS.get(name) or colormaps["tab20"](sorted(RIVALS).index(name) * 2 + 1 if name in RIVALS else 14)
+    return COLOURS.get(name) or colormaps["tab20b"](sorted(RIVALS).index(name) * 3 % 20 if name in RIVALS else 0)
 
 
 def short(value: float) -> str:
@@ -373,7 +373,7 @@ def draw_mean(figure: Any, records: Sequence[Record]) -> bool:
             color="#555", label=f"{system} (printed)", markersize=5,
         )  # fmt: skip
     axes.set_xlabel("mean error, cm")
-    axes.legend(fontsize=7, ncols=2)
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawn
 
 
@@ -382,7 +382,7 @@ def draw_hard(figure: Any, records: Sequence[Record]) -> bool:
     drawn = draw_curves(axes, records, HARD)
     axes.set_xlabel("hard maximum, cm")
     if drawn:
-        axes.legend(fontsize=7, ncols=2)
+        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawn
 
 

@@ -54,6 +54,16 @@ def by_frame(rows: Array, shape: tuple[int, int, int]) -> Array:
     return np.asarray(rows, np.float64).reshape(shape[1] * 3, shape[0]).T.reshape(shape)
 
 
+def by_axis(positions: Array) -> Array:
+    """(frames, points, 3) → (3, points, frames) float32, time fastest."""
+    return np.ascontiguousarray(positions.transpose(2, 1, 0), np.float32)
+
+
+def from_axes(values: Array, shape: tuple[int, int, int]) -> Array:
+    """The inverse of `by_axis`."""
+    return np.asarray(values, np.float64).reshape(3, shape[1], shape[0]).transpose(2, 1, 0)
+
+
 def needs(module: str) -> Any:
     """Import a package of the [bench] extra. Raises MissingExtra."""
     from importlib import import_module
@@ -74,7 +84,11 @@ def installed_version(package: str) -> str:
 
 @dataclass(frozen=True)
 class Sz3:
-    """SZ3's interpolation predictor under an absolute bound for each coordinate, on one 1-D array."""
+    """SZ3's interpolation predictor under an absolute bound for each coordinate, on one 1-D array.
+
+    Time fastest, then the points, so that all x stand together; with each point's axes together, short recordings come
+    out up to a sixth larger.
+    """
 
     name: str = "sz3"
 
@@ -84,12 +98,12 @@ class Sz3:
         config.errorBoundMode = pysz.szErrorBoundMode.ABS
         config.absErrorBound = knob
         config.cmprAlgo = pysz.szAlgorithm.INTERP
-        return pysz.sz.compress(by_row(positions).reshape(-1), config)[0].tobytes()
+        return pysz.sz.compress(by_axis(positions).reshape(-1), config)[0].tobytes()
 
     def decode(self, data: bytes, shape: tuple[int, int, int]) -> Array:
         pysz = needs("pysz")
         flat = pysz.sz.decompress(np.frombuffer(data, np.uint8), np.float32, (int(np.prod(shape)),))
-        return by_frame(flat[0] if isinstance(flat, tuple) else flat, shape)
+        return from_axes(flat[0] if isinstance(flat, tuple) else flat, shape)
 
     def knob_of(self, mean_error: float) -> float:
         return mean_error * 1.9
