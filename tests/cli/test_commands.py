@@ -122,6 +122,16 @@ def test_what_a_format_has_no_place_for_is_said(command: Command, walk: mc.Motio
     assert command("cut", "full.c3d", "-o", "x.trc", "-q").err == ""
 
 
+def test_bare_leaves_out_what_stands_beside_the_points(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+    analog = mc.Signal(np.random.default_rng(1).integers(0, 4096, (960, 8)).astype(np.int16), 480.0)
+    mc.write("full.c3d", replace(walk, extras={"analog": analog}))
+    assert command("encode", "full.c3d", "-o", "full.mocz").code == 0
+    assert command("encode", "full.c3d", "-o", "bare.mocz", "--bare").code == 0
+    assert Path("bare.mocz").stat().st_size < 0.2 * Path("full.mocz").stat().st_size
+    with mc.open("bare.mocz") as opened:
+        assert "analog" not in opened[:].extras
+
+
 def test_residuals_left_out_are_said_and_can_be_kept(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     words = np.random.default_rng(1).integers(1, 2**15, (240, 7)).astype(np.int16)
     mc.write("noisy.c3d", replace(walk, extras={"residuals": mc.Signal(words, 120.0)}))

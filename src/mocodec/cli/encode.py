@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,11 @@ from . import files, quantities, verify
     "--skeleton", type=click.Path(), metavar="FILE", help="For point clouds: a .bvh or .amc in the first frame's pose."
 )
 @click.option("--residual", type=click.FloatRange(0, 100), help="For point clouds: how much of the residual, percent.")
+@click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters; they are kept otherwise.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 @files.reader_options
 def command(
-    source: str, output: str, codec: str | None, settings: tuple[str, ...], quiet: bool, **options: Any
+    source: str, output: str, codec: str | None, settings: tuple[str, ...], bare: bool, quiet: bool, **options: Any
 ) -> None:
     """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
 
@@ -44,6 +46,8 @@ def command(
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec decode` writes the formats of the field")
     with files.working(f"reading {source}"):
         recording = files.read(source, **options)
+    if bare:
+        recording = replace(recording, extras={})
     chosen = choose(codec or api.default_codec(recording), settings, files.named(**targets))
     with files.working(f"encoding {source} with {chosen.name}"):
         blob = api.pack(chosen, recording)
