@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -191,7 +192,8 @@ def test_a_broken_pipe_is_quiet(walk_trc: Path) -> None:
 
 
 def test_interrupt_is_quiet(walk_trc: Path) -> None:
-    process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a suite in the background inherits deaf ears
+    process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE, preexec_fn=listening)
     time.sleep(1.5)  # it waits for standard input
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
