@@ -391,7 +391,10 @@ def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
     rows = [row for row in rows if cell(records, *row)]
     if not rows:
         return False
+    from matplotlib import colormaps
+
     axes = figure.subplots()
+    axes.set_prop_cycle(color=[colormaps["tab20"](i) for i in range(20)])
     names = sorted({p for r in good(records) if r.ours for p in r.bytes_by_part})
     left = np.zeros(len(rows))
     labels = [f"{n} {'≤' if t == HARD else '~'}{m * 100:g} cm" for n, t, m in rows]
