@@ -51,6 +51,25 @@ def test_views_and_rigs_see_less(performance):
     assert len(rig.positions[0]) == 3000
 
 
+def test_several_people_share_a_scene():
+    jumper, turner = sequences.pair(actors.capsules(), 3, apart=1.2)
+    clouds = sequences.record((jumper, turner), 1500, seed=4)
+    assert [len(points) for points in clouds.positions] == [3000] * 3
+    left = clouds.positions[0][:, 0] < 0
+    assert 1300 < left.sum() < 1700
+    assert jumper.joints[0, 0, 0] == pytest.approx(-0.6, abs=0.05)
+    assert not np.array_equal(jumper.actor.colours, turner.actor.colours)
+    hidden = sequences.record((jumper, turner), 1500, views=1)
+    assert len(hidden.positions[0]) <= 3000
+
+
+def test_a_moved_performance_keeps_its_pose():
+    act = sequences.turning(actors.capsules(), 4)
+    moved = act.moved((1.0, 0, 2.0), np.pi / 2)
+    turn = np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(moved.joints, act.joints @ turn.T + [1.0, 0, 2.0], atol=1e-9)
+
+
 def test_perform_follows_a_motion_by_names():
     actor = actors.capsules()
     truth = sequences.turning(actor, 8)
@@ -69,6 +88,11 @@ def test_makehuman_where_its_data_are():
     assert actor.vertices.shape == (13380, 3)
     assert 1.5 < np.ptp(actor.vertices[:, 1]) < 2.0
     np.testing.assert_allclose(actor.weights.sum(axis=1), 1)
+    child, heavy = actors.find("makehuman-female-child"), actors.find("makehuman-heavy")
+    assert 1.0 < np.ptp(child.vertices[:, 1]) < 1.5
+    assert np.ptp(heavy.vertices[:, 2]) > np.ptp(actor.vertices[:, 2])
+    with pytest.raises(BadInput, match="no actor named"):
+        actors.find("makehuman-giant")
 
 
 def test_the_nearest_splat_wins():

