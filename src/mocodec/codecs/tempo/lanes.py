@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import native
 from ...errors import Corrupt
 
 Integers = NDArray[np.int64]
@@ -71,6 +72,8 @@ def encode(symbols: Integers, tables: Integers, coder: Tables, raw: Integers) ->
     start = coder.starts[tables, symbols]
     assert (frequency > 0).all()
     state = LOWEST + raw.astype(np.int64)
+    if (kernel := native.kernel("lanes_encode")) is not None:
+        return kernel(frequency, start, state)
     words: list[NDArray[np.int64]] = []
     for f, c in zip(frequency[::-1], start[::-1], strict=True):
         full = state >= f << (32 - PRECISION)
