@@ -35,10 +35,12 @@ def test_lanes_are_coded_alike(steps: int, width: int) -> None:
     tables = rng.integers(0, coder.idle + 1, (steps, width))
     slots = rng.integers(0, lanes.TOTAL, (steps, width))
     symbols = coder.symbols[tables * lanes.TOTAL + slots]
-    raw = rng.integers(0, 1 << 16, width)
-    states, words = lanes.encode(symbols, tables, coder, raw)
+    layouts = [(symbols, tables), (symbols[: steps // 2, :1], tables[: steps // 2, :1])]
+    raw = [rng.integers(0, 1 << 16, width), rng.integers(0, 1 << 16, 1)]
+    compiled_ones = lanes.encode(layouts, coder, raw)
     with native.without():
-        states_pure, words_pure = lanes.encode(symbols, tables, coder, raw)
-    np.testing.assert_array_equal(states, states_pure)
-    np.testing.assert_array_equal(words, words_pure)
-    assert (states.dtype, words.dtype) == (states_pure.dtype, words_pure.dtype)
+        pure = lanes.encode(layouts, coder, raw)
+    for ours, theirs in zip(compiled_ones, pure, strict=True):
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert a.dtype == b.dtype

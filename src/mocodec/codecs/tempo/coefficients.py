@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,51 +137,70 @@ def dequantise(values: Integers, sizes: Floats) -> Floats:
     return (values - np.sign(values) * inward) * sizes
 
 
-def pack(model: Model, values: Integers, step: int, threshold: int, lists: Integers | None = None) -> bytes:
-    """Whole numbers (frames, rows), zero outside the threshold's zone, as bytes.
+class Numbers(NamedTuple):
+    """What `pack` makes bytes of.
 
-    lists (fields, n): more numbers to go with them, coded after the coefficients with one table a field; the first
-    three fields may be negative.
+    values (frequencies, rows): those in the zone of the threshold, in this step, of so many frames. lists (fields, n):
+    more numbers to go with them, coded after the coefficients with one table a field; the first three fields may be
+    negative.
     """
-    frames = len(values)
-    p = plan(model, frames, step, threshold, 0)
-    inside = p.inside
-    known = values[: p.frequencies]
-    symbol = symbols.of(np.abs(known))
-    more = np.zeros((0, 0), np.int64) if lists is None else lists
-    more_symbol = symbols.of(np.abs(more))
-    chosen = _list_tables(model, more_symbol)
-    raw = np.concatenate([symbols.raw(known[inside], symbol[inside]), _raw_of_lists(more, more_symbol)])
-    coded = int(inside.sum()) + more.size
-    lane_code = _lanes_for(coded, len(raw))
-    head = [lane_code | bool(more.size) << 3 | varint.signed(threshold) << 4, step + MAX_STEP]
-    if more.size:
-        head += [more.shape[1], *chosen]
-    first = varint.write(head)
-    if not coded:
-        return first
-    p = plan(model, frames, step, threshold, lane_code)
-    before = _steps_before([p])
-    own_steps = int(before[-1])
-    shape = (own_steps - (-more.size // p.lanes), p.lanes)
-    of_step = np.zeros(shape, np.int64)
-    by_table = np.full(shape, model.prior.coder.idle)
-    if p.frequencies:
-        frequency, row, group, at, lane = p.order
-        at = at + before[group]
-        of_step[at, lane] = symbol[frequency, row]
-        by_table[at, lane] = contexts.all_tables(p.base, symbols.FIRSTS[symbol])[frequency, row]
-    of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
-    by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
-    riding = np.zeros(16 * p.lanes, np.uint8)
-    riding[: len(raw)] = raw[: len(riding)]
-    states, words = lanes.encode(of_step, by_table, model.prior.coder, bits.unpack(riding, np.full(p.lanes, 16)))
-    sizes = np.array([int(s).bit_length() for s in states])
-    heads = np.concatenate(
-        [bits.pack(sizes - 17, np.full(p.lanes, 4)), bits.pack(states - (1 << (sizes - 1)), sizes - 1)]
-    )
-    beyond = np.packbits(raw[len(riding) :])
-    return first + np.packbits(heads).tobytes() + words.astype("<u2").tobytes() + beyond.tobytes()
+
+    frames: int
+    values: Integers
+    step: int
+    threshold: int
+    lists: Integers | None = None
+
+
+def pack(model: Model, of_chunks: Sequence[Numbers]) -> list[bytes]:
+    """The bytes of each chunk. All are coded side by side."""
+    coder = model.prior.coder
+    heads: list[bytes] = []
+    raws: list[bits.Bits] = []
+    layouts: list[tuple[Integers, Integers]] = []
+    for frames, values, step, threshold, lists in of_chunks:
+        p = plan(model, frames, step, threshold, 0)
+        inside, known = p.inside, values[: p.frequencies]
+        symbol = symbols.of(np.abs(known))
+        more = np.zeros((0, 0), np.int64) if lists is None else lists
+        more_symbol = symbols.of(np.abs(more))
+        chosen = _list_tables(model, more_symbol)
+        raw = np.concatenate([symbols.raw(known[inside], symbol[inside]), _raw_of_lists(more, more_symbol)])
+        coded = int(inside.sum()) + more.size
+        lane_code = _lanes_for(coded, len(raw))
+        head = [lane_code | bool(more.size) << 3 | varint.signed(threshold) << 4, step + MAX_STEP]
+        if more.size:
+            head += [more.shape[1], *chosen]
+        heads.append(varint.write(head))
+        raws.append(raw)
+        p = plan(model, frames, step, threshold, lane_code if coded else 0)
+        before = _steps_before([p])
+        own_steps = int(before[-1])
+        shape = (own_steps - (-more.size // p.lanes), p.lanes)
+        of_step = np.zeros(shape, np.int64)
+        by_table = np.full(shape, coder.idle)
+        if p.frequencies:
+            frequency, row, group, at, lane = p.order
+            at = at + before[group]
+            of_step[at, lane] = symbol[frequency, row]
+            by_table[at, lane] = contexts.all_tables(p.base, symbols.FIRSTS[symbol])[frequency, row]
+        of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
+        by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
+        layouts.append((of_step, by_table))
+    riding: list[Integers] = []
+    for raw, (of_step, _) in zip(raws, layouts, strict=True):
+        ride = np.zeros(16 * of_step.shape[1], np.uint8)
+        ride[: len(raw)] = raw[: len(ride)]
+        riding.append(bits.unpack(ride, np.full(of_step.shape[1], 16)))
+    out: list[bytes] = []
+    coded_lanes = lanes.encode(layouts, coder, riding)
+    for first, raw, (of_step, _), (states, words) in zip(heads, raws, layouts, coded_lanes, strict=True):
+        if not len(of_step):
+            out.append(first)
+            continue
+        beyond = np.packbits(raw[16 * len(states) :])
+        out.append(first + _write_states(states) + words.astype("<u2").tobytes() + beyond.tobytes())
+    return out
 
 
 LIST_TABLES = (contexts.SHAPES - 1) * contexts.CLASSES
@@ -274,6 +294,14 @@ def unpack(
         extra = symbols.values(listed, raw[count:total], signed).reshape(fields, -1)
         result.append((values, p.step, extra))
     return result
+
+
+def _write_states(states: Integers) -> bytes:
+    sizes = np.array([int(s).bit_length() for s in states])
+    widths = np.full(len(states), 4)
+    return np.packbits(
+        np.concatenate([bits.pack(sizes - 17, widths), bits.pack(states - (1 << (sizes - 1)), sizes - 1)])
+    ).tobytes()
 
 
 def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:

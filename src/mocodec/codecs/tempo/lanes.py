@@ -66,23 +66,41 @@ class Tables:
         return np.where(self.frequencies > 0, PRECISION - np.log2(np.maximum(self.frequencies, 1)), 1e3)
 
 
-def encode(symbols: Integers, tables: Integers, coder: Tables, raw: Integers) -> tuple[Integers, NDArray[np.uint16]]:
-    """Symbols (steps, lanes) with the table of each, and 16 raw bits a lane (lanes,) → final states (lanes,), words."""
-    frequency = coder.frequencies[tables, symbols]
-    start = coder.starts[tables, symbols]
-    assert (frequency > 0).all()
-    state = LOWEST + raw.astype(np.int64)
-    if (kernel := native.kernel("lanes_encode")) is not None:
-        return kernel(frequency, start, state)
-    words: list[NDArray[np.int64]] = []
-    for f, c in zip(frequency[::-1], start[::-1], strict=True):
-        full = state >= f << (32 - PRECISION)
-        if full.any():
-            words.append((state[full] & 0xFFFF)[::-1])
-            state = np.where(full, state >> 16, state)
-        state = (state // f << PRECISION) + state % f + c
-    sequence = np.concatenate(words)[::-1] if words else np.zeros(0, np.int64)
-    return state, sequence.astype(np.uint16)
+def encode(
+    layouts: Sequence[tuple[Integers, Integers]], coder: Tables, raw: Sequence[Integers]
+) -> list[tuple[Integers, NDArray[np.uint16]]]:
+    """Of each chunk symbols (steps, lanes) with the table of each, and 16 raw bits a lane (lanes,) → final states
+    (lanes,), words. The chunks are coded side by side."""
+    kernel = native.kernel("lanes_encode")
+    frequencies = [coder.frequencies[tables, symbols] for symbols, tables in layouts]
+    starts = [coder.starts[tables, symbols] for symbols, tables in layouts]
+    assert all((f > 0).all() for f in frequencies)
+    states = [LOWEST + r.astype(np.int64) for r in raw]
+    if kernel is not None:
+        return [kernel(f, c, s) for f, c, s in zip(frequencies, starts, states, strict=True)]
+    edges = np.cumsum([0, *map(len, states)])
+    shape = (max(map(len, frequencies), default=0), int(edges[-1]))
+    every_f, every_c = np.full(shape, TOTAL), np.zeros(shape, np.int64)  # a symbol that is certain changes nothing
+    for f, c, first in zip(frequencies, starts, edges, strict=False):
+        every_f[: len(f), first : first + f.shape[1]] = f
+        every_c[: len(f), first : first + f.shape[1]] = c
+    state = np.concatenate([*states, np.zeros(0, np.int64)])
+    words, of_lane = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    limits = every_f << (32 - PRECISION)
+    every_r = TOTAL - every_f
+    for f, c, r, limit in zip(every_f[::-1], every_c[::-1], every_r[::-1], limits[::-1], strict=True):
+        full = np.flatnonzero(state >= limit)
+        if len(full):
+            moved = state[full]
+            words.append((moved & 0xFFFF)[::-1])
+            of_lane.append(full[::-1])
+            state[full] = moved >> 16
+        state += state // f * r + c
+    sequence = np.concatenate(words)[::-1].astype(np.uint16)
+    chunk = np.searchsorted(edges, np.concatenate(of_lane)[::-1], side="right") - 1
+    by_chunk = sequence[np.argsort(chunk, kind="stable")]
+    counts = np.bincount(chunk, minlength=len(layouts))
+    return list(zip(np.split(state, edges[1:-1]), np.split(by_chunk, np.cumsum(counts)[:-1]), strict=True))
 
 
 class Lanes:

@@ -10,11 +10,11 @@ Where this suits a motion badly, a chunk is coded directly on a grid instead; th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -81,6 +81,8 @@ class Tempo:
         target = "max_error" if self.mean_error is None else "mean_error"
         wanted = encoded.settings[target]
         smaller = tailored.smaller(encoded, motion, target, wanted, self.chunk_seconds)
+        if smaller is encoded:
+            return encoded
         off_mean = target == "mean_error" and abs(tailored.mean_error(smaller, motion) / wanted - 1) > MEAN_WITHIN
         return encoded if off_mean else smaller
 
@@ -179,7 +181,7 @@ def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: i
 
     def size(candidate: tuple[bytes, model.Model]) -> float:
         pieces = [Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample]
-        return len(candidate[0]) + scale * sum(p.transformed(step)[2] for p in pieces) / 8
+        return len(candidate[0]) + scale * sum(p.quantised(step)[2] for p in pieces) / 8
 
     return min(candidates, key=size)
 
@@ -256,43 +258,53 @@ class Piece:
         d = np.where(self.mask, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=2)))
         return d if self.model.weights is None else d * self.model.weights
 
-    def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
-        """Whole numbers, threshold, about how many bits, and the positions that they decode to."""
+    def quantised(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float]:
+        """Whole numbers (frequencies, rows), threshold, and about how many bits they take."""
         assert self.spectrum is not None
-        sizes = chunks.sizes(self.model, len(self.positions), step)
-        scaled = model.without_slopes(self.spectrum, step) / sizes
-        values, threshold, cost = coefficients.quantise(self.model, scaled, step, slope)
-        known = coefficients.plan(self.model, len(values), step, threshold, 0).frequencies
-        decoded = self.model.synthesise(coefficients.dequantise(values[:known], sizes), len(values))
-        return values, threshold, cost, decoded
+        scaled = model.without_slopes(self.spectrum, step) / chunks.sizes(self.model, len(self.positions), step)
+        return coefficients.quantise(self.model, scaled, step, slope)
+
+    def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
+        """Whole numbers (frequencies in the zone, rows), threshold, bits, and the positions that they decode to."""
+        values, threshold, cost = self.quantised(step, slope)
+        frames = len(self.positions)
+        known = coefficients.plan(self.model, frames, step, threshold, 0).frequencies
+        sizes = chunks.sizes(self.model, frames, step)
+        decoded = self.model.synthesise(coefficients.dequantise(values[:known], sizes), frames)
+        return values[:known], threshold, cost, decoded
 
     def directly(self, step: int) -> bytes:
         values = direct.quantise(self.scaled(), fine_size(step)).reshape(len(self.positions), -1)
         return Parts(DIRECT, direct.pack(values), step, gaps=self.gaps).pack()
 
-    def within(self, bound: float, offset: int) -> tuple[bytes, int]:
-        """The smallest payload found that should decode to within the bound at every sample, and its offset.
+    def within(self, bound: float, offset: int, among: Sequence[int]) -> tuple[Draft, int]:
+        """The cheapest numbers tried that should decode to within the bound at every sample, and their offset.
 
-        offset: where to begin to look for the best step, log₂ of its size in bounds, 1/32 octave.
+        offset: of the step, log₂ of its size in bounds, 1/32 octave. Each of `among` is added to it in turn, until one
+        is worse than the first.
         """
+        fine = fine_step(direct.cell(bound))
         if self.spectrum is None:
-            return self.directly(fine_step(direct.cell(bound))), offset
+            return Draft(fine=fine), offset
         centre = round(np.log2(bound) * OCTAVE)
-        tried: dict[int, tuple[float, np.ndarray, int, np.ndarray]] = {}
-        for at in (offset, offset - 10, offset + 10):
-            if len(tried) == 2 and tried[offset - 10][0] < tried[offset][0]:
+        costs: list[float] = []
+        drafts: list[Draft] = []
+        for more in among:
+            if len(costs) > 1 and min(costs[1:]) < costs[0]:
                 break
-            values, threshold, cost, decoded = self.transformed(centre + at, BOUND_SLOPE)
+            values, threshold, cost, decoded = self.transformed(centre + offset + more, BOUND_SLOPE)
             moved = corrections.numbers(self.found(decoded, bound))
-            tried[at] = cost + coefficients.list_bits(self.model, moved), values, threshold, moved
-        at = min(tried, key=lambda o: tried[o][0])
-        _, values, threshold, moved = tried[at]
-        numbers = coefficients.pack(self.model, values, centre + at, threshold, moved)
-        fine = fine_step(direct.cell(bound)) if moved.size else None
-        payload = Parts(TRANSFORM, numbers, fine, self.gaps).pack()
-        if self.direct_estimate(bound) < 1.2 * len(payload):
-            payload = min(self.directly(fine_step(direct.cell(bound))), payload, key=len)
-        return payload, at
+            costs.append(cost + coefficients.list_bits(self.model, moved))
+            numbers = coefficients.Numbers(len(self.positions), values, centre + offset + more, threshold, moved)
+            drafts.append(Draft(numbers, fine if moved.size else None))
+        best = int(np.argmin(costs))
+        return drafts[best], offset + among[best]
+
+    def held(self, payload: bytes, bound: float) -> bytes:
+        """A payload of the transform, or the direct engine's where that is smaller."""
+        if self.spectrum is None or self.direct_estimate(bound) >= 1.2 * len(payload):
+            return payload
+        return min(self.directly(fine_step(direct.cell(bound))), payload, key=len)
 
     def direct_estimate(self, bound: float) -> float:
         """About how many bytes the direct engine will need."""
@@ -305,12 +317,16 @@ class Piece:
             d *= self.model.weights[:, None]
         return corrections.find(d, bound * (1 - 1e-9), fine_size(fine_step(direct.cell(bound))))
 
-    def at_step(self, step: int, slope: float = coefficients.SLOPE) -> bytes:
+    def draft(self, step: int, slope: float = coefficients.SLOPE) -> Draft:
+        """The chunk in one step, with no bound to keep."""
         if self.spectrum is None:
-            return self.directly(step * chunks.FINE // OCTAVE)
+            fine = step * chunks.FINE // OCTAVE
+            on_grid = np.asarray(direct.quantise(self.positions, fine_size(fine)) * fine_size(fine), np.float64)
+            return Draft(fine=fine, error=float(self.errors(on_grid).sum()))
         values, threshold, _, decoded = self.transformed(step, slope)
         moved, fine = self.put_back(decoded, step)
-        return Parts(TRANSFORM, coefficients.pack(self.model, values, step, threshold, moved), fine, self.gaps).pack()
+        numbers = coefficients.Numbers(len(self.positions), values, step, threshold, moved)
+        return Draft(numbers, fine, float(self.errors(decoded).sum()))
 
     def put_back(self, decoded: Floats, step: int) -> tuple[np.ndarray | None, int | None]:
         """Corrections for spikes alone, and their step."""
@@ -322,62 +338,107 @@ class Piece:
         corrections.apply(decoded, found, fine_size(fine))
         return corrections.numbers(found), fine
 
-    def mean_at(self, step: int, slope: float = coefficients.SLOPE) -> float:
-        if self.spectrum is None:
-            size = fine_size(step * chunks.FINE // OCTAVE)
-            on_grid = np.asarray(direct.quantise(self.positions, size) * size, np.float64)
-            return float(self.errors(on_grid).sum())
-        decoded = self.transformed(step, slope)[3]
-        self.put_back(decoded, step)
-        return float(self.errors(decoded).sum())
+
+class Draft(NamedTuple):
+    """A chunk in one step, before it becomes bytes.
+
+    numbers: none of the direct engine's. fine: the step of corrections, or of the direct engine. error: the sum of its
+    distances, metres, where it was looked at.
+    """
+
+    numbers: coefficients.Numbers | None = None
+    fine: int | None = None
+    error: float = 0.0
+
+
+def packed(pieces: Sequence[Piece], drafts: Sequence[Draft]) -> list[bytes]:
+    """The payloads of drafts."""
+    payloads: list[bytes] = []
+    for first in range(0, len(pieces), BATCH):
+        batch = list(zip(pieces, drafts, strict=True))[first : first + BATCH]
+        coded = iter(coefficients.pack(pieces[0].model, [d.numbers for _, d in batch if d.numbers is not None]))
+        for piece, draft in batch:
+            if draft.numbers is not None:
+                payloads.append(Parts(TRANSFORM, next(coded), draft.fine, piece.gaps).pack())
+            else:
+                payloads.append(piece.directly(draft.fine or 0))
+    return payloads
 
 
 def to_bound(pieces: list[Piece], bound: float, offset: int = FIRST_OFFSET) -> list[bytes]:
     """Payloads that decode to within the bound at every sample: all are decoded, and those that do not hold are
     replaced by the direct engine's, which always does."""
-    payloads = []
-    for piece in pieces:
-        payload, offset = piece.within(bound, offset)
-        payloads.append(payload)
+    payloads: list[bytes] = []
     for first in range(0, len(pieces), BATCH):
-        batch = pieces[first : first + BATCH]
-        coded = [Chunk(0, len(p.positions), b) for p, b in zip(batch, payloads[first:], strict=False)]
-        for i, (piece, decoded) in enumerate(zip(batch, chunks.decode(batch[0].model, coded), strict=True), first):
+        batch, drafts = pieces[first : first + BATCH], list[Draft]()
+        for number, piece in enumerate(batch):
+            draft, offset = piece.within(bound, offset, OFFSETS if number % SEARCHED == 0 else (0,))
+            drafts.append(draft)
+        coded = [p.held(b, bound) for p, b in zip(batch, packed(batch, drafts), strict=True)]
+        listed = [Chunk(0, len(p.positions), b) for p, b in zip(batch, coded, strict=True)]
+        for i, (piece, decoded) in enumerate(zip(batch, chunks.decode(batch[0].model, listed), strict=True)):
             gone = np.isnan(decoded[..., 0])
             if (gone != piece.mask).any() or not piece.errors(decoded).max() <= bound:
-                payloads[i] = piece.directly(fine_step(direct.cell(bound)))
+                coded[i] = piece.directly(fine_step(direct.cell(bound)))
+        payloads += coded
     return payloads
 
 
+OFFSETS = (0, -10, 10)
+"""Steps tried for a chunk under a bound, in 1/32 octave beside that of the chunk before."""
+SEARCHED = 3
+"""They are tried for one chunk of so many; those between take the step of the chunk before."""
+
+
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
-    """Payloads at the common step whose mean error is nearest to the target."""
-    samples = sum(int((~p.mask).sum()) for p in pieces)
+    """Payloads at the common step whose mean error is nearest to the target.
 
-    def excess(step: int, slope: float) -> float:
-        error = sum(p.mean_at(step, slope) for p in pieces) / samples
-        return OCTAVE * float(np.log2(max(error, 1e-12) / target))
+    The step is looked for among some of the chunks; all are then coded in it, and once more where their mean differs.
+    """
 
+    def excess(among: Sequence[Piece], step: int, slope: float = coefficients.SLOPE) -> tuple[float, list[Draft]]:
+        """By how much the mean error is too large, 1/32 octave."""
+        drafts = [p.draft(step, slope) for p in among]
+        error = sum(d.error for d in drafts) / sum(int((~p.mask).sum()) for p in among)
+        return OCTAVE * float(np.log2(max(error, 1e-12) / target)), drafts
+
+    def search(among: Sequence[Piece], step: int) -> tuple[dict[int, float], int, list[Draft]]:
+        """The excess at every step tried, the best of them, and what it gave."""
+        tried: dict[int, float] = {}
+        best: tuple[int, list[Draft]] = step, []
+        for _ in range(12):
+            step = int(np.clip(step, 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))
+            if step in tried:
+                break
+            tried[step], drafts = excess(among, step)
+            if abs(tried[step]) <= min(map(abs, tried.values())):
+                best = step, drafts
+            if abs(tried[step]) < BEST:
+                break
+            step = _next_step(tried)
+        return tried, *best
+
+    some = pieces[:: max(1, len(pieces) // SAMPLED)]
     step = round(np.log2(2.8 * target) * OCTAVE)
-    tried: dict[int, float] = {}
-    for _ in range(12):
-        step = int(np.clip(step, 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))
-        if step in tried:
-            break
-        tried[step] = excess(step, coefficients.SLOPE)
-        step = _next_step(tried)
+    if len(some) < len(pieces):
+        step = search(some, step)[1]
+    tried, step, drafts = search(pieces, step)
     if min(tried.values()) > NEAR:  # finer than the stored bases are exact
         return [p.directly(fine_step(target / CUBE_MEAN)) for p in pieces]
-    ways = {(step, coefficients.SLOPE): miss for step, miss in tried.items()}
-    step = min(tried, key=lambda s: abs(tried[s]))
-    for change, share in OTHER_WAYS if abs(tried[step]) < OCTAVE else ():
-        if min(map(abs, ways.values())) <= NEAR:
+    miss = tried[step]
+    for change, share in OTHER_WAYS if abs(miss) < OCTAVE else ():
+        if abs(miss) <= NEAR:
             break
-        way = step + change, share * coefficients.SLOPE
-        ways[way] = excess(*way)
-    step, slope = min(ways, key=lambda way: abs(ways[way]))
-    return [p.at_step(step, slope) for p in pieces]
+        found, other = excess(pieces, step + change, share * coefficients.SLOPE)
+        if abs(found) < abs(miss):
+            miss, drafts = found, other
+    return packed(pieces, drafts)
 
 
+SAMPLED = 4
+"""At least so many chunks are looked at for the step of a mean error."""
+BEST = 0.43
+"""No other step is nearer to a mean error than one this near, 1/32 octave."""
 OTHER_WAYS = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0) for change in (0, -1, 1, -2, 2))
 NEAR = 0.6
 """Near enough to a mean error, 1/32 octave: 1.3 %. Where no step is, others of error and bits are weighed too."""
@@ -403,11 +464,11 @@ def _next_step(tried: dict[int, float]) -> int:
 def to_size(pieces: list[Piece], size: float) -> list[bytes]:
     """Payloads at the smallest common step whose bytes are within the size. Raises CannotEncode."""
 
-    def packed(step: int) -> list[bytes]:
-        return [p.at_step(step) for p in pieces]
+    def at(step: int) -> list[bytes]:
+        return packed(pieces, [p.draft(step) for p in pieces])
 
-    step = -_largest(lambda s: sum(map(len, packed(-s))) <= size, round(-np.log2(0.004) * OCTAVE))
-    result = packed(step)
+    step = -_largest(lambda s: sum(map(len, at(-s))) <= size, round(-np.log2(0.004) * OCTAVE))
+    result = at(step)
     if sum(map(len, result)) > size:
         raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
     return result
