@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocodec.errors import CannotEncode
 from mocodec.evaluation.cloud import actors, sequences, tracking
-from mocodec.geometry import articulated_icp, articulation, body_fit, body_tracking, skinning
+from mocodec.geometry import articulated_icp, articulation, body_tracking, skinning
 from mocodec.pointcloud import PointClouds
 
 
@@ -75,27 +74,6 @@ def test_frames_that_show_nothing_leave_the_pose(performance, clouds):
         assert tracker.fit(points).pose is before
     same = tracker.fit(np.zeros((50, 3)))  # all in one place
     assert np.isfinite(same.pose.rotations).all()
-
-
-@pytest.mark.parametrize("up", ["y", "z"])
-def test_first_pose_of_an_unknown_person(performance, clouds, up):
-    points = clouds.positions[5] * 1.07 + [3.0, 0.5, -2.0]
-    turn = np.eye(3) if up == "y" else np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    figure = body_fit.first_pose(points @ turn.T, up)
-    assert figure.error_m < 0.03
-    truth = dict(zip(performance.actor.names, performance.joints[5] * 1.07 + [3.0, 0.5, -2.0], strict=True))
-    off = [
-        np.linalg.norm(place @ turn - truth[n])
-        for n, place in zip(figure.names, figure.places, strict=True)
-        if n in truth
-    ]
-    assert np.median(off) < 0.1
-
-
-def test_no_person_no_pose():
-    rng = np.random.default_rng(0)
-    with pytest.raises(CannotEncode, match="not a standing person"):
-        body_fit.first_pose(rng.uniform(0, 0.3, (500, 3)))
 
 
 def test_tracking_is_measured_where_no_recordings_are(tmp_path, monkeypatch):

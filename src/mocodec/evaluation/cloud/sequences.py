@@ -64,7 +64,7 @@ class Performance:
             places[:, joint] = self.root if parent < 0 else places[:, parent] + self.turns[:, parent] @ offset
         return places
 
-    def moved(self, place: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Performance:
+    def moved(self, place: Floats | Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Performance:
         """The same elsewhere: turned by `heading` radians about the vertical through the origin, then moved by
         `place` (3,), metres."""
         turn = articulation.exp(np.array([0.0, heading, 0.0]))
