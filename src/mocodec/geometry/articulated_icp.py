@@ -7,6 +7,7 @@ data ──cluster──► tree ──► queue from the root: ICP of each link
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
 from .normals import estimate
 
 Labels = NDArray[Any]
+ROUNDS = 5  # of fitting surfaces to links and giving points to the nearest
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +95,17 @@ def make_model(
     a, b = transforms(body, Pose.canonical(len(body)))
     n = outward(body, a, b, points, estimate(points)) if normals is None else normals
 
-    def links_of(fitted: Body) -> Labels:
-        return nearest_surface(fitted, points, n) if by_surface else segment(fitted, a, b, points, n)
-
-    for _ in range(3 if by_surface else 2):
-        body = fit_cylinders(body, points, links_of(body))
-    return body, Model(points, n, colours, links_of(body))
+    if by_surface:
+        for _ in range(3):
+            links = nearest_surface(body, points, n)
+            body = fit_cylinders(body, points, links, paired=True)
+        links = nearest_surface(body, points, n)
+        for _ in range(ROUNDS):
+            links = nearest_surface(body, points, n, surface_shapes(body, points, links))
+        return fit_cylinders(body, points, links, paired=True), Model(points, n, colours, links)
+    for _ in range(2):
+        body = fit_cylinders(body, points, segment(body, a, b, points, n))
+    return body, Model(points, n, colours, segment(body, a, b, points, n))
 
 
 def is_near(body: Body, points: Floats, within: float = 0.15) -> NDArray[np.bool_]:
@@ -109,21 +116,81 @@ def is_near(body: Body, points: Floats, within: float = 0.15) -> NDArray[np.bool
     return (away - body.radii[:, None]).min(axis=0) < within
 
 
-def nearest_surface(body: Body, points: Floats, normals: Floats) -> Labels:
-    """(n,): the link whose cylinder's surface each canonical point is nearest to, and on whose outside it is."""
+def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats | None = None) -> Labels:
+    """(n,): the link whose surface each canonical point is nearest to, and on whose outside it is: its cylinder's, or
+    that of `surface_shapes`.
+    """
     offset = points[None] - body.origins[:, None]
     along = np.einsum("lni,li->ln", offset, body.axes)
     foot = np.clip(along, 0, body.lengths[:, None])
     out = offset - foot[..., None] * body.axes[:, None]
     away = np.linalg.norm(out, axis=2)
-    distance = np.abs(away - body.radii[:, None]) + 0.5 * np.abs(along - foot)
+    radius = body.radii[:, None]
+    if shapes is not None:
+        radius = np.einsum("lnk,lk->ln", _harmonics(body, offset), shapes)
+    distance = np.abs(away - radius) + 0.5 * np.abs(along - foot)
     facing = np.einsum("lni,ni->ln", out, normals) / np.maximum(away, 1e-6)
     return (distance + 0.05 * (1 - np.abs(facing))).argmin(axis=0)
 
 
-def fit_cylinders(body: Body, points: Floats, links: Labels) -> Body:
-    """The body with each link's radius the median distance of its points from its axis; links without points stay."""
+def surface_shapes(body: Body, points: Floats, links: Labels, stiff: float = 12.0) -> Floats:
+    """(links, 10): each link's distance of surface from axis as harmonics around and along it, from its points.
+
+    A trunk is no cylinder: where a forearm rests on it, this says which points are still trunk's. Robust; what differs
+    from a cylinder is held back as `stiff` points would.
+    """
+    shapes = np.zeros((len(body), 10))
+    shapes[:, 0] = body.radii
+    for link in range(len(body)):
+        own = points[links == link] - body.origins[link]
+        if len(own) < 30:
+            continue
+        basis = _harmonics(body, own[None], [link])[0]
+        along = np.clip(own @ body.axes[link], 0, body.lengths[link])
+        away = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
+        ridge = np.diag([0.1, *[stiff] * 9])
+        target = ridge @ shapes[link]
+        for _ in range(4):
+            off = away - basis @ shapes[link]
+            weight = 1 / (1 + (off / 0.02) ** 2)
+            shapes[link] = np.linalg.solve((basis.T * weight) @ basis + ridge, (basis.T * weight) @ away + target)
+    return shapes
+
+
+def _harmonics(body: Body, offset: Floats, links: Sequence[int] | slice = slice(None)) -> Floats:
+    """(links, n, 10): 1, cos, sin, cos 2θ, sin 2θ around each link's axis, then times the place along it, −1 to 1."""
+    axes, lengths = body.axes[links], body.lengths[links]
+    side = np.cross(axes, np.where(np.abs(axes[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    x, y = (np.einsum("lni,li->ln", offset, u) for u in (side, np.cross(axes, side)))
+    share = np.clip(np.einsum("lni,li->ln", offset, axes) / lengths[:, None], 0, 1) * 2 - 1
+    turn = np.arctan2(y, x)
+    around = np.stack([np.ones_like(x), np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)], -1)
+    return np.concatenate([around, around * share[..., None]], -1)
+
+
+def mirrored(body: Body) -> list[tuple[int, int]]:
+    """Pairs of links that are left and right of each other: as deep in the tree, as long, with as much below."""
+    depth = np.zeros(len(body), int)
+    for link, parent in enumerate(body.parents):
+        depth[link] = depth[parent] + 1 if parent >= 0 else 0
+    below = body.ancestors.sum(axis=1)
+    pairs = list[tuple[int, int]]()
+    for one in range(len(body)):
+        same = (depth == depth[one]) & (below == below[one])
+        same &= np.abs(body.lengths - body.lengths[one]) < 0.06 * body.lengths[one]
+        if same.sum() == 2 and one == np.flatnonzero(same)[0]:
+            pairs.append((one, int(np.flatnonzero(same)[1])))
+    return pairs
+
+
+def fit_cylinders(body: Body, points: Floats, links: Labels, paired: bool = False) -> Body:
+    """The body with each link's radius the median distance of its points from its axis; links without points stay.
+
+    paired: an arm or leg is hardly thicker than the other: what it touches has been taken for a part of it.
+    """
     radii, tips = body.radii.copy(), body.tips.copy()
+    fitted = np.zeros(len(body), bool)
     leaf = ~np.isin(np.arange(len(body)), body.parents)
     for link in range(len(body)):
         own = points[links == link] - body.origins[link]
@@ -132,9 +199,14 @@ def fit_cylinders(body: Body, points: Floats, links: Labels) -> Body:
         along = own @ body.axes[link]
         away = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
         radii[link] = np.clip(np.median(away), 0.02, 0.25)
+        fitted[link] = True
         if leaf[link]:
             length = np.clip(np.percentile(along, 97), 0.04, 2.0 * body.lengths[link])
             tips[link] = body.origins[link] + length * body.axes[link]
+    if paired:
+        for one, other in mirrored(body):
+            if fitted[one] and fitted[other]:
+                radii[[one, other]] = np.minimum(radii[[one, other]], 1.1 * radii[[other, one]])
     return Body(body.names, body.parents, body.origins, tips, radii, body.joints)
 
 

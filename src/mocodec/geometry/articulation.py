@@ -19,6 +19,7 @@ from ..errors import BadInput
 
 Floats = NDArray[np.float64]
 Ints = NDArray[Any]
+Labels = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

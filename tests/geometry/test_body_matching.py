@@ -1,0 +1,142 @@
+"""The template matched to points: tables, and the compiled kernels against the NumPy code that defines them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec import native
+from mocodec.evaluation.cloud import actors, sequences
+from mocodec.geometry import articulated_icp, articulation, body_matching, skinning
+from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
+
+compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    performance = sequences.jumping_jacks(actors.capsules(), 4)
+    clouds = sequences.record(performance, 1500, seed=2)
+    actor = performance.actor
+    assert clouds.colours is not None
+    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
+    body, model = articulated_icp.make_model(body, clouds.positions[0], clouds.colours[0], by_surface=True)
+    return clouds, body, model, skinning.skin(body, model.points, model.links)
+
+
+def matcher_of(scene, coloured: bool) -> tuple[Matcher, Data]:
+    clouds, body, model, skin = scene
+    shades = model.colours * (0.2 / 255) if coloured else None
+    some = np.random.default_rng(0).permutation(len(skin.points))[:300]
+    data = Data.build(clouds.positions[2], clouds.colours[2] * (0.2 / 255) if coloured else None, None)
+    return Matcher(body, skin, model.normals, shades, some, 0.1, 0.01), data
+
+
+def prior_of(body: articulation.Body) -> Prior:
+    hold = np.where(np.arange(len(body)) % 3 == 0, 4.0, 0.0)
+    return Prior(np.ones(len(body)), hold, articulation.Pose.canonical(len(body)).rotations)
+
+
+def near(body: articulation.Body) -> articulation.Pose:
+    turns = np.random.default_rng(1).normal(scale=0.1, size=(len(body), 3))
+    return articulation.Pose(articulation.exp(turns), np.array([0.02, 0.01, -0.03]))
+
+
+def both(scene, coloured: bool):
+    """The same thing compiled and in NumPy."""
+    fast = matcher_of(scene, coloured)
+    with native.without():
+        plain = matcher_of(scene, coloured)
+    return fast, plain
+
+
+@compiled
+@pytest.mark.parametrize("coloured", [True, False])
+def test_compiled_steps_are_those_of_numpy(scene, coloured):
+    (fast, data), (plain, plain_data) = both(scene, coloured)
+    start, prior = near(fast.body), prior_of(fast.body)
+    steps = [
+        Step(0.2, 400, 100),
+        Step(0.1, 1000, 300),
+        Step(0.1, 5000, 300),
+        Step(0.05, 1500, 200),
+        Step(0.02, 1500, 300),
+    ]
+    for number in range(len(steps) + 1):
+        found = fast.solve(data, start, steps[:number], prior)
+        with native.without():
+            expected = plain.solve(plain_data, start, steps[:number], prior)
+        np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
+        np.testing.assert_allclose(found.root, expected.root, atol=1e-9)
+    with native.without():
+        expected = plain.assess(plain_data, start)
+    found = fast.assess(data, start)
+    assert found.cost == pytest.approx(expected.cost, rel=1e-12)
+    for name in ("residuals", "rows", "links", "gaps"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+
+
+@compiled
+def test_a_limb_alone_is_solved_alike(scene):
+    (fast, data), (plain, plain_data) = both(scene, False)
+    body = fast.body
+    limb = np.array([body.names.index(name) for name in ("LeftArm", "LeftForeArm")])
+    turn = np.full(len(body), 1e8)
+    turn[limb] = 1.0
+    allowed = np.isin(np.arange(len(body)), limb)
+    rows = np.flatnonzero(np.isin(fast.skin.links[:, 0], limb))[::2]
+    prior = prior_of(body)._replace(turn=turn, root=1e8)
+    steps = [Step(0.1, 1500, 100), Step(0.05, 1500, 100)]
+    start = near(body)
+    found = fast.solve(data, start, steps, prior, rows, allowed)
+    with native.without():
+        expected = plain.solve(plain_data, start, steps, prior, rows, allowed)
+    np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
+    moved = np.abs(found.rotations - start.rotations).max(axis=(1, 2))
+    assert moved[limb].min() > 1e-3
+    assert np.delete(moved, limb).max() < 1e-3
+
+    draws = articulation.exp(np.random.default_rng(2).normal(size=(9, 2, 3)))
+    wanted = data.points[:40]
+    scores = fast.distances(data, wanted, start, limb, draws, rows)
+    with native.without():
+        np.testing.assert_allclose(
+            scores, plain.distances(plain_data, wanted, start, limb, draws, rows), rtol=1e-9
+        )  # fmt: skip
+
+
+@compiled
+def test_compiled_tables_and_queries_are_those_of_numpy(scene):
+    (fast, data), (plain, plain_data) = both(scene, True)
+    points = fast.skin.points
+    grid = fast.tables.nearest != plain.tables.nearest
+    assert grid.mean() < 1e-3  # cells as far from one point as from another
+    assert (fast.tables.size == plain.tables.size).all()
+    shades = fast.shades
+    for within in (0.01, 0.3):
+        found, expected = data.nearest(points, shades, within), plain_data.nearest(points, shades, within)
+        np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
+        assert (found[1] == expected[1]).all()
+
+
+@compiled
+def test_kernels_refuse_what_does_not_fit(scene):
+    fast, data = matcher_of(scene, True)
+    pose, prior = near(fast.body), prior_of(fast.body)
+    with pytest.raises(ValueError, match="another body"):
+        fast.solve(data, articulation.Pose(pose.rotations[1:], pose.root), [Step(0.1, 10, 10)], prior)
+    with pytest.raises(ValueError, match="beyond the template"):
+        fast.solve(data, pose, [Step(0.1, 10, 10)], prior, np.array([10**9]))
+    with pytest.raises(ValueError, match="shapes differ"):
+        native.kernel("BodyPoints")(np.zeros((4, 2)), np.zeros((0, 3)))  # type: ignore[misc]
+
+
+def test_tables_find_the_nearest_point_of_a_link(scene):
+    matcher, _ = matcher_of(scene, False)
+    link = matcher.body.names.index("LeftForeArm")
+    own = np.flatnonzero(matcher.skin.shares(len(matcher.body))[:, link] > 0.34)
+    places = matcher.skin.points[own] + 0.004
+    rows = matcher.tables.look_up(np.full(len(own), link), places)
+    away = np.linalg.norm(matcher.skin.points[rows] - places, axis=1)
+    assert np.isin(rows, own).all()
+    assert away.max() < 0.0075 + body_matching.CELL * np.sqrt(3)
