@@ -5,13 +5,15 @@
 
 Calm, long or unusual motion pays for a basis of its own, and then the whole of `hou2014` (clips of up to ten seconds,
 one basis, corrections under a bound) stands in for tempo's chunks, behind tempo's first shared byte. The search costs
-several codings of the whole motion, so one is looked at first.
+several codings of the whole motion, so one is looked at first, and before it one of a stretch where the motion is long.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from ... import metrics
 from ...encoded import Encoded
@@ -33,6 +35,9 @@ LONGEST_FRAMES = 60_000
 PROMISING = 1.06
 """A first coding this much larger than tempo's may still come out smaller at its best step."""
 
+LOOK_FRAMES, PROMISING_LOOK = 1500, 1.12
+"""Of a long recording a stretch is looked at before the whole; what is this much larger there is not promising."""
+
 SLOPE = 0.7
 """About how many octaves of bytes an octave of mean error costs."""
 
@@ -52,13 +57,15 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
         return encoded
     best = encoded
     filled, smooth = without_leaps(motion)
+    look = stretch(encoded)
     for codec in candidates(motion, smooth is not filled, target, wanted, longest_chunk(motion, seconds)):
         near = smooth if codec.max_error else filled
         try:
-            size, mean = codec.estimate(motion, near)
-            if codec.mean_error and mean > 0:
-                size = size * (mean / wanted) ** SLOPE
-            if size > PROMISING * best.payload_bytes:
+            if len(motion) > 2 * LOOK_FRAMES:
+                size = estimate(codec, motion[look], near[look], len(motion) / (look.stop - look.start))
+                if size > PROMISING_LOOK * best.payload_bytes:
+                    continue
+            if estimate(codec, motion, near) > PROMISING * best.payload_bytes:
                 continue
             if codec.max_error and target == "mean_error":
                 rival = to_mean(codec, motion, near, wanted)
@@ -69,6 +76,24 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
         if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
             best = taken(encoded, rival)
     return best
+
+
+def estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0) -> float:
+    """About how many bytes so many times as much motion takes at the codec's target."""
+    size, mean = codec.estimate(motion, near, times)
+    return size * (mean / codec.mean_error) ** SLOPE if codec.mean_error and mean > 0 else size
+
+
+def stretch(encoded: Encoded[Motion]) -> slice:
+    """About `LOOK_FRAMES` frames of whole chunks whose bytes a frame are most like those of the recording."""
+    edges = np.array([0, *(c.start + c.frames for c in encoded.chunks)])
+    sizes = np.cumsum([0, *(len(c.payload) for c in encoded.chunks)])
+    stops = np.searchsorted(edges, np.minimum(edges[:-1] + LOOK_FRAMES, edges[-1]))
+    starts = np.arange(len(stops))[edges[stops] - edges[:-1] >= min(LOOK_FRAMES, edges[-1])]
+    stops = stops[starts]
+    rates = (sizes[stops] - sizes[starts]) / (edges[stops] - edges[starts])
+    usual = int(np.abs(rates - sizes[-1] / edges[-1]).argmin())
+    return slice(int(edges[starts[usual]]), int(edges[stops[usual]]))
 
 
 def closer(encoded: Encoded[Motion], motion: Motion, size: int, seconds: float) -> Encoded[Motion]:
