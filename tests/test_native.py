@@ -9,38 +9,78 @@ import sys
 import numpy as np
 import pytest
 
-from mocodec import native
-from mocodec.codecs.tempo import lanes, prior
+import mocodec
+from mocodec import Motion, native
+from mocodec.codecs.tempo import coefficients, contexts, model, prior
+from mocodec.testing import synthetic
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 
 
 @compiled
 def test_it_can_be_left_aside() -> None:
-    assert native.kernel("lanes_encode") is not None
+    assert native.kernel("tempo_encode") is not None
     assert native.kernel("no such kernel") is None
     with native.without():
         assert not native.available()
-        assert native.kernel("lanes_encode") is None
+        assert native.kernel("tempo_encode") is None
     assert native.available()
     code = "from mocodec import native; raise SystemExit(native.available())"
     assert subprocess.run([sys.executable, "-c", code], env=os.environ | {"MOCODEC_PURE": "1"}).returncode == 0
 
 
 @compiled
-@pytest.mark.parametrize(("steps", "width"), [(0, 3), (1, 1), (257, 12)])
-def test_lanes_are_coded_alike(steps: int, width: int) -> None:
-    rng = np.random.default_rng(steps)
-    coder = prior.shipped().coder
-    tables = rng.integers(0, coder.idle + 1, (steps, width))
-    slots = rng.integers(0, lanes.TOTAL, (steps, width))
-    symbols = coder.symbols[tables * lanes.TOTAL + slots]
-    layouts = [(symbols, tables), (symbols[: steps // 2, :1], tables[: steps // 2, :1])]
-    raw = [rng.integers(0, 1 << 16, width), rng.integers(0, 1 << 16, 1)]
-    compiled_ones = lanes.encode(layouts, coder, raw)
+@pytest.mark.parametrize("step", [-500, -250, -120])
+@pytest.mark.parametrize("frames", [1, 2, 17, 130, 480])
+def test_coefficients_are_coded_alike(step: int, frames: int) -> None:
+    used = prior.shipped()
+    known = model.of_names(used.sets[0].names, used, 120.0)
+    assert known is not None
+    rng = np.random.default_rng(frames)
+    expected = 2.0 ** (known.expected(frames, step) / contexts.OCTAVE)
+    scaled = rng.laplace(size=expected.shape) * expected
+    scaled[rng.integers(frames), rng.integers(known.rows)] *= 1e3
+    quantised, numbers = [], []
+    for economy in (coefficients.SLOPE, 0.0):
+        quantised.append(coefficients.quantise(known, scaled, step, economy))
+        values, threshold, _ = quantised[-1]
+        inside = values[: coefficients.plan(known, frames, step, threshold, 0).frequencies]
+        lists = rng.integers(-40, 40, (5, rng.integers(min(31 * frames, 60))))
+        lists[3:] = np.abs(lists[3:])
+        numbers.append(coefficients.Numbers(frames, inside, step, threshold, lists if lists.size else None))
+    payloads = coefficients.pack(known, numbers)
+    decoded = coefficients.unpack(known, [frames, frames], payloads, 5)
     with native.without():
-        pure = lanes.encode(layouts, coder, raw)
-    for ours, theirs in zip(compiled_ones, pure, strict=True):
+        for ours, economy in zip(quantised, (coefficients.SLOPE, 0.0), strict=True):
+            theirs = coefficients.quantise(known, scaled, step, economy)
+            np.testing.assert_array_equal(ours[0], theirs[0])
+            assert ours[1:] == theirs[1:]
+        assert payloads == coefficients.pack(known, numbers)
+        pure = coefficients.unpack(known, [frames, frames], payloads, 5)
+    for ours, theirs, given in zip(decoded, pure, numbers, strict=True):
         for a, b in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(a, b)
-            assert a.dtype == b.dtype
+        np.testing.assert_array_equal(ours[0], given.values)
+
+
+@compiled
+@pytest.mark.parametrize("settings", [{"max_error": 0.004}, {"mean_error": 0.002}])
+def test_files_are_alike(settings: dict[str, float]) -> None:
+    motion = synthetic.markers(frames=700, seed=3)
+    names = prior.shipped().sets[0].names
+    for m in (motion, Motion(motion.positions[:, : len(names)], motion.rate, names, motion.up)):
+        blob = mocodec.encode(m, **settings)
+        decoded = mocodec.decode(blob)
+        with native.without():
+            assert mocodec.encode(m, **settings) == blob
+            pure = mocodec.decode(blob)
+        np.testing.assert_allclose(decoded.positions, pure.positions, rtol=0, atol=1e-9)
+
+
+@compiled
+def test_a_kernel_refuses_arrays_that_do_not_fit() -> None:
+    decode = native.kernel("tempo_decode")
+    assert decode is not None
+    none, one = np.zeros(0, np.int64), np.ones(1, np.int64)
+    with pytest.raises(ValueError, match="shapes differ"):
+        decode(np.zeros((0, 0), np.int64), one, 3, one, np.zeros(0, np.uint16), one, one, none, *contexts.lookup(0))

@@ -1,6 +1,6 @@
 """The compiled accelerator, `mocodec._native` (C++ in src/native), where it was built.
 
-    kernel = native.kernel("lanes_encode")
+    kernel = native.kernel("tempo_encode")
     return kernel(…) if kernel else …          the same in NumPy, which is what defines the result
 
 It costs nothing but speed to be without it. With MOCODEC_PURE=1 in the environment it is left aside.

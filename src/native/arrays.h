@@ -9,11 +9,11 @@
 
 namespace nb = nanobind;
 
-// What a kernel reads. Another type or order of axes is an error: the caller converts, and knows that it does.
+// What a kernel reads. Another type or order of axes is copied into this one.
 template <class T, int Axes>
 using Input = nb::ndarray<const T, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 
-// What a kernel writes in place.
+// What a kernel writes in place: bind it with nb::arg().noconvert(), or what is written may go into a copy.
 template <class T, int Axes>
 using InPlace = nb::ndarray<T, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import native
 from ...entropy import varint
 from ...errors import Corrupt
 from ...motion import Floats
@@ -90,36 +91,75 @@ def quantise(model: Model, scaled: Floats, step: int, slope: float = SLOPE) -> t
     Rate–distortion optimised: of the two numbers next to each coefficient the one that costs less in error and bits
     together is taken, and the zone ends where coding further costs more than it mends.
     """
-    logs = model.expected(len(scaled), step)
-    size = np.abs(scaled)
-    nearest = np.floor(size + 0.5).astype(np.int64)
+    ground_ = ground(model, len(scaled), step)
+    values = np.zeros(scaled.shape, np.int64)
+    nearest = np.rint(np.abs(scaled)).astype(np.int64)
     frequencies = int(np.flatnonzero(nearest.any(axis=1)).max(initial=-1)) + 1
     if not frequencies:
-        return np.zeros(scaled.shape, np.int64), int(logs.max() // THRESHOLD_UNIT + 1), 0.0
-    logs, size, nearest = logs[:frequencies], size[:frequencies], nearest[:frequencies]
-    price = model.prior.coder.cost() + symbols.WIDTHS + (np.arange(symbols.SYMBOLS) > 0)
-    free = np.arange(scaled.shape[1]) > HEADING
-    kept = np.maximum(nearest - (free & (size < nearest)), 0)
-    known = contexts.base(logs)
-    chosen, bits_each = nearest, np.zeros(logs.shape)
-    for _ in range(2):
-        tables = contexts.all_tables(known, symbols.FIRSTS[symbols.of(chosen)])
-        up, down = price[tables, symbols.of(nearest)], price[tables, symbols.of(kept)]
-        better = (size - _stands_for(kept)) ** 2 + slope * down < (size - _stands_for(nearest)) ** 2 + slope * up
-        chosen = np.where(better, kept, nearest)
-        bits_each = np.where(better, down, up)
-    gain = size**2 - (size - _stands_for(chosen)) ** 2 - slope * bits_each
+        return values, int(ground_.reached[0].max()) + 1, 0.0
+    base, reached, nearest = ground_.base[:frequencies], ground_.reached[:frequencies], nearest[:frequencies]
+    if (kernel := native.kernel("tempo_quantise")) is not None:
+        some = np.ascontiguousarray(scaled[:frequencies])
+        lookup = contexts.lookup(frequencies)
+        values[:frequencies], *rest = kernel(some, base, reached, prices(model), slope, INWARD, HEADING + 1, *lookup)
+        return values, *rest
+    # A coefficient that is nearest to zero is zero; the others have a choice.
+    there = np.flatnonzero(nearest)
+    signed = scaled.ravel().take(there)
+    size, high = np.abs(signed), nearest.ravel().take(there)
+    free = there % scaled.shape[1] > HEADING
+    low = high - (free & (size < high))
+    high_symbol, low_symbol = symbols.of(high), symbols.of(low)
+    high_error, low_error = (size - _stands_for(high)) ** 2, (size - _stands_for(low)) ** 2
+    price = prices(model)
+    magnitude = nearest
+    magnitude.ravel()[there] = symbols.FIRSTS.take(high_symbol)
+    for last in (False, True):
+        tables = contexts.all_tables(base, magnitude)
+        of_there = tables.ravel().take(there) * symbols.SYMBOLS
+        up, down = price.take(of_there + high_symbol), price.take(of_there + low_symbol)
+        lower = low_error + slope * down < high_error + slope * up
+        if not last:
+            magnitude.ravel()[there] = symbols.FIRSTS.take(np.where(lower, low_symbol, high_symbol))
+    chosen, error = np.where(lower, low, high), np.where(lower, low_error, high_error)
+    bits_each = price.take(tables * symbols.SYMBOLS)
+    bits_each.ravel()[there] = np.where(lower, down, up)
+    gain = bits_each * -slope
+    gain.ravel()[there] += size**2 - error
+    height = reached.ravel().take(there)
+    must = height[(chosen > 0) & ~free]
+    top = int(reached[0].max())
+    highest = min(int(must.min(initial=top)), top)
+    lowest = int(height[chosen > 0].min(initial=highest))
+    above = np.maximum(reached - (lowest - 1), 0).ravel()  # 0: below every threshold that is thought of
+    worth, spent = (np.bincount(above, each.ravel())[::-1].cumsum()[::-1] for each in (gain, bits_each))
+    worth[1] = worth[0]  # the widest zone answers for what is below it too: tables thin out there
+    threshold = lowest + int(worth[1 : highest - lowest + 2].argmax())
+    values.ravel()[there] = np.where(height >= threshold, np.copysign(chosen, signed), 0)
+    return values, threshold, float(spent[threshold - lowest + 1])
+
+
+class Ground(NamedTuple):
+    """What the model says of every coefficient of a chunk, (frequencies, rows), before any is known.
+
+    base: see `contexts.base`. reached: the highest threshold with a zone that the coefficient is in.
+    """
+
+    base: Integers
+    reached: Integers
+
+
+@lru_cache(maxsize=8)
+def ground(model: Model, frames: int, step: int) -> Ground:
+    logs = model.expected(frames, step)
     reached = np.maximum.accumulate(logs[::-1], axis=0)[::-1] // THRESHOLD_UNIT
-    must = reached[(chosen > 0) & ~free]
-    highest = int(min(must.min(initial=reached.max()), reached.max()))
-    lowest = int(reached[chosen > 0].min(initial=highest))
-    worth = np.bincount((reached - lowest).clip(0).ravel(), gain.ravel(), minlength=highest - lowest + 1)
-    beyond = np.cumsum(worth[::-1])[::-1]
-    threshold = lowest + int(beyond[: highest - lowest + 1].argmax())
-    inside = reached >= threshold
-    values = np.zeros(scaled.shape, np.int64)
-    values[:frequencies] = np.where(inside, np.sign(scaled[:frequencies]) * chosen, 0)
-    return values, threshold, float(bits_each[inside].sum())
+    return Ground(contexts.base(logs), np.ascontiguousarray(reached))
+
+
+@lru_cache(maxsize=4)
+def prices(model: Model) -> Floats:
+    """Bits of each symbol in each table, with those beside it, (tables · symbols,)."""
+    return (model.prior.coder.cost() + symbols.WIDTHS + (np.arange(symbols.SYMBOLS) > 0)).ravel()
 
 
 def _stands_for(magnitudes: Integers) -> Floats:
@@ -154,53 +194,79 @@ class Numbers(NamedTuple):
 
 def pack(model: Model, of_chunks: Sequence[Numbers]) -> list[bytes]:
     """The bytes of each chunk. All are coded side by side."""
-    coder = model.prior.coder
+    plans: list[Plan] = []
     heads: list[bytes] = []
     raws: list[bits.Bits] = []
-    layouts: list[tuple[Integers, Integers]] = []
-    for frames, values, step, threshold, lists in of_chunks:
+    lists: list[tuple[Integers, Integers]] = []
+    for frames, values, step, threshold, more in of_chunks:
         p = plan(model, frames, step, threshold, 0)
-        inside, known = p.inside, values[: p.frequencies]
-        symbol = symbols.of(np.abs(known))
-        more = np.zeros((0, 0), np.int64) if lists is None else lists
-        more_symbol = symbols.of(np.abs(more))
-        chosen = _list_tables(model, more_symbol)
-        raw = np.concatenate([symbols.raw(known[inside], symbol[inside]), _raw_of_lists(more, more_symbol)])
-        coded = int(inside.sum()) + more.size
+        known = values[: p.frequencies][p.inside]
+        listed = np.zeros((0, 0), np.int64) if more is None else more
+        listed_symbol = symbols.of(np.abs(listed))
+        chosen = _list_tables(model, listed_symbol)
+        raw = np.concatenate([symbols.raw(known, symbols.of(np.abs(known))), _raw_of_lists(listed, listed_symbol)])
+        coded = known.size + listed.size
         lane_code = _lanes_for(coded, len(raw))
-        head = [lane_code | bool(more.size) << 3 | varint.signed(threshold) << 4, step + MAX_STEP]
-        if more.size:
-            head += [more.shape[1], *chosen]
+        head = [lane_code | bool(listed.size) << 3 | varint.signed(threshold) << 4, step + MAX_STEP]
+        if listed.size:
+            head += [listed.shape[1], *chosen]
         heads.append(varint.write(head))
+        plans.append(plan(model, frames, step, threshold, lane_code))
         raws.append(raw)
-        p = plan(model, frames, step, threshold, lane_code if coded else 0)
+        lists.append((listed_symbol.ravel(), np.repeat(LIST_TABLES + chosen, listed.size // max(len(chosen), 1))))
+    ridden = [_riding(raw, p.lanes) for raw, p in zip(raws, plans, strict=True)]
+    streams = _encode(
+        model, plans, [n.values[: p.frequencies] for n, p in zip(of_chunks, plans, strict=True)], lists, ridden
+    )
+    out: list[bytes] = []
+    for p, head, raw, (listed, _), (states, words) in zip(plans, heads, raws, lists, streams, strict=True):
+        if not (p.frequencies or len(listed)):
+            out.append(head)
+            continue
+        beyond = np.packbits(raw[16 * p.lanes :])
+        out.append(head + _write_states(states) + words.astype("<u2").tobytes() + beyond.tobytes())
+    return out
+
+
+def _riding(raw: bits.Bits, count: int) -> Integers:
+    """The first states of so many lanes' raw bits, 16 each."""
+    first = np.zeros(16 * count, np.uint8)
+    first[: len(raw)] = raw[: len(first)]
+    return bits.unpack(first, np.full(count, 16))
+
+
+def _encode(
+    model: Model,
+    plans: Sequence[Plan],
+    values: Sequence[Integers],
+    lists: Sequence[tuple[Integers, Integers]],
+    ridden: Sequence[Integers],
+) -> list[tuple[Integers, NDArray[np.uint16]]]:
+    """Last states and words of each chunk: of its values, then of its lists' symbols with the table of each."""
+    coder = model.prior.coder
+    if (kernel := native.kernel("tempo_encode")) is not None:
+        return [
+            kernel(np.ascontiguousarray(v), p.base, p.reach, p.lanes, coder.frequencies, coder.starts, *listed,
+                   lanes.LOWEST + ride, *contexts.lookup(p.frequencies))
+            for p, v, listed, ride in zip(plans, values, lists, ridden, strict=True)
+        ]  # fmt: skip
+    layouts: list[tuple[Integers, Integers]] = []
+    for p, v, (listed, tables) in zip(plans, values, lists, strict=True):
         before = _steps_before([p])
         own_steps = int(before[-1])
-        shape = (own_steps - (-more.size // p.lanes), p.lanes)
+        shape = (own_steps - (-len(listed) // p.lanes), p.lanes)
         of_step = np.zeros(shape, np.int64)
         by_table = np.full(shape, coder.idle)
         if p.frequencies:
+            symbol = symbols.of(np.abs(v))
             frequency, row, group, at, lane = p.order
             at = at + before[group]
             of_step[at, lane] = symbol[frequency, row]
             by_table[at, lane] = contexts.all_tables(p.base, symbols.FIRSTS[symbol])[frequency, row]
-        of_step[own_steps:].flat[: more.size] = more_symbol.ravel()
-        by_table[own_steps:].flat[: more.size] = np.repeat(LIST_TABLES + chosen, more.shape[1]) if more.size else 0
+        of_step[own_steps:].flat[: len(listed)] = listed
+        by_table[own_steps:].flat[: len(listed)] = tables
         layouts.append((of_step, by_table))
-    riding: list[Integers] = []
-    for raw, (of_step, _) in zip(raws, layouts, strict=True):
-        ride = np.zeros(16 * of_step.shape[1], np.uint8)
-        ride[: len(raw)] = raw[: len(ride)]
-        riding.append(bits.unpack(ride, np.full(of_step.shape[1], 16)))
-    out: list[bytes] = []
-    coded_lanes = lanes.encode(layouts, coder, riding)
-    for first, raw, (of_step, _), (states, words) in zip(heads, raws, layouts, coded_lanes, strict=True):
-        if not len(of_step):
-            out.append(first)
-            continue
-        beyond = np.packbits(raw[16 * len(states) :])
-        out.append(first + _write_states(states) + words.astype("<u2").tobytes() + beyond.tobytes())
-    return out
+    return lanes.encode(layouts, coder, ridden)
 
 
 LIST_TABLES = (contexts.SHAPES - 1) * contexts.CLASSES
@@ -271,26 +337,22 @@ def unpack(
         states.append(state)
         rests.append(payload[at:])
         words.append(np.frombuffer(payload, "<u2", (len(payload) - at) // 2, at))
-    stream = lanes.Lanes(states, words, model.prior.coder)
-    found = _decode(model, plans, stream)
-    more = _decode_lists(model, plans, lists, stream)
     result = []
-    for p, symbol, listed, used, riding, rest in zip(plans, found, more, *stream.finish(), rests, strict=True):
-        known = symbol[: p.frequencies]
-        inside = p.inside
+    streams = _decode(model, plans, states, words, lists)
+    for p, word, rest, (symbol, listed, used, last) in zip(plans, words, rests, streams, strict=True):
+        riding = lanes.riding(last, used, len(word))
+        known = symbol[p.inside]
         signed = SIGNED_FIELDS * (len(listed) // fields)
-        count = symbols.raw_count(known[inside])
+        count = symbols.raw_count(known)
         total = count + symbols.raw_count(listed, signed)
-        first = (
-            bits.pack(riding[: p.lanes], np.full(p.lanes, 16)) if inside.any() or len(listed) else np.zeros(0, np.uint8)
-        )
+        first = bits.pack(riding, np.full(p.lanes, 16)) if len(known) or len(listed) else np.zeros(0, np.uint8)
         beyond = max(0, total - len(first))
         if len(rest) != 2 * used + (beyond + 7) // 8:
             raise Corrupt("tempo: a chunk that does not end where it should")
         later = np.unpackbits(np.frombuffer(rest, np.uint8, offset=2 * used), count=beyond)
         raw = np.concatenate([first, later])
         values = np.zeros((p.frequencies, model.rows), np.int64)
-        values[inside] = symbols.values(known[inside], raw[:count])
+        values[p.inside] = symbols.values(known, raw[:count])
         extra = symbols.values(listed, raw[count:total], signed).reshape(fields, -1)
         result.append((values, p.step, extra))
     return result
@@ -313,7 +375,50 @@ def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:
     return bits.unpack(area[4 * count :], sizes) + (1 << sizes), at + (end + 7) // 8
 
 
-def _decode(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray[np.uint8]:
+class Stream(NamedTuple):
+    """What a chunk's words decode to: symbols (frequencies, rows), symbols of its lists, words used, last states."""
+
+    symbols: contexts.Array
+    listed: Integers
+    used: int
+    states: Integers
+
+
+def _decode(
+    model: Model,
+    plans: Sequence[Plan],
+    states: Sequence[Integers],
+    words: Sequence[NDArray[np.uint16]],
+    lists: Sequence[Integers],
+) -> list[Stream]:
+    """The inverse of `_encode`, given the table of each of the lists' symbols."""
+    coder = model.prior.coder
+    if (kernel := native.kernel("tempo_decode")) is not None:
+        found = [
+            kernel(
+                p.base,
+                p.reach,
+                model.rows,
+                s,
+                np.array(w),
+                coder.packed,
+                coder.symbols,
+                t,
+                *contexts.lookup(p.frequencies),
+            )
+            for p, s, w, t in zip(plans, states, words, lists, strict=True)
+        ]
+        return [Stream(symbol, listed, used, last) for symbol, listed, last, used in found]
+    stream = lanes.Lanes(states, words, coder)
+    coded = _decode_coefficients(model, plans, stream)
+    more = _decode_lists(model, plans, lists, stream)
+    return [
+        Stream(symbol[: p.frequencies], listed, used, last[: p.lanes])
+        for p, symbol, listed, used, last in zip(plans, coded, more, *stream.finish(), strict=True)
+    ]
+
+
+def _decode_coefficients(model: Model, plans: Sequence[Plan], stream: lanes.Lanes) -> NDArray[np.uint8]:
     """The symbols (chunks, frequencies, rows) of all chunks."""
     chunks, rows = len(plans), model.rows
     longest = max(p.frequencies for p in plans)

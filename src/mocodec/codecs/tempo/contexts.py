@@ -99,7 +99,7 @@ def zone(expected: Integers, threshold: int) -> Integers:
 def base(expected: Integers) -> Integers:
     """The prior's share in each context: log(expected) − log(α + Σ w · expected neighbour), (frequencies, rows)."""
     near = neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING)))
-    return expected - log2(near // 16 + ALPHA)
+    return expected - log2(near // 16 + ALPHA)[groups(len(expected))[1]]
 
 
 @lru_cache(maxsize=64)
@@ -122,11 +122,13 @@ def bordered(magnitudes: Array) -> Array:
 
 
 def neighbourhood(magnitudes: Integers) -> Integers:
-    """Σ w |neighbour| for all frequencies at once: bordered (frequencies + 7, …, rows + 9) → (frequencies, …, rows)."""
-    starts, number = groups(len(magnitudes) - DEPTH)
+    """Σ w |neighbour| of each group of frequencies: bordered (frequencies + 7, …, rows + 9) → (groups, …, rows)."""
+    starts = groups(len(magnitudes) - DEPTH)[0]
     inner = magnitudes[..., BORDER + 1 : -BORDER]
-    older = inner[starts] + inner[starts + 1] + inner[starts + 2] + inner[starts + 3]
-    return around(magnitudes[starts + 6], magnitudes[starts + 5], inner[starts + 4], older)[number]
+    older = inner[starts]
+    for below in (1, 2, 3):
+        older += inner[starts + below]
+    return around(magnitudes[starts + 6], magnitudes[starts + 5], inner[starts + 4], older)
 
 
 def around(below: Array, below_2: Array, below_3: Array, older: Array) -> Integers:
@@ -146,12 +148,14 @@ def around(below: Array, below_2: Array, below_3: Array, older: Array) -> Intege
 
 def tables(base_here: Array, neighbours: Integers, shape: int | Integers) -> Integers:
     """The table for each coefficient, from `base` and the sum over its neighbours there."""
-    logs = base_here + _NUMERATOR_LOGS.take(neighbours, mode="clip")
-    logs //= CLASS_WIDTH
-    logs -= CLASS_LOWEST // CLASS_WIDTH
-    np.maximum(logs, 0, out=logs)
-    np.minimum(logs, CLASSES - 1, out=logs)
-    return logs + shape * CLASSES
+    logs = _NUMERATOR_LOGS.take(neighbours, mode="clip")
+    logs = logs + (base_here - _FIRST_CLASS)
+    return _CLASS_OF.take(logs, mode="clip") + shape * CLASSES
+
+
+_FIRST_CLASS = CLASS_LOWEST - CLASS_WIDTH
+_CLASS_OF = (np.arange(CLASS_WIDTH * (CLASSES + 2)) // CLASS_WIDTH - 1).clip(0, CLASSES - 1)
+"""The class of a logarithm, from `_FIRST_CLASS` on; those beyond are as the nearest."""
 
 
 def ceiling(magnitudes: Integers) -> Integers:
@@ -160,8 +164,20 @@ def ceiling(magnitudes: Integers) -> Integers:
 
 def all_tables(base_: Integers, magnitudes: Integers) -> Integers:
     """The tables for all coefficients of a chunk at once, (frequencies, rows), from its `base`: for the encoder."""
-    near = neighbourhood(bordered(ceiling(magnitudes)))
-    return tables(base_, near, shapes(len(base_))[:, None])
+    logs = _NUMERATOR_LOGS.take(neighbourhood(bordered(ceiling(magnitudes))), mode="clip")
+    logs = logs[groups(len(base_))[1]]
+    logs += base_
+    logs -= _FIRST_CLASS
+    out = _CLASS_OF.take(logs, mode="clip")
+    out += shapes(len(base_))[:, None] * CLASSES
+    return out
+
+
+@lru_cache(maxsize=64)
+def lookup(frequencies: int) -> tuple[Integers, Integers, int, Integers, Integers]:
+    """What the compiled module needs to know of this module, for so many frequencies."""
+    starts = groups(frequencies)[0]
+    return _NUMERATOR_LOGS, _CLASS_OF, _FIRST_CLASS, starts, shapes(frequencies) * CLASSES
 
 
 def shapes(frequencies: int) -> Integers:

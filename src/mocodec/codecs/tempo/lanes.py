@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import native
 from ...errors import Corrupt
 
 Integers = NDArray[np.int64]
@@ -71,13 +70,10 @@ def encode(
 ) -> list[tuple[Integers, NDArray[np.uint16]]]:
     """Of each chunk symbols (steps, lanes) with the table of each, and 16 raw bits a lane (lanes,) → final states
     (lanes,), words. The chunks are coded side by side."""
-    kernel = native.kernel("lanes_encode")
     frequencies = [coder.frequencies[tables, symbols] for symbols, tables in layouts]
     starts = [coder.starts[tables, symbols] for symbols, tables in layouts]
     assert all((f > 0).all() for f in frequencies)
     states = [LOWEST + r.astype(np.int64) for r in raw]
-    if kernel is not None:
-        return [kernel(f, c, s) for f, c, s in zip(frequencies, starts, states, strict=True)]
     edges = np.cumsum([0, *map(len, states)])
     shape = (max(map(len, frequencies), default=0), int(edges[-1]))
     every_f, every_c = np.full(shape, TOTAL), np.zeros(shape, np.int64)  # a symbol that is certain changes nothing
@@ -142,8 +138,12 @@ class Lanes:
         return place
 
     def finish(self) -> tuple[list[int], list[Integers]]:
-        """How many words each chunk used, and the raw bits that rode along, (lanes,) a chunk. Raises Corrupt."""
-        used = (self.next - self.first)[:, 0]
-        if (used > self.lengths).any() or (self.state >> 17).any() or (self.state < LOWEST).any():
-            raise Corrupt("tempo: the coded numbers do not end where they should")
-        return used.tolist(), list(self.state - LOWEST)
+        """How many words each chunk used, and its last states, (lanes,) a chunk."""
+        return (self.next - self.first)[:, 0].tolist(), list(self.state)
+
+
+def riding(states: Integers, used: int, length: int) -> Integers:
+    """The raw bits that rode in a chunk's lanes, (lanes,), after so many of its words were used. Raises Corrupt."""
+    if used > length or (states >> 17).any() or (states < LOWEST).any():
+        raise Corrupt("tempo: the coded numbers do not end where they should")
+    return states - LOWEST

@@ -356,7 +356,8 @@ def packed(pieces: Sequence[Piece], drafts: Sequence[Draft]) -> list[bytes]:
     payloads: list[bytes] = []
     for first in range(0, len(pieces), BATCH):
         batch = list(zip(pieces, drafts, strict=True))[first : first + BATCH]
-        coded = iter(coefficients.pack(pieces[0].model, [d.numbers for _, d in batch if d.numbers is not None]))
+        numbers = [d.numbers for _, d in batch if d.numbers is not None]
+        coded = iter(coefficients.pack(pieces[0].model, numbers) if numbers else [])
         for piece, draft in batch:
             if draft.numbers is not None:
                 payloads.append(Parts(TRANSFORM, next(coded), draft.fine, piece.gaps).pack())
