@@ -50,6 +50,7 @@ DOUBT, ASTRAY = 1.15, 1.6  # times the usual cost, above which a fit is not trus
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
 LOST_POINTS, LOST_LIMB = 0.006, 0.12  # shares of the data, and of a limb's template, that make a search worth while
 FINE = 0.05  # metres: wider weights look at a part of the points
+FEW = 0.01  # share of the template below which a link has too little to turn by
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
 
 
@@ -92,7 +93,7 @@ class Tracker:
         own = np.bincount(self.skin.links[:, 0], minlength=len(self.body)) / len(self.skin.points)
         short = self.body.lengths < 0.12 * np.ptp(self.body.origins, axis=0).max()
         carries = self.body.ancestors.sum(axis=1) > 3
-        stiff = (short & carries) | (own < 0.004)
+        stiff = (short & carries) | (own < FEW)
         stiff[0] = False
         return np.where(stiff, self.settings.spine, self.settings.turn)
 
