@@ -27,26 +27,33 @@ def fold_of(recording: Recording) -> tuple[str, ...] | None:
 
 
 def prior_path(folder: Path, fold: Sequence[str]) -> Path:
-    """Where the prior without these people is kept."""
+    """Where the prior without these people is kept; that of limbs stands beside it."""
     return folder / f"prior-without-{'-'.join(fold)}.npz"
 
 
 def train(fold: Sequence[str], path: Path) -> None:
-    """Learn a prior from everyone but these people, and keep it."""
+    """Learn the priors from everyone but these people, and keep them."""
     from .. import formats
     from ..codecs.tempo import training
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    formats.replace_whole(path, training.train(training.people(PEOPLE, fold)))
+    people = training.people(PEOPLE, fold)
+    formats.replace_whole(limbs_path(path), training.train(people, with_limbs=True))
+    formats.replace_whole(path, training.train(people))
+
+
+def limbs_path(path: Path) -> Path:
+    """Where the prior of limbs is kept that was learned beside this one."""
+    return path.with_name(f"limbs-{path.name}")
 
 
 @contextmanager
 def unseen(prior: Path | None) -> Iterator[None]:
-    """Within this, tempo uses the prior of this file, or the package's own where there is none."""
+    """Within this, tempo uses the priors of this file and beside it, or the package's own where there is none."""
     if prior is None:
         yield
         return
     from ..codecs.tempo import prior as priors
 
-    with priors.installed(prior.read_bytes()):
+    with priors.installed(prior.read_bytes(), limbs_path(prior).read_bytes()):
         yield

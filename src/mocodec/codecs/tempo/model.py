@@ -80,8 +80,7 @@ class Model:
         out[:, HEADING] = smooth_heading(h, self.rate)
         angle = cosine.inverse(out[:, HEADING], frames)
         out[:, PLACE] = cosine.forward(place * np.sqrt(points))
-        pose = (body.turn(centred, -angle) - self.points.pose).reshape(frames, -1)
-        spectrum = cosine.forward(pose)
+        spectrum = self.points.weighed(cosine.forward(self.points.coordinates(body.turn(centred, -angle))))
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             out[band, POSE:] = spectrum[band] @ basis.T
         return out
@@ -91,14 +90,14 @@ class Model:
         points = len(self.points.pose)
         curves = cosine.inverse(coefficients[:, HEADING:POSE], frames)
         known = int(np.flatnonzero(coefficients[:, POSE:].any(axis=1)).max(initial=-1)) + 1
-        spectrum = np.zeros((known, 3 * points))
+        spectrum = np.zeros((known, self.points.bases[0].shape[1]))
         for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
             part = coefficients[band.start : min(band.stop, known), POSE:]
             np.matmul(part, basis, out=spectrum[band.start : band.start + len(part)])
         place = curves[:, 1:]
         if len(coefficients):
             place += slope_curves(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
-        pose = cosine.inverse(spectrum, frames).reshape(-1, points, 3) + self.points.pose
+        pose = self.points.posed(cosine.inverse(self.points.unweighed(spectrum), frames))
         moved = body.turn(pose, curves[:, 0])
         moved += place[:, None] / np.sqrt(points)
         return moved

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,11 @@ from numpy.typing import NDArray
 from ...errors import UnknownCodec
 from ...motion import Floats
 from . import lanes
+from .limbs import Limbs
 
 Integers = NDArray[np.int64]
 
-FILE = "people.npz"
+FILE, LIMBS_FILE = "people.npz", "limbs.npz"
 ID_BYTES = 4
 
 
@@ -32,8 +34,10 @@ ID_BYTES = 4
 class PointSet:
     """What is known about one set of points.
 
-    names; pose (points, 3), metres, y up; bases: one a band of frequencies, (components, 3 points), orthonormal rows;
+    names; pose (points, 3), metres, y up; bases: one a band of frequencies, (components, dimensions), orthonormal rows;
     spreads (rows, bands) and means (rows,), log₂ in 1/32 octave, of heading, three of place, and the components.
+    limbs: a pose is not the points' coordinates less the mean pose's then, but those of its limbs, weighed by `reach`,
+    (dimensions, dimensions). columns (points,): where in a pose the points of the limbs stand.
     """
 
     names: tuple[str, ...]
@@ -41,6 +45,35 @@ class PointSet:
     bases: tuple[Floats, ...]
     spreads: Integers
     means: Integers
+    limbs: Limbs | None = None
+    reach: Floats | None = None
+    columns: Integers | None = None
+
+    @cached_property
+    def _unreach(self) -> Floats:
+        assert self.reach is not None
+        return np.asarray(np.linalg.inv(self.reach), np.float64)
+
+    def coordinates(self, poses: Floats) -> Floats:
+        """Poses (frames, points, 3) about the origin, headed as the mean pose, as numbers (frames, dimensions)."""
+        if self.limbs is None:
+            return (poses - self.pose).reshape(len(poses), -1)
+        return self.limbs.forward(poses if self.columns is None else poses[:, self.columns])
+
+    def weighed(self, spectrum: Floats) -> Floats:
+        """Coordinates, or their spectrum, so that an error of one is about an error of one in the points."""
+        return spectrum if self.reach is None else spectrum @ self.reach
+
+    def unweighed(self, spectrum: Floats) -> Floats:
+        """The inverse of `weighed`."""
+        return spectrum if self.reach is None else spectrum @ self._unreach
+
+    def posed(self, coordinates: Floats) -> Floats:
+        """The inverse of `coordinates`."""
+        if self.limbs is None:
+            return coordinates.reshape(-1, *self.pose.shape) + self.pose
+        poses = self.limbs.inverse(coordinates)
+        return poses if self.columns is None else poses[:, np.argsort(self.columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +93,7 @@ def read(data: bytes) -> Prior:
                 tuple(b.astype(np.float64) for b in f[f"{s}.bases"]),
                 f[f"{s}.spreads"].astype(np.int64),
                 f[f"{s}.means"].astype(np.int64),
+                *_limbs(f, s),
             )
             for s in map(str, f["sets"])
         )
@@ -67,32 +101,53 @@ def read(data: bytes) -> Prior:
     return Prior(hashlib.blake2b(data, digest_size=ID_BYTES).digest(), sets, coder)
 
 
-_others: list[Prior] = []
+def _limbs(f: Mapping[str, NDArray[Any]], s: str) -> tuple[Limbs | None, Floats | None]:
+    if f"{s}.reach" not in f:
+        return None, None
+    hub, carried = f[f"{s}.marks"]
+    parents = tuple(int(p) for p in f[f"{s}.parents"])
+    return Limbs(parents, f[f"{s}.vectors"].astype(np.float64), hub, carried), f[f"{s}.reach"].astype(np.float64)
+
+
+_others: list[tuple[Prior, ...]] = []
+
+
+def packaged_bytes(file: str = FILE) -> bytes:
+    """The file of a prior inside this package."""
+    return resources.files("mocodec").joinpath("priors", file).read_bytes()
 
 
 @cache
-def _packaged() -> Prior:
-    return read(resources.files("mocodec").joinpath("priors", FILE).read_bytes())
+def _packaged(file: str = FILE) -> Prior:
+    return read(packaged_bytes(file))
 
 
 def shipped() -> Prior:
-    """The prior that is used for encoding: the one inside this package, unless another is `installed`."""
-    return _others[-1] if _others else _packaged()
+    """The prior that is used for encoding: the one inside this package, unless others are `installed`."""
+    return _others[-1][0] if _others else _packaged()
+
+
+def of_limbs() -> Prior | None:
+    """The prior that knows limbs, to be used for encoding; none where others are `installed` that do not."""
+    used = _others[-1] if _others else (_packaged(LIMBS_FILE),)
+    return next((p for p in used if p.sets and p.sets[0].limbs is not None), None)
 
 
 @contextmanager
-def installed(data: bytes) -> Iterator[Prior]:
-    """Within this context another prior is used, and can be decoded with: for judging one on people it has not seen."""
-    _others.append(read(data))
+def installed(*data: bytes) -> Iterator[Prior]:
+    """Within this context other priors are used, and can be decoded with: for judging them on people they have not
+    seen. The first is for points by name; it is given."""
+    _others.append(tuple(map(read, data)))
     try:
-        yield _others[-1]
+        yield _others[-1][0]
     finally:
         _others.pop()
 
 
 def named(id_: bytes) -> Prior:
     """The prior of this hash. Raises UnknownCodec where this package does not have it."""
-    for prior in (*_others, _packaged()):
+    packaged = (_packaged(file) for file in (FILE, LIMBS_FILE))
+    for prior in (*(p for some in _others for p in some), *packaged):
         if prior.id == id_:
             return prior
     raise UnknownCodec(

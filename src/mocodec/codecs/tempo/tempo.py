@@ -20,10 +20,10 @@ import numpy as np
 
 from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput, CannotEncode, Corrupt
-from ...motion import Floats, Motion, point_columns
+from ...motion import Floats, Motion, Skeleton, point_columns
 from ...stages import gaps
 from ..base import require_frames, settings
-from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior, tailored
+from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior, skeletal, tailored
 from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
 from .contexts import OCTAVE
 
@@ -98,7 +98,7 @@ class Tempo:
         smooth = jumps.bridged(positions, spikes)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
         cut = [smooth[a:b] for a, b in bounds]
-        shared, known = choose_model(cut, motion.names, motion.rate, self.first_step(motion))
+        shared, known = choose_model(cut, motion, self.first_step(motion))
         if self.weights:
             weighting = weight_bytes(motion.names, self.weights)
             shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
@@ -155,23 +155,29 @@ def step_for_bound(bound: float) -> int:
     return round(np.log2(2.2 * bound) * OCTAVE)
 
 
-PLAIN, KNOWN, OWN = 0, 1, 2
-"""Kinds of model: none (every chunk is coded directly), the prior's, and one stored in the file; `tailored.KIND` is the
-fourth. Never change them."""
+PLAIN, KNOWN, OWN, LIMBS = 0, 1, 2, 4
+"""Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, and the prior's of limbs;
+`tailored.KIND` is another. Never change them."""
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
 """Points that the prior knows get a basis of their own only in recordings at least this long."""
 
 
-def choose_model(cut: list[Floats], names: tuple[str, ...], rate: float, step: int) -> tuple[bytes, model.Model]:
-    """The model that makes chunks (frames, points, 3) smallest in about this step, after its shared bytes."""
-    used = prior.shipped()
+def choose_model(cut: list[Floats], like: Motion, step: int) -> tuple[bytes, model.Model]:
+    """The model that makes chunks (frames, points, 3) smallest in about this step, after its shared bytes.
+
+    like: any motion with the names, rate and skeleton of the chunks.
+    """
+    used, names, rate = prior.shipped(), like.names, like.rate
     frames = sum(map(len, cut))
     candidates = [] if (known := model.of_names(names, used, rate)) is None else [(bytes([KNOWN]) + used.id, known)]
     if frames >= (OWN_FRAMES if known else 2):
         fitted = own.fit(cut, used, names, rate, step)
         candidates.append((bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate)))
+    knowing = prior.of_limbs()
+    if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
+        candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
     if not candidates:
         return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
     if len(candidates) == 1:
@@ -199,27 +205,29 @@ def weighted(known: model.Model, weighting: bytes) -> model.Model:
 def plain_shared(shared: bytes, points: int) -> bytes:
     """Shared bytes for chunks that are all coded directly: what they need of these."""
     flag = shared[0] & WEIGHTED
-    return bytes([PLAIN | flag]) + shared[1 : 1 + (points if flag else 0) + prior.ID_BYTES]
+    return bytes([PLAIN | flag]) + shared[1 : 1 + (points if flag else 0)] + prior.shipped().id
 
 
 def model_of(shared: tuple[bytes, ...], like: Motion) -> model.Model:
     """The model that a file was coded with. Raises Corrupt, UnknownCodec."""
     if len(shared) != 1 or not shared[0]:
         raise Corrupt("tempo: the shared bytes are not its own")
-    return _model_of(shared[0], like.names, like.rate)
+    return _model_of(shared[0], like.names, like.rate, like.skeleton)
 
 
 @lru_cache(maxsize=8)
-def _model_of(shared: bytes, names: tuple[str, ...], rate: float) -> model.Model:
+def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton | None) -> model.Model:
     kind, at = shared[0] & ~WEIGHTED, 1
     weighting = b""
     if shared[0] & WEIGHTED:
         weighting, at = shared[at : at + len(names)], at + len(names)
     id_, rest = shared[at : at + prior.ID_BYTES], shared[at + prior.ID_BYTES :]
-    if len(id_) < prior.ID_BYTES or kind > OWN:
+    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS):
         raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
-    if kind == OWN:
+    if kind == LIMBS:
+        found = skeletal.unpack(rest, names, rate, skeleton, used)
+    elif kind == OWN:
         found = own.unpack(rest, used, names, rate)
     else:
         found = model.of_names(names, used, rate) if kind == KNOWN else model.plain(names, used, rate)

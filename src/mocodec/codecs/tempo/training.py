@@ -18,8 +18,8 @@ import numpy as np
 
 from ... import formats
 from ...motion import Floats, Motion
-from . import body, chunks, contexts, lanes, symbols
-from .model import EDGES_MHZ, POSE, Model, without_slopes
+from . import body, chunks, contexts, cosine, lanes, limbs, symbols
+from .model import EDGES_MHZ, POSE, Model, smooth_heading, without_slopes
 from .prior import PointSet, Prior, read
 
 BANDS = len(contexts.BANDS_MHZ)
@@ -51,10 +51,10 @@ def chunk_bounds(frames: int, rate: float, seconds: float = CHUNK_SECONDS) -> li
     return list(pairwise(frames * i // count for i in range(count + 1)))
 
 
-def train(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
+def train(recordings: Mapping[str, Sequence[Motion]], with_limbs: bool = False) -> bytes:
     """The prior's file."""
     motions = [m for person in recordings.values() for m in person]
-    points = point_set(motions)
+    points = point_set(motions, with_limbs)
     tables = coder_tables([points], [motions])
     return write([points], tables)
 
@@ -67,17 +67,23 @@ def write(sets: Sequence[PointSet], tables: np.ndarray) -> bytes:
         arrays[f"{i}.bases"] = np.array(s.bases, np.float32)
         arrays[f"{i}.spreads"] = s.spreads.astype(np.int16)
         arrays[f"{i}.means"] = s.means.astype(np.int16)
+        if s.limbs is not None and s.reach is not None:
+            arrays[f"{i}.parents"] = np.array(s.limbs.parents, np.int16)
+            arrays[f"{i}.vectors"] = s.limbs.vectors.astype(np.float32)
+            arrays[f"{i}.marks"] = np.stack([s.limbs.hub, s.limbs.carried])
+            arrays[f"{i}.reach"] = s.reach.astype(np.float32)
     out = io.BytesIO()
     np.savez_compressed(out, allow_pickle=False, **arrays)
     return out.getvalue()
 
 
-def point_set(motions: Sequence[Motion]) -> PointSet:
-    """Mean pose, bases and spreads of recordings of one set of points."""
+def point_set(motions: Sequence[Motion], with_limbs: bool = False) -> PointSet:
+    """Mean pose, bases and spreads of recordings of one set of points; as limbs, where they have a skeleton's."""
     names = motions[0].names
     sample = np.concatenate([_centred(body.level(m.positions[::8], m.up)) for m in motions])
     pose = body.mean_pose(sample).astype(np.float32).astype(np.float64)
-    dimensions = 3 * len(names)
+    limbs, reach = _limbs(motions, pose) if with_limbs else (None, None)
+    dimensions = 3 * len(names) if limbs is None else limbs.dimensions
     empty = np.zeros((len(EDGES_MHZ) + 1, dimensions, dimensions))
     flat = PointSet(
         names,
@@ -85,9 +91,11 @@ def point_set(motions: Sequence[Motion]) -> PointSet:
         tuple(np.eye(dimensions) for _ in empty),
         np.zeros((POSE + dimensions, BANDS), int),
         np.zeros(0, int),
+        limbs,
+        reach,
     )
     prior = Prior(b"", (flat,), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
-    spectra = [list(_spectra(Model(flat, prior, m.rate), m)) for m in motions]
+    spectra = [list(_spectra(Model(of_body(flat, m), prior, m.rate), m)) for m in motions]
     means = np.array([np.mean([s[0] / np.sqrt(len(s)) for s in of_one], axis=0) for of_one in spectra])
     covariance = empty
     for motion, of_one, mean in zip(motions, spectra, means, strict=True):
@@ -98,11 +106,42 @@ def point_set(motions: Sequence[Motion]) -> PointSet:
             for c, band in zip(covariance, model.bands(len(s)), strict=True):
                 c += s[band, POSE:].T @ s[band, POSE:] / np.sqrt(len(of_one))
     between = np.cov(means[:, POSE:].T)
-    bases = [_basis(c / np.trace(c) + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0))) for c in covariance]
+    kept = dimensions if with_limbs else dimensions - 3  # nothing moves the mean of all points
+    bases = [_basis(c / np.trace(c) + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0)), kept) for c in covariance]
     low = covariance[0] / np.trace(covariance[0]) + BETWEEN_PEOPLE * between / np.trace(between)
-    bases[0] = _basis(low + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0)))
+    bases[0] = _basis(low + 1e-3 * covariance.sum(0) / np.trace(covariance.sum(0)), kept)
     fitted = replace(flat, bases=tuple(bases))
     return replace(fitted, **_spreads(fitted, prior, motions))
+
+
+def of_body(points: PointSet, motion: Motion) -> PointSet:
+    """The set with the limbs of this motion's skeleton."""
+    if points.limbs is None or motion.skeleton is None:
+        return points
+    return replace(points, limbs=points.limbs.built(motion.skeleton.offsets))
+
+
+def _limbs(motions: Sequence[Motion], pose: Floats) -> tuple[limbs.Limbs, Floats]:
+    """Limbs of the mean build, and the reach of their coordinates: the root of how far points move with them."""
+    assert motions[0].skeleton is not None
+    headed = [_headed(m, pose) for m in motions]
+    found = limbs.fit(headed, motions[0].skeleton.parents, [m.skeleton.offsets for m in motions if m.skeleton])
+    metric = np.zeros((found.dimensions, found.dimensions))
+    for m, poses in zip(motions, headed, strict=True):
+        assert m.skeleton is not None
+        own = found.built(m.skeleton.offsets)
+        metric += np.sqrt(len(m)) * own.metric(own.forward(poses[:: max(1, len(poses) // 8)]))
+    return found, np.asarray(np.linalg.cholesky(metric / sum(np.sqrt(len(m)) for m in motions)), np.float64)
+
+
+def _headed(motion: Motion, pose: Floats) -> Floats:
+    """Every eighth pose in the body's frame."""
+    centred = _centred(body.level(motion.positions, motion.up))
+    out = []
+    for a, b in chunk_bounds(len(centred), motion.rate):
+        angle = cosine.inverse(smooth_heading(body.heading(centred[a:b], pose), motion.rate), b - a)
+        out.append(body.turn(centred[a:b], -angle)[::8])
+    return np.concatenate(out)
 
 
 def _centred(positions: Floats) -> Floats:
@@ -115,10 +154,10 @@ def _spectra(model: Model, motion: Motion) -> Iterable[Floats]:
         yield without_slopes(model.analyse(positions[start:stop]), SLOPE_STEP)
 
 
-def _basis(covariance: Floats) -> Floats:
-    """Orthonormal rows, strongest first; the three directions that move the mean of all points are left out."""
+def _basis(covariance: Floats, kept: int) -> Floats:
+    """Orthonormal rows, strongest first."""
     _, vectors = np.linalg.eigh(covariance)
-    return vectors[:, ::-1].T[:-3].astype(np.float32).astype(np.float64)
+    return vectors[:, ::-1].T[:kept].astype(np.float32).astype(np.float64)
 
 
 def _spreads(points: PointSet, prior: Prior, motions: Sequence[Motion]) -> dict[str, np.ndarray]:
@@ -127,7 +166,7 @@ def _spreads(points: PointSet, prior: Prior, motions: Sequence[Motion]) -> dict[
     total, count = np.full((rows, len(bands)), 1e-9), np.full(len(bands), 1e-9)
     means, weight = np.full(rows, 1e-9), 1e-9
     for motion in motions:
-        model = Model(replace(points, spreads=np.zeros((rows, BANDS), int)), prior, motion.rate)
+        model = Model(replace(of_body(points, motion), spreads=np.zeros((rows, BANDS), int)), prior, motion.rate)
         spectra = list(_spectra(model, motion))
         for s in spectra:
             w = 1 / np.sqrt(len(spectra))
@@ -152,7 +191,7 @@ def coder_tables(
     prior = Prior(b"", tuple(sets), lanes.Tables.of(np.full((1, 1), lanes.TOTAL)))
     for points, of_set in zip(sets, motions, strict=True):
         for motion in of_set:
-            model = Model(points, prior, motion.rate)
+            model = Model(of_body(points, motion), prior, motion.rate)
             for s in list(_spectra(model, motion))[:6]:
                 for step in steps:
                     values = quantised(s, chunks.sizes(model, len(s), step))

@@ -1,0 +1,171 @@
+"""Joints of a skeleton are coded as where its bones point, on its own build."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocodec import metrics
+from mocodec.codecs.tempo import Tempo, limbs, prior, tempo, training
+from mocodec.errors import Corrupt, MocodecError
+from mocodec.motion import Floats, Motion, Skeleton
+
+KNOWING = prior.of_limbs()
+assert KNOWING is not None
+POINTS = KNOWING.sets[0]
+
+
+def smooth(frames: int, columns: int, seed: int) -> Floats:
+    """Curves (frames, columns) of slow waves, about as large as people's turns."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(frames)[:, None, None] / 120
+    waves = rng.normal(0, 0.15, (columns, 4)) * np.sin(2 * np.pi * rng.uniform(0.1, 2.5, (columns, 4)) * t)
+    return np.asarray(waves.sum(axis=2))
+
+
+def body(seed: int = 0) -> limbs.Limbs:
+    """The prior's limbs on somebody else's build."""
+    assert POINTS.limbs is not None
+    scale = np.random.default_rng(seed).uniform(0.85, 1.15, (len(POINTS.names), 1))
+    return POINTS.limbs.built(POINTS.limbs.vectors * scale)
+
+
+def moving(frames: int = 400, seed: int = 0, with_skeleton: bool = True) -> Motion:
+    built = body(seed)
+    poses = built.inverse(smooth(frames, built.dimensions, seed))
+    place = np.cumsum(smooth(frames, 3, seed + 1), axis=0)[:, None] / 60
+    skeleton = Skeleton(POINTS.names, built.parents, built.vectors) if with_skeleton else None
+    return Motion(poses + place, 120.0, POINTS.names, "y", skeleton)
+
+
+def kind(encoded: tempo.Encoded[Motion]) -> int:
+    return encoded.shared[0][0]
+
+
+# ------------------------------------------------------------------------------------------------------ the coordinates
+
+
+def test_poses_come_back_from_their_coordinates() -> None:
+    built = body()
+    given = smooth(300, built.dimensions, 3)
+    poses = built.inverse(given)
+    assert built.forward(poses) == pytest.approx(given, abs=1e-9)
+    assert built.inverse(built.forward(poses)) == pytest.approx(poses, abs=1e-12)
+
+
+def test_a_full_turn_goes_on_instead_of_jumping_back() -> None:
+    built = body()
+    given = np.zeros((200, built.dimensions))
+    given[:, 0] = np.linspace(0, 1.5 * np.pi, 200)
+    given[:, -3] = np.linspace(0, 1.5 * np.pi, 200)
+    found = built.forward(built.inverse(given))
+    assert np.abs(np.diff(found, axis=0)).max() < 0.1
+    assert built.inverse(found) == pytest.approx(built.inverse(given), abs=1e-9)
+
+
+def test_the_metric_says_how_far_points_move() -> None:
+    built = body()
+    given = smooth(20, built.dimensions, 4)
+    small = 1e-5 * np.random.default_rng(5).normal(size=given.shape)
+    moved = ((built.inverse(given + small) - built.inverse(given)) ** 2).sum()
+    metric = sum(s @ built.metric(g[None]) @ s for s, g in zip(small, given, strict=True))
+    assert metric == pytest.approx(moved, rel=1e-3)
+
+
+def test_limbs_are_found_in_poses() -> None:
+    built = body()
+    poses = built.inverse(smooth(400, built.dimensions, 6))
+    found = limbs.fit([poses[:200], poses[200:]], built.parents)
+    assert (found.hub == built.hub).all()
+    assert found.lengths == pytest.approx(built.lengths, abs=1e-9)
+    assert found.inverse(found.forward(poses)) == pytest.approx(poses, abs=1e-9)
+
+
+def test_points_that_stay_with_their_parent_have_no_coordinates() -> None:
+    vectors = np.array([[0, 0, 0], [0, 0.4, 0], [0, 0, 0], [0, 0.3, 0.0]], float)
+    chain = limbs.Limbs((-1, 0, 1, 2), vectors, np.zeros(4, bool), np.array([False, False, False, True]))
+    assert chain.dimensions == 4
+    given = smooth(50, 4, 7)
+    poses = chain.inverse(given)
+    assert poses[:, 1] == pytest.approx(poses[:, 2])
+    assert chain.forward(poses) == pytest.approx(given, abs=1e-9)
+
+
+# ------------------------------------------------------------------------------------------------------------ the codec
+
+
+@pytest.mark.parametrize("with_skeleton", [True, False])
+@pytest.mark.parametrize("target", [{"max_error": 0.004}, {"mean_error": 0.002}])
+def test_joints_are_coded_as_limbs_and_keep_their_promise(with_skeleton: bool, target: dict[str, float]) -> None:
+    motion = moving(with_skeleton=with_skeleton)
+    encoded = Tempo(**target).in_chunks(motion)
+    assert kind(encoded) == tempo.LIMBS
+    error = metrics.distances(motion.positions, Tempo.decode(encoded).positions)
+    if "max_error" in target:
+        assert error.max() <= target["max_error"]
+    else:
+        assert error.mean() == pytest.approx(target["mean_error"], rel=0.02)
+
+
+def test_limbs_take_fewer_bytes_than_points() -> None:
+    motion = moving()
+    with prior.installed(prior.packaged_bytes()):
+        points = Tempo().in_chunks(motion).payload_bytes
+    assert Tempo().in_chunks(motion).payload_bytes < 0.9 * points
+
+
+def test_a_skeleton_beside_the_motion_saves_its_build() -> None:
+    with_one, without = (len(Tempo().in_chunks(moving(with_skeleton=w)).shared[0]) for w in (True, False))
+    assert with_one < 10 < without < 120
+
+
+def test_points_in_another_order_and_another_axis_up() -> None:
+    motion = moving(with_skeleton=False)
+    order = np.random.default_rng(8).permutation(motion.points)
+    turned = motion.positions[:, order][..., [2, 0, 1]]
+    other = Motion(turned, motion.rate, tuple(motion.names[i] for i in order), "z")
+    encoded = Tempo(max_error=0.004).in_chunks(other)
+    assert kind(encoded) == tempo.LIMBS
+    assert metrics.distances(turned, Tempo.decode(encoded).positions).max() <= 0.004
+    assert abs(encoded.payload_bytes / Tempo(max_error=0.004).in_chunks(motion).payload_bytes - 1) < 0.03
+
+
+def test_bones_that_stretch_are_no_limbs() -> None:
+    motion = moving()
+    stretched = motion.positions * (1 + 0.1 * np.sin(np.arange(len(motion)) / 20))[:, None, None]
+    assert kind(Tempo().in_chunks(replace(motion, positions=stretched))) != tempo.LIMBS
+
+
+def test_a_skeleton_of_another_build_is_not_believed() -> None:
+    motion = moving()
+    assert motion.skeleton is not None
+    other = Skeleton(motion.names, motion.skeleton.parents, motion.skeleton.offsets * 1.05)
+    encoded = Tempo(max_error=0.004).in_chunks(replace(motion, skeleton=other))
+    assert metrics.distances(motion.positions, Tempo.decode(encoded).positions).max() <= 0.004
+
+
+def test_damaged_builds_are_refused() -> None:
+    encoded = Tempo().in_chunks(moving(with_skeleton=False))
+    shared = encoded.shared[0]
+    for at in range(5, len(shared)):
+        for damaged in (shared[:at], shared[:at] + bytes([shared[at] ^ 0x55]) + shared[at + 1 :]):
+            try:
+                found = Tempo.decode(replace(encoded, shared=(damaged,)))
+            except MocodecError:
+                continue
+            assert found.positions.shape == (400, 31, 3)
+    with_one = Tempo().in_chunks(moving())
+    with pytest.raises(Corrupt, match="skeleton"):
+        Tempo.decode(replace(with_one, about=replace(with_one.about, skeleton=None)))
+
+
+def test_a_prior_of_limbs_can_be_trained() -> None:
+    people = {"a": [moving(240, 1), moving(240, 2)], "b": [moving(240, 3)]}
+    data = training.train(people, with_limbs=True)
+    with prior.installed(prior.packaged_bytes(), data) as first:
+        assert first.sets[0].limbs is None
+        encoded = Tempo().in_chunks(moving(seed=4))
+        assert kind(encoded) == tempo.LIMBS
+        assert np.isfinite(Tempo.decode(encoded).positions).all()
