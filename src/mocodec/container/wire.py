@@ -8,6 +8,9 @@ from __future__ import annotations
 import struct
 import zlib
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..entropy.varint import signed as zigzag
 from ..entropy.varint import unsigned as unzigzag
 from ..entropy.varint import write
@@ -67,7 +70,7 @@ class Cursor:
         return self.take(1)[0]
 
     def varint(self) -> int:
-        data, at, value = self.data, self.at, 0  # an index has a thousand: no call for each byte
+        data, at, value = self.data, self.at, 0
         for shift in range(0, 7 * MAX_VARINT_BYTES, 7):
             if at == self.end:
                 self.take(at - self.at + 1)  # raises Truncated
@@ -80,6 +83,28 @@ class Cursor:
                     break  # one number, one spelling: so that a file's bytes follow from its content
                 return value
         raise self.corrupt("a number is badly written")
+
+    def plain(self, most: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The next numbers, at most so many, and where each ends, without taking them: up to one that is not of four
+        bytes or fewer, and well written."""
+        window = np.frombuffer(self.data, np.uint8, min(4 * most, self.left), self.at)
+        last = np.flatnonzero(window < 0x80)[:most]
+        first = np.concatenate([[0], last[:-1] + 1]) if len(last) else last
+        size = last - first + 1
+        odd = np.flatnonzero((size > 4) | (size > 1) & (window[last] == 0))
+        some = int(odd[0]) if len(odd) else len(last)
+        value = np.zeros(some, np.int64)
+        for place in range(int(size[:some].max(initial=0))):
+            more = np.flatnonzero(size[:some] > place)
+            value[more] |= (window[first[more] + place] & 0x7F).astype(np.int64) << 7 * place
+        return value, self.at + last[:some] + 1
+
+    def varints(self, count: int) -> list[int]:
+        """So many numbers in a row: an index has thousands."""
+        plain, ends = self.plain(count)
+        if len(plain):
+            self.at = int(ends[-1])
+        return plain.tolist() + [self.varint() for _ in range(count - len(plain))]
 
     def signed(self) -> int:
         return unzigzag(self.varint())
