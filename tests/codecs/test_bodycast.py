@@ -15,6 +15,7 @@ from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
 from mocodec.evaluation.cloud import actors, measures, sequences
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import corruption
 
 pytest.importorskip("av")
 
@@ -102,6 +103,78 @@ def test_strangers_are_kept(performance, clouds):
     assert (decoded.positions[5][:, 0] > 1.15).sum() > 300
     alone = Bodycast.decode(Bodycast(skeleton=performance.skeleton(), strangers=False).encode(both))
     assert (alone.positions[5][:, 0] > 1.15).sum() == 0
+
+
+def test_two_people_are_two_bodies(performance, clouds):
+    """The second one is found beside the first, and leaves; the others still decode."""
+    assert clouds.colours is not None
+    aside = np.array([1.6, 0.0, 0.3])
+    positions = [np.concatenate([p, p[::2] + aside]) if i < 6 else p for i, p in enumerate(clouds.positions)]
+    colours = [np.concatenate([c, 255 - c[::2]]) if i < 6 else c for i, c in enumerate(clouds.colours)]
+    both = PointClouds(positions, 15.0, colours)
+    first = performance.skeleton()
+    second = Motion(first.positions + aside, first.rate, first.names, "y", first.skeleton, first.rotations)
+    encoded = Bodycast(skeleton=[first, second], chunk_frames=5).encode(both)
+    assert len(encoded.shared) == 2
+    decoded = Bodycast.decode(encoded)
+    assert max(measures.d1(both, decoded, i) for i in (0, 3, 5, 7)) < 0.06
+    assert (decoded.positions[4][:, 0] > 1.0).sum() > 800
+    assert (decoded.positions[7][:, 0] > 1.0).sum() == 0
+    apart = Bodycast.track(encoded, body=1).positions[3] - Bodycast.track(encoded).positions[3]
+    assert np.linalg.norm(apart - aside, axis=1).max() < 0.2
+    with pytest.raises(BadInput, match="2 bodies"):
+        Bodycast.track(encoded, body=2)
+    alone = Bodycast.decode(Bodycast(skeleton=first, people=1).encode(both))
+    assert (alone.positions[4][:, 0] > 1.0).sum() > 300  # as strangers
+
+
+def test_exact_points(clouds, performance):
+    assert clouds.colours is not None
+    few = PointClouds([p[:900] for p in clouds.positions[:4]], 15.0, [c[:900] for c in clouds.colours[:4]])
+    encoded = Bodycast(residual="exact", skeleton=performance.skeleton(), chunk_frames=3).encode(few)
+    decoded = mc.decode(container.pack(encoded))
+    assert decoded.colours is not None
+    assert few.colours is not None
+    for i in range(4):
+        was = np.concatenate([few.positions[i].astype(np.float32), few.colours[i]], axis=1)
+        now = np.concatenate([decoded.positions[i].astype(np.float32), decoded.colours[i]], axis=1)
+        np.testing.assert_array_equal(was[np.lexsort(was.T)], now[np.lexsort(now.T)])
+    assert len(Bodycast.track(encoded)) == 4
+    rough = Bodycast(residual="exact", precision=0.002, skeleton=performance.skeleton()).encode(few)
+    assert rough.payload_bytes < 0.6 * encoded.payload_bytes
+    assert measures.d1(few, Bodycast.decode(rough), 2) < 0.002
+
+
+def test_as_many_points_as_wanted(performance, clouds):
+    encoded = Bodycast(points=700, skeleton=performance.skeleton()).encode(clouds[:3])
+    assert [len(p) for p in Bodycast.decode(encoded).positions] == [700] * 3
+
+
+def test_a_surface_for_a_glb(encoded, tmp_path):
+    motion, surface = Bodycast.track(encoded[0]), Bodycast.surface(encoded[0])
+    mc.write(tmp_path / "body.glb", motion, surface=surface)
+    back = mc.read(tmp_path / "body.glb")
+    assert isinstance(back, Motion)
+    assert np.abs(back.positions - motion.positions).max() < 1e-4
+
+
+def test_millimetres_are_noticed(clouds):
+    with pytest.raises(CannotEncode, match="metres"):
+        Bodycast().encode(PointClouds([p * 1000 for p in clouds.positions[:2]], 15.0))
+
+
+def test_through_a_file_every_prefix_and_flip_is_noticed(performance, clouds):
+    small = PointClouds([p[::4] for p in clouds.positions[:3]], 15.0)
+    blob = container.pack(Bodycast(cells=300, skeleton=performance.skeleton()).encode(small))
+    for cut in corruption.prefixes(blob, every=1 + len(blob) // 400):
+        with pytest.raises(MocodecError):
+            mc.decode(cut)
+    for at, broken in corruption.flips(blob, every=1 + len(blob) // 400):
+        try:
+            mc.decode(broken)
+        except MocodecError:
+            continue
+        pytest.fail(f"byte {at} of {len(blob)} flipped, and nobody noticed")
 
 
 def test_what_cannot_be_coded(clouds):

@@ -22,7 +22,7 @@ def test_suffix_in_any_case(tmp_path):
     assert formats.read(tmp_path / "A.TRC").points == 5
 
 
-@pytest.mark.parametrize("name", ["walk.fbx", "walk.glb", "walk"])
+@pytest.mark.parametrize("name", ["walk.fbx", "walk.obj", "walk"])
 def test_an_unknown_suffix_lists_the_known(tmp_path, name):
     (tmp_path / name).write_bytes(b"?")
     with pytest.raises(BadInput, match=r"\.c3d .*\.bvh .*\.mocz"):
@@ -44,7 +44,7 @@ def test_an_option_of_another_format(tmp_path):
         formats.read(tmp_path / "x.trc", asf="y.asf")
 
 
-@pytest.mark.parametrize("suffix", [".c3d", ".trc", ".bvh", ".amc", ".npz"])
+@pytest.mark.parametrize("suffix", [".c3d", ".trc", ".bvh", ".amc", ".npz", ".glb"])
 @pytest.mark.parametrize("content", [b"", b"\0" * 2000, b"not it\n" * 200, b"\xff\xfe\x80" * 600])
 def test_other_content_under_every_suffix(tmp_path, suffix, content):
     (tmp_path / f"x{suffix}").write_bytes(content)

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+import mocodec as mc
 from mocodec import BadInput, formats
 
 from .samples import BVH, markers
@@ -86,3 +87,25 @@ def test_an_array_that_claims_another_size(tmp_path, claimed):
         archive.writestr("positions.npy", raw.getvalue() + bytes(24))
     with pytest.raises(BadInput, match="cut off or damaged"):
         formats.read(tmp_path / "x.npz", rate=1)
+
+
+def test_point_clouds(tmp_path):
+    rng = np.random.default_rng(0)
+    positions = [rng.normal(size=(n, 3)) for n in (4, 0, 7)]
+    colours = [rng.integers(0, 256, p.shape).astype(np.uint8) for p in positions]
+    clouds = mc.PointClouds(positions, 15.0, colours, up="z")
+    mc.write(tmp_path / "clouds.npz", clouds)
+    back = mc.read(tmp_path / "clouds.npz")
+    assert isinstance(back, mc.PointClouds)
+    assert (back.rate, back.up, len(back)) == (15.0, "z", 3)
+    assert back.colours is not None
+    for i in range(3):
+        np.testing.assert_array_equal(back.positions[i], positions[i])
+        np.testing.assert_array_equal(back.colours[i], colours[i])
+    np.savez(tmp_path / "bad.npz", points=np.zeros((5, 3)), counts=[2, 2], rate=15)
+    with pytest.raises(mc.BadInput, match="counts"):
+        mc.read(tmp_path / "bad.npz")
+    np.savez(tmp_path / "mm.npz", points=np.full((2, 3), 1000), counts=[1, 1], fps=30, unit="mm")
+    metres = mc.read(tmp_path / "mm.npz")
+    assert isinstance(metres, mc.PointClouds)
+    assert metres.positions[1].tolist() == [[1.0, 1.0, 1.0]]

@@ -25,33 +25,39 @@ from . import DAMAGED, files
 def command(source: str, output: str, format_: str | None, salvage: bool) -> int | None:
     """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
 
-    Of point clouds, OUT.bvh gives the motion of the body that they were coded through.
+    Of point clouds, OUT.bvh gives the motion of the body that they were coded through, OUT.glb that with its surface.
 
     With --salvage a file that is damaged or cut short gives what can be had of it, and the exit code is still 4.
     """
     if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
         raise click.UsageError(f"{source} is no .mocz; `mocodec cut {source} -o {output}` writes it in another format")
     lost: list[str] = []
+    beside: dict[str, Any] = {}
     with files.working(f"decoding {source}"):
         if salvage:
             recording, lost = what_is_left(container.Reader(files.source_of(source), salvage=True))
         else:
-            recording = played(source, Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower())
+            suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
+            recording, beside = played(source, suffix)
     with files.working(f"writing {output}"):
-        files.write(output, recording, format_)
+        files.write(output, recording, format_, **beside)
     for line in lost:
         click.echo(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
 
 
-def played(source: str, suffix: str) -> Motion | PointClouds:
-    """The recording; of point clouds coded through a body, the body's motion where a motion's format is asked for."""
+def played(source: str, suffix: str) -> tuple[Motion | PointClouds, dict[str, Any]]:
+    """The recording, and options for its writer; of point clouds coded through a body, the body's motion where a
+    motion's format is asked for, and its surface where that can show one.
+    """
     with api.open(files.source_of(source)) as opened:
-        if len(opened.shape) == 1 and suffix in formats.FORMATS and suffix != ".ply":
-            if not hasattr(opened.codec, "track"):
-                raise BadInput(f"{source} holds point clouds without a body; name a folder for .ply files")
-            return opened.codec.track(opened.encoded)
-        return opened[:]
+        if len(opened.shape) == 3 or suffix not in formats.FORMATS or suffix in formats.CLOUDS:
+            return opened[:], {}
+        if not hasattr(opened.codec, "track"):
+            raise BadInput(f"{source} holds point clouds without a body; name a folder for .ply files")
+        shows = suffix == ".glb" and hasattr(opened.codec, "surface")
+        beside = {"surface": opened.codec.surface(opened.encoded)} if shows else {}
+        return opened.codec.track(opened.encoded), beside
 
 
 def what_is_left(reader: container.Reader) -> tuple[Motion, list[str]]:

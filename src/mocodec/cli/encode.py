@@ -28,7 +28,12 @@ from . import files, quantities, verify
 @click.option(
     "--skeleton", type=click.Path(), metavar="FILE", help="For point clouds: a .bvh or .amc in the first frame's pose."
 )
-@click.option("--residual", type=click.FloatRange(0, 100), help="For point clouds: how much of the residual, percent.")
+@click.option(
+    "--residual",
+    type=quantities.RESIDUAL,
+    metavar="PERCENT|exact",
+    help="For point clouds: how much of the residual, percent; bodycast has exact, every point as it is.",
+)
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters; they are kept otherwise.")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 @files.reader_options

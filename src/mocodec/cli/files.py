@@ -104,13 +104,16 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
             raise
 
 
-def write(name: str, motion: Motion | PointClouds, format_: str | None = None, quiet: bool = False) -> None:
-    """Write by suffix, or for "-" in the format named. The file appears whole or not at all.
+def write(
+    name: str, motion: Motion | PointClouds, format_: str | None = None, quiet: bool = False, **options: Any
+) -> None:
+    """Write by suffix, or for "-" in the format named. The file appears whole or not at all. The options are those of
+    the format.
 
     What the format has no place for is said in a line on standard error, unless `quiet`.
     """
     if name != "-":
-        api.write(Path(name), motion)
+        api.write(Path(name), motion, **options)
         note_dropped(Path(name).suffix, motion, quiet)
         return
     if format_ is None:
@@ -118,7 +121,7 @@ def write(name: str, motion: Motion | PointClouds, format_: str | None = None, q
     refuse_terminal()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"stdout.{format_.lower().lstrip('.')}"
-        api.write(path, motion)
+        api.write(path, motion, **options)
         sys.stdout.buffer.write(path.read_bytes())
         note_dropped(path.suffix, motion, quiet)
 

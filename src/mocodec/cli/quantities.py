@@ -74,7 +74,21 @@ class Size(click.ParamType):
         return int(number * BYTES[unit])
 
 
-LENGTH, TIME, SIZE = Length(), Time(), Size()
+class Residual(click.ParamType):
+    """A percentage from 0 to 100, or "exact"."""
+
+    name = "residual"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        if isinstance(value, float) or value == "exact":
+            return value
+        number, unit = split_unit(value) or (-1.0, "")
+        if unit not in ("", "%") or not 0 <= number <= 100:
+            self.fail(f"{value!r} is neither a percentage from 0 to 100 nor exact", param, ctx)
+        return number
+
+
+LENGTH, TIME, SIZE, RESIDUAL = Length(), Time(), Size(), Residual()
 
 
 def setting(codec_class: Any, text: str) -> tuple[str, Any]:

@@ -164,25 +164,40 @@ def inflate(data: bytes, most: int) -> bytes:
 
 def track(encoded: Encoded[PointClouds], body: Body, poses: Sequence[Pose]) -> Motion:
     """The tracked body as a motion with skeleton and rotations: what can be written as BVH."""
-    ends = [link for link in range(len(body)) if link not in body.parents]
-    above = [*body.parents, *ends]  # a joint at the tip of each last link, so that the link's turn shows
-    order = articulation.depth_first(above)
-    parents = tuple(order.index(above[joint]) if above[joint] >= 0 else -1 for joint in order)
-    rest = np.concatenate([body.origins, body.tips[ends]])[order]
+    ends, order, parents = _tree(body)
+    place, rest = joints_of_track(body)
     offsets = np.array([rest[i] - rest[p] if p >= 0 else np.zeros(3) for i, p in enumerate(parents)])
     names = (*body.names, *(f"{body.names[link]}_end" for link in ends))
     names = tuple(names[joint] for joint in order)
     positions = np.empty((len(poses), len(order), 3))
-    rotations = np.empty((len(poses), len(order), 4))
-    for frame, pose in enumerate(poses):
-        a, b = articulation.transforms(body, pose)
-        tips = np.einsum("lij,lj->li", a[ends], body.tips[ends]) + b[ends]
-        positions[frame] = np.concatenate([articulation.joints_of(body, a, b), tips])[order]
-        still = np.tile([1.0, 0, 0, 0], (len(ends), 1))
-        rotations[frame] = np.concatenate([articulation.quaternions(pose.rotations), still])[order]
+    rotations = np.tile([1.0, 0, 0, 0], (len(poses), len(order), 1))
+    if poses:
+        turns = np.stack([pose.rotations for pose in poses])
+        a, b = articulation.transforms(body, Pose(turns, np.stack([pose.root for pose in poses])))
+        tips = np.einsum("tlij,lj->tli", a[:, ends], body.tips[ends]) + b[:, ends]
+        origins = np.einsum("tlij,lj->tli", a, body.origins) + b
+        positions[:] = np.concatenate([origins, tips], axis=1)[:, order]
+        rotations[:, place] = articulation.quaternions(turns)
     about = encoded.about
     skeleton = Skeleton(names, parents, offsets)
     return Motion(positions, about.rate, names, up=about.up, skeleton=skeleton, rotations=rotations)
+
+
+def joints_of_track(body: Body) -> tuple[NDArray[Any], Floats]:
+    """(links,): which joint of `track` each link's origin is; (joints, 3): where those stand in the canonical pose."""
+    ends, order, _ = _tree(body)
+    place = np.array([order.index(link) for link in range(len(body))])
+    return place, np.concatenate([body.origins, body.tips[ends]])[order]
+
+
+def _tree(body: Body) -> tuple[list[int], list[int], tuple[int, ...]]:
+    """Links that are last, with a joint at the tip of each, so that the link's turn shows; all joints in the order that
+    BVH files need; and their parents.
+    """
+    ends = [link for link in range(len(body)) if link not in body.parents]
+    above = [*body.parents, *ends]
+    order = articulation.depth_first(above)
+    return ends, order, tuple(order.index(above[joint]) if above[joint] >= 0 else -1 for joint in order)
 
 
 def skeleton_motion(skeleton: Any) -> Motion:

@@ -21,8 +21,11 @@ FORMATS = {
     ".bvh": "mocodec.formats.bvh",
     ".amc": "mocodec.formats.asf_amc",
     ".npz": "mocodec.formats.npz",
+    ".glb": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
+CLOUDS = (".ply", ".npz")
+"""Formats that hold point clouds; .npz holds motions too."""
 
 LONGEST_MESSAGE = 400  # letters; one line, whatever names a damaged file has
 

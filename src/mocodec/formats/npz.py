@@ -3,6 +3,7 @@
     positions                  ours, and the plainest: (frames, points, 3) in metres, with rate | fps, names, up
     joints, jtr, Jtr, keypoints3d, joint_positions    the same under the names that learning people use
     markers, labels, frame_rate                       AMASS's and MoSh's marker files
+    points, counts             point clouds: the points of all frames, (all, 3), and how many each frame has; colours
     poses, trans, betas        AMASS's body model parameters: need SMPL's licensed body, so they are refused by name
 
 Arrays are read without pickle, each checked against the archive's own size before it is read.
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..motion import Motion, Skeleton
+from ..pointcloud import PointClouds
 from . import replace_whole
 from .conventions import UNITS_M, guess_up
 
@@ -35,8 +37,10 @@ MAX_BYTES = 1 << 32  # of one array unpacked: 4 GiB
 MAX_RATIO = 1100  # the most that deflate packs into a byte is about 1,032
 
 
-def read(path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None) -> Motion:
-    """Positions of an NPZ as a motion.
+def read(
+    path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None
+) -> Motion | PointClouds:
+    """Positions of an NPZ as a motion, or its points and counts as point clouds.
 
     rate: frames a second where the file does not say. unit: of the positions, metres unless told (millimetres for a
     `markers` file that extends over more than 100). up: the vertical axis; the file's `up`, or guessed. A sample that
@@ -45,6 +49,8 @@ def read(path: str | Path, rate: float | None = None, unit: str | None = None, u
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = _Arrays(archive, path)
+            if {"points", "counts"} <= arrays.names.keys():
+                return _clouds(arrays, rate, unit, up)
             return _motion(arrays, rate, unit, up)
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
             OverflowError, SyntaxError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
@@ -139,6 +145,39 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     return Motion(positions, rate, names, up, skeleton, rotations, source)
 
 
+def _clouds(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> PointClouds:
+    """Point clouds of points (all, 3), counts (frames,) and, where there are any, colours (all, 3) and normals."""
+    points, counts = arrays.load("points"), arrays.load("counts").reshape(-1)
+    if counts.dtype.kind not in "iu" or (counts < 0).any() or int(counts.sum()) != len(points):
+        raise BadInput(f"{arrays.path}: 'counts' must say how many of {len(points)} points each frame has")
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        raise BadInput(f"{arrays.path}: 'points' must be numbers (all, 3), not {points.dtype} {points.shape}")
+    ends = np.cumsum(counts)[:-1]
+
+    def split(name: str, dtype: Any) -> list[NDArray[Any]] | None:
+        if name not in arrays.names:
+            return None
+        values = arrays.load(name)
+        if values.shape != points.shape or (dtype == np.uint8 and values.dtype != np.uint8):
+            raise BadInput(f"{arrays.path}: {name!r} must be {np.dtype(dtype)} {points.shape}, as the points are")
+        return np.split(values.astype(dtype), ends)
+
+    if rate is None:
+        rate_key = arrays.first(RATES)
+        if rate_key is None:
+            raise BadInput(f"{arrays.path}: does not say its rate; say it with rate= (known keys: {', '.join(RATES)})")
+        rate = float(arrays.single(rate_key))
+    if unit is None:
+        unit = str(arrays.single("unit")) if "unit" in arrays.names else "m"
+    if unit.lower() not in UNITS_M:
+        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
+    unit_m = UNITS_M[unit.lower()]
+    positions = np.split(points.astype(np.float64) * unit_m, ends)
+    up = up or (str(arrays.single("up")) if "up" in arrays.names else "y")
+    source = {"format": "npz", "units": unit, "unit_m": unit_m}
+    return PointClouds(positions, rate, split("colours", np.uint8), split("normals", np.float64), up, source)
+
+
 def _unit(arrays: _Arrays, key: str, positions: NDArray[np.float64], unit: str | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
         unit = str(arrays.single("unit"))
@@ -150,11 +189,15 @@ def _unit(arrays: _Arrays, key: str, positions: NDArray[np.float64], unit: str |
     return unit, UNITS_M[unit.lower()]
 
 
-def write(path: str | Path, motion: Motion) -> None:
-    """Write positions (float64, metres, gaps NaN), rate, names, up and, where there are any, skeleton and rotations.
+def write(path: str | Path, motion: Motion | PointClouds) -> None:
+    """Write positions (float64, metres, gaps NaN), rate, names, up and, where there are any, skeleton and rotations; of
+    point clouds, points, counts and colours.
 
     `source` goes along as JSON; extras (analog channels, events, parameters) have no place in an NPZ.
     """
+    if isinstance(motion, PointClouds):
+        _save(path, _arrays_of(motion))
+        return
     arrays: dict[str, NDArray[Any]] = {
         "positions": motion.positions,
         "rate": np.array(motion.rate),
@@ -166,6 +209,24 @@ def write(path: str | Path, motion: Motion) -> None:
         arrays |= {"parents": np.array(motion.skeleton.parents), "offsets": motion.skeleton.offsets}
         if motion.rotations is not None:
             arrays["rotations"] = motion.rotations
+    _save(path, arrays)
+
+
+def _arrays_of(clouds: PointClouds) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {
+        "points": np.concatenate([np.zeros((0, 3)), *clouds.positions]),
+        "counts": np.array([len(p) for p in clouds.positions], np.int64),
+        "rate": np.array(clouds.rate),
+        "up": np.array(clouds.up),
+    }
+    if clouds.colours is not None:
+        arrays["colours"] = np.concatenate([np.zeros((0, 3), np.uint8), *clouds.colours])
+    if clouds.normals is not None:
+        arrays["normals"] = np.concatenate([np.zeros((0, 3)), *clouds.normals])
+    return arrays
+
+
+def _save(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
     out = io.BytesIO()
     np.savez_compressed(out, allow_pickle=False, **arrays)
     replace_whole(path, out.getvalue())

@@ -78,16 +78,20 @@ class Pose:
 
 
 def transforms(body: Body, pose: Pose) -> tuple[Floats, Floats]:
-    """A (links, 3, 3) and b (links, 3): a canonical point x of link l stands at A_l x + b_l."""
-    a, b = np.empty((len(body), 3, 3)), np.empty((len(body), 3))
+    """A (…, links, 3, 3) and b (…, links, 3): a canonical point x of link l stands at A_l x + b_l. Leading axes are
+    free: a pose may hold those of many frames.
+    """
+    rotations, root = pose.rotations, pose.root
+    a, b = np.empty_like(rotations), np.empty(rotations.shape[:-1])
     for link, parent in enumerate(body.parents):
-        origin, turn = body.origins[link], pose.rotations[link]
+        origin, turn = body.origins[link], rotations[..., link, :, :]
         if parent < 0:
-            a[link] = turn
-            b[link] = origin - turn @ origin + pose.root
+            a[..., link, :, :] = turn
+            b[..., link, :] = origin - turn @ origin + root
         else:
-            a[link] = a[parent] @ turn
-            b[link] = a[parent] @ (origin - turn @ origin) + b[parent]
+            above = a[..., parent, :, :]
+            a[..., link, :, :] = above @ turn
+            b[..., link, :] = np.einsum("...ij,...j->...i", above, origin - turn @ origin) + b[..., parent, :]
     return a, b
 
 

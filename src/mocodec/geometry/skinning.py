@@ -80,3 +80,44 @@ def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Sk
             better = share < weight[mine]
             partner[mine[better]], weight[mine[better]] = other, share[better]
     return Skin(points, np.stack([links, partner], axis=1), weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A skin as one sparse matrix (n, 4 links) of weighted points, so that posing it is a product with the links'
+    transforms: for many points that are posed often.
+    """
+
+    skin: Skin
+    matrix: Any
+
+    @staticmethod
+    def of(skin: Skin, links: int) -> Rig:
+        from scipy.sparse import csr_array
+
+        count = len(skin.points)
+        columns = (4 * skin.links[:, :, None] + np.arange(4)).reshape(-1)
+        matrix = csr_array((Rig._values(skin), columns, np.arange(0, 8 * count + 1, 8)), shape=(count, 4 * links))
+        return Rig(skin, matrix)
+
+    @staticmethod
+    def _values(skin: Skin) -> Floats:
+        weights = np.stack([skin.weights, 1 - skin.weights], axis=1)
+        ones = np.ones((len(skin.points), 1))
+        return (weights[:, :, None] * np.concatenate([skin.points, ones], axis=1)[:, None]).reshape(-1)
+
+    def carrying(self, points: Floats) -> Rig:
+        """The same weights on other points (n, 3)."""
+        matrix = self.matrix.copy()
+        skin = Skin(points, self.skin.links, self.skin.weights)
+        matrix.data = Rig._values(skin)
+        return Rig(skin, matrix)
+
+    def posed(self, a: Floats, b: Floats) -> Floats:
+        """(…, n, 3): where transforms a (…, links, 3, 3), b (…, links, 3) put the points."""
+        lead = a.shape[:-3]
+        both = np.concatenate([np.swapaxes(a, -1, -2), b[..., None, :]], axis=-2)  # (…, links, 4, 3)
+        flat = both.reshape(-1, 4 * a.shape[-3], 3)
+        wide = flat.transpose(1, 0, 2).reshape(4 * a.shape[-3], -1)
+        points = np.asarray(self.matrix @ wide)
+        return points.reshape(len(points), -1, 3).transpose(1, 0, 2).reshape(*lead, len(points), 3)

@@ -1,72 +1,70 @@
-"""Bodycast: point clouds of a person as a moving, skinned body with its surface in a video.
+"""Bodycast: point clouds of people as moving, skinned bodies with their surfaces in a video.
 
-    first frame ─► body of links ─► tracker: all joints at once ─► poses ─► entropy coder
-                                        │
-          points of all frames, brought back into the first pose ─► atlas: one picture of the whole surface, stored once
-                                        │                              └─ what changes from frame to frame ─► H.265
-          points that no part of the body explains ─► cells of a centimetre, sorted, entropy coded
+    first frame ─► bodies of links ─► trackers: all joints at once ─► poses ─► spectra ─► entropy coder
+                                          │
+            points of all frames, brought back into the first pose ─► atlas: one picture of the surface, stored once
+                                          │                              └─ what changes from frame to frame ─► H.265
+            points that no body explains ─► cells of a centimetre, as an octree; or all points, exactly
 
 The modern form of Lien and Bajcsy (2006): `docs/papers/lien2006.md` says what is theirs and what is not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...encoded import Chunk, Encoded
-from ...entropy import coder, varint
 from ...errors import BadInput, CannotEncode, Corrupt
-from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning
-from ...geometry.articulation import Body, Floats, Pose
+from ...formats.gltf import Surface
 from ...motion import Motion
 from ...pointcloud import PointClouds
 from .. import base, body_stream
-from ..body_stream import Steps
-from . import video
-from .atlas import Atlas, Sums, picture, surface
-from .strangers import pack_strangers, strangers, unpack_strangers
+from . import chunks, exact, model, poses, video
+from .atlas import Atlas, Sums, picture
+from .follow import DETAIL, FEWEST, Cloud, Follower, Sighting, begin, enter, shared_out
+from .model import Model
+from .poses import Scale, Track
+from .stage import Actor, Stage
+from .strangers import pack_strangers, unexplained
+from .weave import valid_cells
 
-Integers = NDArray[np.int64]
-Labels = NDArray[Any]
-Cloud = tuple[Floats, NDArray[np.uint8] | None]
-STEPS = Steps(reach=0.010, place=0.004)
-FEWEST = 50  # points that a frame must have to be a body
-TEMPLATE = 3000  # points of the first frame that the tracker keeps
 HIDDEN = 1.35  # cells for each that is surface: the others lie inside joints
-DETAIL = 5000  # points of a frame that the moving surface is made from
+SURVEYED = 48  # frames that the surface which is stored once is made from
 KEEP = 0.4  # of what a cell held counts on when new points fall into it
+FIRST_WEIGHT = 3.0  # points that the first picture counts for in each cell
+EXACT = "exact"
 
-
-class Model(NamedTuple):
-    """What the decoder knows before the first chunk."""
-
-    atlas: Atlas
-    valid: NDArray[np.bool_]
-    key: bytes
-    coloured: bool
+__all__ = ["Bodycast", "Role", "begin", "models"]
 
 
 @dataclass(frozen=True)
 class Bodycast:
     """Settings.
 
-    residual: how well the moving surface follows the data, in percent; 0 sends the surface once and then poses alone.
-    skeleton: a Motion, or a file of one, whose first frame is the pose of the first frame; fitted where none is given.
-    cells: of the surface, and about the number of points of a decoded frame; those of the first frame unless given.
-    surface_quality: of the surface that is sent once, x265's rate factor (lower is better). strangers: code what the
-    body does not explain. tracked_points: of a frame, at most, that are looked at.
+    residual: how well and how often the moving surface follows the data, in percent; 0 sends the surface once and then
+    poses alone; "exact" sends every point as it is. precision: of exact points, metres; 0 keeps all bits of 32-bit
+    floats. skeleton: a Motion, or a file of one, whose first frame is the pose of the first frame, or a list of them
+    for several people; fitted where none is given. people: so many are followed, at most; what others there are is
+    coded as points. pose_step: metres that the surface moves for one step of a joint. points: of a decoded frame; as
+    many as a frame has unless given. cells: of the picture of the surface. surface_quality: of that picture, as x265's
+    rate factor (lower is better). strangers: code what no body explains. tracked_points: of a frame, at most, that are
+    looked at.
     """
 
     name: ClassVar[str] = "bodycast"
-    residual: float = 0
+    residual: float | str = 0
     skeleton: Any = None
-    cells: int | None = None
-    surface_quality: int = 26
+    people: int = 4
+    precision: float = 0.0
+    pose_step: float = 0.003
+    points: int | None = None
+    cells: int = 10_000
+    surface_quality: int = 30
     strangers: bool = True
     tracked_points: int = 1000
     chunk_frames: int = 150
@@ -75,304 +73,203 @@ class Bodycast:
         """Raises CannotEncode where no frame shows a body, BadInput for settings or a skeleton that cannot be used."""
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
-        if not 0 <= self.residual <= 100 or (self.cells is not None and not 100 <= self.cells <= 1_000_000):
-            raise BadInput("residual is a percentage from 0 to 100, cells a number from 100 to a million")
+        self._require_settings()
         frames = [body_stream.clean(clouds, frame) for frame in range(len(clouds))]
         first = next((i for i, (points, _) in enumerate(frames) if len(points) >= 4 * FEWEST), None)
         if first is None:
             raise CannotEncode(f"no frame has {4 * FEWEST} points or more: there is no body to code")
-        body, tracker = begin(*frames[first], self.skeleton, clouds.up, self.tracked_points)
-        poses, sightings = self._follow(tracker, frames, first)
-        atlas, sums = self._survey(body, sightings, len(frames[first][0]))
-        planes = picture(atlas, sums)
-        key = video.encode([planes], self.surface_quality, self._moving_quality())[0]
-        model = Model(atlas, valid_cells(atlas, sums), key, clouds.colours is not None)
-        chunks = list[Chunk]()
-        for start in range(0, len(frames), self.chunk_frames):
-            rows = slice(start, start + self.chunk_frames)
-            chunks.append(Chunk(start, len(poses[rows]), self._chunk(model, planes, frames, poses, sightings, rows)))
+        skeletons = (
+            [] if self.skeleton is None else self.skeleton if isinstance(self.skeleton, list) else [self.skeleton]
+        )
+        followers = enter(frames[first], skeletons, clouds.up, self.tracked_points, self.people)
+        cast = self._follow(followers, frames, first)
+        coloured = clouds.colours is not None
+        usual = int(np.mean([len(points) for points, _ in frames[first:] if len(points) >= FEWEST]))
+        for role in cast:
+            role.prepare(self, usual, coloured, len(cast))
+        here = range(0, len(frames), self.chunk_frames)
+        spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in here]
+        written = [Chunk(s.start, s.stop - s.start, self._chunk(cast, frames, s, coloured)) for s in spans]
         settings = base.settings(self)
         if self.skeleton is not None:
-            settings["skeleton"] = "given" if isinstance(self.skeleton, Motion) else str(self.skeleton)
-        like = PointClouds(
-            [], clouds.rate, None if clouds.colours is None else [], None, clouds.up, clouds.source, clouds.extras
-        )
-        return Encoded(self.name, like, chunks, (pack_model(model),), settings=settings)
+            settings["skeleton"] = [s if isinstance(s, str) else "given" for s in skeletons]
+        colours = [] if coloured else None
+        like = PointClouds([], clouds.rate, colours, None, clouds.up, clouds.source, clouds.extras)
+        return Encoded(self.name, like, written, tuple(model.pack(role.model) for role in cast), settings=settings)
 
-    def _follow(
-        self, tracker: body_tracking.Tracker, frames: list[Cloud], first: int
-    ) -> tuple[Integers, list[Sighting | None]]:
-        """Poses in steps, (frames, 1 + 3 + 3 links) with a flag for frames without a body; and what was seen in
-        each.
-        """
-        previous = np.zeros(3 + 3 * len(tracker.body), np.int64)
-        poses, sightings = list[Integers](), list[Sighting | None]()
+    def _require_settings(self) -> None:
+        percent = self.residual if isinstance(self.residual, int | float) else 0.0
+        if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= percent <= 100:
+            raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
+        if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= model.MOST_POINTS):
+            raise BadInput("cells is a number from 100 to a million, points one from 1 to a million")
+        if not 1e-4 <= self.pose_step <= 1 or not 0 <= self.precision <= 1 or self.chunk_frames < 1 or self.people < 1:
+            raise BadInput(
+                "pose_step is 0.1 mm to a metre, precision at most a metre; people, chunk_frames at least one"
+            )
+
+    @property
+    def percent(self) -> float:
+        """Of the moving surface; exact points need none."""
+        return 0.0 if isinstance(self.residual, str) else self.residual
+
+    @property
+    def moving_quality(self) -> int:
+        """x265's rate factor of the changes of the surface."""
+        return self.surface_quality + round(14 * (1 - self.percent / 100))
+
+    @property
+    def every(self) -> int:
+        """Frames from one picture of the moving surface to the next."""
+        return max(1, round(100 / self.percent)) if self.percent else 1
+
+    def _follow(self, followers: list[Follower], frames: list[Cloud], first: int) -> list[Role]:
+        """Every body through all frames."""
+        cast = [Role(follower) for follower in followers]
         for i, (points, colours) in enumerate(frames):
-            is_body = len(points) >= FEWEST and i >= first
-            if is_body:
-                found = tracker.fit(points, colours, i) if i > first else tracker.see(points, colours, i)
-                if self.residual:
-                    found = tracker.see(points, colours, i, DETAIL)
-                previous = body_stream.quantise(tracker.body, found.pose, STEPS, previous)
-                sightings.append(sight(tracker, found, body_stream.dequantise(tracker.body, previous, STEPS)))
-            else:
-                sightings.append(None)
-            poses.append(np.concatenate([[not is_body], previous]))
-        return np.array(poses), sightings
+            whose = shared_out(points, followers) if i >= first else np.full(len(points), -1)
+            for number, role in enumerate(cast):
+                rows = slice(None) if len(cast) == 1 else np.flatnonzero(whose == number)
+                own = points[rows], None if colours is None else colours[rows]
+                role.watch(i, own if i >= first else (points[:0], colours), started=i > first)
+        return cast
 
-    def _survey(self, body: Body, sightings: list[Sighting | None], points: int) -> tuple[Atlas, Sums]:
-        """The atlas, and in it the means of all that was seen: fusion over time in the canonical pose."""
-        seen = [s for s in sightings if s is not None]
-        places, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
-        some = np.random.default_rng(0).permutation(len(places))[:60_000]
-        atlas = Atlas.plan(body, places[some], links[some], round(HIDDEN * (self.cells or points)))
-        sums = Sums.empty(atlas)
-        sums.gather(atlas, places, links, np.concatenate([s.colours for s in seen]))
-        return atlas, sums
-
-    def _chunk(
-        self,
-        model: Model,
-        planes: NDArray[np.uint8],
-        frames: list[Cloud],
-        poses: Integers,
-        sightings: list[Sighting | None],
-        rows: slice,
-    ) -> bytes:
+    def _chunk(self, cast: list[Role], frames: list[Cloud], span: slice, coloured: bool) -> bytes:
         """Poses, stray frames, strangers and the pictures of a run of frames."""
-        here = list(range(*rows.indices(len(frames))))
-        strays = body_stream.pack_raw([frames[i] for i in here if sightings[i] is None])
+        here = range(span.start, span.stop)
+        absent = np.array([[not role.there[i] for role in cast] for i in here], bool)
+        plays = list[chunks.Play]()
+        for role in cast:
+            stream = poses.pack(role.follower.body, Track.of(role.poses[span]), role.model.scale)
+            role.stored = poses.unpack(role.follower.body, stream, len(here), role.model.scale)
+            moving = self._pictures(role, span) if self.percent and any(role.there[i] for i in here) else []
+            plays.append(chunks.Play(stream, tuple(moving)))
+        if self.residual == EXACT:
+            points = exact.pack([frames[i] for i in here], self.precision, coloured)
+            return chunks.pack(chunks.Parts(absent, b"", b"", points, tuple(plays)))
+        nobody = absent.all(axis=1)
         others = list[Cloud]()
-        for i in here:
-            sighting = sightings[i]
-            if sighting is not None:
-                others.append(strangers(frames[i], sighting.unexplained, sighting.body) if self.strangers else _none())
-        packets = self._pictures(model, planes, [s for i in here if (s := sightings[i]) is not None])
-        stream = coder.pack(poses[rows])
-        foreign = pack_strangers(others, model.coloured)
-        head = varint.write([len(stream), len(strays), len(foreign), *(len(p) for p in packets)])
-        return head + stream + strays + foreign + b"".join(packets)
+        for k, i in enumerate(here):
+            bodies = [r.follower.surface(r.stored[k]) for r in cast if r.there[i]]
+            share = max((r.unexplained[i] for r in cast if r.there[i]), default=0.0)
+            wanted = self.strangers and bodies and (share >= 0.01 or len(cast) > 1)
+            points, colours = frames[i]
+            nothing = points[:0], None if colours is None else colours[:0]
+            others.append(unexplained(frames[i], np.concatenate(bodies)) if wanted else nothing)
+        strays = body_stream.pack_raw([frames[i] for k, i in enumerate(here) if nobody[k]])
+        return chunks.pack(chunks.Parts(absent, strays, pack_strangers(others, coloured), b"", tuple(plays)))
 
-    def _pictures(self, model: Model, planes: NDArray[np.uint8], seen: list[Sighting]) -> list[bytes]:
+    def _pictures(self, role: Role, span: slice) -> list[bytes]:
         """The changing surface as packets that follow the key packet."""
-        if not self.residual or not seen:
-            return []
+        atlas, planes = role.model.atlas, role.planes
 
         def changing() -> Iterator[NDArray[np.uint8]]:
             yield planes
-            sums = Sums.empty(model.atlas)
-            self._begin_from(model.atlas, planes, sums)
-            for sighting in seen:
-                sums.gather(model.atlas, sighting.points, sighting.links, sighting.colours, KEEP)
-                yield picture(model.atlas, sums)
+            sums = Sums.showing(atlas, planes, FIRST_WEIGHT)
+            for first in range(span.start, span.stop, self.every):
+                for i in range(first, min(span.stop, first + self.every)):
+                    if role.there[i]:
+                        seen = role.sight(i, role.stored[i - span.start])
+                        sums.gather(atlas, seen.points, seen.links, seen.colours, KEEP)
+                yield picture(atlas, sums)
 
-        packets = video.encode(changing(), self.surface_quality, self._moving_quality())
-        own_key = packets[0] if packets[0] != model.key else b""
-        return [own_key, *packets[1:]]
-
-    def _moving_quality(self) -> int:
-        """x265's rate factor of the changes of the surface."""
-        return self.surface_quality + round(14 * (1 - self.residual / 100))
-
-    def _begin_from(self, atlas: Atlas, planes: NDArray[np.uint8], sums: Sums, weight: float = 3.0) -> None:
-        """Fill the running sums with what the first picture shows."""
-        _, _, count = sums.means(atlas)
-        points, links, colours = surface(atlas, planes, np.ones(count.shape, bool))
-        sums.gather(atlas, points, links, colours.astype(float))
-        sums.values *= weight
+        packets = video.encode(changing(), self.surface_quality, self.moving_quality)
+        return [packets[0] if packets[0] != role.model.key else b"", *packets[1:]]
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
         """The point clouds, or a slice of their frames. Raises Corrupt."""
-        model = unpack_model(encoded.shared)
-        stage = Stage(model)
-        positions, colours = list[Floats](), list[NDArray[np.uint8]]()
+        stage = Stage(models(encoded))
+        positions, colours = list[NDArray[np.float64]](), list[NDArray[np.uint8]]()
         start, stop = encoded.range(frames)
         for chunk in encoded.covering(start, stop):
-            for i, (points, colour) in enumerate(stage.play(chunk, start - chunk.start, stop - chunk.start)):
-                if start <= chunk.start + i < stop:
-                    positions.append(points)
-                    colours.append(np.zeros((len(points), 3), np.uint8) if colour is None else colour)
-        like = encoded.about
-        return PointClouds(
-            positions, like.rate, colours if model.coloured else None, None, like.up, like.source, like.extras
-        )
+            here = max(0, start - chunk.start), min(chunk.frames, stop - chunk.start)
+            for points, colour in stage.play(chunk, *here):
+                positions.append(points)
+                colours.append(np.zeros((len(points), 3), np.uint8) if colour is None else colour)
+        like, coloured = encoded.about, stage.coloured
+        return PointClouds(positions, like.rate, colours if coloured else None, None, like.up, like.source, like.extras)
 
     @staticmethod
-    def track(encoded: Encoded[PointClouds], frames: slice | None = None) -> Motion:
-        """The tracked body: markerless motion capture, to be written as BVH. Raises Corrupt."""
-        body = unpack_model(encoded.shared).atlas.body
+    def track(encoded: Encoded[PointClouds], frames: slice | None = None, body: int = 0) -> Motion:
+        """A tracked body, the first unless told: markerless motion capture, to be written as BVH. Raises Corrupt."""
+        known = models(encoded)
+        if not 0 <= body < len(known):
+            raise BadInput(f"there are {len(known)} bodies, counted from 0, and no number {body}")
+        chosen = known[body]
         start, stop = encoded.range(frames)
-        poses = list[Pose]()
+        found = list[Any]()
         for chunk in encoded.covering(start, stop):
-            rows = split_chunk(chunk, len(body)).poses
-            poses += [
-                body_stream.dequantise(body, r[1:], STEPS)
-                for i, r in enumerate(rows)
-                if start <= chunk.start + i < stop
-            ]
-        return body_stream.track(encoded, body, poses)
+            play = chunks.unpack(chunk, len(known)).plays[body]
+            track = poses.unpack(chosen.atlas.body, play.poses, chunk.frames, chosen.scale)
+            found += [track[i] for i in range(chunk.frames) if start <= chunk.start + i < stop]
+        return body_stream.track(encoded, chosen.atlas.body, found)
+
+    @staticmethod
+    def surface(encoded: Encoded[PointClouds], body: int = 0) -> Surface:
+        """The surface of a body for the joints of `track`: what a GLB shows. Raises Corrupt."""
+        chosen = models(encoded)[body]
+        actor = Actor(chosen)
+        joints, rest = body_stream.joints_of_track(actor.body)
+        weights = np.stack([actor.skin.weights, 1 - actor.skin.weights], axis=1)
+        colours = actor.colours if chosen.coloured else None
+        return Surface(actor.skin.points, colours, joints[actor.skin.links], weights, rest)
 
 
-class Sighting(NamedTuple):
-    """What was seen of the body in a frame: canonical points (n, 3), links, colours; and whether there was more."""
-
-    points: Floats
-    links: Labels
-    colours: Floats
-    unexplained: float
-    body: Floats
-
-
-def begin(
-    points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
-) -> tuple[Body, body_tracking.Tracker]:
-    """The body of the first frame, as its bytes will give it back, and a tracker that follows it."""
-    if skeleton is None:
-        body = body_fit.first_pose(points, up).body()
-    else:
-        motion = body_stream.skeleton_motion(skeleton)
-        assert motion.skeleton is not None
-        body = articulation.from_skeleton(motion.skeleton.names, motion.skeleton.parents, motion.positions[0])
-        body_fit.require_near(body, points)
-    some = np.random.default_rng(0).permutation(len(points))[:8000]
-    some = some[articulated_icp.is_near(body, points[some])][:6000]
-    if len(some) < 2 * FEWEST:
-        raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
-    shades = None if colours is None else colours[some]
-    body, model = articulated_icp.make_model(body, points[some], shades, by_surface=True)
-    body = body_stream.rounded(body)
-    few = slice(0, TEMPLATE)
-    skin = skinning.skin(body, model.points[few], model.links[few])
-    shades = None if model.colours is None else model.colours[few]
-    settings = body_tracking.Settings(points=looked_at)
-    return body, body_tracking.Tracker(body, skin, model.normals[few], shades, settings)
-
-
-def sight(tracker: body_tracking.Tracker, found: body_tracking.Fit, pose: Pose, near: float = 0.04) -> Sighting:
-    """The points of a frame brought back into the canonical pose, from the pose as it is stored."""
-    a, b = articulation.transforms(tracker.body, pose)
-    data, rows = found.data, found.rows
-    away = np.linalg.norm(data.points - tracker.skin.posed(a, b, rows), axis=1)
-    good = away < near
-    canonical = tracker.skin.unposed(a, b, rows[good], data.points[good])
-    # where a joint folds the blend of two turns, almost nothing comes back near to where it came from
-    held = np.linalg.norm(canonical - tracker.skin.points[rows[good]], axis=1) < 1.5 * near
-    good[good] = held
-    canonical = canonical[held]
-    colours = np.full((int(good.sum()), 3), 128.0) if data.colours is None else data.colours[good].astype(float)
-    lost = float(np.mean(away > 2 * near)) if len(good) else 0.0
-    body = tracker.skin.posed(a, b)
-    return Sighting(canonical, tracker.skin.links[rows[good], 0], colours, lost, body)
-
-
-def _none() -> Cloud:
-    return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-
-
-def valid_cells(atlas: Atlas, sums: Sums) -> NDArray[np.bool_]:
-    """Cells that hold a fifth or more of the usual number of points: those hidden in joints do not."""
-    count = sums.values[0].reshape(atlas.height, atlas.width)
-    some = count[count > 0]
-    return count >= max(1.0, 0.2 * float(np.median(some)) if some.size else 1.0)
-
-
-# --- bytes ----------------------------------------------------------------------------------------------------------
-
-
-def pack_model(model: Model) -> bytes:
-    """Body, atlas, the cells that are surface, and the key packet."""
-    cells = coder.pack(model.valid.astype(np.int64))
-    sizes = varint.write([model.coloured, len(cells), len(model.key)])
-    return body_stream.pack_body(model.atlas.body) + model.atlas.pack() + sizes + cells + model.key
-
-
-def unpack_model(shared: Sequence[bytes]) -> Model:
-    """Raises Corrupt."""
-    if len(shared) != 1:
+def models(encoded: Encoded[PointClouds]) -> list[Model]:
+    """Every body of a recording. Raises Corrupt."""
+    known = [model.unpack(data) for data in encoded.shared]
+    if not known:
         raise Corrupt("bodycast: the model is missing")
-    body, at = body_stream.unpack_body(shared[0])
-    atlas, at = Atlas.unpack(body, shared[0], at)
-    (coloured, cells, key), at = varint.read(shared[0], 3, at)
-    if coloured > 1 or at + cells + key != len(shared[0]):
-        raise Corrupt("bodycast: the model is damaged")
-    valid = coder.unpack(shared[0][at : at + cells], (atlas.height, atlas.width)) != 0
-    return Model(atlas, valid & (atlas.reach() > 0), shared[0][at + cells :], bool(coloured))
+    return known
 
 
-class Parts(NamedTuple):
-    poses: Integers
-    strays: bytes
-    foreign: bytes
-    packets: list[bytes]
+class Role:
+    """A body while it is encoded: its poses in all frames, and the model that is made of it."""
 
+    def __init__(self, follower: Follower) -> None:
+        self.follower = follower
+        self.clouds, self.poses = list[Cloud](), list[Any]()
+        self.there, self.unexplained = list[bool](), list[float]()
+        self.model: Model
+        self.planes: NDArray[np.uint8]
+        self.stored: Track
 
-def split_chunk(chunk: Chunk, links: int) -> Parts:
-    """A chunk's streams. Raises Corrupt."""
-    data = chunk.payload
-    (stream, strays, foreign), at = varint.read(data, 3)
-    # the sizes of packets follow the three streams' sizes until the sizes add up to what is left
-    sizes, room = list[int](), 0
-    while at + stream + strays + foreign + room < len(data):
-        (size,), at = varint.read(data, 1, at)
-        sizes.append(size)
-        room += size
-        if len(sizes) > chunk.frames + 1:
-            break
-    if at + stream + strays + foreign + room != len(data) or len(sizes) > chunk.frames + 1:
-        raise Corrupt("bodycast: a chunk is damaged")
-    poses = coder.unpack(data[at : at + stream], (chunk.frames, 4 + 3 * links))
-    at += stream
-    ends = at + strays + foreign + np.cumsum([0, *sizes])
-    packets = [data[i:j] for i, j in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
-    return Parts(poses, data[at : at + strays], data[at + strays : at + strays + foreign], packets)
+    def watch(self, frame: int, cloud: Cloud, started: bool) -> None:
+        """One frame of the points that are this body's, or of none before it has come."""
+        points, colours = cloud
+        there = len(points) >= FEWEST
+        if there:
+            found = (
+                self.follower.fit(points, colours, frame) if started else self.follower.begin(points, colours, frame)
+            )
+            self.unexplained.append(float(np.mean(found.residuals > 0.08)) if len(found.residuals) else 0.0)
+        else:
+            self.unexplained.append(0.0)
+        self.clouds.append(cloud)
+        self.poses.append(self.follower.tracker.pose)
+        self.there.append(there)
 
+    def sight(self, frame: int, pose: Any) -> Sighting:
+        return self.follower.sight(*self.clouds[frame], frame, pose, DETAIL)
 
-class Stage:
-    """Plays chunks: poses the surface that a model's key packet shows, frame by frame."""
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self.body = model.atlas.body
-        self.planes = next(video.decode([model.key], model.atlas.picture_shape))
-        self.points, self.links, self.colours = surface(model.atlas, self.planes, model.valid)
-        self.skin = skinning.skin(self.body, self.points, self.links)
-
-    def play(self, chunk: Chunk, start: int, stop: int) -> Iterator[Cloud]:
-        """The frames of a chunk; those outside [start, stop) may come without points."""
-        parts = split_chunk(chunk, len(self.body))
-        strays = parts.poses[:, 0] != 0
-        bodies = int((~strays).sum())
-        raw = iter(body_stream.unpack_raw(parts.strays, int(strays.sum()), self.model.coloured))
-        others = iter(unpack_strangers(parts.foreign, bodies, self.model.coloured))
-        if parts.packets and len(parts.packets) != bodies + 1:
-            raise Corrupt("bodycast: pictures are missing")
-        key = parts.packets[0] or self.model.key if parts.packets else b""
-        pictures = video.decode([key, *parts.packets[1:]], self.model.atlas.picture_shape) if parts.packets else None
-        if pictures is not None:
-            next(pictures)
-        for i, (row, stray) in enumerate(zip(parts.poses, strays, strict=True)):
-            if stray:
-                yield next(raw)
-                continue
-            planes = None if pictures is None else next(pictures)
-            more = next(others)
-            if not start <= i < stop:
-                yield _none()
-                continue
-            cloud = self.posed(body_stream.dequantise(self.body, row[1:], STEPS), planes)
-            yield _joined(cloud, more) if len(more[0]) else cloud
-
-    def posed(self, pose: Pose, planes: NDArray[np.uint8] | None = None) -> Cloud:
-        """The surface in a pose, as the picture shows it, or as it was first."""
-        skin, colours = self.skin, self.colours
-        if planes is not None:
-            points, _, colours = surface(self.model.atlas, planes, self.model.valid)
-            skin = skinning.Skin(points, skin.links, skin.weights)
-        a, b = articulation.transforms(self.body, pose)
-        return skin.posed(a, b), colours if self.model.coloured else None
-
-
-def _joined(cloud: Cloud, more: Cloud) -> Cloud:
-    colours = None if cloud[1] is None or more[1] is None else np.concatenate([cloud[1], more[1]])
-    return np.concatenate([cloud[0], more[0]]), colours
+    def prepare(self, codec: Bodycast, usual: int, coloured: bool, roles: int) -> None:
+        """Make the model: the means of all that was seen, fused over time in the canonical pose."""
+        body = self.follower.body
+        scale = Scale.of(body, self.follower.tracker.skin, codec.pose_step)
+        there = np.flatnonzero(self.there)
+        some = there[np.unique(np.linspace(0, len(there) - 1, min(SURVEYED, len(there))).round().astype(int))]
+        seen = [self.sight(i, self.poses[i]) for i in some.tolist()]
+        places, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
+        few = np.random.default_rng(0).permutation(len(places))[:60_000]
+        atlas = Atlas.plan(body, places[few], links[few], round(HIDDEN * min(codec.cells, len(places))))
+        if not atlas.tiles:
+            raise CannotEncode("nothing was seen of the body's surface: does the skeleton fit the person?")
+        sums = Sums.empty(atlas)
+        sums.gather(atlas, places, links, np.concatenate([s.colours for s in seen]))
+        self.planes = picture(atlas, sums)
+        key = video.encode([self.planes], codec.surface_quality, codec.moving_quality)[0]
+        own = usual if roles == 1 else int(np.mean([len(self.clouds[i][0]) for i in there]))
+        shown = codec.points or max(own, 1)
+        valid = valid_cells(atlas, self.planes, sums)
+        self.model = Model(atlas, scale, valid, key, coloured, min(shown, model.MOST_POINTS), codec.every)

@@ -1,7 +1,6 @@
 """A body's surface as one picture: a map on every link's cylinder, side by side; luma above, distance below.
 
-    points, matched to links ──gather──► means in cells ──picture──► planes ──video──► planes ──surface──► points of
-    the model
+    points, matched to links ──gather──► means in cells ──picture──► planes ──video──► planes ──weave──► points
 
 What each cell holds is in the canonical pose, so points of many frames fall into the same cells and are averaged there.
 """
@@ -37,6 +36,11 @@ class Tile(NamedTuple):
     reach: int
     top: int = 0
     left: int = 0
+
+    @property
+    def here(self) -> tuple[slice, slice]:
+        """Its place on the sheet."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
     def cylinder(self, body: Body) -> Frame:
         return cylinder_map.frame(body.origins[self.link], body.tips[self.link], self.low / 1000, self.high / 1000)
@@ -86,7 +90,7 @@ class Atlas:
             placed.append(tile._replace(top=top, left=left))
             left, shelf = left + tile.width, max(shelf, tile.height)
         height = top + shelf
-        return Atlas(body, tuple(sorted(placed)), max(16, height + -height % 8), max(16, width))
+        return Atlas(body, tuple(sorted(placed)), max(32, height + -height % 8), max(64, width))  # as x265 needs it
 
     def pack(self) -> bytes:
         rows = np.array([tile[:6] for tile in self.tiles], np.int64).reshape(-1, 6)
@@ -144,6 +148,14 @@ class Sums:
     def empty(atlas: Atlas) -> Sums:
         return Sums(np.zeros((5, atlas.height * atlas.width)))
 
+    @staticmethod
+    def showing(atlas: Atlas, planes: NDArray[np.uint8], weight: float) -> Sums:
+        """As if so many points in every cell had made this picture."""
+        distance = planes[0, atlas.height :] * (atlas.reach() / 255)
+        colour = from_luma(planes[:, : atlas.height].transpose(1, 2, 0).astype(np.float64))
+        layers = np.concatenate([np.ones((*distance.shape, 1)), distance[..., None], colour], axis=2)
+        return Sums(np.asarray(weight * layers.reshape(-1, 5).T, np.float64))
+
     def gather(self, atlas: Atlas, points: Floats, links: Labels, colours: Floats, keep: float = 1.0) -> None:
         """Add points; what was there before counts `keep` of what it did, in the cells that these fall into."""
         cell, distance = atlas.cells(points, links)
@@ -168,31 +180,12 @@ def picture(atlas: Atlas, sums: Sums) -> NDArray[np.uint8]:
     distance, colour, _ = sums.means(atlas)
     planes = np.full((3, 2 * atlas.height, atlas.width), 128, np.uint8)
     for t in atlas.tiles:
-        here = slice(t.top, t.top + t.height), slice(t.left, t.left + t.width)
-        full = cylinder_map.filled(Map(distance[here], colour[here]))
+        full = cylinder_map.filled(Map(distance[t.here], colour[t.here]))
         luma = to_luma(full.colour)
-        planes[:, here[0], here[1]] = np.clip(np.round(luma), 0, 255).transpose(2, 0, 1)
+        planes[:, *t.here] = np.clip(np.round(luma), 0, 255).transpose(2, 0, 1)
         below = slice(atlas.height + t.top, atlas.height + t.top + t.height)
-        planes[0, below, here[1]] = np.clip(np.round(full.distance * (255_000 / t.reach)), 0, 255)
+        planes[0, below, t.here[1]] = np.clip(np.round(full.distance * (255_000 / t.reach)), 0, 255)
     return planes
-
-
-def surface(
-    atlas: Atlas, planes: NDArray[np.uint8], valid: NDArray[np.bool_]
-) -> tuple[Floats, Labels, NDArray[np.uint8]]:
-    """Canonical points (n, 3), their links (n,) and colours (n, 3) of the valid cells, in the order of the tiles."""
-    points, links, colours = list[Floats](), list[Labels](), list[NDArray[np.uint8]]()
-    for t in atlas.tiles:
-        here = slice(t.top, t.top + t.height), slice(t.left, t.left + t.width)
-        row, column = np.nonzero(valid[here])
-        below = slice(atlas.height + t.top, atlas.height + t.top + t.height)
-        distance = planes[0, below, here[1]][row, column].astype(np.float64) * (t.reach / 255_000)
-        points.append(cylinder_map.place(t.cylinder(atlas.body), row, column, distance, (t.height, t.width)))
-        links.append(np.full(len(row), t.link))
-        colours.append(from_luma(planes[:, here[0], here[1]][:, row, column].T.astype(float)))
-    if not points:
-        raise Corrupt("bodycast: the atlas is empty")
-    return np.concatenate(points), np.concatenate(links), np.concatenate(colours)
 
 
 def to_luma(rgb: Floats) -> Floats:

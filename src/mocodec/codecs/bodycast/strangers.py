@@ -1,7 +1,6 @@
-"""Points that no part of the body explains: skirts, props, a second person. As cells of a centimetre, in order of an
-octree.
+"""Points that no body explains: skirts, props, people beyond those who are followed. As cells of a centimetre.
 
-    frame − body ─► crowded cells ─► Morton order ─► differences of the codes ─► entropy coder
+frame − bodies ─► crowded cells ─► octree ─► adaptive bits; colours against the cell before ─► entropy coder
 """
 
 from __future__ import annotations
@@ -15,50 +14,73 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry.articulation import Floats
 from .. import body_stream
+from . import bits, octree
 
 Integers = NDArray[np.int64]
 Cloud = tuple[Floats, NDArray[np.uint8] | None]
 CELL = 0.01  # metres
 AWAY = 0.07  # metres from the body that a point must be
-CROWD = 4  # points within 4 cm that a point must be among, so that flying pixels are not coded
-BITS = 13  # of a coordinate: 80 m
+WIDE = 0.04  # metres: a cube of a crowd
+CROWD = 0.5  # of the points that a cube at the body usually holds, which one of a crowd holds at least
+COMPANY = 0.004  # of a frame's points that a crowd is at least, in cubes that touch: flying pixels are in smaller ones
+DEPTH = 13  # levels: 80 m
 COLOUR_STEP = 12
 
 
-def strangers(frame: Cloud, share: float, body: Floats) -> Cloud:
-    """The points of a frame that are away from the body's (m, 3), where there is a crowd of them.
-
-    share: of the points that the tracker could not explain; below a hundredth nothing is looked for.
-    """
+def unexplained(frame: Cloud, bodies: Floats) -> Cloud:
+    """The points of a frame that are away from the bodies' (m, 3), where there is a crowd of them."""
     from scipy.spatial import KDTree
 
     points, colours = frame
-    if share >= 0.01:
-        away, _ = KDTree(body).query(points, distance_upper_bound=AWAY)
-        far = np.flatnonzero(~np.isfinite(away))
-        if len(far):
-            cell = np.floor(points[far] / 0.04).astype(np.int64)
-            _, which, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-            far = far[count[which.reshape(-1)] >= CROWD]
-        return points[far], None if colours is None else colours[far]
-    return np.zeros((0, 3)), None if colours is None else np.zeros((0, 3), np.uint8)
+    away, _ = KDTree(bodies).query(points, distance_upper_bound=AWAY)
+    is_far = ~np.isfinite(away)
+    far = np.flatnonzero(is_far)
+    if len(far):
+        cube, which, count = np.unique(
+            np.floor(points / WIDE).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+        )
+        which = which.reshape(-1)
+        near = count[which[~is_far]]
+        usual = float(np.median(near)) if len(near) else 1.0
+        outside = np.bincount(which[far], minlength=len(cube))
+        far = far[outside[which[far]] >= max(CROWD * usual, 1.0)]
+        far = far[_in_company(cube, which[far], max(COMPANY * len(points), 8.0))]
+    return points[far], None if colours is None else colours[far]
+
+
+def _in_company(cube: Integers, which: Integers, least: float) -> NDArray[np.bool_]:
+    """(n,): which points, of these cubes, are among so many in cubes that touch one another."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    kinds, own = np.unique(which, return_inverse=True)
+    if not len(kinds):
+        return np.zeros(0, bool)
+    pairs = KDTree(cube[kinds]).query_pairs(1.8, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), bool), tuple(pairs.T)), shape=(len(kinds),) * 2)
+    _, group = connected_components(links, directed=False)
+    label = np.asarray(group)[own.reshape(-1)]
+    return np.bincount(label)[label] >= least
 
 
 def pack_strangers(frames: Sequence[Cloud], coloured: bool) -> bytes:
     """Frames of such points; nothing where no frame has any."""
-    parts, counts = list[Integers](), list[int]()
+    writer, state, counts, shades = bits.Writer(), octree.State.new(), list[int](), list[Integers]()
     for points, colours in frames:
-        grid = np.clip(np.round(points / CELL) + (1 << BITS - 1), 0, (1 << BITS) - 1).astype(np.int64)
-        code, first = np.unique(_interleave(grid), return_index=True)
-        lanes = [np.diff(code, prepend=0)[:, None]]
-        if coloured:
-            assert colours is not None
-            lanes.append(np.diff(colours[first].astype(np.int64) // COLOUR_STEP, axis=0, prepend=0))
-        parts.append(np.concatenate(lanes, axis=1))
+        grid = np.clip(np.round(points / CELL) + (1 << DEPTH - 1), 0, (1 << DEPTH) - 1).astype(np.int64)
+        code, first = np.unique(octree.codes(grid), return_index=True)
+        if len(code):
+            octree.write(writer, state, code, DEPTH, DEPTH)
+        if coloured and colours is not None and len(code):
+            shades.append(np.diff(colours[first].astype(np.int64) // COLOUR_STEP, axis=0, prepend=0))
         counts.append(len(code))
     if not sum(counts):
         return b""
-    return varint.write(counts) + coder.pack(np.concatenate(parts))
+    cells = writer.finish()
+    numbers = coder.pack(np.array(counts)[:, None])
+    colour = coder.pack(np.concatenate(shades)) if shades else b""
+    return varint.write([len(numbers), len(cells)]) + numbers + cells + colour
 
 
 def unpack_strangers(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
@@ -66,33 +88,21 @@ def unpack_strangers(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
     empty = np.zeros((0, 3)), np.zeros((0, 3), np.uint8) if coloured else None
     if not data:
         return [empty] * frames
-    counts, at = varint.read(data, frames)
-    if sum(counts) > body_stream.MAX_RAW:
+    (numbers, cells), at = varint.read(data, 2)
+    counts = coder.unpack(data[at : at + numbers], (frames, 1))[:, 0]
+    at += numbers
+    if at + cells > len(data) or (counts < 0).any() or counts.max() > body_stream.MAX_RAW:
+        raise Corrupt("bodycast: points beside the body are damaged")
+    if counts.sum() > min(body_stream.MAX_RAW, 8 * 16384 * len(data)):
         raise Corrupt("bodycast: too many points beside the body")
-    values = coder.unpack(data[at:], (sum(counts), 4 if coloured else 1))
-    result, at = list[Cloud](), 0
-    for count in counts:
-        run = np.cumsum(values[at : at + count], axis=0)
-        points = (_separate(run[:, 0]).astype(np.float64) - (1 << BITS - 1)) * CELL
-        colours = np.clip(run[:, 1:] * COLOUR_STEP + COLOUR_STEP // 2, 0, 255).astype(np.uint8) if coloured else None
-        result.append((points, colours))
-        at += count
+    reader, state = bits.Reader(data[at : at + cells]), octree.State.new()
+    codes = [octree.read(reader, state, int(n), DEPTH) if n else np.zeros(0, np.int64) for n in counts]
+    reader.finish()
+    ends = np.cumsum([0, *counts.tolist()])
+    values = coder.unpack(data[at + cells :], (int(ends[-1]), 3)) if coloured else np.zeros((0, 3), np.int64)
+    result = list[Cloud]()
+    for code, i, j in zip(codes, ends[:-1], ends[1:], strict=True):
+        points = (octree.cells_of(code).astype(np.float64) - (1 << DEPTH - 1)) * CELL
+        shade = np.cumsum(values[i:j], axis=0) * COLOUR_STEP + COLOUR_STEP // 2
+        result.append((points, np.clip(shade, 0, 255).astype(np.uint8) if coloured else None))
     return result
-
-
-def _interleave(grid: Integers) -> Integers:
-    """Morton codes (n,) of (n, 3)."""
-    code = np.zeros(len(grid), np.int64)
-    for bit in range(BITS):
-        for axis in range(3):
-            code |= ((grid[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return code
-
-
-def _separate(code: Integers) -> Integers:
-    """(n, 3) of Morton codes (n,)."""
-    grid = np.zeros((len(code), 3), np.int64)
-    for bit in range(BITS):
-        for axis in range(3):
-            grid[:, axis] |= ((code >> (3 * bit + axis)) & 1) << bit
-    return grid

@@ -1,0 +1,163 @@
+"""From points to bodies in motion: who stands in the first frame, where each goes, and what was seen of its surface.
+
+first frame ─► people ─► a body and a tracker each ─► poses, frame by frame
+                                 points, poses ─► sight ─► points in the canonical pose
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import BadInput, CannotEncode
+from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning
+from ...geometry.articulation import Body, Floats, Pose
+from .. import body_stream
+
+Labels = NDArray[Any]
+Cloud = tuple[Floats, NDArray[np.uint8] | None]
+FEWEST = 50  # points that a frame must have to be a body
+TEMPLATE = 3000  # points of the first frame that the tracker keeps
+DETAIL = 5000  # points of a frame that the surface is made from
+NEAR = 0.04  # metres from the template that a point of the surface may be
+APART = 0.12  # metres between two people, at least, in the first frame
+PERSON = 0.25  # of the points of the largest of them, and of its height twice that, that a person has
+ARM = 0.4  # metres from a body beyond which a point is nobody's
+
+
+class Sighting(NamedTuple):
+    """What was seen of the body in a frame: canonical points (n, 3), links, colours."""
+
+    points: Floats
+    links: Labels
+    colours: Floats
+
+
+def begin(
+    points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
+) -> tuple[Body, body_tracking.Tracker]:
+    """The body that stands in points (n, 3), as its bytes will give it back, and a tracker that follows it.
+
+    Raises CannotEncode where nobody stands there, BadInput for a skeleton that does not fit.
+    """
+    if skeleton is None:
+        body = body_fit.first_pose(points, up).body()
+    else:
+        motion = body_stream.skeleton_motion(skeleton)
+        assert motion.skeleton is not None
+        body = articulation.from_skeleton(motion.skeleton.names, motion.skeleton.parents, motion.positions[0])
+        body_fit.require_near(body, points)
+    some = np.random.default_rng(0).permutation(len(points))[:8000]
+    some = some[articulated_icp.is_near(body, points[some])][:6000]
+    if len(some) < 2 * FEWEST:
+        raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
+    shades = None if colours is None else colours[some]
+    body, model = articulated_icp.make_model(body, points[some], shades, by_surface=True)
+    body = body_stream.rounded(body)
+    few = slice(0, TEMPLATE)
+    skin = skinning.skin(body, model.points[few], model.links[few])
+    shades = None if model.colours is None else model.colours[few]
+    settings = body_tracking.Settings(points=looked_at)
+    return body, body_tracking.Tracker(body, skin, model.normals[few], shades, settings)
+
+
+class Follower:
+    """A body and the tracker that follows it."""
+
+    def __init__(
+        self, points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
+    ) -> None:
+        """As `begin`."""
+        self.body, self.tracker = begin(points, colours, skeleton, up, looked_at)
+
+    def begin(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
+        """How the pose of the first frame fits it."""
+        return self.tracker.see(points, colours, frame)
+
+    def fit(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
+        return self.tracker.fit(points, colours, frame)
+
+    def surface(self, pose: Pose) -> Floats:
+        """(n, 3): the template in a pose."""
+        return self.tracker.skin.posed(*articulation.transforms(self.body, pose))
+
+    def sight(
+        self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose, most: int | None = None
+    ) -> Sighting:
+        """The points of a frame brought back into the canonical pose, from the pose as it is stored."""
+        skin = self.tracker.skin
+        found = self.tracker.assess(self.tracker.look_at(points, colours, frame, most), pose)
+        a, b = articulation.transforms(self.body, pose)
+        data, rows = found.data, found.rows
+        good = found.residuals < NEAR
+        canonical = skin.unposed(a, b, rows[good], data.points[good])
+        # where a joint folds the blend of two turns, almost nothing comes back near to where it came from
+        held = np.linalg.norm(canonical - skin.points[rows[good]], axis=1) < 1.5 * NEAR
+        good[good] = held
+        shades = np.full((int(good.sum()), 3), 128.0) if data.colours is None else data.colours[good].astype(float)
+        return Sighting(canonical[held], skin.links[rows[good], 0], shades)
+
+
+def people(points: Floats, up: str, most: int) -> list[Labels]:
+    """Rows of the points of each person in a frame, the one with most points first; all are one's if there is one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    if most < 2:
+        return [np.arange(len(points))]
+    cell, which = np.unique(np.floor(points / (APART / 2)).astype(np.int64), axis=0, return_inverse=True)
+    pairs = KDTree(cell).query_pairs(APART / (APART / 2) + 0.5, output_type="ndarray")
+    ones = np.ones(len(pairs), bool)
+    _, label = connected_components(coo_array((ones, tuple(pairs.T)), shape=(len(cell),) * 2), directed=False)
+    group = np.asarray(label)[which.reshape(-1)]
+    size = np.bincount(group)
+    largest = int(size.argmax())
+    vertical = points[:, "xyz".index(up)]
+    height = np.ptp(vertical[group == largest])
+    chosen = [
+        g
+        for g in np.argsort(-size, kind="stable").tolist()
+        if size[g] >= max(PERSON * size[largest], 4 * FEWEST) and np.ptp(vertical[group == g]) >= 2 * PERSON * height
+    ]
+    if len(chosen) < 2:
+        return [np.arange(len(points))]
+    return [np.flatnonzero(group == g) for g in chosen[:most]]
+
+
+def enter(first: Cloud, skeletons: list[Any], up: str, looked_at: int, most: int) -> list[Follower]:
+    """Followers of the people in a frame: of those whose skeletons are given, and of all others that stand.
+
+    Raises CannotEncode where nobody stands there, BadInput for a skeleton that fits nobody.
+    """
+    points, colours = first
+    groups = people(points, up, max(most, len(skeletons)))
+    result = list[Follower]()
+    for skeleton in skeletons:
+        if len(groups) > 1:
+            middle = body_stream.skeleton_motion(skeleton).positions[0].mean(axis=0)
+            away = [float(np.linalg.norm(points[rows].mean(axis=0) - middle)) for rows in groups]
+            rows = groups.pop(int(np.argmin(away)))
+        else:
+            rows = groups.pop() if groups else np.arange(len(points))
+        result.append(Follower(points[rows], None if colours is None else colours[rows], skeleton, up, looked_at))
+    for rows in groups:
+        try:
+            result.append(Follower(points[rows], None if colours is None else colours[rows], None, up, looked_at))
+        except (CannotEncode, BadInput):
+            if not result and rows is groups[-1]:
+                raise
+    return result
+
+
+def shared_out(points: Floats, followers: list[Follower]) -> Labels:
+    """(n,): whose each point is, by where each body is to be expected; −1 for nobody's. One body has all."""
+    from scipy.spatial import KDTree
+
+    if len(followers) == 1:
+        return np.zeros(len(points), np.int64)
+    away = [KDTree(f.surface(f.tracker.predict())[::3]).query(points, distance_upper_bound=ARM)[0] for f in followers]
+    nearest = np.argmin(away, axis=0)
+    return np.where(np.isfinite(np.min(away, axis=0)), nearest, -1)
