@@ -387,11 +387,13 @@ def _carried(parents: Sequence[int], vectors: Floats) -> NDArray[np.bool_]:
     for j in range(len(parents) - 1, -1, -1):
         if parents[j] >= 0:
             reach[parents[j]] = max(reach[parents[j]], reach[j] + lengths[j])
-    out = np.zeros(len(parents), bool)
+    out, before = np.zeros(len(parents), bool), np.zeros(len(parents))
     for j, p in enumerate(parents):
-        if p >= 0 and parents[p] >= 0:
-            out[j] = out[p] or reach[j] + lengths[j] < CARRIED * lengths[p]
-    return out
+        if p < 0:
+            continue
+        before[j] = lengths[p] if lengths[p] > SHORTEST_M else before[p]
+        out[j] = before[j] > 0 and (out[p] or reach[j] + lengths[j] < CARRIED * before[j])
+    return out & (lengths > SHORTEST_M)
 
 
 def _usual(runs: Sequence[Floats]) -> Floats:

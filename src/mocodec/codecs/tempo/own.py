@@ -13,7 +13,7 @@ serves the low frequencies only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,17 +78,22 @@ class Stored:
         return cls(varint.unsigned(noise), pose, gains, precision, data[at + gains_size :])
 
 
-def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int) -> bytes:
-    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step."""
+def fit(
+    positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int, body_: PointSet | None = None
+) -> bytes:
+    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step.
+
+    body_: the points as limbs, where they are some; the basis is then one of their coordinates.
+    """
     frames = sum(map(len, positions))
     noise = step - int(contexts.log2(np.array([frames]))[0]) // 2
-    known = of_names(names, prior, rate)
+    known = None if body_ else of_names(names, prior, rate)
     pose = np.zeros((0, 3), np.int64)
-    if known is None:
+    if known is None and body_ is None:
         centred = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in positions])
         mean = body.mean_pose(centred[:: max(1, frames // 2000)])
         pose = np.rint(mean / step_size(noise + POSE_COARSER)).astype(np.int64)
-    start = _start(known, pose, noise, prior, names, rate)
+    start = _start(known, pose, noise, prior, names, rate, body_)
     spectra = [start.analyse(p)[:, POSE:] for p in positions]
     if known is not None:
         for s in spectra:
@@ -107,13 +112,15 @@ def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate:
     return Stored(noise, pose, rounded, precision, packed).pack()
 
 
-def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
+def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float, body_: PointSet | None = None) -> Model:
     """The model of `fit`. Raises Corrupt."""
-    known = of_names(names, prior, rate)
+    known = None if body_ else of_names(names, prior, rate)
     dimensions = len(known.points.bases[0]) if known else 3 * len(names)
-    stored = Stored.unpack(data, 0 if known else len(names), dimensions)
+    if body_ is not None and body_.limbs is not None:
+        dimensions = body_.limbs.dimensions
+    stored = Stored.unpack(data, 0 if known or body_ else len(names), dimensions)
     found = _completed(basis.unpack(stored.basis, dimensions, stored.precision, _alike(stored.pose)))
-    start = _start(known, stored.pose, stored.noise, prior, names, rate)
+    start = _start(known, stored.pose, stored.noise, prior, names, rate, body_)
     own = found.T @ start.points.bases[0]
     count = len(stored.gains) - 1
     gains = np.concatenate([stored.gains[:-1], np.full(dimensions - count, stored.gains[-1])]) * GAIN_UNIT
@@ -131,11 +138,20 @@ def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Mo
         tuple(bases),
         np.concatenate([like.spreads[:POSE], spreads]),
         np.concatenate([like.means[:POSE], means]),
+        *((body_.limbs, body_.reach, body_.columns) if body_ else ()),
     )
     return Model(points, prior, rate)
 
 
-def _start(known: Model | None, pose: Integers, noise: int, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
+def _start(
+    known: Model | None,
+    pose: Integers,
+    noise: int,
+    prior: Prior,
+    names: tuple[str, ...],
+    rate: float,
+    body_: PointSet | None,
+) -> Model:
     """The model whose components the basis is stored in: the prior's in one band, or each coordinate by itself."""
     if known is None:
         mean, components = pose * step_size(noise + POSE_COARSER), np.eye(3 * len(names))
@@ -143,6 +159,10 @@ def _start(known: Model | None, pose: Integers, noise: int, prior: Prior, names:
         mean, components = known.points.pose, known.points.bases[START_BAND]
     spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
     bands = len(prior.sets[0].bases)
+    if body_ is not None and body_.limbs is not None:
+        components = np.eye(body_.limbs.dimensions)
+        spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
+        return Model(replace(body_, bases=(components,) * bands, spreads=spreads, means=spreads[:, 0]), prior, rate)
     return Model(PointSet(names, mean, (components,) * bands, spreads, spreads[:, 0]), prior, rate)
 
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -147,7 +148,7 @@ def installed(*data: bytes) -> Iterator[Prior]:
 def named(id_: bytes) -> Prior:
     """The prior of this hash. Raises UnknownCodec where this package does not have it."""
     packaged = (_packaged(file) for file in (FILE, LIMBS_FILE))
-    for prior in (*(p for some in _others for p in some), *packaged):
+    for prior in chain(*_others, packaged):
         if prior.id == id_:
             return prior
     raise UnknownCodec(

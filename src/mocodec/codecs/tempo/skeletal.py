@@ -4,12 +4,17 @@
 
 The build is how long each bone is, and how those of a hub stand to each other. The skeleton beside the motion says it,
 and it costs nothing then; else it is measured and stored.
+
+    any other joints ─► a tree of bones, the skeleton's or one that is found ─► limbs, stored ─► a basis of their own
+
+Points whose distances never change are one body's joints, whatever they are called. Their limbs are stored in a few
+bytes a bone, and `own` makes a model of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +23,12 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry.body_frame import plain as plain_label
 from ...motion import Floats, Skeleton
-from .limbs import Limbs
+from . import body
+from .limbs import Limbs, fit
 from .model import Model, step_size
 from .prior import PointSet, Prior
+
+Integers = NDArray[np.int64]
 
 SKELETON, MEASURED = 0, 1
 """Where the build comes from. Never change them."""
@@ -74,8 +82,152 @@ def of_names(names: tuple[str, ...], prior: Prior) -> PointSet | None:
     return None
 
 
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What is stored of limbs that no prior knows: in the order of the points, (points,) and (points, 3).
+
+    parents: −1 for the root; empty where they are the skeleton's, and so are the lengths then. vectors: in steps of
+    2^(fine / 32) m. marks: 1 of a hub, 2 carried.
+    """
+
+    fine: int
+    parents: tuple[int, ...]
+    vectors: Integers
+    marks: Integers
+
+    def pack(self) -> bytes:
+        tree = np.array(self.parents, np.int64)[:, None] - np.arange(len(self.parents))[:, None]
+        parts = [coder.pack(tree), coder.pack(self.vectors), coder.pack(self.marks[:, None])]
+        return varint.write([varint.signed(self.fine), bool(self.parents), *map(len, parts)]) + b"".join(parts)
+
+    @classmethod
+    def unpack(cls, data: bytes, points: int) -> tuple[Stored, bytes]:
+        """What is stored, and the bytes after it. Raises Corrupt."""
+        (fine, has_tree, *sizes), at = varint.read(data, 5)
+        if has_tree > 1 or fine > 12000 or at + sum(sizes) > len(data):
+            raise Corrupt("tempo: limbs that are out of range")
+        blobs = []
+        for size in sizes:
+            blobs.append(data[at : at + size])
+            at += size
+        tree = coder.unpack(blobs[0], (points * has_tree, 1))[:, 0] + np.arange(points * has_tree)
+        vectors, marks = coder.unpack(blobs[1], (points, 3)), coder.unpack(blobs[2], (points, 1))[:, 0]
+        if (np.abs(vectors) > 1 << 40).any() or (marks != marks.clip(0, 3)).any():
+            raise Corrupt("tempo: limbs that are out of range")
+        return cls(varint.unsigned(fine), tuple(int(p) for p in tree), vectors, marks), data[at:]
+
+    def points(self, names: tuple[str, ...], skeleton: Skeleton | None) -> PointSet:
+        """The points as limbs, with no bases yet. Raises Corrupt."""
+        if not self.parents and skeleton is None:
+            raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
+        parents = self.parents or (skeleton.parents if skeleton else ())
+        columns = _ordered(parents)
+        if columns is None or len(parents) != len(names):
+            raise Corrupt("tempo: bones that make no tree")
+        place = np.argsort(columns)
+        vectors = self.vectors[columns] * step_size(self.fine)
+        marks = self.marks[columns]
+        limbs = Limbs(
+            tuple(int(place[parents[c]]) if parents[c] >= 0 else -1 for c in columns), vectors, marks % 2 == 1, marks > 1
+        )
+        if any(len(children) < 2 for children in limbs.plan.children.values()):
+            raise Corrupt("tempo: a hub of one bone")
+        if skeleton is not None and not self.parents:
+            limbs = limbs.built(skeleton.offsets[columns])
+        still = np.zeros((1, limbs.dimensions))
+        reach = np.linalg.cholesky(limbs.metric(still) + LEAST_REACH**2 * np.eye(limbs.dimensions))
+        empty = np.zeros((0, 0), np.int64)
+        return PointSet(names, limbs.inverse(still)[0][place], (), empty, empty, limbs, np.asarray(reach), columns)
+
+
+LEAST_REACH = 1e-3
+"""A coordinate that hardly moves a point is taken to move it by this, metres a radian."""
+
+
+def unknown(
+    runs: Sequence[Floats], pose: Floats, names: tuple[str, ...], rate: float, step: int, skeleton: Skeleton | None
+) -> tuple[Stored, PointSet] | None:
+    """Limbs of runs of positions (frames, points, 3) whose points no prior knows; none where there are none.
+
+    pose: what the headings are counted from, (points, 3).
+    """
+    sample = [r[:: max(1, len(r) // SAMPLED)] for r in runs]
+    tolerance = float(STRETCH * step_size(step))
+    headed = [body.turn(c, -body.heading(c, pose)) for c in (s - s.mean(axis=1, keepdims=True) for s in sample)]
+    every = np.concatenate(headed)
+    for parents, fine in _trees(every, skeleton, tolerance, step):
+        columns = _ordered(parents)
+        if columns is None:
+            continue
+        place = np.argsort(columns)
+        ordered = tuple(int(place[parents[c]]) if parents[c] >= 0 else -1 for c in columns)
+        builds = [skeleton.offsets[columns]] * len(headed) if skeleton is not None and fine is None else None
+        found = fit([h[:, columns] for h in headed], ordered, builds)
+        if not found.dimensions:
+            continue
+        grid = step - FINER if fine is None else fine
+        vectors = np.rint(found.vectors / step_size(grid)).astype(np.int64)[place]
+        marks = (found.hub & ~found.still) + 2 * found.carried
+        stored = Stored(grid, () if fine is None else tuple(parents), vectors, marks[place].astype(np.int64))
+        points = stored.points(names, skeleton)
+        assert points.limbs is not None
+        poses = every[:, columns] - every.mean(axis=1, keepdims=True)
+        off = np.sqrt(((points.limbs.inverse(points.limbs.forward(poses)) - poses) ** 2).sum(axis=2))
+        if (off > 2 * tolerance).mean() < 0.01:
+            return stored, points
+    return None
+
+
+def _trees(
+    poses: Floats, skeleton: Skeleton | None, tolerance: float, step: int
+) -> Iterator[tuple[Sequence[int], int | None]]:
+    """Parents of each point, and how finely the bones must be stored, log₂ in 1/32 octave; none for a skeleton's."""
+    if skeleton is not None:
+        yield skeleton.parents, None
+    if 2 <= poses.shape[1] <= MOST_POINTS and (found := _rigid_tree(poses, tolerance)) is not None:
+        yield found, step - FINER
+
+
+MOST_POINTS = 128
+"""Among more points than this no bones are looked for."""
+
+
+def _rigid_tree(poses: Floats, tolerance: float) -> tuple[int, ...] | None:
+    """The shortest links whose lengths stay the same, as the parent of each point; none where they do not reach all."""
+    apart = np.sqrt(((poses[:, :, None] - poses[:, None]) ** 2).sum(axis=3))
+    middle = np.median(apart, axis=0)
+    stiff = (np.abs(apart - middle) > tolerance).mean(axis=0) < 0.01
+    cost = np.where(stiff, middle, np.inf)
+    root = int(middle.sum(axis=0).argmin())
+    parents = np.full(len(cost), -1)
+    nearest, link = cost[root].copy(), np.full(len(cost), root)
+    out = np.ones(len(cost), bool)
+    out[root] = False
+    while out.any():
+        at = int(np.where(out, nearest, np.inf).argmin())
+        if not out[at] or not np.isfinite(nearest[at]):
+            return None
+        parents[at], out[at] = link[at], False
+        closer = cost[at] < nearest
+        nearest[closer], link[closer] = cost[at][closer], at
+    return tuple(int(p) for p in parents)
+
+
+def _ordered(parents: Sequence[int]) -> Integers | None:
+    """Points so that each comes after its parent; none where that is not one tree."""
+    children: dict[int, list[int]] = {}
+    for point, parent in enumerate(parents):
+        children.setdefault(parent, []).append(point)
+    order = list(children.get(-1, []))
+    if len(order) != 1:
+        return None
+    for at in order:
+        order += children.get(at, [])
+    return np.array(order) if len(order) == len(parents) else None
+
+
 def _builds(
-    poses: Floats, like: Limbs, skeleton: Skeleton | None, columns: NDArray[np.int64] | None, fine: int
+    poses: Floats, like: Limbs, skeleton: Skeleton | None, columns: Integers | None, fine: int
 ) -> Iterator[tuple[bytes, Limbs]]:
     """What is stored of a build, and limbs of that build."""
     if skeleton is not None:

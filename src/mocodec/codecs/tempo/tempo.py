@@ -155,9 +155,9 @@ def step_for_bound(bound: float) -> int:
     return round(np.log2(2.2 * bound) * OCTAVE)
 
 
-PLAIN, KNOWN, OWN, LIMBS = 0, 1, 2, 4
-"""Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, and the prior's of limbs;
-`tailored.KIND` is another. Never change them."""
+PLAIN, KNOWN, OWN, LIMBS, OWN_LIMBS = 0, 1, 2, 4, 6
+"""Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, the prior's of limbs, and
+limbs stored in the file; `tailored.KIND` is another. Never change them."""
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
@@ -178,6 +178,8 @@ def choose_model(cut: list[Floats], like: Motion, step: int) -> tuple[bytes, mod
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
+    elif knowing is not None and (model_of_own := own_limbs(cut, like, step, knowing)):
+        candidates.append(model_of_own)
     if not candidates:
         return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
     if len(candidates) == 1:
@@ -185,11 +187,31 @@ def choose_model(cut: list[Floats], like: Motion, step: int) -> tuple[bytes, mod
     sample = cut[:: max(1, len(cut) // 4)]
     scale = frames / sum(map(len, sample))
 
-    def size(candidate: tuple[bytes, model.Model]) -> float:
-        pieces = [Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample]
-        return len(candidate[0]) + scale * sum(p.quantised(step)[2] for p in pieces) / 8
+    def price(candidate: tuple[bytes, model.Model]) -> float:
+        """Bits, and the error in as many bits as it is worth."""
+        error, bits = 0.0, 0.0
+        for s in sample:
+            _, _, cost, decoded = Piece(candidate[1], s, np.zeros(s.shape[:2], bool)).transformed(step)
+            error += float(((decoded - s) ** 2).sum())
+            bits += cost
+        return 8 * len(candidate[0]) + scale * (bits + error / float(model.step_size(step)) ** 2 / coefficients.SLOPE)
 
-    return min(candidates, key=size)
+    return min(candidates, key=price)
+
+
+def own_limbs(
+    cut: list[Floats], like: Motion, step: int, knowing: prior.Prior
+) -> tuple[bytes, model.Model] | None:
+    """The model of limbs that no prior knows, after its shared bytes; none where the points are no limbs'."""
+    centred = np.concatenate([c[:: max(1, len(c) // 256)] for c in cut])
+    pose = body.mean_pose(centred - centred.mean(axis=1, keepdims=True))
+    found = skeletal.unknown(cut, pose, like.names, like.rate, step, like.skeleton)
+    if found is None:
+        return None
+    stored, points = found
+    fitted = own.fit(cut, knowing, like.names, like.rate, step, points)
+    known = own.unpack(fitted, knowing, like.names, like.rate, points)
+    return bytes([OWN_LIMBS]) + knowing.id + stored.pack() + fitted, known
 
 
 def weight_bytes(names: tuple[str, ...], weights: Mapping[str, float]) -> bytes:
@@ -222,11 +244,16 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skel
     if shared[0] & WEIGHTED:
         weighting, at = shared[at : at + len(names)], at + len(names)
     id_, rest = shared[at : at + prior.ID_BYTES], shared[at + prior.ID_BYTES :]
-    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS):
+    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS, OWN_LIMBS):
         raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
     if kind == LIMBS:
         found = skeletal.unpack(rest, names, rate, skeleton, used)
+    elif kind == OWN_LIMBS:
+        if used.sets[0].limbs is None:
+            raise Corrupt("tempo: limbs, of a prior that knows none")
+        stored, rest = skeletal.Stored.unpack(rest, len(names))
+        found = own.unpack(rest, used, names, rate, stored.points(names, skeleton))
     elif kind == OWN:
         found = own.unpack(rest, used, names, rate)
     else:
