@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec import metrics
-from mocodec.codecs.tempo import Tempo, limbs, prior, tempo, training
+from mocodec.codecs.tempo import Tempo, limbs, prior, skeletal, tempo, training
 from mocodec.errors import Corrupt, MocodecError
 from mocodec.motion import Floats, Motion, Skeleton
 
@@ -169,3 +169,52 @@ def test_a_prior_of_limbs_can_be_trained() -> None:
         encoded = Tempo().in_chunks(moving(seed=4))
         assert kind(encoded) == tempo.LIMBS
         assert np.isfinite(Tempo.decode(encoded).positions).all()
+
+
+# ------------------------------------------------------------------------------------- a body whose names nobody knows
+
+
+def stranger(with_skeleton: bool, frames: int = 600, rate: float = 60.0) -> Motion:
+    """A body of other names, in no order of its own where it has no skeleton."""
+    motion = moving(frames, 5)
+    assert motion.skeleton is not None
+    names = tuple(f"Bone {i}" for i in range(motion.points))
+    skeleton = Skeleton(names, motion.skeleton.parents, motion.skeleton.offsets) if with_skeleton else None
+    order = np.arange(motion.points) if with_skeleton else np.random.default_rng(9).permutation(motion.points)
+    return Motion(motion.positions[:, order], rate, names, "y", skeleton)
+
+
+@pytest.mark.parametrize("with_skeleton", [True, False])
+def test_bones_are_found_among_points_that_no_prior_knows(with_skeleton: bool) -> None:
+    motion = stranger(with_skeleton)
+    encoded = Tempo(max_error=0.004).in_chunks(motion)
+    assert kind(encoded) == tempo.OWN_LIMBS
+    assert metrics.distances(motion.positions, Tempo.decode(encoded).positions).max() <= 0.004
+    part = Tempo.decode(encoded, slice(250, 260))
+    assert part.positions == pytest.approx(Tempo.decode(encoded).positions[250:260], abs=1e-9)
+
+
+def test_points_that_are_no_body_are_no_limbs() -> None:
+    rng = np.random.default_rng(2)
+    free = Motion(np.cumsum(rng.normal(0, 0.002, (300, 12, 3)), axis=0), 100.0)
+    assert kind(Tempo().in_chunks(free)) != tempo.OWN_LIMBS
+
+
+def test_two_bodies_and_a_loop_are_no_tree() -> None:
+    assert skeletal._ordered((-1, 0, -1, 2)) is None
+    assert skeletal._ordered((2, 0, 1)) is None
+    assert skeletal._ordered((-1, 0, 5)) is None
+    assert list(np.asarray(skeletal._ordered((1, -1, 0)))) == [1, 0, 2]
+
+
+def test_damaged_limbs_are_refused() -> None:
+    encoded = Tempo(max_error=0.02).in_chunks(stranger(False, 240))
+    assert kind(encoded) == tempo.OWN_LIMBS
+    shared = encoded.shared[0]
+    for at in range(5, len(shared), 7):
+        for damaged in (shared[:at], shared[:at] + bytes([shared[at] ^ 0x55]) + shared[at + 1 :]):
+            try:
+                found = Tempo.decode(replace(encoded, shared=(damaged,)))
+            except MocodecError:
+                continue
+            assert found.positions.shape == (240, 31, 3)

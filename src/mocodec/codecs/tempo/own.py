@@ -79,7 +79,12 @@ class Stored:
 
 
 def fit(
-    positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int, body_: PointSet | None = None
+    positions: Sequence[Floats],
+    prior: Prior,
+    names: tuple[str, ...],
+    rate: float,
+    step: int,
+    body_: PointSet | None = None,
 ) -> bytes:
     """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step.
 
@@ -138,7 +143,9 @@ def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float, body_
         tuple(bases),
         np.concatenate([like.spreads[:POSE], spreads]),
         np.concatenate([like.means[:POSE], means]),
-        *((body_.limbs, body_.reach, body_.columns) if body_ else ()),
+        start.points.limbs,
+        start.points.reach,
+        start.points.columns,
     )
     return Model(points, prior, rate)
 

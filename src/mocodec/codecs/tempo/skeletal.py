@@ -104,7 +104,7 @@ class Stored:
     def unpack(cls, data: bytes, points: int) -> tuple[Stored, bytes]:
         """What is stored, and the bytes after it. Raises Corrupt."""
         (fine, has_tree, *sizes), at = varint.read(data, 5)
-        if has_tree > 1 or fine > 12000 or at + sum(sizes) > len(data):
+        if has_tree > 1 or fine > 4000 or at + sum(sizes) > len(data):
             raise Corrupt("tempo: limbs that are out of range")
         blobs = []
         for size in sizes:
@@ -112,7 +112,8 @@ class Stored:
             at += size
         tree = coder.unpack(blobs[0], (points * has_tree, 1))[:, 0] + np.arange(points * has_tree)
         vectors, marks = coder.unpack(blobs[1], (points, 3)), coder.unpack(blobs[2], (points, 1))[:, 0]
-        if (np.abs(vectors) > 1 << 40).any() or (marks != marks.clip(0, 3)).any():
+        long = np.abs(vectors).max(initial=0) * float(step_size(varint.unsigned(fine)))
+        if not long < LONGEST_M or (marks != marks.clip(0, 3)).any():
             raise Corrupt("tempo: limbs that are out of range")
         return cls(varint.unsigned(fine), tuple(int(p) for p in tree), vectors, marks), data[at:]
 
@@ -120,7 +121,7 @@ class Stored:
         """The points as limbs, with no bases yet. Raises Corrupt."""
         if not self.parents and skeleton is None:
             raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
-        parents = self.parents or (skeleton.parents if skeleton else ())
+        parents: tuple[int, ...] = self.parents or (skeleton.parents if skeleton else ())
         columns = _ordered(parents)
         if columns is None or len(parents) != len(names):
             raise Corrupt("tempo: bones that make no tree")
@@ -128,20 +129,27 @@ class Stored:
         vectors = self.vectors[columns] * step_size(self.fine)
         marks = self.marks[columns]
         limbs = Limbs(
-            tuple(int(place[parents[c]]) if parents[c] >= 0 else -1 for c in columns), vectors, marks % 2 == 1, marks > 1
+            tuple(int(place[parents[c]]) if parents[c] >= 0 else -1 for c in columns),
+            vectors,
+            marks % 2 == 1,
+            marks > 1,
         )
-        if any(len(children) < 2 for children in limbs.plan.children.values()):
-            raise Corrupt("tempo: a hub of one bone")
+        if not limbs.dimensions or any(len(children) < 2 for children in limbs.plan.children.values()):
+            raise Corrupt("tempo: limbs without bones, or a hub of one")
         if skeleton is not None and not self.parents:
             limbs = limbs.built(skeleton.offsets[columns])
+            if not limbs.dimensions or not limbs.lengths.max() < LONGEST_M:
+                raise Corrupt("tempo: a skeleton without bones")
         still = np.zeros((1, limbs.dimensions))
-        reach = np.linalg.cholesky(limbs.metric(still) + LEAST_REACH**2 * np.eye(limbs.dimensions))
+        metric = limbs.metric(still)
+        reach = np.asarray(np.linalg.cholesky(metric + LEAST * metric.max() * np.eye(limbs.dimensions)), np.float64)
         empty = np.zeros((0, 0), np.int64)
-        return PointSet(names, limbs.inverse(still)[0][place], (), empty, empty, limbs, np.asarray(reach), columns)
+        return PointSet(names, limbs.inverse(still)[0][place], (), empty, empty, limbs, reach, columns)
 
 
-LEAST_REACH = 1e-3
-"""A coordinate that hardly moves a point is taken to move it by this, metres a radian."""
+LEAST = 1e-6
+"""A coordinate that hardly moves a point is taken to move it by the root of this, of what the strongest moves it."""
+LONGEST_M = 1e9
 
 
 def unknown(

@@ -199,9 +199,7 @@ def choose_model(cut: list[Floats], like: Motion, step: int) -> tuple[bytes, mod
     return min(candidates, key=price)
 
 
-def own_limbs(
-    cut: list[Floats], like: Motion, step: int, knowing: prior.Prior
-) -> tuple[bytes, model.Model] | None:
+def own_limbs(cut: list[Floats], like: Motion, step: int, knowing: prior.Prior) -> tuple[bytes, model.Model] | None:
     """The model of limbs that no prior knows, after its shared bytes; none where the points are no limbs'."""
     centred = np.concatenate([c[:: max(1, len(c) // 256)] for c in cut])
     pose = body.mean_pose(centred - centred.mean(axis=1, keepdims=True))
