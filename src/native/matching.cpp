@@ -107,6 +107,20 @@ class Cloud {
         return found;
     }
 
+    // As `nearest`, given a row that is likely to be near, or −1.
+    int64_t nearest_from(int64_t guess, const double *place, double &limit) const {
+        if (guess >= 0) {
+            double sum = 0;
+            for (int d = 0; d < width; ++d) sum += squared(place[d] - values[guess * width + d]);
+            if (sum < limit)
+                limit = sum;
+            else
+                guess = -1;
+        }
+        const int64_t found = nearest(place, limit);
+        return found < 0 ? guess : found;
+    }
+
     // As SciPy's KDTree: (n,) distances, ∞ where none is nearer than `within`, and rows, `count` there.
     nb::tuple query(Input<double, 2> places, double within) const {
         if (places.shape(1) != size_t(width)) throw std::invalid_argument("BodyPoints.query: shapes differ");
@@ -266,8 +280,9 @@ class Body {
     // `some`; the pose that it ends with.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
-                    double loose, double pull, double noise, double reach) {
+                    double loose, double pull, double noise, double reach, double calm) {
         require(rotations, root, allowed, some);
+        require(cloud);
         if (held.shape(0) != count || strengths.shape(0) != 2 || strengths.shape(1) != count || widths.shape(1) != 3)
             throw std::invalid_argument("BodyMatcher.solve: shapes differ");
         const Doubles expected(rotations.data(), rotations.data() + 9 * count);
@@ -275,36 +290,36 @@ class Body {
         turns = expected;
         place.assign(expected_root, expected_root + 3);
         transform();
-        std::vector<int64_t> candidates;
-        std::vector<int64_t> matched(cloud.count, -1);
+        std::vector<int64_t> candidates, found(some.shape(0), -1);
         const size_t unknowns = 3 + 3 * count;
         Doubles h, g;
+        size_t taken = 0;
+        bool is_calm = false;
         for (size_t step = 0; step < widths.shape(0); ++step) {
             const double width = widths.data()[3 * step];
+            if (is_calm && width == widths.data()[3 * (step - 1)]) continue;
             const size_t here = std::min(cloud.count, size_t(widths.data()[3 * step + 1]));
             const size_t looked = std::min(some.shape(0), size_t(widths.data()[3 * step + 2]));
-            if (step % REFRESH == 0 || candidates.size() < here * CANDIDATES)
+            if (taken++ % REFRESH == 0 || candidates.size() < here * CANDIDATES)
                 find_candidates(cloud, here, allowed.data(), candidates);
             sums.assign(pairs.size(), Sums{});
             for (size_t i = 0; i < here; ++i) {
                 int64_t link;
                 double distance;
-                matched[i] = match(cloud, i, &candidates[i * CANDIDATES], link, distance);
-                if (matched[i] >= 0) add(matched[i], cloud.point(i), width, pull, noise);
+                const int64_t row = match(cloud, i, &candidates[i * CANDIDATES], link, distance);
+                if (row >= 0) add(row, cloud.point(i), width, pull, noise);
             }
             for (size_t k = 0; k < looked; ++k) {
                 const int64_t row = some.data()[k];
-                double at[6];
-                posed(row, at);
-                if (cloud.coloured && coloured) std::copy_n(&shades[3 * row], 3, at + 3);
-                double limit = squared(reach * width);
-                const int64_t found = nearest_point(cloud, at, limit);
-                if (found >= 0) add(row, cloud.point(found), width, pull, noise);
+                double at[6], limit = squared(reach * width);
+                seen(cloud, row, at);
+                found[k] = cloud.nearest_from(found[k], at, limit);
+                if (found[k] >= 0) add(row, cloud.point(found[k]), width, pull, noise);
             }
             equations(h, g);
             priors(expected, expected_root, held.data(), strengths.data(), loose, h, g);
             if (!solve_symmetric(h, g, unknowns)) throw std::runtime_error("BodyMatcher.solve: no solution");
-            move(g);
+            is_calm = move(g) < calm;
         }
         Fresh<double> out(9 * count), out_root(3);
         std::copy(turns.begin(), turns.end(), out.data.get());
@@ -313,37 +328,45 @@ class Body {
     }
 
     // For each data point the template row and link that explain it, −1 where none may, and how far it is away; for
-    // each template row of `some` the data point nearest in place and colour (−1: none within half a metre), and that
-    // distance.
+    // each template row of `some` how far the data point nearest in place and colour is away in place (`within`, where
+    // none is nearer); and the mean squares of both distances, with colours, none beyond `most`.
     nb::tuple assess(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<int64_t, 1> some,
-                     Input<bool, 1> allowed, double within) {
+                     Input<bool, 1> allowed, double within, double most) {
         require(rotations, root, allowed, some);
-        if (cloud.coloured && !coloured) throw std::invalid_argument("BodyMatcher: colours for a template without");
+        require(cloud);
         turns.assign(rotations.data(), rotations.data() + 9 * count);
         place.assign(root.data(), root.data() + 3);
         transform();
         std::vector<int64_t> candidates;
         find_candidates(cloud, cloud.count, allowed.data(), candidates);
         const size_t n = cloud.count, k = some.shape(0);
-        Fresh<int64_t> row(n), link(n), index(k);
-        Fresh<double> away(n), both(k);
+        Fresh<int64_t> row(n), link(n);
+        Fresh<double> away(n), gap(k);
+        double there = 0, back = 0;
         for (size_t i = 0; i < n; ++i) {
-            double distance;
+            double distance, y[3] = {0, 0, 0};
             row.data[i] = match(cloud, i, &candidates[i * CANDIDATES], link.data[i], distance);
-            double y[3] = {0, 0, 0};
             if (row.data[i] >= 0) posed(row.data[i], y);
             const double *x = cloud.point(i);
-            away.data[i] = std::sqrt(squared(x[0] - y[0]) + squared(x[1] - y[1]) + squared(x[2] - y[2]));
+            double square = squared(x[0] - y[0]) + squared(x[1] - y[1]) + squared(x[2] - y[2]);
+            away.data[i] = std::sqrt(square);
+            if (cloud.coloured && row.data[i] >= 0)
+                for (int d = 0; d < 3; ++d) square += squared(x[3 + d] - shades[3 * row.data[i] + d]);
+            there += std::min(square, most * most);
         }
         for (size_t i = 0; i < k; ++i) {
-            double at[6];
-            posed(some.data()[i], at);
-            if (cloud.coloured && coloured) std::copy_n(&shades[3 * some.data()[i]], 3, at + 3);
-            double limit = squared(within);
-            index.data[i] = nearest_point(cloud, at, limit);
-            both.data[i] = index.data[i] < 0 ? std::numeric_limits<double>::infinity() : std::sqrt(limit);
+            double at[6], limit = squared(within);
+            seen(cloud, some.data()[i], at);
+            const int64_t found = cloud.nearest(at, limit);
+            gap.data[i] = within;
+            if (found >= 0) {
+                const double *x = cloud.point(size_t(found));
+                gap.data[i] = std::sqrt(squared(x[0] - at[0]) + squared(x[1] - at[1]) + squared(x[2] - at[2]));
+            }
+            back += std::min(limit, most * most);
         }
-        return nb::make_tuple(away.give({n}), row.give({n}), link.give({n}), both.give({k}), index.give({k}));
+        const double cost = there / double(std::max<size_t>(n, 1)) + back / double(std::max<size_t>(k, 1));
+        return nb::make_tuple(away.give({n}), row.give({n}), link.give({n}), gap.give({k}), cost);
     }
 
     // (draws,): mean squared distance of template rows from the nearest points of a cloud without colours, and of points
@@ -446,8 +469,15 @@ class Body {
             out[d] = share * (first[d] + b[3 * l0 + d]) + (1 - share) * (second[d] + b[3 * l1 + d]);
     }
 
-    // A template without colours looks for places alone; a cloud that has them then answers by its places too.
-    int64_t nearest_point(const Cloud &cloud, const double *at, double &limit) const { return cloud.nearest(at, limit); }
+    // A template point where it is posed, and its colour where the cloud has them.
+    void seen(const Cloud &cloud, int64_t row, double *at) const {
+        posed(row, at);
+        if (cloud.coloured) std::copy_n(&shades[3 * row], 3, at + 3);
+    }
+
+    void require(const Cloud &cloud) const {
+        if (cloud.coloured && !coloured) throw std::invalid_argument("BodyMatcher: colours for a template without");
+    }
 
     int32_t look_up(int64_t link, const double *local) const {
         int64_t index = 0;
@@ -621,6 +651,7 @@ class Body {
             const double *left = &motion[18 * i];
             for (size_t j = i; j <= count; ++j) {
                 const double *block = &blocks[(carrier[i] * count + carrier[j]) * 36], *right = &motion[18 * j];
+                if (std::all_of(block, block + 36, [](double x) { return x == 0; })) continue;
                 double half[18] = {};
                 for (int r = 0; r < 6; ++r)
                     for (int k = 0; k < 6; ++k)
@@ -664,35 +695,35 @@ class Body {
         }
     }
 
-    // g becomes the solution of h x = g, by Cholesky; false where h is not positive definite.
+    // g becomes the solution of h x = g, by Cholesky on the upper triangle of h, whose rows are worked on as they lie;
+    // false where h is not positive definite.
     static bool solve_symmetric(Doubles &h, Doubles &g, size_t n) {
         for (size_t j = 0; j < n; ++j) {
             double *row = &h[j * n];
-            for (size_t i = 0; i < j; ++i) {
-                const double *other = &h[i * n];
-                double sum = row[i];
-                for (size_t k = 0; k < i; ++k) sum -= row[k] * other[k];
-                row[i] = sum / other[i];
+            if (!(row[j] > 0)) return false;
+            const double scale = 1 / std::sqrt(row[j]);
+            for (size_t k = j; k < n; ++k) row[k] *= scale;
+            g[j] *= scale;
+            for (size_t i = j + 1; i < n; ++i) {
+                const double factor = row[i];
+                if (factor == 0) continue;
+                double *other = &h[i * n];
+                for (size_t k = i; k < n; ++k) other[k] -= factor * row[k];
+                g[i] -= factor * g[j];
             }
-            double sum = row[j];
-            for (size_t k = 0; k < j; ++k) sum -= row[k] * row[k];
-            if (!(sum > 0)) return false;
-            row[j] = std::sqrt(sum);
-        }
-        for (size_t i = 0; i < n; ++i) {
-            double sum = g[i];
-            for (size_t k = 0; k < i; ++k) sum -= h[i * n + k] * g[k];
-            g[i] = sum / h[i * n + i];
         }
         for (size_t i = n; i-- > 0;) {
-            g[i] /= h[i * n + i];
-            for (size_t k = 0; k < i; ++k) g[k] -= h[i * n + k] * g[i];
+            double sum = g[i];
+            for (size_t k = i + 1; k < n; ++k) sum -= h[i * n + k] * g[k];
+            g[i] = sum / h[i * n + i];
         }
         return true;
     }
 
-    // The pose after a step: no joint turns by more than 0.7 radians.
-    void move(const Doubles &step) {
+    // The pose after a step, of which no joint turns by more than 0.7 radians; the largest of its numbers.
+    double move(const Doubles &step) {
+        double most = 0;
+        for (double x : step) most = std::max(most, std::fabs(x));
         for (int d = 0; d < 3; ++d) place[d] += step[d];
         for (size_t link = 0; link < count; ++link) {
             double vector[3], own[3], rotation[9], turned[9];
@@ -708,6 +739,7 @@ class Body {
             std::copy_n(turned, 9, &turns[9 * link]);
         }
         transform();
+        return most;
     }
 
     static constexpr double MARGIN = 0.10, SHADE = 0.04 * 0.04;

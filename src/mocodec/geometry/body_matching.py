@@ -26,6 +26,9 @@ Mask = NDArray[np.bool_]
 CELL = 0.02  # metres between the entries of a link's table
 MARGIN = 0.10  # metres that a table reaches beyond its link's points
 CANDIDATES, REFRESH = 3, 3  # links that a point is matched to, and steps after which they are chosen anew
+REACH = 3.0  # widths of the robust weight at which a template point looks for data
+CALM = 0.04  # metres and radians: after a step smaller than this, others of the same width are left out
+FARTHEST = 0.2  # metres: a template point farther than this from all data is not said to be farther
 SHADE = 0.04  # metres: what a difference in colour counts at most, where a point chooses its link
 TRUNCATE = 0.12  # metres beyond which a distance costs no more
 UPPER = np.triu_indices(6)
@@ -208,23 +211,27 @@ class Matcher:
             strengths = np.stack([prior.turn, prior.hold])
             rotations, root = self.compiled.solve(
                 data.tree, start.rotations, start.root, np.array(steps, float).reshape(-1, 3), some, allowed,
-                prior.held, strengths, prior.root, self.pull, self.noise, 3.0,
+                prior.held, strengths, prior.root, self.pull, self.noise, REACH, CALM,
             )  # fmt: skip
             return Pose(rotations, root)
         pose = start
         a, b = transforms(self.body, pose)
         candidates = np.zeros((0, CANDIDATES), np.int64)
-        for number, step in enumerate(steps):
+        taken, before, calm = 0, 0.0, False
+        for step in steps:
+            if calm and step.width == before:
+                continue
             points = data.points[: step.points]
-            if number % REFRESH == 0 or len(candidates) < len(points):
+            if taken % REFRESH == 0 or len(candidates) < len(points):
                 candidates = self._candidates(points, a, b, allowed)
             row, _ = self._match(data, a, b, candidates[: len(points)])
             rows = some[: step.template]
             shades = None if self.shades is None else self.shades[rows]
-            distance, index = data.nearest(self.skin.posed(a, b, rows), shades, 3 * step.width)
+            distance, index = data.nearest(self.skin.posed(a, b, rows), shades, REACH * step.width)
             near = np.isfinite(distance)
             target = np.concatenate([points, data.points[index[near]]])
-            pose = self._step(target, np.concatenate([row, rows[near]]), pose, start, a, b, step.width, prior)
+            pose, moved = self._step(target, np.concatenate([row, rows[near]]), pose, start, a, b, step.width, prior)
+            taken, before, calm = taken + 1, step.width, moved < CALM
             a, b = transforms(self.body, pose)
         return pose
 
@@ -232,20 +239,16 @@ class Matcher:
         """How well a pose fits."""
         some = self.some
         if self.compiled and native.available():
-            residuals, row, link, both, index = self.compiled.assess(
-                data.tree, pose.rotations, pose.root, some, self.everywhere, 0.5
-            )
-            index = np.where(index < 0, 0, index)
-            a, b = transforms(self.body, pose)
-            seen = self.skin.posed(a, b, some)
-        else:
-            a, b = transforms(self.body, pose)
-            row, link = self._match(data, a, b, self._candidates(data.points, a, b, self.everywhere))
-            residuals = np.linalg.norm(data.points - self.skin.posed(a, b, row), axis=1)
-            seen = self.skin.posed(a, b, some)
-            both, index = data.nearest(seen, None if self.shades is None else self.shades[some], 0.5)
-            index = np.minimum(index, len(data.points) - 1)  # where none is so near
-        gaps = np.where(np.isfinite(both), np.linalg.norm(seen - data.points[index], axis=1), 0.5)
+            return Fit(pose, data, *self.compiled.assess(
+                data.tree, pose.rotations, pose.root, some, self.everywhere, FARTHEST, TRUNCATE
+            ))  # fmt: skip
+        a, b = transforms(self.body, pose)
+        row, link = self._match(data, a, b, self._candidates(data.points, a, b, self.everywhere))
+        residuals = np.linalg.norm(data.points - self.skin.posed(a, b, row), axis=1)
+        seen = self.skin.posed(a, b, some)
+        both, index = data.nearest(seen, None if self.shades is None else self.shades[some], FARTHEST)
+        index = np.minimum(index, len(data.points) - 1)  # where none is so near
+        gaps = np.where(np.isfinite(both), np.linalg.norm(seen - data.points[index], axis=1), FARTHEST)
         cost = np.mean(np.minimum(data.away(residuals, self.shades, row), TRUNCATE) ** 2)
         cost += np.mean(np.minimum(both, TRUNCATE) ** 2)
         return Fit(pose, data, residuals, row, link, gaps, float(cost))
@@ -303,8 +306,9 @@ class Matcher:
 
     def _step(
         self, target: Floats, row: Labels, pose: Pose, start: Pose, a: Floats, b: Floats, width: float, prior: Prior
-    ) -> Pose:
-        """One Gauss–Newton step: a turn of every joint, in the world, and a translation of the root.
+    ) -> tuple[Pose, float]:
+        """One Gauss–Newton step: a turn of every joint, in the world, and a translation of the root; and the largest
+        of its numbers.
 
         A template point that follows link l moves by v_l + ω_l × y; its distance across the surface changes by f ·
         (v, ω) with f = (n, y × n). Sums of f fᵀ by links give the normal equations of the links' motions, and the
@@ -329,7 +333,8 @@ class Matcher:
         turns = step[3:].reshape(-1, 3)
         angle = np.linalg.norm(turns, axis=1, keepdims=True)
         turns = turns * np.minimum(1.0, 0.7 / np.maximum(angle, 1e-9))
-        return Pose(exp(np.einsum("lji,lj->li", self._above(a), turns)) @ pose.rotations, pose.root + step[:3])
+        turned = exp(np.einsum("lji,lj->li", self._above(a), turns)) @ pose.rotations
+        return Pose(turned, pose.root + step[:3]), float(np.abs(step).max())
 
     def _links_equations(
         self, y: Floats, normal: Floats, gap: Floats, weight: Floats, row: Labels
