@@ -49,11 +49,8 @@ class Limb:
 
 DOUBT, ASTRAY = 1.15, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
-LOST_POINTS, LOST_LIMB, LOST_TWINS = (
-    0.006,
-    0.12,
-    0.05,
-)  # shares of the data, and of a limb's template, that make a search worth while
+# shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
+LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
 FINE, COARSE = 0.03, 0.05  # metres: wider weights look at half of the points, or at a few
 FEW = 0.01  # share of the template below which a link has too little to turn by
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
