@@ -103,7 +103,7 @@ class Limbs:
         """Offsets (3, points, frames) from parent to point, in the body's frame, of turns (dimensions, frames)."""
         plan, frames = self.plan, values.shape[1]
         bones = values[: 2 * len(plan.bones)].reshape(len(plan.bones), 2, frames)
-        hubs = values[2 * len(plan.bones) :].reshape(len(plan.hubs), 3, frames)
+        hubs = values[2 * len(plan.bones) :][: 3 * len(plan.hubs)].reshape(len(plan.hubs), 3, frames)
         of_bones = _Turned.by(np.sqrt(bones[:, 0] ** 2 + bones[:, 1] ** 2))
         of_hubs = _Turned.by(np.sqrt(hubs[:, 0] ** 2 + hubs[:, 1] ** 2 + hubs[:, 2] ** 2))
         if (kernel := native.kernel("tempo_limbs")) is not None:
