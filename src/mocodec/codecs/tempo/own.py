@@ -23,7 +23,7 @@ from ...errors import Corrupt
 from ...motion import Floats
 from ...stages import basis
 from . import body, contexts
-from .model import POSE, Model, of_names, step_size
+from .model import EDGES_MHZ, POSE, Model, step_size
 from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
@@ -78,11 +78,15 @@ class Stored:
         return cls(varint.unsigned(noise), pose, gains, precision, data[at + gains_size :])
 
 
-def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int) -> bytes:
-    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step."""
+def fit(
+    positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate: float, step: int, known: Model | None
+) -> bytes:
+    """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step.
+
+    known: what the prior makes of the points, if it knows them.
+    """
     frames = sum(map(len, positions))
     noise = step - int(contexts.log2(np.array([frames]))[0]) // 2
-    known = of_names(names, prior, rate)
     pose = np.zeros((0, 3), np.int64)
     if known is None:
         centred = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in positions])
@@ -96,7 +100,7 @@ def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate:
     vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
-    shape = _shape(prior, count + 1)
+    shape = _shape(known.points if known else prior.sets[0], count + 1)
     gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shape, strict=False)]
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors[:, :count], precision, _alike(pose))
@@ -107,9 +111,8 @@ def fit(positions: Sequence[Floats], prior: Prior, names: tuple[str, ...], rate:
     return Stored(noise, pose, rounded, precision, packed).pack()
 
 
-def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
+def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float, known: Model | None) -> Model:
     """The model of `fit`. Raises Corrupt."""
-    known = of_names(names, prior, rate)
     dimensions = len(known.points.bases[0]) if known else 3 * len(names)
     stored = Stored.unpack(data, 0 if known else len(names), dimensions)
     found = _completed(basis.unpack(stored.basis, dimensions, stored.precision, _alike(stored.pose)))
@@ -117,10 +120,10 @@ def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float) -> Mo
     own = found.T @ start.points.bases[0]
     count = len(stored.gains) - 1
     gains = np.concatenate([stored.gains[:-1], np.full(dimensions - count, stored.gains[-1])]) * GAIN_UNIT
-    shape = _shape(prior, count + 1)
+    like = known.points if known else prior.sets[0]
+    shape = _shape(like, count + 1)
     spreads = np.concatenate([shape[:-1], np.repeat(shape[-1:], dimensions - count, axis=0)]) + gains[:, None]
     means = spreads[:, 2] - MEAN_BELOW
-    like = known.points if known else prior.sets[0]
     bases, below = [own] * len(like.bases), spreads.shape[1]
     if known is not None:
         bases[OWN_BANDS:], below = like.bases[OWN_BANDS:], OWN_BELOW
@@ -142,13 +145,13 @@ def _start(known: Model | None, pose: Integers, noise: int, prior: Prior, names:
     else:
         mean, components = known.points.pose, known.points.bases[START_BAND]
     spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
-    bands = len(prior.sets[0].bases)
+    bands = len(EDGES_MHZ) + 1
     return Model(PointSet(names, mean, (components,) * bands, spreads, spreads[:, 0]), prior, rate)
 
 
-def _shape(prior: Prior, count: int) -> Integers:
+def _shape(like: PointSet, count: int) -> Integers:
     """Spectra (components, bands) of the prior's components of the same rank, as if all were equally strong at 1 Hz."""
-    known = prior.sets[0].spreads[POSE:]
+    known = like.spreads[POSE:]
     rank = np.minimum(np.arange(count), len(known) - 1)
     return known[rank] - known[rank][:, 5:6]
 
