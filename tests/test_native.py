@@ -64,6 +64,19 @@ def test_coefficients_are_coded_alike(step: int, frames: int) -> None:
 
 
 @compiled
+@pytest.mark.parametrize("frames", [1, 2, 64, 65, 300])
+def test_limbs_are_posed_alike(frames: int) -> None:
+    known = prior.of_limbs()
+    limbs = known.sets[0].limbs if known else None
+    assert limbs is not None
+    rng = np.random.default_rng(frames)
+    turns = rng.normal(size=(frames, limbs.dimensions)) * rng.choice([0.0, 1e-9, 1.0, 3.0], size=limbs.dimensions)
+    posed = limbs.inverse(turns)
+    with native.without():
+        np.testing.assert_array_equal(posed, limbs.inverse(turns))
+
+
+@compiled
 @pytest.mark.parametrize("settings", [{"max_error": 0.004}, {"mean_error": 0.002}])
 def test_files_are_alike(settings: dict[str, float]) -> None:
     motion = synthetic.markers(frames=700, seed=3)

@@ -125,14 +125,21 @@ class Motion:
             object.__setattr__(self, "rotations", rotations)
         if not isinstance(self.extras, Deferred):
             require_events(self.extras)
-        missing = np.isnan(positions)
-        if np.isinf(positions).any():
-            frame, point = np.argwhere(np.isinf(positions))[0, :2]
-            raise BadInput(f"point {names[point]} is infinite at frame {frame}")
+        with np.errstate(over="ignore", invalid="ignore"):
+            whole = math.isfinite(positions.sum())  # and so are all of them; far quicker than to look at each
+        if not whole:
+            self._require_points_or_gaps()
+
+    def _require_points_or_gaps(self) -> None:
+        """Raises BadInput for a point that is neither known nor missing."""
+        if np.isinf(self.positions).any():
+            frame, point = np.argwhere(np.isinf(self.positions))[0, :2]
+            raise BadInput(f"point {self.names[point]} is infinite at frame {frame}")
+        missing = np.isnan(self.positions)
         partial = missing.any(axis=2) & ~missing.all(axis=2)
         if partial.any():
             frame, point = np.argwhere(partial)[0]
-            raise BadInput(f"point {names[point]} at frame {frame} has some coordinates missing, not all three")
+            raise BadInput(f"point {self.names[point]} at frame {frame} has some coordinates missing, not all three")
 
     def __len__(self) -> int:
         """The number of frames."""

@@ -315,10 +315,40 @@ nb::tuple tempo_decode(Input<int64_t, 2> base, Table reach, size_t rows, Table f
     return nb::make_tuple(found.give({frequencies, rows}), more.give({listed}), states.give({lanes}), used);
 }
 
+// codecs/tempo/bits.py, pack: each value in its own number of bits, highest first, as an array of 0 and 1.
+Output<uint8_t> tempo_pack_bits(Table values, Table widths) {
+    const size_t count = values.shape(0);
+    if (widths.shape(0) != count) throw std::invalid_argument("tempo_pack_bits: shapes differ");
+    size_t total = 0;
+    for (size_t i = 0; i < count; ++i) total += size_t(std::clamp<int64_t>(widths.data()[i], 0, 64));
+    Fresh<uint8_t> out(total);
+    uint8_t *to = out.data.get();
+    for (size_t i = 0; i < count; ++i)
+        for (int64_t place = std::min<int64_t>(widths.data()[i], 64); place-- > 0;)
+            *to++ = uint8_t(values.data()[i] >> place & 1);
+    return out.give({total});
+}
+
+// codecs/tempo/bits.py, unpack: bits that are not there read as 0.
+Output<int64_t> tempo_unpack_bits(Input<uint8_t, 1> bits, Table widths) {
+    const size_t count = widths.shape(0), known = bits.shape(0);
+    Fresh<int64_t> out(count);
+    size_t at = 0;
+    for (size_t i = 0; i < count; ++i) {
+        uint64_t value = 0;
+        for (int64_t place = std::min<int64_t>(widths.data()[i], 64); place-- > 0; ++at)
+            value = value << 1 | (at < known ? bits.data()[at] : 0);
+        out.data[i] = int64_t(value);
+    }
+    return out.give({count});
+}
+
 }  // namespace
 
 void bind_entropy(nb::module_ &m) {
     m.def("tempo_quantise", &tempo_quantise);
     m.def("tempo_encode", &tempo_encode);
     m.def("tempo_decode", &tempo_decode);
+    m.def("tempo_pack_bits", &tempo_pack_bits);
+    m.def("tempo_unpack_bits", &tempo_unpack_bits);
 }

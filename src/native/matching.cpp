@@ -107,6 +107,20 @@ class Cloud {
         return found;
     }
 
+    // As `nearest`, given a row that is likely to be near, or −1.
+    int64_t nearest_from(int64_t guess, const double *place, double &limit) const {
+        if (guess >= 0) {
+            double sum = 0;
+            for (int d = 0; d < width; ++d) sum += squared(place[d] - values[guess * width + d]);
+            if (sum < limit)
+                limit = sum;
+            else
+                guess = -1;
+        }
+        const int64_t found = nearest(place, limit);
+        return found < 0 ? guess : found;
+    }
+
     // As SciPy's KDTree: (n,) distances, ∞ where none is nearer than `within`, and rows, `count` there.
     nb::tuple query(Input<double, 2> places, double within) const {
         if (places.shape(1) != size_t(width)) throw std::invalid_argument("BodyPoints.query: shapes differ");
@@ -230,14 +244,14 @@ struct Sums {
 
 class Body {
   public:
-    Body(Input<int64_t, 1> parents, Input<double, 2> origins, Input<double, 2> points, Input<int64_t, 2> links,
+    Body(Input<int64_t, 1> parents, Input<double, 2> origins, Input<double, 1> lengths, Input<double, 2> points, Input<int64_t, 2> links,
          Input<double, 1> weights, Input<double, 2> normals, Input<double, 2> shades, Input<int32_t, 1> nearest,
-         Input<double, 2> low, Input<int32_t, 2> size, Input<int64_t, 1> start, double cell)
-        : count(parents.shape(0)), rows(points.shape(0)), coloured(shades.shape(0) > 0), cell(cell),
-          parents(copy(parents)), origins(copy(origins)), points(copy(points)), links(copy(links)),
+         Input<double, 2> low, Input<int32_t, 2> size, Input<int64_t, 1> start, double cell, double margin)
+        : count(parents.shape(0)), rows(points.shape(0)), coloured(shades.shape(0) > 0), cell(cell), margin(margin),
+          parents(copy(parents)), origins(copy(origins)), lengths(copy(lengths)), points(copy(points)), links(copy(links)),
           weights(copy(weights)), normals(copy(normals)), shades(copy(shades)), nearest(copy(nearest)), low(copy(low)),
           size(copy(size)), start(copy(start)), pair(rows) {
-        const bool same = origins.shape(0) == count && links.shape(0) == rows && links.shape(1) == 2 &&
+        const bool same = origins.shape(0) == count && lengths.shape(0) == count && links.shape(0) == rows && links.shape(1) == 2 &&
                           weights.shape(0) == rows && normals.shape(0) == rows && low.shape(0) == count &&
                           size.shape(0) == count && start.shape(0) == count && (!coloured || shades.shape(0) == rows);
         const bool three = origins.shape(1) == 3 && points.shape(1) == 3 && normals.shape(1) == 3 &&
@@ -262,12 +276,14 @@ class Body {
         }
     }
 
-    // Gauss–Newton: one step for each width, of the data's first `points` and the template's first `looked` rows of
-    // `some`; the pose that it ends with.
+    // Gauss–Newton: one step for each row of `steps`, its width, how many of the data's points and how many rows of
+    // `some` it looks at; the pose that it ends with, and the links that points were matched to. Steps of the same width are left out after one that moves nothing
+    // by more than `calm`.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
-                    double loose, double pull, double noise, double reach) {
+                    double loose, double pull, double noise, double reach, double calm) {
         require(rotations, root, allowed, some);
+        require(cloud);
         if (held.shape(0) != count || strengths.shape(0) != 2 || strengths.shape(1) != count || widths.shape(1) != 3)
             throw std::invalid_argument("BodyMatcher.solve: shapes differ");
         const Doubles expected(rotations.data(), rotations.data() + 9 * count);
@@ -275,75 +291,92 @@ class Body {
         turns = expected;
         place.assign(expected_root, expected_root + 3);
         transform();
-        std::vector<int64_t> candidates;
-        std::vector<int64_t> matched(cloud.count, -1);
+        candidates.clear();
+        std::vector<int64_t> found(some.shape(0), -1);
         const size_t unknowns = 3 + 3 * count;
         Doubles h, g;
+        size_t taken = 0;
+        bool is_calm = false;
         for (size_t step = 0; step < widths.shape(0); ++step) {
             const double width = widths.data()[3 * step];
+            if (is_calm && width == widths.data()[3 * (step - 1)]) continue;
             const size_t here = std::min(cloud.count, size_t(widths.data()[3 * step + 1]));
             const size_t looked = std::min(some.shape(0), size_t(widths.data()[3 * step + 2]));
-            if (step % REFRESH == 0 || candidates.size() < here * CANDIDATES)
-                find_candidates(cloud, here, allowed.data(), candidates);
+            if (taken++ % REFRESH == 0 || candidates.size() < here * CANDIDATES)
+                find_candidates(cloud, here, allowed.data());
             sums.assign(pairs.size(), Sums{});
             for (size_t i = 0; i < here; ++i) {
                 int64_t link;
-                double distance;
-                matched[i] = match(cloud, i, &candidates[i * CANDIDATES], link, distance);
-                if (matched[i] >= 0) add(matched[i], cloud.point(i), width, pull, noise);
+                const int64_t row = match(cloud, i, &candidates[i * CANDIDATES], link);
+                if (row >= 0) add(row, cloud.point(i), width, pull, noise);
             }
             for (size_t k = 0; k < looked; ++k) {
                 const int64_t row = some.data()[k];
-                double at[6];
-                posed(row, at);
-                if (cloud.coloured && coloured) std::copy_n(&shades[3 * row], 3, at + 3);
-                double limit = squared(reach * width);
-                const int64_t found = nearest_point(cloud, at, limit);
-                if (found >= 0) add(row, cloud.point(found), width, pull, noise);
+                double at[6], limit = squared(reach * width);
+                seen(cloud, row, at);
+                found[k] = cloud.nearest_from(found[k], at, limit);
+                if (found[k] >= 0) add(row, cloud.point(found[k]), width, pull, noise);
             }
             equations(h, g);
             priors(expected, expected_root, held.data(), strengths.data(), loose, h, g);
             if (!solve_symmetric(h, g, unknowns)) throw std::runtime_error("BodyMatcher.solve: no solution");
-            move(g);
+            is_calm = move(g) < calm;
         }
         Fresh<double> out(9 * count), out_root(3);
         std::copy(turns.begin(), turns.end(), out.data.get());
         std::copy(place.begin(), place.end(), out_root.data.get());
-        return nb::make_tuple(out.give({count, 3, 3}), out_root.give({3}));
+        const size_t known = candidates.size() / CANDIDATES;
+        Fresh<int64_t> last(candidates.size());
+        std::copy(candidates.begin(), candidates.end(), last.data.get());
+        return nb::make_tuple(out.give({count, 3, 3}), out_root.give({3}), last.give({known, CANDIDATES}));
     }
 
     // For each data point the template row and link that explain it, −1 where none may, and how far it is away; for
-    // each template row of `some` the data point nearest in place and colour (−1: none within half a metre), and that
-    // distance.
+    // each template row of `some` how far the data point nearest in place and colour is away in place (`within`, where
+    // none is nearer); and the mean squares of both distances, with colours, none beyond `most`. known: links
+    // that each point is matched to; chosen anew where there are not as many rows as points.
     nb::tuple assess(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<int64_t, 1> some,
-                     Input<bool, 1> allowed, double within) {
+                     Input<bool, 1> allowed, Input<int64_t, 2> known, double within, double most) {
         require(rotations, root, allowed, some);
-        if (cloud.coloured && !coloured) throw std::invalid_argument("BodyMatcher: colours for a template without");
+        require(cloud);
         turns.assign(rotations.data(), rotations.data() + 9 * count);
         place.assign(root.data(), root.data() + 3);
         transform();
-        std::vector<int64_t> candidates;
-        find_candidates(cloud, cloud.count, allowed.data(), candidates);
+        if (known.shape(0) == cloud.count && known.shape(1) == CANDIDATES) {
+            candidates = copy(known);
+            for (int64_t link : candidates)
+                if (link >= int64_t(count)) throw std::invalid_argument("BodyMatcher.assess: a link beyond the body");
+        } else {
+            find_candidates(cloud, cloud.count, allowed.data());
+        }
         const size_t n = cloud.count, k = some.shape(0);
-        Fresh<int64_t> row(n), link(n), index(k);
-        Fresh<double> away(n), both(k);
+        Fresh<int64_t> row(n), link(n);
+        Fresh<double> away(n), gap(k);
+        double there = 0, back = 0;
         for (size_t i = 0; i < n; ++i) {
-            double distance;
-            row.data[i] = match(cloud, i, &candidates[i * CANDIDATES], link.data[i], distance);
             double y[3] = {0, 0, 0};
+            row.data[i] = match(cloud, i, &candidates[i * CANDIDATES], link.data[i]);
             if (row.data[i] >= 0) posed(row.data[i], y);
             const double *x = cloud.point(i);
-            away.data[i] = std::sqrt(squared(x[0] - y[0]) + squared(x[1] - y[1]) + squared(x[2] - y[2]));
+            double square = squared(x[0] - y[0]) + squared(x[1] - y[1]) + squared(x[2] - y[2]);
+            away.data[i] = std::sqrt(square);
+            if (cloud.coloured && row.data[i] >= 0)
+                for (int d = 0; d < 3; ++d) square += squared(x[3 + d] - shades[3 * row.data[i] + d]);
+            there += std::min(square, most * most);
         }
         for (size_t i = 0; i < k; ++i) {
-            double at[6];
-            posed(some.data()[i], at);
-            if (cloud.coloured && coloured) std::copy_n(&shades[3 * some.data()[i]], 3, at + 3);
-            double limit = squared(within);
-            index.data[i] = nearest_point(cloud, at, limit);
-            both.data[i] = index.data[i] < 0 ? std::numeric_limits<double>::infinity() : std::sqrt(limit);
+            double at[6], limit = squared(within);
+            seen(cloud, some.data()[i], at);
+            const int64_t found = cloud.nearest(at, limit);
+            gap.data[i] = within;
+            if (found >= 0) {
+                const double *x = cloud.point(size_t(found));
+                gap.data[i] = std::sqrt(squared(x[0] - at[0]) + squared(x[1] - at[1]) + squared(x[2] - at[2]));
+            }
+            back += std::min(limit, most * most);
         }
-        return nb::make_tuple(away.give({n}), row.give({n}), link.give({n}), both.give({k}), index.give({k}));
+        const double cost = there / double(std::max<size_t>(n, 1)) + back / double(std::max<size_t>(k, 1));
+        return nb::make_tuple(away.give({n}), row.give({n}), link.give({n}), gap.give({k}), cost);
     }
 
     // (draws,): mean squared distance of template rows from the nearest points of a cloud without colours, and of points
@@ -394,7 +427,7 @@ class Body {
     }
 
   private:
-    static constexpr int CANDIDATES = 3;
+    static constexpr size_t CANDIDATES = 3;
     static constexpr size_t REFRESH = 3;
 
     template <class Mask>
@@ -446,8 +479,15 @@ class Body {
             out[d] = share * (first[d] + b[3 * l0 + d]) + (1 - share) * (second[d] + b[3 * l1 + d]);
     }
 
-    // A template without colours looks for places alone; a cloud that has them then answers by its places too.
-    int64_t nearest_point(const Cloud &cloud, const double *at, double &limit) const { return cloud.nearest(at, limit); }
+    // A template point where it is posed, and its colour where the cloud has them.
+    void seen(const Cloud &cloud, int64_t row, double *at) const {
+        posed(row, at);
+        if (cloud.coloured) std::copy_n(&shades[3 * row], 3, at + 3);
+    }
+
+    void require(const Cloud &cloud) const {
+        if (cloud.coloured && !coloured) throw std::invalid_argument("BodyMatcher: colours for a template without");
+    }
 
     int32_t look_up(int64_t link, const double *local) const {
         int64_t index = 0;
@@ -459,7 +499,7 @@ class Body {
         return nearest[start[link] + index];
     }
 
-    void find_candidates(const Cloud &cloud, size_t here, const bool *allowed, std::vector<int64_t> &candidates) const {
+    void find_candidates(const Cloud &cloud, size_t here, const bool *allowed) {
         candidates.assign(here * CANDIDATES, -1);
         for (size_t i = 0; i < here; ++i) {
             double best[CANDIDATES];
@@ -471,36 +511,42 @@ class Body {
                 const double offset[3] = {x[0] - shift[0], x[1] - shift[1], x[2] - shift[2]};
                 double local[3];
                 turn_back(&a[9 * link], offset, local);
-                double outside = 0;  // of the box of the link's points, which no point of it can be nearer than
-                for (int d = 0; d < 3; ++d) {
-                    const double from = low[3 * link + d] + MARGIN;
-                    const double to = low[3 * link + d] + cell * size[3 * link + d] - MARGIN;
-                    outside += squared(std::max(0.0, std::max(from - local[d], local[d] - to)));
-                }
-                if (outside >= best[CANDIDATES - 1]) continue;
+                if (outside(int64_t(link), local) >= best[CANDIDATES - 1]) continue;
                 const double *y = &points[3 * look_up(int64_t(link), local)];
                 const double distance =
                     squared(local[0] - y[0]) + squared(local[1] - y[1]) + squared(local[2] - y[2]);
-                int at = CANDIDATES;
+                size_t at = CANDIDATES;
                 while (at > 0 && distance < best[at - 1]) --at;
                 if (at == CANDIDATES) continue;
-                for (int k = CANDIDATES - 1; k > at; --k) best[k] = best[k - 1], found[k] = found[k - 1];
+                for (size_t k = CANDIDATES - 1; k > at; --k) best[k] = best[k - 1], found[k] = found[k - 1];
                 best[at] = distance;
                 found[at] = int64_t(link);
             }
         }
     }
 
-    int64_t match(const Cloud &cloud, size_t i, const int64_t *candidates, int64_t &link, double &distance) const {
+    // Squared distance of a place in a link's coordinates from the box of its points: no point of it is nearer.
+    double outside(int64_t link, const double *local) const {
+        double sum = 0;
+        for (int d = 0; d < 3; ++d) {
+            const double from = low[3 * link + d] + margin;
+            const double to = low[3 * link + d] + cell * size[3 * link + d] - margin;
+            sum += squared(std::max(0.0, std::max(from - local[d], local[d] - to)));
+        }
+        return sum;
+    }
+
+    int64_t match(const Cloud &cloud, size_t i, const int64_t *candidates, int64_t &link) const {
         const double *x = cloud.point(i);
         int64_t row = -1;
         link = -1;
-        distance = std::numeric_limits<double>::infinity();
-        for (int k = 0; k < CANDIDATES && candidates[k] >= 0; ++k) {
+        double distance = std::numeric_limits<double>::infinity();
+        for (size_t k = 0; k < CANDIDATES && candidates[k] >= 0; ++k) {
             const double *shift = &b[3 * candidates[k]];
             const double offset[3] = {x[0] - shift[0], x[1] - shift[1], x[2] - shift[2]};
             double local[3];
             turn_back(&a[9 * candidates[k]], offset, local);
+            if (k && outside(candidates[k], local) >= distance) continue;
             const int32_t here = look_up(candidates[k], local);
             const double *y = &points[3 * here];
             double sum = squared(local[0] - y[0]) + squared(local[1] - y[1]) + squared(local[2] - y[2]);
@@ -621,6 +667,7 @@ class Body {
             const double *left = &motion[18 * i];
             for (size_t j = i; j <= count; ++j) {
                 const double *block = &blocks[(carrier[i] * count + carrier[j]) * 36], *right = &motion[18 * j];
+                if (std::all_of(block, block + 36, [](double x) { return x == 0; })) continue;
                 double half[18] = {};
                 for (int r = 0; r < 6; ++r)
                     for (int k = 0; k < 6; ++k)
@@ -664,35 +711,37 @@ class Body {
         }
     }
 
-    // g becomes the solution of h x = g, by Cholesky; false where h is not positive definite.
+    // g becomes the solution of h x = g, by Cholesky on the upper triangle of h, whose rows are worked on as they lie;
+    // false where h is not positive definite.
     static bool solve_symmetric(Doubles &h, Doubles &g, size_t n) {
         for (size_t j = 0; j < n; ++j) {
             double *row = &h[j * n];
-            for (size_t i = 0; i < j; ++i) {
-                const double *other = &h[i * n];
-                double sum = row[i];
-                for (size_t k = 0; k < i; ++k) sum -= row[k] * other[k];
-                row[i] = sum / other[i];
+            if (!(row[j] > 0)) return false;
+            const double scale = 1 / std::sqrt(row[j]);
+            for (size_t k = j; k < n; ++k) row[k] *= scale;
+            g[j] *= scale;
+            for (size_t i = j + 1; i < n; ++i) {
+                const double factor = row[i];
+                if (factor == 0) continue;
+                double *other = &h[i * n];
+                for (size_t k = i; k < n; ++k) other[k] -= factor * row[k];
+                g[i] -= factor * g[j];
             }
-            double sum = row[j];
-            for (size_t k = 0; k < j; ++k) sum -= row[k] * row[k];
-            if (!(sum > 0)) return false;
-            row[j] = std::sqrt(sum);
-        }
-        for (size_t i = 0; i < n; ++i) {
-            double sum = g[i];
-            for (size_t k = 0; k < i; ++k) sum -= h[i * n + k] * g[k];
-            g[i] = sum / h[i * n + i];
         }
         for (size_t i = n; i-- > 0;) {
-            g[i] /= h[i * n + i];
-            for (size_t k = 0; k < i; ++k) g[k] -= h[i * n + k] * g[i];
+            double sum = g[i];
+            for (size_t k = i + 1; k < n; ++k) sum -= h[i * n + k] * g[k];
+            g[i] = sum / h[i * n + i];
         }
         return true;
     }
 
-    // The pose after a step: no joint turns by more than 0.7 radians.
-    void move(const Doubles &step) {
+    // The pose after a step, of which no joint turns by more than 0.7 radians; how far it moves the root, or the far end
+    // of a link by its own turn, at most.
+    double move(const Doubles &step) {
+        double most = std::sqrt(dot(&step[0], &step[0]));
+        for (size_t link = 0; link < count; ++link)
+            most = std::max(most, lengths[link] * std::sqrt(dot(&step[3 + 3 * link], &step[3 + 3 * link])));
         for (int d = 0; d < 3; ++d) place[d] += step[d];
         for (size_t link = 0; link < count; ++link) {
             double vector[3], own[3], rotation[9], turned[9];
@@ -708,15 +757,16 @@ class Body {
             std::copy_n(turned, 9, &turns[9 * link]);
         }
         transform();
+        return most;
     }
 
-    static constexpr double MARGIN = 0.10, SHADE = 0.04 * 0.04;
+    static constexpr double SHADE = 0.04 * 0.04;
 
     const size_t count, rows;
     const bool coloured;
-    const double cell;
+    const double cell, margin;
     const std::vector<int64_t> parents;
-    const Doubles origins, points;
+    const Doubles origins, lengths, points;
     const std::vector<int64_t> links;
     const Doubles weights, normals, shades;
     const std::vector<int32_t> nearest;
@@ -724,7 +774,7 @@ class Body {
     const std::vector<int32_t> size;
     const std::vector<int64_t> start;
     std::vector<char> filled;
-    std::vector<int64_t> pair, pairs;
+    std::vector<int64_t> pair, pairs, candidates;
     Doubles turns, place, a, b, blocks, vectors;  // of the pose that a call looks at
     std::vector<Sums> sums;
 };
@@ -737,9 +787,9 @@ void bind_matching(nb::module_ &m) {
         .def("grid", &Cloud::grid)
         .def("query", &Cloud::query, nb::arg(), nb::arg("distance_upper_bound"));
     nb::class_<Body>(m, "BodyMatcher")
-        .def(nb::init<Input<int64_t, 1>, Input<double, 2>, Input<double, 2>, Input<int64_t, 2>, Input<double, 1>,
+        .def(nb::init<Input<int64_t, 1>, Input<double, 2>, Input<double, 1>, Input<double, 2>, Input<int64_t, 2>, Input<double, 1>,
                       Input<double, 2>, Input<double, 2>, Input<int32_t, 1>, Input<double, 2>, Input<int32_t, 2>,
-                      Input<int64_t, 1>, double>())
+                      Input<int64_t, 1>, double, double>())
         .def("solve", &Body::solve)
         .def("assess", &Body::assess)
         .def("distances", &Body::distances);

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocodec import container, metrics
-from mocodec.codecs.tempo import Decoder, Encoder, Tempo, prior, tailored, training
+from mocodec.codecs.tempo import Decoder, Encoder, Tempo, attach, body, mapped, prior, tailored, tempo, training
 from mocodec.codecs.tempo.model import POSE
 from mocodec.encoded import Chunk
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError, UnknownCodec
@@ -150,6 +150,72 @@ def test_known_points_in_any_order_and_spelling_use_the_prior() -> None:
     assert Tempo().in_chunks(other).shared[0][0] == 1
 
 
+# ------------------------------------------------------------------------------------------ points on the prior's bones
+
+
+def on_bones(motion: Motion, mean_error: float = 0.01) -> tuple[mapped.Stored, mapped.Movements, prior.Prior]:
+    bodies = prior.of_bones()
+    assert bodies is not None
+    positions = body.level(motion.positions, motion.up)
+    found = attach.fit([positions], bodies, motion.names, motion.rate, tempo.step_for_bound(mean_error))
+    assert found is not None
+    return *found, bodies
+
+
+def test_a_short_clip_of_unknown_points_sits_on_the_priors_bones() -> None:
+    motion = synthetic.markers(frames=240, seed=5)
+    encoded = Tempo(mean_error=0.008).in_chunks(motion)
+    assert encoded.shared[0][0] == tempo.MAPPED
+    with prior.installed(prior.packaged_bytes()):
+        assert prior.of_bones() is None
+        without = Tempo(mean_error=0.008).in_chunks(motion)
+    assert encoded.payload_bytes < 0.9 * without.payload_bytes
+    decoded = Tempo.decode(encoded)
+    assert np.nanmean(error(motion, decoded)) == pytest.approx(0.008, rel=0.02)
+
+
+def test_left_and_right_feet_are_told_apart_by_how_they_move() -> None:
+    motion = synthetic.markers(frames=360, seed=7)
+    stored, _, bodies = on_bones(motion)
+    assert bodies.bones is not None
+    of_point = {name: bodies.bones.names[w] for name, w in zip(motion.names, stored.where, strict=True)}
+    left, right = of_point["LTOE"][0], of_point["RTOE"][0]
+    assert {left, right} == {"l", "r"}
+    assert of_point["LHEE"][0] == of_point["LSHN"][0] == left
+    assert of_point["RHEE"][0] == of_point["RSHN"][0] == right
+
+
+@pytest.mark.parametrize("points", [4, 5, 41])
+def test_points_on_bones_have_orthonormal_bases_and_come_back_from_their_bytes(points: int) -> None:
+    motion = synthetic.markers(frames=120, seed=6)
+    motion = motion.select(list(motion.names[:points]))
+    stored, found, bodies = on_bones(motion)
+    assert bodies.bones is not None
+    for basis in found.bases:
+        assert basis.shape == (3 * points - 3, 3 * points)
+        assert np.abs(basis @ basis.T - np.eye(len(basis))).max() < 1e-9
+        assert np.abs(basis.reshape(len(basis), -1, 3).mean(axis=1)).max() < 1e-9
+    again, rest = mapped.Stored.unpack(stored.pack() + b"more", points, bodies.bones)
+    assert rest == b"more"
+    for name in ("pose", "where", "offsets", "levels"):
+        assert (getattr(again, name) == getattr(stored, name)).all()
+    there = mapped.movements(again, bodies.bones)
+    assert (
+        mapped.spreads_of(there, bodies.bones, again.levels) == mapped.spreads_of(found, bodies.bones, stored.levels)
+    ).all()
+    for size in range(len(stored.pack())):
+        with pytest.raises(Corrupt):
+            mapped.Stored.unpack(stored.pack()[:size], points, bodies.bones)
+
+
+def test_points_that_are_no_body_are_not_taken_for_one() -> None:
+    motion = synthetic.markers(frames=60, seed=6)
+    bodies = prior.of_bones()
+    assert bodies is not None
+    for positions in (motion.positions * 1e5, motion.positions * 1e-3, motion.positions[:, :3], motion.positions[:0]):
+        assert attach.fit([positions], bodies, motion.names[: positions.shape[1]], 120.0, 0) is None
+
+
 # ------------------------------------------------------------------------------------------------------------ the prior
 
 
@@ -173,6 +239,16 @@ def test_a_prior_can_be_trained_and_installed() -> None:
         assert error(motions[0], Tempo.decode(encoded)).max() <= 0.01
     with pytest.raises(UnknownCodec):
         Tempo.decode(replace(encoded, about=replace(encoded.about, rate=119.0)))
+
+
+def test_bones_can_be_learned() -> None:
+    motions = [synthetic.joints(frames=240, seed=s) for s in range(2)]
+    data = training.train_bones({"someone": motions}, prior.shipped())
+    with prior.installed(data) as learned:
+        assert prior.of_bones() is learned
+        assert learned.bones is not None
+        assert learned.bones.names == motions[0].names
+        assert (np.diff(learned.coder.frequencies - prior._packaged().coder.frequencies) == 0).all()
 
 
 # ---------------------------------------------------------------------------------------------------------- the stream

@@ -104,8 +104,36 @@ def test_cylinder_map_and_back():
 
 def test_third_moments_tell_a_bent_link():
     p, _, _ = blob()
-    assert np.linalg.norm(articulated_icp.third_moment(p, p.mean(axis=0))) < 5e-3
-    assert np.linalg.norm(articulated_icp.third_moment(p + np.array([0, 0.2, 0]), np.zeros(3))) > 2e-2
+    x = np.concatenate([p - p.mean(axis=0), p + np.array([0, 0.2, 0])])
+    straight, bent, none = articulated_icp.third_moments(x, np.repeat([0, 1], len(p)), 3)
+    assert np.linalg.norm(straight) < 5e-3
+    assert np.linalg.norm(bent) > 2e-2
+    np.testing.assert_allclose(bent, np.einsum("ni,nj,nk->ijk", *[x[len(p) :]] * 3) / len(p))
+    assert (none == 0).all()
+
+
+def test_parts_side_by_side_move_as_they_do_alone():
+    p, n, c = blob(400)
+    tree = icp.ClusteredTree.build(p, n, c, icp.labels(n, c, 400))
+    moved = p @ articulation.exp(np.array([0.05, 0.1, -0.04])).T + 0.01
+    label, pivot = icp.labels(n, c, 400), np.array([0, 0.4, 0.0])
+    pivots = np.stack([np.full(3, np.nan), pivot])
+    r, t, errors = icp.icp_many(moved, label, [150, 250], tree, pivots)
+    for part, rows, joint in ((0, slice(150), None), (1, slice(150, 400), pivot)):
+        alone = icp.icp(moved[rows], label[rows], tree, pivot=joint)
+        np.testing.assert_allclose(r[part], alone[0], atol=1e-9)
+        np.testing.assert_allclose(t[part], alone[1], atol=1e-9)
+        assert len(errors[part]) == len(alone[2])
+
+
+def test_normals_point_out_of_a_body():
+    performance = sequences.jumping_jacks(actors.capsules(), 4)
+    clouds = sequences.record(performance, 2500, normals=True)
+    assert clouds.normals is not None
+    found = normals.outward(clouds.positions[3])
+    assert np.mean(np.sum(found * clouds.normals[3], axis=1) > 0) > 0.9
+    assert np.isfinite(normals.outward(np.zeros((40, 3)))).all()
+    assert normals.outward(np.zeros((2, 3))).shape == (2, 3)
 
 
 def test_tracks_a_body_that_is_known():

@@ -25,6 +25,7 @@ from ..errors import BadInput, CannotEncode, Corrupt
 from ..geometry import articulated_icp, articulation, body_fit, cylinder_map
 from ..geometry.articulation import Body, Floats, Pose
 from ..geometry.cylinder_map import Frame, Map
+from ..geometry.normals import outward
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import base, body_stream
@@ -33,7 +34,7 @@ from .body_stream import Steps
 Integers = NDArray[np.int64]
 STEPS = Steps(reach=0.002, place=0.002)
 POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
-DEPTH_STEP = 0.004  # of residual maps: metres; eight bits reach half a metre
+DEPTH_STEP = 0.008  # of residual maps: metres; eight bits reach a metre either way
 FEWEST = 50  # points that a frame must have to be a body
 
 
@@ -44,6 +45,13 @@ class Model(NamedTuple):
     points: Floats
     colours: NDArray[np.uint8] | None
     links: Integers
+
+
+class Residual(NamedTuple):
+    """A frame's maps of all links, as differences from the model: depth (height, width), colour (height, width, 3)."""
+
+    depth: NDArray[np.uint8]
+    colour: NDArray[np.uint8]
 
 
 class Tile(NamedTuple):
@@ -84,24 +92,26 @@ class Lien2006:
         first = next((i for i, (points, _) in enumerate(frames) if len(points) >= 4 * FEWEST), None)
         if first is None:
             raise CannotEncode(f"no frame has {4 * FEWEST} points or more: there is no body to code")
-        model, tracker = self._begin(*frames[first], clouds)
+        model, tracker = self._begin(*frames[first], _normals(clouds, first), clouds.up)
         atlas = _atlas(model, self.residual / 100) if self.residual else []
-        chunks, poses, held = list[Chunk](), list[Integers](), list[bytes]()
+        chunks, poses, held = list[Chunk](), list[Integers](), list[Residual]()
         strays = list[tuple[Floats, NDArray[np.uint8] | None]]()
         previous = np.zeros(3 + 3 * len(model.body), np.int64)
         for i, (points, colours) in enumerate(frames):
             is_body = len(points) >= FEWEST and i >= first
             if is_body:
-                pose = self._fit(tracker, points, colours, i) if i > first else tracker.pose
+                given = _normals(clouds, i)
+                pose = self._fit(tracker, points, colours, given, i) if i > first else tracker.pose
                 previous = body_stream.quantise(model.body, pose, STEPS, previous)
                 if atlas:
                     maps = _maps(model, atlas, body_stream.dequantise(model.body, previous, STEPS), points, colours)
-                    held += _stills(_differences(atlas, maps), clouds.colours is not None, self.jpeg_quality)
+                    held.append(_differences(atlas, maps))
             else:
                 strays.append((points, colours))
             poses.append(np.concatenate([[not is_body], previous]))
             if len(poses) == self.chunk_frames or i == len(frames) - 1:
-                payload = _pack_chunk(np.array(poses), body_stream.pack_raw(strays), held, 1 + (colours is not None))
+                stills = _stills(held, clouds.colours is not None, self.jpeg_quality)
+                payload = _pack_chunk(np.array(poses), body_stream.pack_raw(strays), stills)
                 chunks.append(Chunk(i + 1 - len(poses), len(poses), payload))
                 poses, held, strays = [], [], []
         settings = base.settings(self)
@@ -111,11 +121,11 @@ class Lien2006:
         return Encoded(self.name, about, chunks, (_pack_model(model, self.residual),), settings=settings)
 
     def _begin(
-        self, points: Floats, colours: NDArray[np.uint8] | None, clouds: PointClouds
+        self, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None, up: str
     ) -> tuple[Model, articulated_icp.Tracker]:
         """The model of the first frame and the tracker that follows it."""
         if self.skeleton is None:
-            body = body_fit.first_pose(points, clouds.up).body(one_trunk=True, shortest=0.1)
+            body = body_fit.first_pose(points, up).body(one_trunk=True, shortest=0.1)
         else:
             motion = body_stream.skeleton_motion(self.skeleton)
             assert motion.skeleton is not None
@@ -124,8 +134,9 @@ class Lien2006:
             body_fit.require_near(body, points)
         rng = np.random.default_rng(0)
         share = rng.permutation(len(points))[: max(2 * FEWEST, round(self.model_share * len(points)))]
+        normals = outward(points[share], points) if normals is None else normals[share]
         points, colours = points[share], None if colours is None else colours[share]
-        body, model = articulated_icp.make_model(body, points, colours)
+        body, model = articulated_icp.make_model(body, points, colours, normals)
         body = body_stream.rounded(body)
         few = slice(0, self.tracked_points)
         small = articulated_icp.Model(
@@ -135,12 +146,18 @@ class Lien2006:
         return _rounded(Model(body, points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
 
     def _fit(
-        self, tracker: articulated_icp.Tracker, points: Floats, colours: NDArray[np.uint8] | None, frame: int
+        self,
+        tracker: articulated_icp.Tracker,
+        points: Floats,
+        colours: NDArray[np.uint8] | None,
+        normals: Floats | None,
+        frame: int,
     ) -> Pose:
         if len(points) > self.tracked_points:
             some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
+            normals = outward(points[some], points) if normals is None else normals[some]
             points, colours = points[some], None if colours is None else colours[some]
-        return tracker.fit(points, colours)
+        return tracker.fit(points, colours, normals)
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
@@ -170,6 +187,15 @@ class Lien2006:
                 if start <= chunk.start + i < stop
             ]
         return body_stream.track(encoded, model.body, poses)
+
+
+def _normals(clouds: PointClouds, frame: int) -> Floats | None:
+    """Unit normals of the points that `body_stream.clean` keeps; None where the clouds have none that can be used."""
+    if clouds.normals is None:
+        return None
+    normals = np.asarray(clouds.normals[frame], np.float64)[np.isfinite(clouds.positions[frame]).all(axis=1)]
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / length if np.isfinite(length).all() and (length > 1e-6).all() else None
 
 
 def _about(clouds: PointClouds) -> PointClouds:
@@ -292,9 +318,7 @@ def _maps(
     return maps
 
 
-def _differences(
-    atlas: Sequence[Tile | None], maps: Sequence[Map | None]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _differences(atlas: Sequence[Tile | None], maps: Sequence[Map | None]) -> Residual:
     """Depth (0: no point; 128: as the model) and colour (128: as the model; half scale) of the whole atlas."""
     depth = np.zeros(_extent(atlas), np.uint8)
     colour = np.full((*depth.shape, 3), 128, np.uint8)
@@ -307,7 +331,7 @@ def _differences(
         depth[here] = np.where(there, np.clip(np.round(steps) + 128, 1, 255), 0)
         shades = np.where(there[..., None], found.colour - tile.expected.colour, 0)
         colour[here] = np.clip(np.round(shades / 2) + 128, 0, 255)
-    return depth, colour
+    return Residual(depth, colour)
 
 
 def _window(tile: Tile) -> tuple[slice, slice]:
@@ -315,16 +339,50 @@ def _window(tile: Tile) -> tuple[slice, slice]:
     return slice(tile.top, tile.top + height), slice(tile.left, tile.left + width)
 
 
-def _stills(images: tuple[NDArray[np.uint8], NDArray[np.uint8]], coloured: bool, quality: int) -> Iterator[bytes]:
-    """The depth map as a PNG and the colour map as a JPEG (section 5.2, table 2)."""
+def _frames_a_still(extent: tuple[int, int]) -> int:
+    """How many frames' maps one still holds at most: what JPEG and its readers can hold."""
+    height, width = extent
+    return max(1, min(60_000 // height, 40_000_000 // (height * width)))
+
+
+def _stills(residuals: Sequence[Residual], coloured: bool, quality: int) -> list[bytes]:
+    """The frames' maps of depth as PNGs, then those of colour as JPEGs (section 5.2, table 2).
+
+    A still holds the maps of many frames, the same line of all of them together: so they share one header and one set
+    of tables, and what stays from frame to frame is next to itself, where PNG predicts and JPEG transforms.
+    """
     image = body_stream.imaging()
-    for pixels, kind, options in (
-        (images[0], "PNG", {"optimize": True}),
-        (images[1], "JPEG", {"quality": quality, "subsampling": 2}),
-    )[: 1 + coloured]:
-        out = io.BytesIO()
-        image.fromarray(pixels).save(out, kind, **options)
-        yield out.getvalue()
+    stills = list[bytes]()
+    kinds = ((0, "PNG", {"optimize": True}), (1, "JPEG", {"quality": quality, "subsampling": 2, "optimize": True}))
+    for kind, name, options in kinds[: 1 + coloured] if residuals else ():
+        for group in _groups(len(residuals), residuals[0].depth.shape[:2]):
+            lines = np.stack([residual[kind] for residual in residuals[group]], axis=1)
+            out = io.BytesIO()
+            image.fromarray(lines.reshape(-1, *lines.shape[2:])).save(out, name, **options)
+            stills.append(out.getvalue())
+    return stills
+
+
+def _groups(frames: int, extent: tuple[int, int]) -> list[slice]:
+    """The frames whose maps stand in one still."""
+    most = _frames_a_still(extent)
+    return [slice(start, min(start + most, frames)) for start in range(0, frames, most)]
+
+
+def _open_stills(stills: Sequence[bytes], frames: int, extent: tuple[int, int], coloured: bool) -> list[Residual]:
+    """The frames' maps back. Raises Corrupt."""
+    groups = _groups(frames, extent)
+    if len(stills) != len(groups) * (1 + coloured):
+        raise Corrupt("lien2006: residual maps are missing")
+    pages = list[NDArray[np.uint8]]()
+    for still, group, mode in zip(stills, groups * 2, ["L"] * len(groups) + ["RGB"] * len(groups), strict=False):
+        count = group.stop - group.start
+        lines = _open_still(still, (extent[0] * count, extent[1]), mode)
+        pages.append(lines.reshape(extent[0], count, *lines.shape[1:]).swapaxes(0, 1))
+    depth = np.concatenate(pages[: len(groups)])
+    grey = np.broadcast_to(np.uint8(128), (*depth.shape, 3))
+    colour = np.concatenate(pages[len(groups) :]) if coloured else grey
+    return [Residual(d, c) for d, c in zip(depth, colour, strict=True)]
 
 
 def _open_still(data: bytes, extent: tuple[int, int], mode: str) -> NDArray[np.uint8]:
@@ -344,60 +402,42 @@ def _open_still(data: bytes, extent: tuple[int, int], mode: str) -> NDArray[np.u
 # --- chunks -----------------------------------------------------------------------------------------------------------
 
 
-def _pack_chunk(poses: Integers, raw: bytes, stills: list[bytes], kinds: int) -> bytes:
-    """Poses, stray frames, then the stills of each kind without the header that they have in common."""
+def _pack_chunk(poses: Integers, raw: bytes, stills: list[bytes]) -> bytes:
+    """Poses, stray frames, then the stills."""
     stream = coder.pack(poses)
-    parts = [varint.write([len(stream), len(raw), len(stills) > 0]), stream, raw]
-    if stills:
-        for kind in range(kinds):
-            same = stills[kind::kinds]
-            common = _common_start(same)
-            parts += [varint.write([len(common), *(len(s) - len(common) for s in same)]), common]
-            parts += [still[len(common) :] for still in same]
-    return b"".join(parts)
+    sizes = varint.write([len(stream), len(raw), len(stills), *map(len, stills)])
+    return b"".join([sizes, stream, raw, *stills])
 
 
-def _common_start(blobs: list[bytes]) -> bytes:
-    """What all of them begin with."""
-    first, last = min(blobs), max(blobs)
-    return first[: next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
-
-
-def _unpack_poses(chunk: Chunk, links: int) -> tuple[Integers, int, int, bool]:
-    """The poses of a chunk, where its stray frames begin and end, and whether stills follow. Raises Corrupt."""
-    (size, raw, stills), at = varint.read(chunk.payload, 3)
-    if at + size + raw > len(chunk.payload) or stills > 1:
+def _unpack_poses(chunk: Chunk, links: int) -> tuple[Integers, bytes, list[bytes]]:
+    """The poses of a chunk, its stray frames, and its stills. Raises Corrupt."""
+    (size, raw, count), at = varint.read(chunk.payload, 3)
+    if count > 2 * chunk.frames:
         raise Corrupt("lien2006: a chunk is damaged")
-    poses = coder.unpack(chunk.payload[at : at + size], (chunk.frames, 4 + 3 * links))
-    return poses, at + size, at + size + raw, bool(stills)
+    sizes, at = varint.read(chunk.payload, count, at)
+    bounds = [at, *(at + int(end) for end in itertools.accumulate([size, raw, *sizes]))]
+    if bounds[-1] > len(chunk.payload):
+        raise Corrupt("lien2006: a chunk is cut off")
+    stream, strays, *stills = (chunk.payload[i:j] for i, j in itertools.pairwise(bounds))
+    return coder.unpack(stream, (chunk.frames, 4 + 3 * links)), strays, stills
 
 
 def _decode_chunk(
     model: Model, atlas: Sequence[Tile | None], chunk: Chunk
 ) -> Iterator[tuple[Floats, NDArray[np.uint8] | None]]:
-    poses, start, at, has_stills = _unpack_poses(chunk, len(model.body))
-    strays = poses[:, 0] != 0
-    raw = iter(body_stream.unpack_raw(chunk.payload[start:at], int(strays.sum()), model.colours is not None))
-    stills = list[list[bytes]]()
-    bodies = int((~strays).sum())
-    if has_stills and not atlas:
+    coloured = model.colours is not None
+    poses, raw, stills = _unpack_poses(chunk, len(model.body))
+    is_stray = poses[:, 0] != 0
+    strays = iter(body_stream.unpack_raw(raw, int(is_stray.sum()), coloured))
+    bodies = int((~is_stray).sum())
+    if stills and not atlas:
         raise Corrupt("lien2006: residual maps without a grid")
-    for _ in range((1 + (model.colours is not None)) * has_stills):
-        (common, *sizes), at = varint.read(chunk.payload, 1 + bodies, at)
-        prefix, at = chunk.payload[at : at + common], at + common
-        ends = at + np.cumsum([0, *sizes])
-        if ends[-1] > len(chunk.payload):
-            raise Corrupt("lien2006: a chunk of residual maps is cut off")
-        stills.append([prefix + chunk.payload[i:j] for i, j in itertools.pairwise(ends)])
-        at = int(ends[-1])
-    body = 0
-    for row, stray in zip(poses, strays, strict=True):
+    maps = iter(_open_stills(stills, bodies, _extent(atlas), coloured) if stills else [None] * bodies)
+    for row, stray in zip(poses, is_stray, strict=True):
         if stray:
-            yield next(raw)
-            continue
-        pose = body_stream.dequantise(model.body, row[1:], STEPS)
-        yield _posed(model, atlas, pose, [kind[body] for kind in stills])
-        body += 1
+            yield next(strays)
+        else:
+            yield _posed(model, atlas, body_stream.dequantise(model.body, row[1:], STEPS), next(maps))
 
 
 def _corrected(
@@ -426,23 +466,20 @@ def _corrected(
 
 
 def _posed(
-    model: Model, atlas: Sequence[Tile | None], pose: Pose, stills: list[bytes]
+    model: Model, atlas: Sequence[Tile | None], pose: Pose, residual: Residual | None
 ) -> tuple[Floats, NDArray[np.uint8] | None]:
     """A frame's points: the model's, or those of the residual maps."""
     a, b = articulation.transforms(model.body, pose)
-    if not stills:
+    if residual is None:
         return np.einsum("nij,nj->ni", a[model.links], model.points) + b[model.links], model.colours
-    extent = _extent(atlas)
-    depth = _open_still(stills[0], extent, "L")
-    colour = _open_still(stills[1], extent, "RGB").astype(np.float64) if len(stills) > 1 else None
     points, shades = list[Floats](), list[Floats]()
     for link, tile in enumerate(atlas):
         if tile is None:
             continue
         here = _window(tile)
-        there = depth[here] > 0
-        farther = (depth[here].astype(np.float64) - 128) * DEPTH_STEP
-        brighter = np.zeros_like(tile.expected.colour) if colour is None else 2 * (colour[here] - 128)
+        there = residual.depth[here] > 0
+        farther = (residual.depth[here].astype(np.float64) - 128) * DEPTH_STEP
+        brighter = 2 * (residual.colour[here].astype(np.float64) - 128)
         local, c = _corrected(model, link, tile, there, farther, brighter)
         points.append(local @ a[link].T + b[link])
         shades.append(c)

@@ -27,7 +27,7 @@ def fold_of(recording: Recording) -> tuple[str, ...] | None:
 
 
 def prior_path(folder: Path, fold: Sequence[str]) -> Path:
-    """Where the prior without these people is kept; that of limbs stands beside it."""
+    """Where the prior without these people is kept; those of limbs and bones stand beside it."""
     return folder / f"prior-without-{'-'.join(fold)}.npz"
 
 
@@ -39,12 +39,19 @@ def train(fold: Sequence[str], path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     people = training.people(PEOPLE, fold)
     formats.replace_whole(limbs_path(path), training.train(people, with_limbs=True))
-    formats.replace_whole(path, training.train(people))
+    learned = training.train(people)
+    formats.replace_whole(bones_path(path), training.train_bones(people, training.read(learned)))
+    formats.replace_whole(path, learned)
 
 
 def limbs_path(path: Path) -> Path:
     """Where the prior of limbs is kept that was learned beside this one."""
     return path.with_name(f"limbs-{path.name}")
+
+
+def bones_path(path: Path) -> Path:
+    """Where the prior of bones is kept that was learned beside this one."""
+    return path.with_name(f"bones-{path.name}")
 
 
 @contextmanager
@@ -55,5 +62,6 @@ def unseen(prior: Path | None) -> Iterator[None]:
         return
     from ..codecs.tempo import prior as priors
 
-    with priors.installed(prior.read_bytes(), limbs_path(prior).read_bytes()):
+    files = (prior, limbs_path(prior), bones_path(prior))
+    with priors.installed(*(f.read_bytes() for f in files)):
         yield

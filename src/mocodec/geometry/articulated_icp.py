@@ -7,6 +7,7 @@ data ──cluster──► tree ──► queue from the root: ICP of each link
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from . import icp
 from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
-from .normals import estimate
+from .normals import outward
 
 Labels = NDArray[Any]
 ROUNDS = 5  # of fitting surfaces to links and giving points to the nearest
@@ -41,19 +42,16 @@ def closeness(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats 
     its radius counts most: the paper leaves ties open, so 1 becomes 1 + the share of the radius that is left.
     """
     origins = joints_of(body, a, b)
-    axes = np.einsum("lij,lj->li", a, body.axes)
-    offset = points[None] - origins[:, None]
-    along = np.einsum("lni,li->ln", offset, axes)
+    axes, radii = np.einsum("lij,lj->li", a, body.axes), body.radii[:, None]
+    along = axes @ points.T - np.sum(axes * origins, axis=1)[:, None]
+    square = np.sum(points**2, axis=1) - 2 * origins @ points.T + np.sum(origins**2, axis=1)[:, None]
+    away = np.sqrt(np.maximum(square - along**2, 0))
     foot = np.clip(along, 0, body.lengths[:, None])
-    radial = offset - along[..., None] * axes[:, None]
-    away = np.sqrt(np.einsum("lni,lni->ln", radial, radial))
-    outside = np.maximum(away - body.radii[:, None], 0)
-    distance = np.hypot(outside, along - foot)
-    share = away / body.radii[:, None]
-    result = np.where(distance <= 0, 1.0 + np.maximum(1 - share, 0), np.exp(-distance / body.radii[:, None]))
+    distance = np.hypot(np.maximum(away - radii, 0), along - foot)
+    result = np.where(distance <= 0, 1.0 + np.maximum(1 - away / radii, 0), np.exp(-distance / radii))
     if normals is not None:
-        from_link = offset - foot[..., None] * axes[:, None]
-        result = np.where(np.einsum("lni,ni->ln", from_link, normals) <= 0, 0.0, result)
+        facing = np.sum(points * normals, axis=1) - origins @ normals.T - foot * (axes @ normals.T)
+        result[facing <= 0] = 0.0
     return result
 
 
@@ -69,17 +67,6 @@ def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | 
     return close.argmax(axis=0)
 
 
-def outward(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats) -> Floats:
-    """The normals turned to point away from the axis of the closest link."""
-    link = segment(body, a, b, points, None)
-    origins = joints_of(body, a, b)[link]
-    axes = np.einsum("lij,lj->li", a, body.axes)[link]
-    offset = points - origins
-    along = np.clip(np.sum(offset * axes, axis=1), 0, body.lengths[link])
-    inward = np.sum((offset - along[:, None] * axes) * normals, axis=1) < 0
-    return np.where(inward[:, None], -normals, normals)
-
-
 def make_model(
     body: Body,
     points: Floats,
@@ -93,8 +80,7 @@ def make_model(
     links and gives them a hand that hangs beside a thigh.
     """
     a, b = transforms(body, Pose.canonical(len(body)))
-    n = outward(body, a, b, points, estimate(points)) if normals is None else normals
-
+    n = outward(points, neighbours=10 if by_surface else 8) if normals is None else normals
     if by_surface:
         for _ in range(3):
             links = nearest_surface(body, points, n)
@@ -210,12 +196,16 @@ def fit_cylinders(body: Body, points: Floats, links: Labels, paired: bool = Fals
     return Body(body.names, body.parents, body.origins, tips, radii, body.joints)
 
 
-def third_moment(points: Floats, centre: Floats) -> Floats:
-    """(3, 3, 3): μ3, the mean of x ⊗ x ⊗ x about `centre`, cubic metres; zero without points."""
-    if not len(points):
-        return np.zeros((3, 3, 3))
-    x = points - centre
-    return np.einsum("ni,nj,nk->ijk", x, x, x, optimize=True) / len(x)
+def third_moments(points: Floats, links: Labels, count: int) -> Floats:
+    """(count, 3, 3, 3): μ3 of every link's points (n, 3), which are given from its middle: the mean of x ⊗ x ⊗ x, cubic
+    metres; zero without points."""
+    moments, many = np.empty((count, 3, 3, 3)), np.maximum(np.bincount(links, minlength=count), 1)
+    for i, j, k in itertools.combinations_with_replacement(range(3), 3):
+        product = points[:, i] * points[:, j] * points[:, k]
+        mean = np.bincount(links, product, count) / many
+        for order in itertools.permutations((i, j, k)):
+            moments[:, *order] = mean
+    return moments
 
 
 def global_errors(
@@ -225,12 +215,13 @@ def global_errors(
 
     moments (links, 3, 3, 3): of the model. Links with fewer than `fewest` data points count as ∞.
     """
-    errors = np.empty(len(body))
-    for link in range(len(body)):
-        own = (points[links == link] - b[link]) @ a[link]
-        difference = third_moment(own, (body.origins[link] + body.tips[link]) / 2) - moments[link]
-        errors[link] = np.cbrt(np.linalg.norm(difference)) if len(own) >= fewest else np.inf
-    return errors
+    local = np.einsum("nji,nj->ni", a[links], points - b[links]) - ((body.origins + body.tips) / 2)[links]
+    difference = third_moments(local, links, len(body)) - moments
+    errors = np.cbrt(np.linalg.norm(difference.reshape(len(body), -1), axis=1))
+    return np.where(np.bincount(links, minlength=len(body)) >= fewest, errors, np.inf)
+
+
+FEWEST = 6  # points that a link must have to be fitted
 
 
 @dataclass(frozen=True)
@@ -253,11 +244,11 @@ class Tracker:
         self.body, self.model, self.settings = body, model, settings or Settings()
         self.pose = Pose.canonical(len(body))
         self.below = body.ancestors
+        depth = body.ancestors.sum(axis=0)
+        self.levels = [np.flatnonzero(depth == level).tolist() for level in range(1, depth.max() + 1)]
         self.members = [np.flatnonzero(model.links == link) for link in range(len(body))]
         centres = (body.origins + body.tips) / 2
-        self.moments = np.stack(
-            [third_moment(model.points[rows], c) for rows, c in zip(self.members, centres, strict=True)]
-        )
+        self.moments = third_moments(model.points - centres[model.links], model.links, len(body))
 
     def fit(self, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None = None) -> Pose:
         """Algorithm 3.1 on one frame of points (n, 3), metres. Frames of fewer than 10 points leave the pose as it
@@ -267,51 +258,55 @@ class Tracker:
             return self.pose
         body, model = self.body, self.model
         a, b = transforms(body, self.pose)
-        n = outward(body, a, b, points, estimate(points)) if normals is None else normals
+        n = outward(points) if normals is None else normals
         turned = np.einsum("nij,nj->ni", a[model.links], model.normals)
         label = icp.labels(turned, None if colours is None else model.colours, len(model.points))
         tree = icp.ClusteredTree.build(points, n, None if model.colours is None else colours, label)
-        queue = [0]
-        while queue:  # a parent before its children
-            link = queue.pop(0)
-            self._fit_link(link, a, b, label, tree)
-            queue += [child for child, parent in enumerate(body.parents) if parent == link]
+        for links in self.levels:  # the queue, a parent before its children: links of a level do not move one another
+            self._fit_links(links, a, b, label, tree)
         if self.settings.global_fitting:
             self._fit_globally(a, b, points, n, colours, label)
         self.pose = self._to_pose(a, b)
         return self.pose
 
-    def _fit_link(self, link: int, a: Floats, b: Floats, label: Labels, tree: icp.ClusteredTree) -> None:
-        """ICP of one link; its transform moves the link and all below it."""
-        rows = self.members[link]
-        if len(rows) < 6:
+    def _fit_links(self, links: Sequence[int], a: Floats, b: Floats, label: Labels, tree: icp.ClusteredTree) -> None:
+        """ICP of links; the transform of each moves it and all below it."""
+        links = [link for link in links if len(self.members[link]) >= FEWEST]
+        if not links:
             return
-        moved = self.model.points[rows] @ a[link].T + b[link]
-        pivot = None
-        if link and self.settings.articulation:
-            pivot = a[link] @ self.body.origins[link] + b[link]
-        r, t, _ = icp.icp(moved, label[rows], tree, pivot=pivot, iterations=self.settings.iterations)
-        for other in np.flatnonzero(self.below[link]):
-            a[other], b[other] = r @ a[other], r @ b[other] + t
+        rows = np.concatenate([self.members[link] for link in links])
+        owner = self.model.links[rows]
+        moved = np.einsum("nij,nj->ni", a[owner], self.model.points[rows]) + b[owner]
+        pivots = np.einsum("lij,lj->li", a[links], self.body.origins[links]) + b[links]
+        pivots[[not (link and self.settings.articulation) for link in links]] = np.nan
+        sizes = [len(self.members[link]) for link in links]
+        r, t, _ = icp.icp_many(moved, label[rows], sizes, tree, pivots, iterations=self.settings.iterations)
+        for i, link in enumerate(links):
+            below = self.below[link]
+            a[below], b[below] = r[i] @ a[below], b[below] @ r[i].T + t[i]
 
     def _fit_globally(
         self, a: Floats, b: Floats, points: Floats, normals: Floats, colours: NDArray[Any] | None, label: Labels
     ) -> None:
-        """Section 3.4: segment the data, and match links with intolerable errors to the points that are theirs."""
-        before = np.inf
-        for _ in range(self.settings.rounds):
+        """Section 3.4: segment the data, and match links with intolerable errors to the points that are theirs.
+
+        Of the states on the way the one with the least error stays: a step that makes it larger is taken back.
+        """
+        best, kept = np.inf, (a.copy(), b.copy())
+        for turn in range(self.settings.rounds + 1):
             links = segment(self.body, a, b, points, normals)
             errors = global_errors(self.body, a, b, self.moments, points, links)
-            bad = [link for link in np.argsort(-errors) if errors[link] > self.settings.threshold_m]
             total = float(np.minimum(errors, 1.0).sum())
-            if not bad or total >= before:
-                return
-            before = total
-            for link in sorted(bad):
-                own = links == link
-                if own.sum() >= 10:
-                    mine = icp.ClusteredTree.build(points[own], None, None, np.zeros(0, np.int64))
-                    self._fit_link(link, a, b, np.zeros_like(label), mine)
+            if total >= best:
+                break
+            best, kept = total, (a.copy(), b.copy())
+            bad = (errors > self.settings.threshold_m) & (np.bincount(links, minlength=len(errors)) >= 10)
+            if turn == self.settings.rounds or not bad.any():
+                break
+            own = icp.ClusteredTree.of_groups(points, links, len(errors))
+            for level in self.levels:
+                self._fit_links([link for link in level if bad[link]], a, b, self.model.links, own)
+        a[:], b[:] = kept
 
     def _to_pose(self, a: Floats, b: Floats) -> Pose:
         return from_world(self.body, a, a[0] @ self.body.origins[0] + b[0])

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .articulation import Body, Floats, Labels, Pose, exp, log
+from . import articulated_icp
+from .articulation import Body, Floats, Labels, Pose, between, exp, log, transforms
 from .body_matching import Data, Fit, Matcher, Prior, Step
 from .skinning import Skin
 
@@ -46,10 +47,21 @@ class Limb:
     rows: Labels
 
 
-DOUBT = 1.15  # times the usual cost, above which a fit is not trusted at once
-LOST_POINTS, LOST_LIMB = 0.01, 0.15  # shares of the data, and of a limb's template, that make a search worth while
-FINE = 0.05  # metres: wider weights look at a part of the points
+DOUBT, ASTRAY = 1.15, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
+ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
+# shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
+LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
+FINE, COARSE = 0.03, 0.05  # metres: wider weights look at half of the points, or at a few
+FEW = 0.01  # share of the template below which a link has too little to turn by
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
+
+
+def _unit(vector: Floats, otherwise: Floats | None = None) -> Floats:
+    """The vector's direction; `otherwise`, or up, where it has none."""
+    length = float(np.linalg.norm(vector))
+    if length > 1e-3:
+        return vector / length
+    return np.array([0.0, 1.0, 0.0]) if otherwise is None else otherwise
 
 
 class Tracker:
@@ -71,8 +83,14 @@ class Tracker:
         self.stiffness = self._stiffness()
         self.prior = self._prior()
         self.limbs = self._limbs()
+        in_limbs = [int(limb.links[0]) for limb in self.limbs]
+        self.above_hips = [link for link, parent in enumerate(body.parents) if parent == 0 and link not in in_limbs]
+        self.upright = _unit(body.origins[self.above_hips or [0]].mean(axis=0) - body.origins[0], body.axes[0])
         self.pose = Pose.canonical(len(body))
         self.before = self.pose
+        self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
+        self.twins = self._twins()
+        self.forbearance = dict.fromkeys(self.twins, LOST_TWINS)  # the same, where both of a pair are without
         self.usual = np.inf  # cost of a frame that fits
 
     def _stiffness(self) -> Floats:
@@ -82,7 +100,7 @@ class Tracker:
         own = np.bincount(self.skin.links[:, 0], minlength=len(self.body)) / len(self.skin.points)
         short = self.body.lengths < 0.12 * np.ptp(self.body.origins, axis=0).max()
         carries = self.body.ancestors.sum(axis=1) > 3
-        stiff = (short & carries) | (own < 0.004)
+        stiff = (short & carries) | (own < FEW)
         stiff[0] = False
         return np.where(stiff, self.settings.spine, self.settings.turn)
 
@@ -111,7 +129,11 @@ class Tracker:
         found = self.solve(data, self.predict())
         if found.cost > DOUBT * self.usual:  # it may have turned back: start from where it was
             found = min(found, self.solve(data, self.pose), key=lambda fit: fit.cost)
-        better = self._search(data, found, seed) if self.settings.search else found
+        better = found
+        if self.settings.search:
+            if found.cost > ASTRAY * self.usual:
+                found = better = self._anew(data, found)
+            better = self._search(data, found, seed)
         self.before, self.pose = self.pose if better is found else better.pose, better.pose
         self.usual = min(better.cost, 0.9 * self.usual + 0.1 * better.cost)
         return better
@@ -131,9 +153,13 @@ class Tracker:
 
     def solve(self, data: Data, start: Pose, widths: tuple[float, ...] | None = None) -> Fit:
         """Gauss–Newton from a pose, with the start as prior."""
-        coarse, fine = max(400, len(data.points) // 5), len(data.points)
-        steps = [Step(width, fine if width < FINE else coarse, 400) for width in widths or self.settings.widths]
-        return self.assess(data, self.matcher.solve(data, start, steps, self.prior))
+        everything = len(data.points), len(self.matcher.some)
+        steps = list[Step]()
+        for width in widths or self.settings.widths:
+            share = 1.0 if width < FINE else 0.5 if width < COARSE else 0.16
+            points, template = (max(ROUGH, round(share * count)) for count in everything)
+            steps.append(Step(width, points, template))
+        return self.matcher.fit(data, start, steps, self.prior)
 
     def assess(self, data: Data, pose: Pose) -> Fit:
         """How well a pose fits."""
@@ -168,6 +194,39 @@ class Tracker:
                 limbs.append(Limb(np.array(chain), mine[:: max(1, len(mine) // 60)]))
         return limbs
 
+    def _anew(self, data: Data, found: Fit) -> Fit:
+        """A body that has lost its points altogether: it may have turned, or come back at another place.
+
+        It is turned to every side, as a whole and at the hips alone, put where the points are, and the best of these
+        poses after some steps is kept, if it is better than the one there was.
+        """
+        some = data.some(np.arange(min(len(data.points), ROUGH)))
+        middle = np.median(data.points, axis=0)
+        starts = list[Pose]()
+        for pose in (found.pose, self.pose):
+            a, b = transforms(self.body, pose)
+            away = middle - np.median(self.skin.posed(a, b, self.matcher.some), axis=0)
+            shift = away if np.linalg.norm(away) > ELSEWHERE else np.zeros(3)
+            for turn in self._turns(a[0] @ self.upright):
+                starts += [self._turned(pose, turn, shift, whole) for whole in (True, False)]
+        steps = [Step(width, ROUGH, 200) for width in self.settings.widths[2:8]]
+        rough = [self.matcher.assess(some, self.matcher.solve(some, start, steps, self.prior)) for start in starts]
+        rough.sort(key=lambda fit: fit.cost)
+        return min([found, *(self.solve(data, fit.pose) for fit in rough[:2])], key=lambda fit: fit.cost)
+
+    def _turns(self, axis: Floats) -> Floats:
+        """World rotations (sides, 3, 3) about an axis."""
+        return exp(np.arange(SIDES)[:, None] * (2 * np.pi / SIDES) * axis)
+
+    def _turned(self, pose: Pose, turn: Floats, shift: Floats, whole: bool) -> Pose:
+        """The pose with its root turned where it stands; if not as a whole, the trunk above it is not."""
+        rotations = pose.rotations.copy()
+        rotations[0] = turn @ rotations[0]
+        if not whole:
+            for link in self.above_hips:
+                rotations[link] = rotations[0].T @ pose.rotations[0] @ rotations[link]
+        return Pose(rotations, pose.root + shift)
+
     def _search(self, data: Data, found: Fit, seed: int) -> Fit:
         """A limb that has left its points, while other points are left without a limb, is looked for all around.
 
@@ -176,17 +235,72 @@ class Tracker:
         """
         if np.mean(found.residuals > LOST) < LOST_POINTS:
             return found
-        owner = self.skin.links[self.matcher.some, 0]
         best = found
-        for limb in self.limbs:
-            gaps = best.gaps[np.isin(owner, limb.links)]
-            if not len(gaps) or np.mean(gaps > LOST) < LOST_LIMB:
+        for number, limb in enumerate(self.limbs):
+            share = self._lost(limb, best)
+            self.patience[number] = max(0.93 * self.patience[number], LOST_LIMB)
+            if share < self.patience[number]:
                 continue
+            before = best
             for pose in self._draw(limb, data, best, seed):
                 other = self.solve(data, pose, self.settings.widths[-5:])
                 if other.cost < 0.97 * best.cost:
                     best = other
+            if best is before:  # it is where it is best: what is missing is hidden, or not in the template
+                self.patience[number] = 1.3 * share
+        return self._exchange(data, best)
+
+    def _exchange(self, data: Data, found: Fit) -> Fit:
+        """Two legs, or two arms, that have been taken for each other are put each where the other is."""
+        best = found
+        for pair in self.twins:
+            share = min(self._lost(self.limbs[number], best) for number in pair)
+            self.forbearance[pair] = max(0.93 * self.forbearance[pair], LOST_TWINS)
+            if share < self.forbearance[pair]:
+                continue
+            other = self.solve(
+                data, self._exchanged(best.pose, *(self.limbs[i] for i in pair)), self.settings.widths[-6:]
+            )
+            if other.cost < 0.97 * best.cost:
+                best = other
+            else:
+                self.forbearance[pair] = 1.3 * share
         return best
+
+    def _exchanged(self, pose: Pose, one: Limb, other: Limb) -> Pose:
+        """The pose with two limbs reaching for each other's middle and end."""
+        a, b = transforms(self.body, pose)
+        rotations = pose.rotations.copy()
+        for mine, theirs in ((one, other), (other, one)):
+            upper, lower = mine.links[:2]
+            bends, ends = (a[link] @ place + b[link] for link, place in self._reach(theirs))
+            start = a[upper] @ self.body.origins[upper] + b[upper]
+            turned = between(_unit(a[upper] @ self.body.axes[upper]), _unit(bends - start)) @ a[upper]
+            elbow = start + turned @ (self.body.origins[lower] - self.body.origins[upper])
+            below = turned @ rotations[lower]
+            below = between(_unit(below @ self.body.axes[lower]), _unit(ends - elbow)) @ below
+            parent = self.body.parents[upper]
+            rotations[upper] = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
+            rotations[lower] = turned.T @ below
+        return Pose(rotations, pose.root)
+
+    def _reach(self, limb: Limb) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
+        """Where a limb bends, and where its second bone ends: links, and places in their canonical coordinates."""
+        upper, lower = (int(link) for link in limb.links[:2])
+        end = self.body.origins[limb.links[2]] if len(limb.links) > 2 else self.body.tips[lower]
+        return (upper, self.body.origins[lower]), (lower, end)
+
+    def _twins(self) -> list[tuple[int, int]]:
+        """Pairs of limbs that hang on mirrored links."""
+        number = {int(limb.links[0]): i for i, limb in enumerate(self.limbs) if len(limb.links) > 1}
+        pairs = articulated_icp.mirrored(self.body)
+        return [(number[one], number[other]) for one, other in pairs if one in number and other in number]
+
+    def _lost(self, limb: Limb, fit: Fit) -> float:
+        """The share of a limb's template that has no data near it, of all of it or of what is beyond its first bone."""
+        owner = self.skin.links[self.matcher.some, 0]
+        parts = (fit.gaps[np.isin(owner, links)] > LOST for links in (limb.links, limb.links[1:]))
+        return max((float(part.mean()) for part in parts if len(part)), default=0.0)
 
     def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 8) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""

@@ -8,6 +8,7 @@ lower the error: theorem 3.1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,9 +30,7 @@ def rigid(p: Floats, q: Floats, pivot: Floats | None = None) -> tuple[Floats, Fl
     pivot (3,): a joint that must stay where it is; it stands in place of both centres (section 3.2).
     """
     centre_p, centre_q = (p.mean(axis=0), q.mean(axis=0)) if pivot is None else (pivot, pivot)
-    u, _, vt = np.linalg.svd((p - centre_p).T @ (q - centre_q) / max(len(p), 1))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
-    r = (u @ flip @ vt).T
+    r = rotations((p - centre_p).T @ (q - centre_q) / max(len(p), 1))
     return r, centre_q - r @ centre_p
 
 
@@ -106,6 +105,18 @@ class ClusteredTree:
         placed = np.column_stack([points[row], key * APART])
         return ClusteredTree(points, KDTree(placed, 24, compact_nodes=False, balanced_tree=False), row, filled)
 
+    @staticmethod
+    def of_groups(points: Floats, groups: Labels, count: int) -> ClusteredTree:
+        """The tree of points (n, 3) of which each is in one group (n,), 0 to count − 1: for queries labelled by group,
+        of groups that have points."""
+        from scipy.spatial import KDTree
+
+        placed = np.column_stack([points, groups * APART])
+        filled = np.bincount(groups, minlength=count) > 0
+        return ClusteredTree(
+            points, KDTree(placed, 24, compact_nodes=False, balanced_tree=False), np.arange(len(points)), filled
+        )
+
     def closest(self, points: Floats, labels: Labels) -> tuple[Labels, Floats]:
         """For each point (n, 3), the row and the distance of the closest data point in its label's neighbourhood."""
         where = np.where(self.filled[labels], labels, -1) * APART
@@ -128,26 +139,70 @@ def icp(
     pivot: Floats | None = None,
     iterations: int = 12,
     tolerance: float = 2e-4,
-    farthest: float = np.inf,
 ) -> tuple[Floats, Floats, list[float]]:
     """Algorithm 2.1: R (3, 3), t (3,) that carry model points (n, 3) onto the data, and the error of equation (1) a
     step.
 
-    The errors, mean squared distances in square metres, never rise (for `farthest` = ∞, within which pairs are used).
-    Stops when the root of the error falls by less than `tolerance` metres.
+    The errors, mean squared distances in square metres, never rise. Stops when the root of the error falls by less
+    than `tolerance` metres.
     """
-    r, t = np.eye(3), np.zeros(3)
-    errors = list[float]()
-    moved = points
+    pivots = np.full((1, 3), np.nan) if pivot is None else pivot[None]
+    r, t, errors = icp_many(points, label, [len(points)], data, pivots, iterations=iterations, tolerance=tolerance)
+    return r[0], t[0], errors[0]
+
+
+def icp_many(
+    points: Floats,
+    label: Labels,
+    sizes: Sequence[int],
+    data: ClusteredTree,
+    pivots: Floats,
+    *,
+    iterations: int = 12,
+    tolerance: float = 2e-4,
+) -> tuple[Floats, Floats, list[list[float]]]:
+    """`icp` of several rigid parts that do not move one another, step by step side by side.
+
+    points (n, 3): of one part after another, `sizes` of each, none of them empty. pivots (parts, 3): joints that stay
+    where they are; NaN for a part that is free. Returns R (parts, 3, 3), t (parts, 3), the errors of each part.
+    """
+    count = len(sizes)
+    bounds = np.concatenate([[0], np.cumsum(sizes)])
+    r, t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    errors = [list[float]() for _ in range(count)]
+    moved, free = points.copy(), np.isnan(pivots[:, 0])
+    active = np.arange(count)
     for _ in range(iterations):
-        row, distance = data.closest(moved, label)
-        errors.append(float(np.mean(distance**2)))
-        if len(errors) > 1 and np.sqrt(errors[-2]) - np.sqrt(errors[-1]) < tolerance:
+        rows = np.concatenate([np.arange(bounds[part], bounds[part + 1]) for part in active])
+        starts = np.concatenate([[0], np.cumsum(np.diff(bounds)[active])])[:-1]
+        many = np.diff(bounds)[active].astype(np.float64)
+        row, distance = data.closest(moved[rows], label[rows])
+        error = np.add.reduceat(distance**2, starts) / many
+        going = np.ones(len(active), bool)
+        for i, part in enumerate(active):
+            errors[part].append(float(error[i]))
+            if len(errors[part]) > 1:
+                going[i] = np.sqrt(errors[part][-2]) - np.sqrt(errors[part][-1]) >= tolerance
+        if not going.any():
             break
-        used = distance < farthest
-        if used.sum() < 3:
-            break
-        step_r, step_t = rigid(moved[used], data.points[row[used]], pivot)
-        moved = moved @ step_r.T + step_t
-        r, t = step_r @ r, step_r @ t + step_t
+        p, q = moved[rows], data.points[row]
+        centre_p, centre_q = (np.add.reduceat(x, starts) / many[:, None] for x in (p, q))
+        centre_p, centre_q = (np.where(free[active, None], c, pivots[active]) for c in (centre_p, centre_q))
+        part_of = np.repeat(np.arange(len(active)), many.astype(np.int64))
+        off_p, off_q = p - centre_p[part_of], q - centre_q[part_of]
+        products = (off_p[:, :, None] * off_q[:, None, :]).reshape(-1, 9)
+        step = rotations(np.add.reduceat(products, starts).reshape(-1, 3, 3) / many[:, None, None])
+        move = centre_q - np.einsum("pij,pj->pi", step, centre_p)
+        moved[rows] = np.einsum("nij,nj->ni", step[part_of], p) + move[part_of]
+        for i in np.flatnonzero(going):
+            part = active[i]
+            r[part], t[part] = step[i] @ r[part], step[i] @ t[part] + move[i]
+        active = active[going]
     return r, t, errors
+
+
+def rotations(covariance: Floats) -> Floats:
+    """(…, 3, 3): the rotations that carry p closest to q, from their cross-covariances Σ p qᵀ (…, 3, 3)."""
+    u, _, vt = np.linalg.svd(covariance)
+    u[..., :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[..., None]
+    return np.asarray((u @ vt).swapaxes(-1, -2), np.float64)

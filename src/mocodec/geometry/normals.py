@@ -1,4 +1,4 @@
-"""Normals of points of a surface: the direction of least spread among each point's neighbours."""
+"""Normals of points of a surface: the direction of least spread among each point's neighbours, turned outwards."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+ROUNDS = 8  # of asking the neighbours which way is out
 
 
 def estimate(points: Floats, neighbours: int = 10) -> Floats:
@@ -20,6 +21,41 @@ def estimate(points: Floats, neighbours: int = 10) -> Floats:
     spread = points[index] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
     return least(np.einsum("nki,nkj->nij", spread, spread))
+
+
+def outward(points: Floats, among: Floats | None = None, neighbours: int = 8, cell: float = 0.05) -> Floats:
+    """(n, 3) unit normals that point away from where the other points around are, which is inside a body.
+
+    among (m, 3): all the points of the surface, where `points` are some of them. The middle of what is within some 15
+    cm, weighted by a bell, comes from sums over cells of `cell` metres; then what neighbours say counts too.
+    """
+    from scipy.ndimage import gaussian_filter
+    from scipy.spatial import KDTree
+
+    if len(points) < 3:
+        return estimate(points)
+    tree = KDTree(points, leafsize=16, compact_nodes=False, balanced_tree=False)
+    index = np.asarray(tree.query(points, k=min(neighbours, len(points)))[1], np.int64)
+    near = points[index]
+    if among is not None and len(among) > len(points):
+        tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
+        near = among[tree.query(points, k=neighbours + 4)[1]]
+    spread = near - points[:, None]
+    spread -= spread.mean(axis=1, keepdims=True)
+    normals = least(np.einsum("nki,nkj->nij", spread, spread))
+    low = np.percentile(points, 1, axis=0) - 0.5
+    place = np.clip((points - low) / cell, 0, 99).astype(np.int64)  # five metres: what flies beyond is no matter
+    shape = place.max(axis=0) + 1
+    flat = np.asarray((place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2])
+    sums = [np.bincount(flat, weight, int(shape.prod())) for weight in (None, *(points - low).T)]
+    wide = [gaussian_filter(s.reshape(shape).astype(np.float32), 1.5, mode="constant", truncate=2.0) for s in sums]
+    count, *middle = (np.asarray(w, np.float64).ravel()[flat] for w in wide)
+    vote = np.sum((points - low - np.stack(middle, 1) / count[:, None]) * normals, axis=1)
+    alike = np.einsum("nki,ni->nk", normals[index], normals)
+    alike *= np.abs(alike) / len(index[0])
+    for _ in range(ROUNDS):
+        vote = np.einsum("nk,nk->n", alike, vote[index])
+    return np.where(vote[:, None] < 0, -normals, normals)
 
 
 def least(covariance: Floats) -> Floats:

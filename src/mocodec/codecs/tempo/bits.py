@@ -5,18 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import native
+
 Integers = NDArray[np.int64]
 Bits = NDArray[np.uint8]
 
 
 def pack(values: Integers, widths: Integers) -> Bits:
     """Each value (n,) in its own number of bits (n,), highest first → one array of 0 and 1."""
+    if (kernel := native.kernel("tempo_pack_bits")) is not None:
+        return kernel(values, widths)
     number, place = _places(widths)
     return (values[number] >> place & 1).astype(np.uint8)
 
 
 def unpack(bits: Bits, widths: Integers) -> Integers:
     """The values (n,) of `pack`; bits that are not there read as 0."""
+    if (kernel := native.kernel("tempo_unpack_bits")) is not None:
+        return kernel(bits, widths)
     number, place = _places(widths)
     have = np.zeros(len(number), np.int64)
     have[: len(bits)] = bits[: len(number)]

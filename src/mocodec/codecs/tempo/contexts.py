@@ -54,7 +54,12 @@ _EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512
 
 def log2(numbers: NDArray[np.integer]) -> Integers:
     """log₂ of whole numbers ≥ 1 in 1/32 octave, the same on every machine."""
-    mantissa, exponent = np.frexp(numbers.astype(np.float64))  # exact: takes a float apart
+    return log2_of(numbers.astype(np.float64))
+
+
+def log2_of(values: NDArray[np.float64]) -> Integers:
+    """The same of positive floats."""
+    mantissa, exponent = np.frexp(values)  # exact: takes a float apart
     return (exponent.astype(np.int64) - 1) * OCTAVE + _LOG[((mantissa - 0.5) * 512).astype(np.int64)]
 
 

@@ -16,10 +16,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import native
 from ...motion import Floats
 
 SHORTEST_M = 1e-7
@@ -89,35 +91,45 @@ class Limbs:
                 turns = unwrapped(_logarithm(local))
                 out[plan.at_bone(bone)] = turns
                 if bone in plan.carriers:
-                    found[bone] = _framed(found.get(plan.carrier[bone]), plan.axes[bone], turns)
+                    turned = _Turned.by(np.sqrt(turns[0] ** 2 + turns[1] ** 2))
+                    found[bone] = _framed(found.get(plan.carrier[bone]), plan.axes[bone], turns, turned)
         return out.T
 
     def inverse(self, coordinates: Floats) -> Floats:
         """Poses (frames, points, 3), metres, their mean in the origin."""
-        plan, values = self.plan, np.ascontiguousarray(coordinates.T)
-        offsets = np.zeros((3, len(self.parents), len(coordinates)))
+        return _summed(self._turned(np.ascontiguousarray(coordinates.T)), self.parents)
+
+    def _turned(self, values: Floats) -> Floats:
+        """Offsets (3, points, frames) from parent to point, in the body's frame, of turns (dimensions, frames)."""
+        plan, frames = self.plan, values.shape[1]
+        bones = values[: 2 * len(plan.bones)].reshape(len(plan.bones), 2, frames)
+        hubs = values[2 * len(plan.bones) :][: 3 * len(plan.hubs)].reshape(len(plan.hubs), 3, frames)
+        of_bones = _Turned.by(np.sqrt(bones[:, 0] ** 2 + bones[:, 1] ** 2))
+        of_hubs = _Turned.by(np.sqrt(hubs[:, 0] ** 2 + hubs[:, 1] ** 2 + hubs[:, 2] ** 2))
+        if (kernel := native.kernel("tempo_limbs")) is not None:
+            axes = plan.stacked(plan.bones) if plan.bones else np.zeros((0, 3, 3))
+            return kernel(bones, *of_bones, hubs, *of_hubs, *plan.program, axes, self.lengths, self.vectors)
+        offsets = np.zeros((3, len(self.parents), frames))
         found: dict[int, Floats] = {}
         for level in plan.levels:
             for hub in level.hubs:
-                children = plan.children[hub]
-                frame = _within(found.get(plan.carrier[children[0]]), turning(values[plan.at_hub(hub)]))
+                children, number = plan.children[hub], plan.hubs.index(hub)
+                frame = _within(found.get(plan.carrier[children[0]]), _turning(hubs[number], of_hubs.of(number)))
                 found[-2 - hub] = frame
-                offsets[:, children] = np.einsum("abf,cb->acf", frame, self.vectors[children])
-            for carrier, bones in level.groups:
-                turns = values[plan.rows(bones)].reshape(len(bones), 2, -1).transpose(1, 0, 2)
-                angle2 = turns[0] ** 2 + turns[1] ** 2
-                angle = np.sqrt(angle2)
-                sine, cosine_ = _over(np.sin(angle), angle, 1.0), np.cos(angle)
-                x, y = turns[0] * sine, turns[1] * sine
-                axes = plan.stacked(bones) * self.lengths[list(bones), None, None]
+                offsets[:, children] = _out_of(frame, self.vectors[children].T[..., None])
+            for carrier, group in level.groups:
+                numbers = [plan.bones.index(b) for b in group]
+                turns, turned = bones[numbers].swapaxes(0, 1), of_bones.of(numbers)
+                x, y = turns[0] * turned.sine, turns[1] * turned.sine
+                axes = plan.stacked(group) * self.lengths[list(group), None, None]
                 inside = axes[:, :, 0].T[..., None] * x
                 inside += axes[:, :, 1].T[..., None] * y
-                inside += axes[:, :, 2].T[..., None] * cosine_
-                offsets[:, bones] = _out_of(found.get(carrier), inside)
-                for i, bone in enumerate(bones):
+                inside += axes[:, :, 2].T[..., None] * turned.cosine
+                offsets[:, group] = _out_of(found.get(carrier), inside)
+                for i, bone in enumerate(group):
                     if bone in plan.carriers:
-                        found[bone] = _framed(found.get(carrier), plan.axes[bone], turns[:, i])
-        return _summed(offsets, self.parents)
+                        found[bone] = _framed(found.get(carrier), plan.axes[bone], turns[:, i], turned.of(i))
+        return offsets
 
     def metric(self, coordinates: Floats) -> Floats:
         """How far the points move in all when coordinates do, (dimensions, dimensions): the mean of Jᵀ J over these."""
@@ -167,8 +179,24 @@ class Plan:
         at = 2 * len(self.bones) + 3 * self.hubs.index(hub)
         return slice(at, at + 3)
 
-    def rows(self, bones: Sequence[int]) -> list[int]:
-        return [row for b in bones for row in range(self.at_bone(b).start, self.at_bone(b).stop)]
+    @cached_property
+    def program(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """For the compiled module: (turns, 6) in order whether it is a hub, its number among those, the place of its
+        carrier's frame and of its own (−1: none), its first child and the one past its last (of a bone, its point);
+        and the children."""
+        places = {carrier: place for place, carrier in enumerate(sorted(self.carriers - {BODY}))}
+        rows: list[tuple[int, ...]] = []
+        children: list[int] = []
+        for level in self.levels:
+            for hub in level.hubs:
+                of_hub = self.children[hub]
+                carrier, own = places.get(self.carrier[of_hub[0]], -1), places.get(-2 - hub, -1)
+                rows.append((1, self.hubs.index(hub), carrier, own, len(children), len(children) + len(of_hub)))
+                children += of_hub
+            for bone in level.bones:
+                own = places.get(bone, -1)
+                rows.append((0, self.bones.index(bone), places.get(self.carrier[bone], -1), own, bone, bone + 1))
+        return np.array(rows, np.int64).reshape(-1, 6), np.array(children, np.int64)
 
     def stacked(self, bones: Sequence[int]) -> Floats:
         return np.stack([self.axes[b] for b in bones])
@@ -284,23 +312,36 @@ def unwrapped(turns: Floats) -> Floats:
     return np.where(odd, turns * (1 - _over(np.full_like(angle, 2 * np.pi), angle, 0.0)), turns)
 
 
-def _framed(carrier: Floats | None, axes: Floats, turns: Floats) -> Floats:
+class _Turned(NamedTuple):
+    """What turns by some angles need, each of the shape of the angles: sin a / a, cos a, and (1 − cos a) / a²."""
+
+    sine: Floats
+    cosine: Floats
+    versed: Floats
+
+    @classmethod
+    def by(cls, angle: Floats) -> _Turned:
+        versed = 0.5 * _over(np.sin(angle / 2), angle / 2, 1.0) ** 2
+        return cls(_over(np.sin(angle), angle, 1.0), np.cos(angle), versed)
+
+    def of(self, numbers: int | list[int]) -> _Turned:
+        return _Turned(*(each[numbers] for each in self))
+
+
+def _framed(carrier: Floats | None, axes: Floats, turns: Floats, turned: _Turned) -> Floats:
     """The frame (3, 3, frames) of a bone turned by (2, frames), out of its carrier's: at rest that frame itself."""
-    angle = np.sqrt(turns[0] ** 2 + turns[1] ** 2)
     vector = axes[:, 1, None] * turns[0] - axes[:, 0, None] * turns[1]
-    return _within(carrier, _turning(vector, angle))
+    return _within(carrier, _turning(vector, turned))
 
 
 def turning(turns: Floats) -> Floats:
     """Rotation matrices (3, 3, frames) of rotation vectors (3, frames)."""
-    return _turning(turns, np.sqrt((turns**2).sum(axis=0)))
+    return _turning(turns, _Turned.by(np.sqrt((turns**2).sum(axis=0))))
 
 
-def _turning(turns: Floats, angle: Floats) -> Floats:
-    sine = _over(np.sin(angle), angle, 1.0)
-    versed = 0.5 * _over(np.sin(angle / 2), angle / 2, 1.0) ** 2
+def _turning(turns: Floats, turned: _Turned) -> Floats:
+    sine, cos, versed = turned
     x, y, z = turns
-    cos = np.cos(angle)
     out = np.empty((3, 3, turns.shape[1]))
     out[0, 0], out[1, 1], out[2, 2] = cos + versed * x * x, cos + versed * y * y, cos + versed * z * z
     for a, b, product, left in ((0, 1, x * y, z), (0, 2, x * z, -y), (1, 2, y * z, x)):
@@ -311,7 +352,7 @@ def _turning(turns: Floats, angle: Floats) -> Floats:
 
 def _within(carrier: Floats | None, frame: Floats) -> Floats:
     """Frames (3, 3, frames) that are given in a carrier's, in the body's."""
-    return frame if carrier is None else np.einsum("abf,bcf->acf", carrier, frame)
+    return _out_of(carrier, frame)
 
 
 def _into(carrier: Floats | None, vectors: Floats) -> Floats:
@@ -482,5 +523,7 @@ def _carrier_frame(limbs: Limbs, pose: Floats, carrier: int) -> Floats | None:
         if at < BODY:
             frame = _within(frame, turning(values[plan.at_hub(-2 - at)]))
         else:
-            frame = _framed(frame, plan.axes[at], values[plan.at_bone(at)])
+            turns = values[plan.at_bone(at)]
+            turned = _Turned.by(np.sqrt(turns[0] ** 2 + turns[1] ** 2))
+            frame = _framed(frame, plan.axes[at], turns, turned)
     return frame

@@ -23,7 +23,7 @@ from ...errors import Corrupt
 from ...motion import Floats
 from ...stages import basis
 from . import body, contexts
-from .model import POSE, Model, of_names, step_size
+from .model import EDGES_MHZ, POSE, Model, step_size
 from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
@@ -84,21 +84,22 @@ def fit(
     names: tuple[str, ...],
     rate: float,
     step: int,
-    body_: PointSet | None = None,
+    known: Model | None,
+    limbs: PointSet | None = None,
 ) -> bytes:
     """The stored form of a model for the chunks (frames, points, 3), y up, of a recording to be coded in this step.
 
-    body_: the points as limbs, where they are some; the basis is then one of their coordinates.
+    known: what the prior makes of the points, if it knows them. limbs: the points as limbs that it does not know, if
+    they are some; the basis is then one of their coordinates.
     """
     frames = sum(map(len, positions))
     noise = step - int(contexts.log2(np.array([frames]))[0]) // 2
-    known = None if body_ else of_names(names, prior, rate)
     pose = np.zeros((0, 3), np.int64)
-    if known is None and body_ is None:
+    if known is None and limbs is None:
         centred = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in positions])
         mean = body.mean_pose(centred[:: max(1, frames // 2000)])
         pose = np.rint(mean / step_size(noise + POSE_COARSER)).astype(np.int64)
-    start = _start(known, pose, noise, prior, names, rate, body_)
+    start = _start(known, pose, noise, prior, names, rate, limbs)
     spectra = [start.analyse(p)[:, POSE:] for p in positions]
     if known is not None:
         for s in spectra:
@@ -106,7 +107,7 @@ def fit(
     vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
-    shape = _shape(prior, count + 1)
+    shape = _shape(known.points if known else prior.sets[0], count + 1)
     gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shape, strict=False)]
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors[:, :count], precision, _alike(pose))
@@ -117,22 +118,28 @@ def fit(
     return Stored(noise, pose, rounded, precision, packed).pack()
 
 
-def unpack(data: bytes, prior: Prior, names: tuple[str, ...], rate: float, body_: PointSet | None = None) -> Model:
+def unpack(
+    data: bytes,
+    prior: Prior,
+    names: tuple[str, ...],
+    rate: float,
+    known: Model | None,
+    limbs: PointSet | None = None,
+) -> Model:
     """The model of `fit`. Raises Corrupt."""
-    known = None if body_ else of_names(names, prior, rate)
     dimensions = len(known.points.bases[0]) if known else 3 * len(names)
-    if body_ is not None and body_.limbs is not None:
-        dimensions = body_.limbs.dimensions
-    stored = Stored.unpack(data, 0 if known or body_ else len(names), dimensions)
+    if limbs is not None and limbs.limbs is not None:
+        dimensions = limbs.limbs.dimensions
+    stored = Stored.unpack(data, 0 if known or limbs else len(names), dimensions)
     found = _completed(basis.unpack(stored.basis, dimensions, stored.precision, _alike(stored.pose)))
-    start = _start(known, stored.pose, stored.noise, prior, names, rate, body_)
+    start = _start(known, stored.pose, stored.noise, prior, names, rate, limbs)
     own = found.T @ start.points.bases[0]
     count = len(stored.gains) - 1
     gains = np.concatenate([stored.gains[:-1], np.full(dimensions - count, stored.gains[-1])]) * GAIN_UNIT
-    shape = _shape(prior, count + 1)
+    like = known.points if known else prior.sets[0]
+    shape = _shape(like, count + 1)
     spreads = np.concatenate([shape[:-1], np.repeat(shape[-1:], dimensions - count, axis=0)]) + gains[:, None]
     means = spreads[:, 2] - MEAN_BELOW
-    like = known.points if known else prior.sets[0]
     bases, below = [own] * len(like.bases), spreads.shape[1]
     if known is not None:
         bases[OWN_BANDS:], below = like.bases[OWN_BANDS:], OWN_BELOW
@@ -157,7 +164,7 @@ def _start(
     prior: Prior,
     names: tuple[str, ...],
     rate: float,
-    body_: PointSet | None,
+    limbs: PointSet | None,
 ) -> Model:
     """The model whose components the basis is stored in: the prior's in one band, or each coordinate by itself."""
     if known is None:
@@ -165,17 +172,17 @@ def _start(
     else:
         mean, components = known.points.pose, known.points.bases[START_BAND]
     spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
-    bands = len(prior.sets[0].bases)
-    if body_ is not None and body_.limbs is not None:
-        components = np.eye(body_.limbs.dimensions)
+    bands = len(EDGES_MHZ) + 1
+    if limbs is not None and limbs.limbs is not None:
+        components = np.eye(limbs.limbs.dimensions)
         spreads = np.zeros((POSE + len(components), len(contexts.BANDS_MHZ)), np.int64)
-        return Model(replace(body_, bases=(components,) * bands, spreads=spreads, means=spreads[:, 0]), prior, rate)
+        return Model(replace(limbs, bases=(components,) * bands, spreads=spreads, means=spreads[:, 0]), prior, rate)
     return Model(PointSet(names, mean, (components,) * bands, spreads, spreads[:, 0]), prior, rate)
 
 
-def _shape(prior: Prior, count: int) -> Integers:
+def _shape(like: PointSet, count: int) -> Integers:
     """Spectra (components, bands) of the prior's components of the same rank, as if all were equally strong at 1 Hz."""
-    known = prior.sets[0].spreads[POSE:]
+    known = like.spreads[POSE:]
     rank = np.minimum(np.arange(count), len(known) - 1)
     return known[rank] - known[rank][:, 5:6]
 

@@ -3,6 +3,10 @@
 A prior is one .npz beside this package, named in every file that uses it by the first four bytes of its BLAKE2b hash.
 `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that the
 entropy coder depends on is integer.
+
+    people.npz     the joints of one skeleton, by name
+    limbs.npz      where its bones point, on any build
+    bodies.npz     the bones, as places and turns: for points of any other names (`mapped`)
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from .limbs import Limbs
 
 Integers = NDArray[np.int64]
 
-FILE, LIMBS_FILE = "people.npz", "limbs.npz"
+FILE, LIMBS_FILE, BONES_FILE = "people.npz", "limbs.npz", "bodies.npz"
 ID_BYTES = 4
 
 
@@ -78,28 +82,59 @@ class PointSet:
 
 
 @dataclass(frozen=True, eq=False)
+class Bones:
+    """What is known about how bones move: each as its joint and three points that turn with it.
+
+    parents (bones,): the bone that each begins at. usual (bands,): how large components are in the middle. set: the
+    points, (4 bones,): joint and three turning points, bone after bone.
+    """
+
+    names: tuple[str, ...]
+    parents: Integers
+    usual: Integers
+    set: PointSet
+
+    @property
+    def joints(self) -> Floats:
+        """Their mean places, (bones, 3)."""
+        return self.set.pose[::4]
+
+
+@dataclass(frozen=True, eq=False)
 class Prior:
     id: bytes
     sets: tuple[PointSet, ...]
     coder: lanes.Tables
+    bones: Bones | None = None
 
 
 def read(data: bytes) -> Prior:
     """A prior from the bytes of its file."""
     with np.load(io.BytesIO(data), allow_pickle=False) as f:
-        sets = tuple(
-            PointSet(
-                tuple(str(n) for n in f[f"{s}.names"]),
-                f[f"{s}.pose"].astype(np.float64),
-                tuple(b.astype(np.float64) for b in f[f"{s}.bases"]),
-                f[f"{s}.spreads"].astype(np.int64),
-                f[f"{s}.means"].astype(np.int64),
-                *_limbs(f, s),
-            )
-            for s in map(str, f["sets"])
+        arrays = dict(f)
+    sets = tuple(_point_set(arrays, s) for s in map(str, arrays["sets"]))
+    bones = None
+    if "bones.parents" in arrays:
+        of_bones = _point_set(arrays, "bones")
+        bones = Bones(
+            of_bones.names[::4],
+            arrays["bones.parents"].astype(np.int64),
+            arrays["bones.usual"].astype(np.int64),
+            of_bones,
         )
-        coder = lanes.Tables.of(f["tables"])
-    return Prior(hashlib.blake2b(data, digest_size=ID_BYTES).digest(), sets, coder)
+    id_ = hashlib.blake2b(data, digest_size=ID_BYTES).digest()
+    return Prior(id_, sets, lanes.Tables.of(arrays["tables"]), bones)
+
+
+def _point_set(arrays: dict[str, NDArray[Any]], name: str) -> PointSet:
+    return PointSet(
+        tuple(str(n) for n in arrays[f"{name}.names"]),
+        arrays[f"{name}.pose"].astype(np.float64),
+        tuple(b.astype(np.float64) for b in arrays[f"{name}.bases"]),
+        arrays[f"{name}.spreads"].astype(np.int64),
+        arrays[f"{name}.means"].astype(np.int64),
+        *_limbs(arrays, name),
+    )
 
 
 def _limbs(f: Mapping[str, NDArray[Any]], s: str) -> tuple[Limbs | None, Floats | None]:
@@ -134,6 +169,12 @@ def of_limbs() -> Prior | None:
     return next((p for p in used if p.sets and p.sets[0].limbs is not None), None)
 
 
+def of_bones() -> Prior | None:
+    """The prior that knows bones, to be used for encoding; none where others are `installed` that do not."""
+    used = _others[-1] if _others else (_packaged(BONES_FILE),)
+    return next((p for p in used if p.bones is not None), None)
+
+
 @contextmanager
 def installed(*data: bytes) -> Iterator[Prior]:
     """Within this context other priors are used, and can be decoded with: for judging them on people they have not
@@ -147,7 +188,7 @@ def installed(*data: bytes) -> Iterator[Prior]:
 
 def named(id_: bytes) -> Prior:
     """The prior of this hash. Raises UnknownCodec where this package does not have it."""
-    packaged = (_packaged(file) for file in (FILE, LIMBS_FILE))
+    packaged = (_packaged(file) for file in (FILE, LIMBS_FILE, BONES_FILE))
     for prior in chain(*_others, packaged):
         if prior.id == id_:
             return prior

@@ -121,7 +121,9 @@ class Stored:
         """The points as limbs, with no bases yet. Raises Corrupt."""
         if not self.parents and skeleton is None:
             raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
-        parents: tuple[int, ...] = self.parents or (skeleton.parents if skeleton else ())
+        parents = self.parents
+        if skeleton is not None and not parents:
+            parents = skeleton.parents
         columns = _ordered(parents)
         if columns is None or len(parents) != len(names):
             raise Corrupt("tempo: bones that make no tree")
@@ -144,7 +146,7 @@ class Stored:
         metric = limbs.metric(still)
         reach = np.asarray(np.linalg.cholesky(metric + LEAST * metric.max() * np.eye(limbs.dimensions)), np.float64)
         empty = np.zeros((0, 0), np.int64)
-        return PointSet(names, limbs.inverse(still)[0][place], (), empty, empty, limbs, reach, columns)
+        return PointSet(names, limbs.inverse(still)[0][np.argsort(columns)], (), empty, empty, limbs, reach, columns)
 
 
 LEAST = 1e-6
@@ -159,6 +161,8 @@ def unknown(
 
     pose: what the headings are counted from, (points, 3).
     """
+    if sum(map(len, runs)) < FEWEST_FRAMES or len(names) < FEWEST_POINTS:
+        return None
     sample = [r[:: max(1, len(r) // SAMPLED)] for r in runs]
     tolerance = float(STRETCH * step_size(step))
     headed = [body.turn(c, -body.heading(c, pose)) for c in (s - s.mean(axis=1, keepdims=True) for s in sample)]
@@ -168,16 +172,18 @@ def unknown(
         if columns is None:
             continue
         place = np.argsort(columns)
-        ordered = tuple(int(place[parents[c]]) if parents[c] >= 0 else -1 for c in columns)
         builds = [skeleton.offsets[columns]] * len(headed) if skeleton is not None and fine is None else None
-        found = fit([h[:, columns] for h in headed], ordered, builds)
+        found = fit([h[:, columns] for h in headed], _in_order(parents, columns), builds)
         if not found.dimensions:
             continue
         grid = step - FINER if fine is None else fine
         vectors = np.rint(found.vectors / step_size(grid)).astype(np.int64)[place]
         marks = (found.hub & ~found.still) + 2 * found.carried
         stored = Stored(grid, () if fine is None else tuple(parents), vectors, marks[place].astype(np.int64))
-        points = stored.points(names, skeleton)
+        try:
+            points = stored.points(names, skeleton)
+        except Corrupt:  # bones shorter than their rounding
+            continue
         assert points.limbs is not None
         poses = every[:, columns] - every.mean(axis=1, keepdims=True)
         off = np.sqrt(((points.limbs.inverse(points.limbs.forward(poses)) - poses) ** 2).sum(axis=2))
@@ -196,6 +202,8 @@ def _trees(
         yield found, step - FINER
 
 
+FEWEST_FRAMES, FEWEST_POINTS = 16, 4
+"""Of fewer nobody can tell whether they are a body's."""
 MOST_POINTS = 128
 """Among more points than this no bones are looked for."""
 
@@ -232,6 +240,12 @@ def _ordered(parents: Sequence[int]) -> Integers | None:
     for at in order:
         order += children.get(at, [])
     return np.array(order) if len(order) == len(parents) else None
+
+
+def _in_order(parents: Sequence[int], columns: Integers) -> tuple[int, ...]:
+    """The parents of points that stand in this order now."""
+    place = np.append(np.argsort(columns), -1)  # the root's parent, −1, stays
+    return tuple(int(place[parents[c]]) for c in columns)
 
 
 def _builds(

@@ -35,7 +35,7 @@ LONGEST_FRAMES = 60_000
 PROMISING = 1.06
 """A first coding this much larger than tempo's may still come out smaller at its best step."""
 
-LOOK_FRAMES, PROMISING_LOOK = 1500, 1.12
+LOOK_FRAMES, PROMISING_LOOK = 1000, 1.12
 """Of a long recording a stretch is looked at before the whole; what is this much larger there is not promising."""
 
 SLOPE = 0.7

@@ -23,7 +23,21 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion, Skeleton, point_columns
 from ...stages import gaps
 from ..base import require_frames, settings
-from . import body, chunks, coefficients, corrections, direct, jumps, model, own, prior, skeletal, tailored
+from . import (
+    attach,
+    body,
+    chunks,
+    coefficients,
+    corrections,
+    direct,
+    jumps,
+    mapped,
+    model,
+    own,
+    prior,
+    skeletal,
+    tailored,
+)
 from .chunks import DIRECT, TRANSFORM, Parts, fine_size, fine_step
 from .contexts import OCTAVE
 
@@ -98,7 +112,7 @@ class Tempo:
         smooth = jumps.bridged(positions, spikes)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
         cut = [smooth[a:b] for a, b in bounds]
-        shared, known = choose_model(cut, motion, self.first_step(motion))
+        shared, known = choose_model(cut, motion, self.first_step(motion), self.mean_error)
         if self.weights:
             weighting = weight_bytes(motion.names, self.weights)
             shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
@@ -155,51 +169,82 @@ def step_for_bound(bound: float) -> int:
     return round(np.log2(2.2 * bound) * OCTAVE)
 
 
-PLAIN, KNOWN, OWN, LIMBS, OWN_LIMBS = 0, 1, 2, 4, 6
-"""Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, the prior's of limbs, and
-limbs stored in the file; `tailored.KIND` is another. Never change them."""
+PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS = 0, 1, 2, 4, 5, 6
+"""Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, the prior's of limbs, the
+prior's of bones for points that sit on them, and limbs stored in the file; `tailored.KIND` is another. Never change
+them."""
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
 """Points that the prior knows get a basis of their own only in recordings at least this long."""
 
 
-def choose_model(cut: list[Floats], like: Motion, step: int) -> tuple[bytes, model.Model]:
+def choose_model(
+    cut: list[Floats], like: Motion, step: int, mean_error: float | None = None
+) -> tuple[bytes, model.Model]:
     """The model that makes chunks (frames, points, 3) smallest in about this step, after its shared bytes.
 
-    like: any motion with the names, rate and skeleton of the chunks.
+    like: any motion with the names, rate and skeleton of the chunks. mean_error: metres; the step is then only where
+    the search for the one that gives it begins.
     """
     used, names, rate = prior.shipped(), like.names, like.rate
+    known = model.of_names(names, used, rate)
     frames = sum(map(len, cut))
-    candidates = [] if (known := model.of_names(names, used, rate)) is None else [(bytes([KNOWN]) + used.id, known)]
-    if frames >= (OWN_FRAMES if known else 2):
-        fitted = own.fit(cut, used, names, rate, step)
-        candidates.append((bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate)))
+    sample = cut[:: max(1, len(cut) // 4)]
+    scale = frames / max(1, sum(map(len, sample)))
+    candidates = [] if known is None else [(bytes([KNOWN]) + used.id, known)]
+    if known is None and frames >= 2:
+        for _ in range(STEP_ROUNDS if mean_error else 0):
+            step = _nearer_step(_with_own(cut, used, names, rate, step, None)[1], sample, step, mean_error or 1.0)
+        candidates = [_with_own(cut, used, names, rate, step - finer, None) for finer in OWN_FINER]
+    elif frames >= OWN_FRAMES:
+        candidates.append(_with_own(cut, used, names, rate, step, known))
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
-    elif knowing is not None and (model_of_own := own_limbs(cut, like, step, knowing)):
-        candidates.append(model_of_own)
+    elif knowing is not None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
+        candidates.append(own_limbs)
+    bodies = prior.of_bones() if known is None else None
+    if bodies is not None and bodies.bones is not None and (sits := attach.fit(cut, bodies, names, rate, step)):
+        on_bones = mapped.model(*sits, bodies.bones, bodies, names, rate)
+        candidates.append((bytes([MAPPED]) + bodies.id + sits[0].pack(), on_bones))
     if not candidates:
         return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
     if len(candidates) == 1:
         return candidates[0]
-    sample = cut[:: max(1, len(cut) // 4)]
-    scale = frames / sum(map(len, sample))
 
-    def price(candidate: tuple[bytes, model.Model]) -> float:
-        """Bits, and the error in as many bits as it is worth."""
-        error, bits = 0.0, 0.0
-        for s in sample:
-            _, _, cost, decoded = Piece(candidate[1], s, np.zeros(s.shape[:2], bool)).transformed(step)
-            error += float(((decoded - s) ** 2).sum())
-            bits += cost
-        return 8 * len(candidate[0]) + scale * (bits + error / float(model.step_size(step)) ** 2 / coefficients.SLOPE)
+    def cost(candidate: tuple[bytes, model.Model]) -> float:
+        pieces = (Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample)
+        return len(candidate[0]) + scale * sum(p.priced(step) for p in pieces) / 8
 
-    return min(candidates, key=price)
+    return min(candidates, key=cost)
 
 
-def own_limbs(cut: list[Floats], like: Motion, step: int, knowing: prior.Prior) -> tuple[bytes, model.Model] | None:
+OWN_FINER = (0, 32)
+"""A basis of its own is rounded for this step, or for one so much (1/32 octave) finer."""
+STEP_ROUNDS = 2
+"""How often the step for a mean error is looked for, before a basis is rounded by it."""
+
+
+def _with_own(
+    cut: list[Floats], used: prior.Prior, names: tuple[str, ...], rate: float, step: int, known: model.Model | None
+) -> tuple[bytes, model.Model]:
+    fitted = own.fit(cut, used, names, rate, step, known)
+    return bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate, known)
+
+
+def _nearer_step(known: model.Model, sample: list[Floats], step: int, mean_error: float) -> int:
+    """A step that comes nearer to a mean error (m) with this model."""
+    pieces = [Piece(known, s, np.zeros(s.shape[:2], bool)) for s in sample]
+    error = sum(float(p.errors(p.transformed(step)[3]).sum()) for p in pieces)
+    found = error / max(1, sum(s.shape[0] * s.shape[1] for s in sample))
+    octaves = float(np.log2(max(found, mean_error / 8) / mean_error))
+    return int(np.clip(step - round(OCTAVE * octaves / 0.85), 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))
+
+
+def _with_own_limbs(
+    cut: list[Floats], like: Motion, step: int, knowing: prior.Prior
+) -> tuple[bytes, model.Model] | None:
     """The model of limbs that no prior knows, after its shared bytes; none where the points are no limbs'."""
     centred = np.concatenate([c[:: max(1, len(c) // 256)] for c in cut])
     pose = body.mean_pose(centred - centred.mean(axis=1, keepdims=True))
@@ -207,8 +252,8 @@ def own_limbs(cut: list[Floats], like: Motion, step: int, knowing: prior.Prior) 
     if found is None:
         return None
     stored, points = found
-    fitted = own.fit(cut, knowing, like.names, like.rate, step, points)
-    known = own.unpack(fitted, knowing, like.names, like.rate, points)
+    fitted = own.fit(cut, knowing, like.names, like.rate, step, None, points)
+    known = own.unpack(fitted, knowing, like.names, like.rate, None, points)
     return bytes([OWN_LIMBS]) + knowing.id + stored.pack() + fitted, known
 
 
@@ -242,7 +287,7 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skel
     if shared[0] & WEIGHTED:
         weighting, at = shared[at : at + len(names)], at + len(names)
     id_, rest = shared[at : at + prior.ID_BYTES], shared[at + prior.ID_BYTES :]
-    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS, OWN_LIMBS):
+    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS):
         raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
     if kind == LIMBS:
@@ -251,14 +296,26 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skel
         if used.sets[0].limbs is None:
             raise Corrupt("tempo: limbs, of a prior that knows none")
         stored, rest = skeletal.Stored.unpack(rest, len(names))
-        found = own.unpack(rest, used, names, rate, stored.points(names, skeleton))
+        found = own.unpack(rest, used, names, rate, None, stored.points(names, skeleton))
     elif kind == OWN:
-        found = own.unpack(rest, used, names, rate)
+        found = own.unpack(rest, used, names, rate, model.of_names(names, used, rate))
+    elif kind == MAPPED:
+        found = of_bones(rest, used, names, rate)
     else:
         found = model.of_names(names, used, rate) if kind == KNOWN else model.plain(names, used, rate)
         if found is None or rest:
             raise Corrupt("tempo: the shared bytes do not fit the names of the points")
     return weighted(found, weighting) if weighting else found
+
+
+def of_bones(data: bytes, used: prior.Prior, names: tuple[str, ...], rate: float) -> model.Model:
+    """The model of points on bones that is stored so. Raises Corrupt."""
+    if used.bones is None:
+        raise Corrupt("tempo: points on bones, of a prior that knows none")
+    stored, rest = mapped.Stored.unpack(data, len(names), used.bones)
+    if rest:
+        raise Corrupt("tempo: the shared bytes do not end where they should")
+    return mapped.model(stored, mapped.movements(stored, used.bones), used.bones, used, names, rate)
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
@@ -296,6 +353,14 @@ class Piece:
         assert self.spectrum is not None
         scaled = model.without_slopes(self.spectrum, step) / chunks.sizes(self.model, len(self.positions), step)
         return coefficients.quantise(self.model, scaled, step, slope)
+
+    def priced(self, step: int) -> float:
+        """About how many bits the whole numbers take, and their error, in the bits that are worth as much."""
+        assert self.spectrum is not None
+        scaled = model.without_slopes(self.spectrum, step) / chunks.sizes(self.model, len(self.positions), step)
+        values, _, bits = coefficients.quantise(self.model, scaled, step)
+        error = (scaled - coefficients.dequantise(values, np.ones(self.model.rows)))[:, model.HEADING + 1 :]
+        return bits + float((error**2).sum()) / coefficients.SLOPE
 
     def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
         """Whole numbers (frequencies in the zone, rows), threshold, bits, and the positions that they decode to."""

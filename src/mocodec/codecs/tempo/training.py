@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from ... import formats
+from ...geometry import kinematics, rigid
 from ...motion import Floats, Motion
-from . import body, chunks, contexts, cosine, lanes, limbs, symbols
+from . import body, chunks, contexts, cosine, lanes, limbs, mapped, symbols
 from .model import EDGES_MHZ, POSE, Model, smooth_heading, without_slopes
-from .prior import PointSet, Prior, read
+from .prior import Bones, PointSet, Prior, read
 
 BANDS = len(contexts.BANDS_MHZ)
 CHUNK_SECONDS = 4.0
@@ -59,22 +60,79 @@ def train(recordings: Mapping[str, Sequence[Motion]], with_limbs: bool = False) 
     return write([points], tables)
 
 
-def write(sets: Sequence[PointSet], tables: np.ndarray) -> bytes:
+def train_bones(recordings: Mapping[str, Sequence[Motion]], other: Prior) -> bytes:
+    """The file of a prior that knows bones only, with the coder's tables of another."""
+    tables = other.coder.frequencies[: other.coder.idle]
+    return write([], tables, bones_of([m for person in recordings.values() for m in person]))
+
+
+def write(sets: Sequence[PointSet], tables: np.ndarray, bones: Bones | None = None) -> bytes:
     arrays: dict[str, np.ndarray] = {"sets": np.arange(len(sets)), "tables": tables.astype(np.uint16)}
     for i, s in enumerate(sets):
-        arrays[f"{i}.names"] = np.array(s.names)
-        arrays[f"{i}.pose"] = s.pose.astype(np.float32)
-        arrays[f"{i}.bases"] = np.array(s.bases, np.float32)
-        arrays[f"{i}.spreads"] = s.spreads.astype(np.int16)
-        arrays[f"{i}.means"] = s.means.astype(np.int16)
+        arrays |= _arrays(str(i), s, np.float32)
         if s.limbs is not None and s.reach is not None:
             arrays[f"{i}.parents"] = np.array(s.limbs.parents, np.int16)
             arrays[f"{i}.vectors"] = s.limbs.vectors.astype(np.float32)
             arrays[f"{i}.marks"] = np.stack([s.limbs.hub, s.limbs.carried])
             arrays[f"{i}.reach"] = s.reach.astype(np.float32)
+    if bones is not None:
+        arrays |= _arrays("bones", bones.set, np.float16)
+        arrays["bones.parents"] = bones.parents.astype(np.int16)
+        arrays["bones.usual"] = bones.usual.astype(np.int16)
     out = io.BytesIO()
     np.savez_compressed(out, allow_pickle=False, **arrays)
     return out.getvalue()
+
+
+def _arrays(name: str, points: PointSet, precision: type) -> dict[str, np.ndarray]:
+    return {
+        f"{name}.names": np.array(points.names),
+        f"{name}.pose": points.pose.astype(np.float32),
+        f"{name}.bases": np.array(points.bases, precision),
+        f"{name}.spreads": points.spreads.astype(np.int16),
+        f"{name}.means": points.means.astype(np.int16),
+    }
+
+
+def bones_of(motions: Sequence[Motion]) -> Bones:
+    """How the bones of people move, from recordings of joints with the turns of their bones."""
+    skeleton = motions[0].skeleton
+    assert skeleton is not None
+    columns = [i for i, name in enumerate(skeleton.names) if name not in LIKE_OTHERS]
+    parents = []
+    for i in columns:
+        above = skeleton.parents[i]
+        while above >= 0 and above not in columns:
+            above = skeleton.parents[above]
+        parents.append(columns.index(above) if above >= 0 else len(parents))
+    turning = [turning_points(m, columns) for m in motions]
+    points = point_set(turning)
+    rows = slice(POSE, POSE + COMPONENTS)
+    kept = replace(
+        points,
+        bases=tuple(b[:COMPONENTS] for b in points.bases),
+        spreads=np.concatenate([points.spreads[:POSE], points.spreads[rows]]),
+        means=points.means[: rows.stop],
+    )
+    usual = np.median(kept.spreads[POSE:], axis=0).astype(int)
+    return Bones(tuple(skeleton.names[i] for i in columns), np.array(parents), usual, kept)
+
+
+LIKE_OTHERS = ("lhipjoint", "rhipjoint", "lthumb", "rthumb")
+"""Joints whose bones tell nothing that others do not."""
+COMPONENTS = 128
+
+
+def turning_points(motion: Motion, columns: Sequence[int]) -> Motion:
+    """Of each bone its joint and three points that turn with it, `mapped.REACH_M` along the axes it has at rest."""
+    assert motion.skeleton is not None
+    assert motion.rotations is not None
+    turns = kinematics.world_rotations(motion.skeleton, motion.rotations)[:, columns]
+    joints = motion.positions[:, columns]
+    arms = [joints, *(joints + rigid.rotate(turns, axis) for axis in mapped.REACH_M * np.eye(3))]
+    names = [f"{motion.names[i]}{end}" for i in columns for end in ("", ".x", ".y", ".z")]
+    positions = np.stack(arms, axis=2).reshape(len(motion), -1, 3)
+    return Motion(positions, motion.rate, tuple(names), motion.up)
 
 
 def point_set(motions: Sequence[Motion], with_limbs: bool = False) -> PointSet:
