@@ -175,7 +175,7 @@ the prior's of bones for points that sit on them; `tailored.KIND` is another. Ne
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
-"""Points that the prior knows get a basis of their own only in recordings at least this long."""
+"""Points that the prior knows, but not as limbs, get a basis of their own only in recordings at least this long."""
 
 
 def choose_model(
@@ -196,11 +196,11 @@ def choose_model(
         for _ in range(STEP_ROUNDS if mean_error else 0):
             step = _nearer_step(_with_own(cut, used, names, rate, step, None)[1], sample, step, mean_error or 1.0)
         candidates = [_with_own(cut, used, names, rate, step - finer, None) for finer in OWN_FINER]
-    elif frames >= OWN_FRAMES:
-        candidates.append(_with_own(cut, used, names, rate, step, known))
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
+    elif known is not None and frames >= OWN_FRAMES:
+        candidates.append(_with_own(cut, used, names, rate, step, known))
     bodies = prior.of_bones() if known is None else None
     if bodies is not None and bodies.bones is not None and (sits := attach.fit(cut, bodies, names, rate, step)):
         on_bones = mapped.model(*sits, bodies.bones, bodies, names, rate)
