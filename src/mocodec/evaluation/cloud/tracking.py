@@ -20,6 +20,7 @@ from ... import formats
 from ...codecs import bodycast
 from ...geometry import articulation
 from ...motion import Motion
+from ...pointcloud import PointClouds
 from .. import datasets, runner
 from . import actors, sequences
 from .sequences import Performance
@@ -44,9 +45,13 @@ def perform(actor: actors.Actor, data: Path, name: str, frames: int, rate: float
     return None
 
 
-def measure(act: Performance, points: int, noise_m: float = 0.0) -> dict[str, float]:
-    """One motion, its first pose and skeleton given."""
-    clouds = sequences.record(act, points, noise_m=noise_m, seed=1)
+def measure(act: Performance, points: int, noise_m: float = 0.0) -> dict[str, Any]:
+    """One motion, recorded, its first pose and skeleton given."""
+    return measured(act, sequences.record(act, points, noise_m=noise_m, seed=1))
+
+
+def measured(act: Performance, clouds: PointClouds) -> dict[str, Any]:
+    """One recording of a motion, its first pose and skeleton given."""
     assert clouds.colours is not None
     first = act.skeleton()[:1]
     body, tracker = bodycast.begin(clouds.positions[0], clouds.colours[0], first, "y", 1000)
