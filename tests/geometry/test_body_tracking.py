@@ -79,7 +79,7 @@ def test_frames_that_show_nothing_leave_the_pose(performance, clouds):
 
 def test_tracking_is_measured_where_no_recordings_are(tmp_path, monkeypatch):
     monkeypatch.setattr(actors, "find", actors.capsules)
-    few = {name: tracking.CONDITIONS[name] for name in ("2,500 points", "7.5 frames/s")}
+    few = {name: tracking.CONDITIONS[name] for name in ("2,500 points", "2,500 points, 0.5 cm noise")}
     results = tracking.run(tmp_path, 4, few)
     assert results["motions"].keys() == {"jumping jacks"}
     found = results["motions"]["jumping jacks"]
