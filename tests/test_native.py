@@ -12,6 +12,7 @@ import pytest
 import mocodec
 from mocodec import Motion, native
 from mocodec.codecs.tempo import coefficients, contexts, model, prior
+from mocodec.entropy import coder
 from mocodec.testing import synthetic
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
@@ -61,6 +62,22 @@ def test_coefficients_are_coded_alike(step: int, frames: int) -> None:
         for a, b in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(ours[0], given.values)
+
+
+@compiled
+@pytest.mark.parametrize("shape", [(1, 1), (400, 1), (60, 7), (40, 90)])
+@pytest.mark.parametrize("size", [0.3, 20.0, 1e9])
+@pytest.mark.parametrize("hinted", [False, True])
+def test_arrays_are_coded_alike(shape: tuple[int, int], size: float, hinted: bool) -> None:
+    rng = np.random.default_rng(shape[0])
+    values = np.rint(rng.laplace(size=shape) * size * rng.exponential(size=shape[1])).astype(np.int64)
+    contexts_ = np.rint(np.abs(values) * rng.exponential(size=shape)).astype(np.int64) if hinted else None
+    data = coder.pack(values, contexts_)
+    unpacked = coder.unpack(data, shape, contexts_)
+    with native.without():
+        assert coder.pack(values, contexts_) == data
+        np.testing.assert_array_equal(coder.unpack(data, shape, contexts_), unpacked)
+    np.testing.assert_array_equal(unpacked, values)
 
 
 @compiled

@@ -1,5 +1,6 @@
-// The serial parts of codecs/tempo: contexts, the choice between two numbers, and rANS lanes. All that bytes depend on is
-// integer, or the same floating-point operations in the same order as the NumPy code that each kernel stands in for.
+// The serial parts of codecs/tempo (contexts, the choice between two numbers, rANS lanes) and of entropy/ (one state). All
+// that bytes depend on is integer, or the same floating-point operations in the same order as the NumPy code that each
+// kernel stands in for.
 
 #include <algorithm>
 #include <cmath>
@@ -343,6 +344,90 @@ Output<int64_t> tempo_unpack_bits(Input<uint8_t, 1> bits, Table widths) {
     return out.give({count});
 }
 
+// The coder of entropy/: 14-bit probabilities, one state.
+constexpr int FINE_PRECISION = 14;
+constexpr uint64_t FINE_TOTAL = 1u << FINE_PRECISION;
+
+// coder._warming
+int warming(size_t step) { return step == 0 ? 1 : step < 3 ? 2 : 3; }
+
+// coder._means: each lane's running mean before each step, × 256, from the tokens (steps, lanes) and what it begins with.
+Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first) {
+    const size_t steps = tokens.shape(0), lanes = tokens.shape(1);
+    if (first.shape(0) != lanes) throw std::invalid_argument("entropy_means: shapes differ");
+    Fresh<int32_t> out(steps * lanes);
+    std::vector<int32_t> mean(lanes);
+    for (size_t lane = 0; lane < lanes; ++lane) mean[lane] = first.data()[lane] << 8;
+    for (size_t step = 0; step < steps; ++step)
+        for (size_t lane = 0, at = step * lanes; lane < lanes; ++lane, ++at) {
+            out.data[at] = mean[lane];
+            mean[lane] += ((int32_t(tokens.data()[at]) << 8) - mean[lane]) >> warming(step);
+        }
+    return out.give({steps, lanes});
+}
+
+// The loop of rans.Encoder.finish: the last state, and words in the order in which they are moved out.
+nb::tuple entropy_encode(Table frequencies, Table starts, uint64_t state) {
+    const size_t count = frequencies.shape(0);
+    if (starts.shape(0) != count) throw std::invalid_argument("entropy_encode: shapes differ");
+    std::vector<uint16_t> words;
+    for (size_t i = 0; i < count; ++i) {
+        const uint64_t f = uint64_t(frequencies.data()[i]);
+        if (!f || f > FINE_TOTAL) throw std::invalid_argument("entropy_encode: a frequency out of range");
+        if (state >= f << (32 - FINE_PRECISION)) {
+            words.push_back(uint16_t(state));
+            state >>= 16;
+        }
+        state += state / f * (FINE_TOTAL - f) + uint64_t(starts.data()[i]);
+    }
+    Fresh<uint16_t> moved(words.size());
+    std::copy(words.begin(), words.end(), moved.data.get());
+    return nb::make_tuple(state, moved.give({moved.size}));
+}
+
+// coder._decode_one: tokens (steps, lanes), the state, and how many words were used.
+nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols, Table sizes, size_t width,
+                         size_t excess, Input<uint8_t, 1> ladder, Table mixture, uint64_t x, size_t at,
+                         Input<uint16_t, 1> words, size_t steps, size_t lanes, Input<uint8_t, 2> hints) {
+    const bool hinted = hints.shape(0) != 0;
+    if (mixture.shape(0) != 7 || (hinted && (hints.shape(0) != steps || hints.shape(1) != lanes)))
+        throw std::invalid_argument("entropy_decode: shapes differ");
+    const size_t end = words.shape(0), tables = symbols.shape(0) >> FINE_PRECISION;
+    const int64_t *w = mixture.data();
+    auto next = [&](size_t table) {
+        const size_t slot = x & (FINE_TOTAL - 1);
+        if (table >= tables) throw std::invalid_argument("entropy_decode: no such law");
+        const size_t symbol = symbols.data()[(table << FINE_PRECISION) + slot], place = table * width + symbol;
+        x = uint64_t(frequency.data()[place]) * (x >> FINE_PRECISION) + slot - uint64_t(start.data()[place]);
+        if (x < LOWEST && at < end) x = x << 16 | words.data()[at++];
+        return symbol;
+    };
+    Fresh<uint8_t> out(steps * lanes);
+    std::vector<int64_t> mean(lanes, 0), row(lanes + 3, 0), up(lanes + 3, 0), up2(lanes + 3, 0);
+    for (size_t step = 0; step < steps; ++step) {
+        std::fill(row.begin(), row.end(), 0);
+        row[0] = row[1] = up[1] = up[2];
+        for (size_t lane = 0; lane < lanes; ++lane) {
+            if (step == 0) mean[lane] = up[lane + 2] << 8;
+            int64_t mixed = w[0] * up[lane + 2] + w[1] * up2[lane + 2] + w[2] * row[lane + 1] + w[3] * row[lane] +
+                            w[4] * up[lane + 1] + (w[5] * mean[lane] >> 8);
+            if (hinted) mixed += w[6] * hints.data()[step * lanes + lane];
+            if (mixed < 0 || size_t(mixed) >= ladder.shape(0)) throw std::invalid_argument("entropy_decode: no such law");
+            const size_t law = ladder.data()[mixed];
+            size_t token = next(law);
+            if (int64_t(token) == sizes.data()[law] - 1) token = std::min<size_t>(token + next(excess), 255);
+            row[lane + 2] = int64_t(token);
+            if (lane == 0) row[1] = int64_t(token);
+            if (step == 0) up[lane + 3] = up2[lane + 3] = int64_t(token);  // what is nearest inside
+            mean[lane] += ((int64_t(token) << 8) - mean[lane]) >> warming(step);
+            out.data[step * lanes + lane] = uint8_t(token);
+        }
+        std::swap(up2, up);
+        std::swap(up, row);
+    }
+    return nb::make_tuple(out.give({steps, lanes}), x, at);
+}
+
 }  // namespace
 
 void bind_entropy(nb::module_ &m) {
@@ -351,4 +436,7 @@ void bind_entropy(nb::module_ &m) {
     m.def("tempo_decode", &tempo_decode);
     m.def("tempo_pack_bits", &tempo_pack_bits);
     m.def("tempo_unpack_bits", &tempo_unpack_bits);
+    m.def("entropy_means", &entropy_means);
+    m.def("entropy_encode", &entropy_encode);
+    m.def("entropy_decode", &entropy_decode);
 }

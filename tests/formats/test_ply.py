@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec import formats
-from mocodec.errors import BadInput, MocodecError
+from mocodec.errors import BadInput, MocodecError, Truncated
 from mocodec.formats import ply
 from mocodec.pointcloud import PointClouds
 
@@ -126,3 +126,28 @@ def test_globs_and_folders_through_the_front_door(tmp_path):
         ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
     for path, count in ((tmp_path, 3), (tmp_path / "f1*.ply", 2), (tmp_path / "f2.ply", 1)):
         assert len(formats.read(path)) == count
+
+
+def test_faces_before_the_vertices(tmp_path):
+    file = tmp_path / "x.ply"
+    lines = ["ply", "format binary_little_endian 1.0", "element face 2", "property list uchar int vertex_indices"]
+    lines += ["element vertex 2", "property float x", "property float y", "property float z", "end_header", ""]
+    points = np.array([[1, 2, 3], [4, 5, 6]], "<f4")
+    triangle, quad = (bytes([n]) + np.arange(n, dtype="<i4").tobytes() for n in (3, 4))
+    file.write_bytes("\n".join(lines).encode() + 2 * triangle + points.tobytes())
+    np.testing.assert_array_equal(ply.read(file, fps=1).positions[0], points)
+    file.write_bytes("\n".join(lines).encode() + triangle + quad + points.tobytes())
+    with pytest.raises(BadInput, match="different sizes"):
+        ply.read(file, fps=1)
+    file.write_bytes("\n".join(lines).encode() + triangle)
+    with pytest.raises(Truncated):
+        ply.read(file, fps=1)
+
+
+def test_an_empty_file_and_missing_numbers_are_named(tmp_path):
+    for i in (0, 1, 2, 5):
+        ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
+    assert ply.read(tmp_path).source["missing_numbers"] == 2
+    (tmp_path / "f2.ply").write_bytes(b"")
+    with pytest.raises(Truncated, match=r"f2\.ply: is empty"):
+        ply.read(tmp_path)

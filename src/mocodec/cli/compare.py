@@ -75,7 +75,7 @@ def clouds(a: PointClouds, b: PointClouds, stored: int | None, as_json: bool) ->
     if len(a) != len(b):
         raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
     frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
-    frames = [f for f in frames if len(a.positions[f]) and len(b.positions[f])]
+    frames = [f for f in frames if measures.has_points(a, f) and measures.has_points(b, f)]
     result: dict[str, Any] = {"frames": len(a), "measured_frames": len(frames)}
     if frames:
         result |= measures.compare(a, b, frames)
@@ -84,6 +84,7 @@ def clouds(a: PointClouds, b: PointClouds, stored: int | None, as_json: bool) ->
     if as_json:
         return json.dumps({k: None if v != v else v for k, v in result.items()}, indent=2)
     units = {"m": lambda v: quantities.length(v), "db": lambda v: f"{v:.2f} dB"}
+    result = {k: v for k, v in result.items() if v == v}  # without colours, luma has no error
     shown = (units.get(k.rpartition("_")[2], lambda v: f"{v:.6g}")(v) for k, v in result.items())
     return "\n".join(f"{k.removesuffix('_m').removesuffix('_db'):16}{v}" for k, v in zip(result, shown, strict=True))
 

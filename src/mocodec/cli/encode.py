@@ -79,9 +79,13 @@ def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> 
 
 
 def notes(recording: Motion | PointClouds) -> Iterator[str]:
-    """What of the recording does not go into a .mocz, in words."""
+    """What of the recording does not go into a .mocz, or may not be as it was meant, in words."""
     if isinstance(recording, Motion) and recording.rotations is not None:
         yield "joint positions are stored; rotations are not stored yet"
+    if missing := recording.source.get("missing_numbers"):
+        yield f"{missing} numbers are missing between those of the files, which are taken as one frame after another"
+    if ignored := recording.source.get("ignored"):
+        yield f"properties that are left out: {', '.join(ignored)}"
     if recording.source.get("residuals") == "left out":
         yield "residuals and camera masks of the samples are left out; --residuals keeps them"
 

@@ -4,6 +4,9 @@ mocodec eval -o DIR                     the data set, every coder, every target
 mocodec eval report DIR                 the pages again, from DIR/results.json
 mocodec eval liu2006 | hou2014 …        a paper's tables and figures
 mocodec eval cloud -o DIR               point-cloud codecs, ours and rivals
+mocodec eval cloud-grid -o DIR          how closely a body is followed, over clips, rates, noise, shares and views
+mocodec eval cloud-long -o DIR          1,000 and 300 frames in fact
+mocodec eval cloud-summary DIR          what must be shown, on one page, from those results
 mocodec eval fetch cmu --subjects 14    recordings from the CMU site
 """
 
@@ -110,6 +113,54 @@ def cloud_command(output: str, quick: bool, chosen: tuple[str, ...]) -> None:
     finally:  # a run that is stopped keeps what it has measured
         for path in runner.write(folder, measured) if measured else ():
             click.echo(path)
+
+
+@command.command("cloud-grid")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(file_okay=False), help="Folder for cloud_grid.json and .md."
+)
+@click.option("--data", default="../shared/data", show_default=True, type=click.Path(), help="Folder of recordings.")
+@click.option("--frames", default=60, show_default=True, type=click.IntRange(2), help="Of every clip.")
+@click.option("--quick", is_flag=True, help="One thing varied at a time: an eighth of the grid.")
+@click.option("--again", is_flag=True, help="Measure everything again, results in the folder or not.")
+def cloud_grid_command(output: str, data: str, frames: int, quick: bool, again: bool) -> None:
+    """Follow a body through eight clips at 15 and 30 frames/s with noise, fewer points and fewer cameras.
+
+    A run that was stopped goes on where it was. The whole grid, 768 conditions, takes about half an hour of one core.
+    """
+    from ..evaluation.cloud import grid
+
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress(len(grid.conditions(quick))) as advance:
+        paths = grid.measure(folder, quick, frames, again, Path(data), advance)
+    for path in paths:
+        click.echo(path)
+
+
+@command.command("cloud-long")
+@click.option("-o", "--output", required=True, type=click.Path(file_okay=False), help="Folder for cloud_long.json.")
+@click.option("--data", default="../shared/data", show_default=True, type=click.Path(), help="Folder of recordings.")
+@click.option("--quick", is_flag=True, help="A tenth of the frames.")
+def cloud_long_command(output: str, data: str, quick: bool) -> None:
+    """Code 1,000 frames of 10,000 points without residual and 300 with one, by both codecs: about ten minutes."""
+    from ..evaluation.cloud import long
+
+    Path(output).mkdir(parents=True, exist_ok=True)
+    with progress(len(long.RUNS)) as advance:
+        click.echo(long.measure(Path(output), quick, Path(data), advance))
+
+
+@command.command("cloud-summary")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False))
+def cloud_summary_command(folder: str) -> None:
+    """Write FOLDER/cloud_summary.md from the results that are there."""
+    from .. import formats
+    from ..evaluation.cloud import summary
+
+    path = Path(folder) / "cloud_summary.md"
+    formats.replace_whole(path, summary.markdown(Path(folder)).encode())
+    click.echo(path)
 
 
 @command.group("fetch")

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..errors import Corrupt
 from . import bulk, models
 from .models import PRECISION, Tables
@@ -331,6 +332,8 @@ def _neighbours(token: NDArray[np.uint8], given: NDArray[np.uint8] | None) -> _A
 
 def _means(token: Array, past: Array) -> Array:
     """Each lane's running mean before each step, × 256: what `_decode_one` does."""
+    if (kernel := native.kernel("entropy_means")) is not None:
+        return kernel(token, past[0].astype(np.int32))
     n, lanes = token.shape
     result = np.empty((n, lanes), np.int32)
     result[0] = past[0] << 8
@@ -463,6 +466,13 @@ def _decode_one(decoder: Decoder, fields: _Fields, shape: tuple[int, int], given
     """Tokens (steps, lanes), one after the other."""
     steps, lanes = shape
     family, ladder = fields.family, fields.ladder
+    if (kernel := native.kernel("entropy_decode")) is not None and family.symbol.dtype == np.uint8:
+        token, decoder.x, decoder.at = kernel(
+            family.frequency, family.start, family.symbol, family.sizes, family.width, family.count - 1, ladder,
+            np.array(MIXTURES[fields.mixture]), decoder.x, decoder.at, np.array(decoder.words, np.uint16), steps, lanes,
+            np.zeros((0, 0), np.uint8) if given is None else np.ascontiguousarray(given.reshape(steps, lanes)),
+        )  # fmt: skip
+        return token
     frequency, start, symbols = family.lists
     width, sizes, excess = family.width, family.sizes.tolist(), family.count - 1
     law_of = ladder.tolist()

@@ -147,9 +147,15 @@ def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]
 
     silent: the law where all neighbours are zero. offset: how many rungs wider than usual all others are.
     """
-    result = np.zeros(16 * 256, np.uint8)
+    result = (_usual_law() + offset).clip(0, laws - 1).astype(np.uint8)
     result[0] = silent
-    law, scale = 0, 0
+    return result
+
+
+@cache
+def _usual_law() -> NDArray[np.int64]:
+    result = np.zeros(16 * 256, np.int64)
+    law = 0
     for expected in range(1, len(result)):
         token = min(expected // 16, TOKENS - 2)
         low, high = token_floor(token), token_floor(token + 1)
@@ -157,7 +163,7 @@ def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]
         scale = SCALE_UNIT * (15 * magnitude16 + 32) // 256  # σ = 15/16 |v| + 1/8
         while law < LAWS_LARGE and _rung(law) < scale:
             law += 1
-        result[expected] = min(max(law + offset, 0), laws - 1)
+        result[expected] = law
     return result
 
 

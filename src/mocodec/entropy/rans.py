@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..errors import Corrupt
 from .models import PRECISION, TOTAL, Tables
 
@@ -55,6 +56,10 @@ class Encoder:
                 words.append(state & 0xFFFF)
                 state >>= 16
             state = state << bits | byte
+        if (kernel := native.kernel("entropy_encode")) is not None:
+            state, more = kernel(frequency, start, state)
+            head = state.to_bytes((state.bit_length() + 7) // 8, "little")
+            return head + more[::-1].astype("<u2").tobytes() + np.array(words[::-1], "<u2").tobytes()
         full, rest = frequency << 32 - PRECISION, TOTAL - frequency
         for f, c, limit, r in zip(frequency.tolist(), start.tolist(), full.tolist(), rest.tolist(), strict=True):
             if state >= limit:

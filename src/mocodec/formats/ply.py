@@ -33,12 +33,12 @@ UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3
 
 
 class Element(NamedTuple):
-    """One element of a PLY header: its fields as NumPy types, and whether any of them is a list."""
+    """One element of a PLY header: its fields as NumPy types; of lists, that of the count and that of the items."""
 
     name: str
     size: int
     fields: list[tuple[str, str]]
-    has_list: bool
+    lists: list[tuple[str, str, str]]
 
 
 class Header(NamedTuple):
@@ -55,7 +55,8 @@ def read(
 
     fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
     three may stand in the files' comments. Points whose coordinates are NaN are kept; properties that are neither
-    position, colour nor normal are listed in `source["ignored"]`. Raises BadInput, Truncated.
+    position, colour nor normal are listed in `source["ignored"]`, and `source["missing_numbers"]` counts the gaps in
+    the numbers of the files, which are taken as one frame after another. Raises BadInput, Truncated.
     """
     files = frame_files(path)
     frames = [read_frame(file) for file in files]
@@ -82,6 +83,8 @@ def read(
         "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": UNITS_M[units],
         "double": bool(first["x"].itemsize == 8),
     }  # fmt: skip
+    if missing := missing_numbers(files):
+        source["missing_numbers"] = missing
     if ignored := [n for n in names if n not in used]:
         source["ignored"] = ignored
     try:
@@ -143,6 +146,16 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
     return sorted(files, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
+def missing_numbers(files: list[Path]) -> int:
+    """How many numbers are missing between the first and the last of files that are numbered one by one."""
+    numbers = [re.findall(r"\d+", file.stem)[-1:] for file in files]
+    if len(files) < 3 or not all(numbers):
+        return 0
+    steps = np.diff([int(number[0]) for number in numbers])
+    usual = int(np.median(steps))
+    return int((steps // usual - 1).sum()) if usual > 0 and (steps > 0).all() else 0
+
+
 def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
     """The vertices of one file as a structured array, and its header. Raises BadInput, Truncated."""
     try:
@@ -155,20 +168,38 @@ def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
     if "vertex" not in names:
         raise BadInput(f"{path}: has no vertices")
     before, vertex = header.elements[: names.index("vertex")], header.elements[names.index("vertex")]
-    if vertex.has_list:
-        raise BadInput(f"{path}: vertices with list properties are not supported")
+    if vertex.lists:
+        raise BadInput(f"{path}: vertices with list properties ({vertex.lists[0][0]}) are not supported")
     if not set(POSITION) <= {name for name, _ in vertex.fields}:
         raise BadInput(f"{path}: vertices without x, y and z")
     if header.encoding == "ascii":
         return ascii_vertices(body, sum(e.size for e in before), vertex, path), header
-    if any(e.has_list and e.size for e in before):
-        raise BadInput(f"{path}: a list element stands before the vertices; save the vertices first")
     order = "<" if header.encoding == "binary_little_endian" else ">"
-    skip = sum(e.size * record(e, order).itemsize for e in before if not e.has_list)
+    skip = 0
+    for element in before:
+        skip += bytes_of(element, body[skip:], order, path)
     dtype = record(vertex, order)
     if skip + vertex.size * dtype.itemsize > len(body):
         raise Truncated(f"{path}: ends before its {vertex.size} vertices")
     return np.frombuffer(body, dtype, vertex.size, skip), header
+
+
+def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
+    """How many bytes an element that starts `body` takes; of lists, those of one length only: triangles, or quads."""
+    if not element.lists or not element.size:
+        return element.size * record(element, order).itemsize
+    if element.fields or len(element.lists) > 1:
+        raise BadInput(f"{path}: {element.name} with lists stands before the vertices; save the vertices first")
+    _, count, kind = element.lists[0]
+    width = np.dtype(count).itemsize
+    items = int(np.frombuffer(body, order + count, 1)[0]) if len(body) >= width else 0
+    row = width + max(items, 0) * np.dtype(kind).itemsize
+    if element.size * row > len(body):
+        raise Truncated(f"{path}: ends before its {element.size} {element.name} elements")
+    counts = np.frombuffer(body, np.dtype([("count", order + count), ("rest", f"V{row - width}")]), element.size)
+    if (counts["count"] != items).any():
+        raise BadInput(f"{path}: {element.name} of different sizes stand before the vertices; save the vertices first")
+    return element.size * row
 
 
 def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) -> np.ndarray[Any, np.dtype[Any]]:
@@ -197,6 +228,8 @@ def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) ->
 
 def parse_header(data: bytes, path: Path) -> Header:
     """The header up to and with `end_header`. Raises BadInput, Truncated."""
+    if not data:
+        raise Truncated(f"{path}: is empty")
     if data[:3] != b"ply":
         raise BadInput(f"{path}: not a PLY file")
     end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:HEADER_LIMIT])
@@ -212,11 +245,13 @@ def parse_header(data: bytes, path: Path) -> Header:
                 case ["comment" | "obj_info", key, value]:
                     comments.setdefault(key, value)
                 case ["element", name, count]:
-                    elements.append(Element(name, int(count), [], False))
+                    elements.append(Element(name, int(count), [], []))
                     if int(count) < 0:
                         raise ValueError
-                case ["property", "list", _, _, _]:
-                    elements[-1] = elements[-1]._replace(has_list=True)
+                case ["property", "list", count, kind, name]:
+                    if TYPES[count][0] == "f":
+                        raise ValueError
+                    elements[-1].lists.append((name, TYPES[count], TYPES[kind]))
                 case ["property", kind, name]:
                     if name in dict(elements[-1].fields):
                         raise ValueError

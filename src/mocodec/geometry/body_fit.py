@@ -49,7 +49,8 @@ def first_pose(points: Floats, up: str = "y") -> Figure:
     low, high = np.percentile(upright, [0.5, 99.5], axis=0)
     height = float(high[1] - low[1])
     if not 0.4 < height < 3.0:
-        raise CannotEncode(f"the first frame is {height:.2f} m high: not a standing person in metres; give a skeleton")
+        unit = "say their unit (--unit mm)" if height > 100 else "give a skeleton"
+        raise CannotEncode(f"the first frame is {height:.4g} m high: not a standing person in metres; {unit}")
     search = pose_search.Search(upright)
     person = Person(upright, search)
     found = search.best(CANDIDATES)
@@ -297,5 +298,5 @@ def require_near(body: Body, points: Floats) -> None:
     middles = (body.origins + body.tips) / 2
     away, _ = KDTree(points).query(middles)
     if np.median(away) > FARTHEST:
-        gap = f"{np.median(away):.2f} m"
-        raise BadInput(f"the skeleton is {gap} from the first frame's points: it must have its place, pose and unit")
+        gap = f"{np.median(away):.4g} m"
+        raise BadInput(f"the skeleton is {gap} from the first frame's points: both must have one place, pose and unit")

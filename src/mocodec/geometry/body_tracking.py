@@ -51,8 +51,11 @@ DOUBT, ASTRAY = 1.15, 1.6  # times the usual cost, above which a fit is not trus
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
 # shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
 LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
+# after a search in vain, times what was amiss is put up with; the share of it a frame later, of a limb's and the cost
+PUT_UP, FORGET, TRUST = 1.2, 0.85, 0.85
 FINE, COARSE = 0.03, 0.05  # metres: wider weights look at half of the points, or at a few
 FEW = 0.01  # share of the template below which a link has too little to turn by
+ABSENT = 0.10  # metres from each other at which most of the data and of the template are not of one body
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
 
 
@@ -62,6 +65,11 @@ def _unit(vector: Floats, otherwise: Floats | None = None) -> Floats:
     if length > 1e-3:
         return vector / length
     return np.array([0.0, 1.0, 0.0]) if otherwise is None else otherwise
+
+
+def _better(fit: Fit, other: Fit) -> Fit:
+    """The other fit if it is clearly better."""
+    return other if other.cost < 0.97 * fit.cost else fit
 
 
 class Tracker:
@@ -90,7 +98,7 @@ class Tracker:
         self.before = self.pose
         self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
         self.twins = self._twins()
-        self.forbearance = dict.fromkeys(self.twins, LOST_TWINS)  # the same, where both of a pair are without
+        self.doubt = DOUBT  # times the usual cost that are put up with
         self.usual = np.inf  # cost of a frame that fits
 
     def _stiffness(self) -> Floats:
@@ -121,21 +129,31 @@ class Tracker:
         return Pose(self.pose.rotations @ exp(step), root)
 
     def fit(self, points: Floats, colours: NDArray[np.uint8] | None = None, seed: int = 0) -> Fit:
-        """The pose of one frame of points (n, 3), metres. A frame of fewer than 10 leaves the pose as it was."""
+        """The pose of one frame of points (n, 3), metres. A frame that does not show the body leaves the pose as it
+        was: one of fewer than 10 points, or of points most of which are elsewhere. Points that are not finite do not
+        count.
+        """
+        finite = np.isfinite(points).all(axis=1)
+        if not finite.all():
+            points, colours = points[finite], None if colours is None else colours[finite]
         if len(points) < 10:
             self.before = self.pose
             return Fit.nothing(self.pose)
         data = self.look_at(points, colours, seed)
         found = self.solve(data, self.predict())
-        if found.cost > DOUBT * self.usual:  # it may have turned back: start from where it was
+        if found.cost > self.doubt * self.usual:  # it may have turned back: start from where it was
             found = min(found, self.solve(data, self.pose), key=lambda fit: fit.cost)
         better = found
         if self.settings.search:
-            if found.cost > ASTRAY * self.usual:
+            if found.cost > max(ASTRAY, self.doubt) * self.usual:
                 found = better = self._anew(data, found)
             better = self._search(data, found, seed)
+        if np.mean(better.residuals > ABSENT) > 0.5 and np.mean(better.gaps > ABSENT) > 0.5:
+            self.before = self.pose
+            return self.assess(data, self.pose)
         self.before, self.pose = self.pose if better is found else better.pose, better.pose
-        self.usual = min(better.cost, 0.9 * self.usual + 0.1 * better.cost)
+        slowly = better.cost if np.isinf(self.usual) else 0.97 * self.usual + 0.03 * better.cost
+        self.usual = min(better.cost, slowly)
         return better
 
     def see(
@@ -236,35 +254,24 @@ class Tracker:
         if np.mean(found.residuals > LOST) < LOST_POINTS:
             return found
         best = found
+        is_odd = found.cost > self.doubt * self.usual  # though every limb has data near it: it may lie on another's
         for number, limb in enumerate(self.limbs):
             share = self._lost(limb, best)
-            self.patience[number] = max(0.93 * self.patience[number], LOST_LIMB)
-            if share < self.patience[number]:
+            self.patience[number] = max(FORGET * self.patience[number], LOST_LIMB)
+            if share < self.patience[number] and not (is_odd and (seed + number) % 2):  # every other limb, by turns
                 continue
             before = best
             for pose in self._draw(limb, data, best, seed):
-                other = self.solve(data, pose, self.settings.widths[-5:])
-                if other.cost < 0.97 * best.cost:
-                    best = other
+                best = _better(best, self.solve(data, pose, self.settings.widths[-5:]))
             if best is before:  # it is where it is best: what is missing is hidden, or not in the template
-                self.patience[number] = 1.3 * share
-        return self._exchange(data, best)
-
-    def _exchange(self, data: Data, found: Fit) -> Fit:
-        """Two legs, or two arms, that have been taken for each other are put each where the other is."""
-        best = found
+                self.patience[number] = max(self.patience[number], PUT_UP * share)
         for pair in self.twins:
             share = min(self._lost(self.limbs[number], best) for number in pair)
-            self.forbearance[pair] = max(0.93 * self.forbearance[pair], LOST_TWINS)
-            if share < self.forbearance[pair]:
-                continue
-            other = self.solve(
-                data, self._exchanged(best.pose, *(self.limbs[i] for i in pair)), self.settings.widths[-6:]
-            )
-            if other.cost < 0.97 * best.cost:
-                best = other
-            else:
-                self.forbearance[pair] = 1.3 * share
+            if share >= LOST_TWINS or is_odd:
+                pose = self._exchanged(best.pose, *(self.limbs[i] for i in pair))
+                best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
+        is_vain = is_odd and best is found
+        self.doubt = PUT_UP * found.cost / self.usual if is_vain else max(TRUST * self.doubt, DOUBT)
         return best
 
     def _exchanged(self, pose: Pose, one: Limb, other: Limb) -> Pose:

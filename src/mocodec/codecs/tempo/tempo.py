@@ -14,9 +14,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput, CannotEncode, Corrupt
@@ -30,6 +31,7 @@ from . import (
     coefficients,
     corrections,
     direct,
+    held,
     jumps,
     mapped,
     model,
@@ -46,6 +48,8 @@ BATCH = 64
 """Chunks decoded side by side: enough to be fast, few enough to be small in memory."""
 FIRST_OFFSET = 28
 """The step to try first under a bound: this many 1/32 octaves above it."""
+HELD_BYTES = 8
+"""What a chunk's held frames take, at most, where they are held in some order."""
 MEAN_WITHIN = 0.02
 """How near to a mean error the result must come."""
 BOUND_SLOPE = 0.1
@@ -87,6 +91,22 @@ class Tempo:
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large to be held to the target."""
         require_frames(motion)
+        said = held.said(motion, self.chunk_seconds)
+        return self.all_said(motion) if said is None else self.with_held(motion, said)
+
+    def with_held(self, motion: Motion, said: NDArray[np.bool_]) -> Encoded[Motion]:
+        """By way of the frames that do not repeat the one before."""
+        wanted = self.payload_bytes(motion) - HELD_BYTES * (2 + int(motion.seconds / self.chunk_seconds))
+        sized = self.ratio is not None or self.size is not None
+        codec = replace(self, ratio=None, size=max(1, wanted)) if sized else self
+        encoded = replace(held.encode(motion, said, codec.all_said), settings=self.promised())
+        off = self.mean_error and abs(tailored.mean_error(encoded, motion) / self.mean_error - 1) > MEAN_WITHIN
+        return (
+            self.all_said(motion) if off or (sized and encoded.payload_bytes > self.payload_bytes(motion)) else encoded
+        )
+
+    def all_said(self, motion: Motion) -> Encoded[Motion]:
+        """As if no frame repeated another."""
         encoded = self.in_chunks(motion)
         if self.weights:
             return encoded
@@ -117,6 +137,8 @@ class Tempo:
             weighting = weight_bytes(motion.names, self.weights)
             shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
         pieces = [Piece(known, positions[a:b], mask[a:b], spikes[a:b]) for a, b in bounds]
+        for piece in pieces:
+            piece.refill(self.first_step(motion))
         if self.mean_error is not None:
             payloads = to_mean(pieces, self.mean_error)
         elif self.ratio is not None or self.size is not None:
@@ -125,16 +147,20 @@ class Tempo:
             payloads = to_bound(pieces, self.max_error or DEFAULT_MAX_ERROR)
         if all(Parts.unpack(p).engine == DIRECT for p in payloads):
             shared = plain_shared(shared, motion.points)
-        stored = settings(self)
-        if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
-            stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
         return Encoded(
             self.name,
             about(motion),
             [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
             shared=(shared,),
-            settings=stored,
+            settings=self.promised(),
         )
+
+    def promised(self) -> dict[str, Any]:
+        """The settings for the file."""
+        stored = settings(self)
+        if len(stored.keys() & {"mean_error", "ratio", "size"}) == 0:
+            stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
+        return stored
 
     def first_step(self, motion: Motion) -> int:
         """About which step (log₂ in 1/32 octave) the target will need: good enough to round a basis by."""
@@ -149,6 +175,13 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if encoded.shared and encoded.shared[0][:1] == bytes([held.KIND]):
+            return held.decode(encoded, frames, Tempo.decode_said)
+        return Tempo.decode_said(encoded, frames)
+
+    @staticmethod
+    def decode_said(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        """`decode`, of frames none of which is held."""
         if encoded.shared and encoded.shared[0][:1] == bytes([tailored.KIND]):
             return tailored.decode(encoded, frames)
         start, stop = encoded.range(frames)
@@ -169,14 +202,14 @@ def step_for_bound(bound: float) -> int:
     return round(np.log2(2.2 * bound) * OCTAVE)
 
 
-PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS = 0, 1, 2, 4, 5, 6
+PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS = 0, 1, 2, 4, 5, 7
 """Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, the prior's of limbs, the
 prior's of bones for points that sit on them, and limbs stored in the file; `tailored.KIND` is another. Never change
 them."""
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
-"""Points that the prior knows get a basis of their own only in recordings at least this long."""
+"""Points that the prior knows, but not as limbs, get a basis of their own only in recordings at least this long."""
 
 
 def choose_model(
@@ -197,12 +230,12 @@ def choose_model(
         for _ in range(STEP_ROUNDS if mean_error else 0):
             step = _nearer_step(_with_own(cut, used, names, rate, step, None)[1], sample, step, mean_error or 1.0)
         candidates = [_with_own(cut, used, names, rate, step - finer, None) for finer in OWN_FINER]
-    elif frames >= OWN_FRAMES:
-        candidates.append(_with_own(cut, used, names, rate, step, known))
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
-    elif knowing is not None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
+    elif known is not None and frames >= OWN_FRAMES:
+        candidates.append(_with_own(cut, used, names, rate, step, known))
+    elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
         candidates.append(own_limbs)
     bodies = prior.of_bones() if known is None else None
     if bodies is not None and bodies.bones is not None and (sits := attach.fit(cut, bodies, names, rate, step)):
@@ -328,6 +361,10 @@ def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | Non
     return list(pairwise(edges))
 
 
+REFILLS = 3
+"""How often what fills gaps is made more like what will be decoded there."""
+
+
 class Piece:
     """One chunk on its way: its samples, and their coefficients once."""
 
@@ -338,6 +375,13 @@ class Piece:
         self.spikes = mask & ~mask if spikes is None else spikes
         self.gaps = gaps.pack(mask)
         self.spectrum = known.analyse(jumps.bridged(positions, self.spikes)) if known.rows else None
+
+    def refill(self, step: int) -> None:
+        """Put into gaps what decoding in about this step would put there: nobody asks for more."""
+        for _ in range(REFILLS if self.mask.any() and self.spectrum is not None else 0):
+            decoded = self.transformed(step)[3]
+            smooth = np.where(self.mask[..., None], decoded, jumps.bridged(self.positions, self.spikes))
+            self.spectrum = self.model.analyse(smooth)
 
     def scaled(self) -> Floats:
         """The positions, times their weights."""

@@ -73,11 +73,16 @@ MEASURES: dict[str, Callable[[PointClouds, PointClouds, int], float]] = {
 
 def compare(a: PointClouds, b: PointClouds, frames: Iterable[int]) -> dict[str, float]:
     """Every measure, averaged over these frames; D1 and D2 also in decibels against PEAK_M."""
-    chosen = [f for f in frames if len(a.positions[f]) and len(b.positions[f])]
+    chosen = [f for f in frames if has_points(a, f) and has_points(b, f)]
     result = {name: float(np.mean([measure(a, b, f) for f in chosen])) for name, measure in MEASURES.items()}
     for name in ("d1", "d2"):
         result[f"{name}_db"] = psnr(result[f"{name}_m"] ** 2, PEAK_M)
     return result
+
+
+def has_points(clouds: PointClouds, frame: int) -> bool:
+    """Whether any point of a frame has a place."""
+    return bool(np.isfinite(clouds.positions[frame]).all(axis=1).any())
 
 
 def joint_error(estimated: Floats, true: Floats, points: Floats) -> float:
