@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mocodec
 from mocodec import metrics
 from mocodec.codecs.tempo import Tempo, limbs, prior, skeletal, tempo, training
 from mocodec.errors import Corrupt, MocodecError
@@ -107,6 +108,14 @@ def test_joints_are_coded_as_limbs_and_keep_their_promise(with_skeleton: bool, t
         assert error.max() <= target["max_error"]
     else:
         assert error.mean() == pytest.approx(target["mean_error"], rel=0.02)
+
+
+@pytest.mark.parametrize("names", ["known", "unknown"])
+def test_the_promise_holds_for_what_a_file_keeps_of_the_skeleton(names: str) -> None:
+    motion = moving(seed=11) if names == "known" else stranger(True, 300)
+    for bound in (0.0003, 0.004):
+        blob = mocodec.encode(motion, max_error=bound)
+        assert metrics.distances(motion.positions, mocodec.decode(blob).positions).max() <= bound
 
 
 def test_limbs_take_fewer_bytes_than_points() -> None:

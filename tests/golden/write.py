@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 import mocodec
-from mocodec.motion import Motion
+from mocodec.codecs.tempo import prior
+from mocodec.motion import Motion, Skeleton
 from mocodec.testing import synthetic
 
 HERE = Path(__file__).parent
@@ -41,6 +42,26 @@ def joints() -> Motion:
     return Motion(motion.positions, motion.rate, motion.names, motion.up, motion.skeleton)
 
 
+def limbs() -> Motion:
+    """240 frames of a body of the prior's, whose bones do not stretch, with its skeleton."""
+    known = prior.of_limbs()
+    assert known is not None
+    points = known.sets[0]
+    assert points.limbs is not None
+    rng = np.random.default_rng(13)
+    t = np.arange(240)[:, None, None] / 120
+    size = (points.limbs.dimensions, 3)
+    turns = (rng.normal(0, 0.15, size) * np.sin(2 * np.pi * rng.uniform(0.1, 2.0, size) * t)).sum(axis=2)
+    skeleton = Skeleton(points.names, points.limbs.parents, points.limbs.vectors)
+    return Motion(points.limbs.inverse(turns) + np.array([0.0, 1.0, 0.0]), 120.0, points.names, "y", skeleton)
+
+
+def own_limbs() -> Motion:
+    """The same body, under names that no prior knows, and without its skeleton."""
+    motion = limbs()
+    return Motion(motion.positions, motion.rate, (), motion.up)
+
+
 RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
     "lossless-markers": (markers, "lossless", {}),
     "liu2006-markers": (markers, "liu2006", {}),
@@ -50,6 +71,8 @@ RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
     "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
     "tempo-markers": (markers, "tempo", {"max_error": 0.005}),
     "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
+    "tempo-limbs": (limbs, "tempo", {"max_error": 0.005}),
+    "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
 }
 
 

@@ -67,7 +67,7 @@ def unpack(data: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton 
     if data[0] == SKELETON:
         if skeleton is None or len(data) > 1:
             raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
-        return Model(replace(points, limbs=points.limbs.built(skeleton.offsets[points.columns])), prior, rate)
+        return Model(replace(points, limbs=points.limbs.built(_offsets(skeleton, points.columns))), prior, rate)
     return Model(replace(points, limbs=_unpack_build(data[1:], points.limbs)), prior, rate)
 
 
@@ -139,7 +139,7 @@ class Stored:
         if not limbs.dimensions or any(len(children) < 2 for children in limbs.plan.children.values()):
             raise Corrupt("tempo: limbs without bones, or a hub of one")
         if skeleton is not None and not self.parents:
-            limbs = limbs.built(skeleton.offsets[columns])
+            limbs = limbs.built(_offsets(skeleton, columns))
             if not limbs.dimensions or not limbs.lengths.max() < LONGEST_M:
                 raise Corrupt("tempo: a skeleton without bones")
         still = np.zeros((1, limbs.dimensions))
@@ -242,6 +242,14 @@ def _ordered(parents: Sequence[int]) -> Integers | None:
     return np.array(order) if len(order) == len(parents) else None
 
 
+def _offsets(skeleton: Skeleton, columns: Integers | None) -> Floats:
+    """Offsets (points, 3) in steps of 10 µm: a file may keep no more of them, and both sides must build the same."""
+    return np.rint(skeleton.offsets[columns] * OFFSETS_PER_M) / OFFSETS_PER_M
+
+
+OFFSETS_PER_M = 100_000
+
+
 def _in_order(parents: Sequence[int], columns: Integers) -> tuple[int, ...]:
     """The parents of points that stand in this order now."""
     place = np.append(np.argsort(columns), -1)  # the root's parent, −1, stays
@@ -253,7 +261,7 @@ def _builds(
 ) -> Iterator[tuple[bytes, Limbs]]:
     """What is stored of a build, and limbs of that build."""
     if skeleton is not None:
-        yield bytes([SKELETON]), like.built(skeleton.offsets[columns])
+        yield bytes([SKELETON]), like.built(_offsets(skeleton, columns))
     stored = _pack_build(poses, like, fine)
     yield bytes([MEASURED]) + stored, _unpack_build(stored, like)
 
