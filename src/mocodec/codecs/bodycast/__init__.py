@@ -271,6 +271,9 @@ class Role:
         if len(there) >= 8:
             some = there[np.linspace(0, len(there) - 1, min(LEARNT, len(there))).round().astype(int)].tolist()
             self.follower.learn([self.clouds[i] for i in some], [self.poses[i] for i in some])
+            if codec.fineness.step < codec.pose_step:  # poses that are told finely are looked at closely
+                for i in there.tolist():
+                    self.poses[i] = self.follower.refined(*self.clouds[i], i, self.poses[i])
         fine = codec.fineness
         scale = Scale.of(body, self.follower.tracker.skin, fine.step)
         some = there[np.unique(np.linspace(0, len(there) - 1, min(SURVEYED, len(there))).round().astype(int))]

@@ -27,6 +27,7 @@ APART = 0.12  # metres between two people, at least, in the first frame
 PERSON = 0.25  # of the points of the largest of them, and of its height twice that, that a person has
 ASTRAY = 0.08  # metres: farther than this is as far as any, where links of points are learned
 DECIDED = 0.006  # metres that another link must be nearer to the data, root mean square
+CLOSE = (0.027, 0.02)  # metres: widths of the robust weight where poses are refined
 ARM = 0.4  # metres from a body beyond which a point is nobody's
 
 
@@ -113,6 +114,11 @@ class Follower:
         around[np.arange(len(points)), own] -= DECIDED**2
         better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
         self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, self.colours, tracker.settings)
+
+    def refined(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose) -> Pose:
+        """A pose brought closer to a frame's points, from more of them than a tracker looks at."""
+        data = self.tracker.look_at(points, colours, frame, DETAIL)
+        return self.tracker.solve(data, pose, CLOSE).pose
 
     def _nearest_links(self, points: Floats, own: Labels) -> Labels:
         """(n, 5): links whose axes are nearest to each point, its own among them."""
