@@ -9,10 +9,11 @@ import pytest
 
 import mocodec as mc
 from mocodec import container
-from mocodec.codecs.bodycast import Bodycast
+from mocodec.codecs.bodycast import Bodycast, follow
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
 from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.geometry import body_tracking, skinning
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import corruption
@@ -143,6 +144,23 @@ def test_exact_points(clouds, performance):
     rough = Bodycast(residual="exact", precision=0.002, skeleton=performance.skeleton()).encode(few)
     assert rough.payload_bytes < 0.6 * encoded.payload_bytes
     assert measures.d1(few, Bodycast.decode(rough), 2) < 0.002
+
+
+def test_what_a_point_moves_with_is_learned(performance, clouds):
+    assert clouds.colours is not None
+    follower = follow.Follower(clouds.positions[0], clouds.colours[0], performance.skeleton(), "y", 1000)
+    frames = list(zip(clouds.positions, clouds.colours, strict=True))
+    poses = [follower.tracker.pose, *(follower.fit(p, c, i).pose for i, (p, c) in enumerate(frames) if i)]
+    tracker, body = follower.tracker, follower.body
+    arm = [i for i, name in enumerate(body.names) if name.startswith("Left") and "Arm" in name]
+    rows = np.flatnonzero(np.isin(tracker.skin.links[:, 0], arm))[::3]
+    wrong = tracker.skin.links[:, 0].copy()
+    wrong[rows] = body.names.index("Spine")  # as if the sleeve had lain at the trunk
+    skin = skinning.skin(body, tracker.skin.points, wrong)
+    follower.tracker = body_tracking.Tracker(body, skin, tracker.normals, follower.colours, tracker.settings)
+    follower.learn(frames, poses)
+    found = follower.tracker.skin.links[rows, 0]
+    assert np.mean(found == body.names.index("Spine")) < 0.1
 
 
 def test_as_many_points_as_wanted(performance, clouds):

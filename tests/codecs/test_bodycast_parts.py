@@ -138,7 +138,7 @@ def test_poses_come_back_within_their_step(arm, frames):
 
 def test_a_scale_survives(arm):
     body, skin = arm
-    scale = poses.Scale.of(body, skin, 0.003)
+    scale = poses.Scale.of(body, skin, 0.0030072)
     back, at = poses.Scale.unpack(body, b"xx" + scale.pack(), 2)
     assert at == 2 + len(scale.pack())
     np.testing.assert_allclose(back.sizes(), scale.sizes())

@@ -134,3 +134,10 @@ def test_damage_raises_corrupt_or_decodes(encoded):
             Lien2006.decode(broken)
         except MocodecError as error:
             assert isinstance(error, Corrupt)  # noqa: PT017
+
+
+def test_a_second_person_is_no_part_of_the_body():
+    jumper, turner = sequences.pair(actors.capsules(), 4)
+    both = sequences.record((jumper, turner), 2000)
+    decoded = Lien2006.decode(Lien2006(residual=25, skeleton=jumper.skeleton()[:1]).encode(both))
+    assert measures.d1(sequences.record(jumper, 2000), decoded, 3) < 0.05

@@ -35,6 +35,7 @@ Integers = NDArray[np.int64]
 STEPS = Steps(reach=0.002, place=0.002)
 POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
 DEPTH_STEP = 0.008  # of residual maps: metres; eight bits reach a metre either way
+BEYOND = 0.25  # metres off a link's cylinder, where points are no longer the body's: props, other people
 FEWEST = 50  # points that a frame must have to be a body
 
 
@@ -134,6 +135,8 @@ class Lien2006:
             body_fit.require_near(body, points)
         rng = np.random.default_rng(0)
         share = rng.permutation(len(points))[: max(2 * FEWEST, round(self.model_share * len(points)))]
+        near = articulated_icp.is_near(body, points[share])
+        share = share[near] if near.sum() >= FEWEST else share  # a second person, or a floor, is no part of the body
         normals = outward(points[share], points) if normals is None else normals[share]
         points, colours = points[share], None if colours is None else colours[share]
         body, model = articulated_icp.make_model(body, points, colours, normals)
@@ -310,11 +313,14 @@ def _maps(
     shades = np.full((len(points), 3), 128.0) if colours is None else colours.astype(float)
     maps = list[Map | None]()
     for link, tile in enumerate(atlas):
+        if tile is None:
+            maps.append(None)
+            continue
         own = links == link
-        local = (points[own] - b[link]) @ a[link]
-        maps.append(
-            cylinder_map.forward(tile.cylinder, local, shades[own], tile.expected.distance.shape) if tile else None
-        )
+        local, own_shades = (points[own] - b[link]) @ a[link], shades[own]
+        along, _, away = cylinder_map.coordinates(tile.cylinder, local)
+        near = (away < model.body.radii[link] + BEYOND) & (np.abs(along - np.clip(along, *tile.cylinder[4:])) < BEYOND)
+        maps.append(cylinder_map.forward(tile.cylinder, local[near], own_shades[near], tile.expected.distance.shape))
     return maps
 
 

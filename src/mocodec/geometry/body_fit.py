@@ -299,4 +299,4 @@ def require_near(body: Body, points: Floats) -> None:
     away, _ = KDTree(points).query(middles)
     if np.median(away) > FARTHEST:
         gap = f"{np.median(away):.4g} m"
-        raise BadInput(f"the skeleton is {gap} from the first frame's points: both must have one place, pose and unit")
+        raise BadInput(f"the skeleton is {gap} from the first frame's points: it must have its place, pose and unit")

@@ -82,6 +82,42 @@ def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Sk
     return Skin(points, np.stack([links, partner], axis=1), weight)
 
 
+AROUND = 0.0375  # of the body's size: as far as a point's weights come from
+
+
+def blended(body: Body, points: Floats, links: Labels, normals: Floats) -> Skin:
+    """Weights of points (n, 3), canonical, that belong to links (n,), from what those around them belong to, where
+    their unit normals (n, 3) point the same way: across a seam of the surface, wherever it lies, weights pass over
+    gradually, and an arm that lies at the trunk does not hang on it.
+    """
+    kernel = neighbourhood(body, points, normals)
+    shares = np.zeros((len(points), len(body)))
+    shares[np.arange(len(points)), links] = 1.0
+    shares = np.asarray(kernel @ shares)
+    order = np.argsort(-shares, axis=1, kind="stable")[:, :2]
+    first, second = np.take_along_axis(shares, order, axis=1).T
+    order[second <= 0, 1] = order[second <= 0, 0]
+    return Skin(points, order, first / (first + second))
+
+
+def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
+    """Weights (n, n), sparse, that average over what lies around each point: none at its rim, and none where the
+    surface faces away.
+    """
+    from scipy.sparse import coo_array
+    from scipy.spatial import KDTree
+
+    radius = AROUND * float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
+    pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
+    own = np.arange(len(points))
+    i, j = (np.concatenate([pairs[:, k], pairs[:, 1 - k], own]) for k in (0, 1))
+    gap = np.sum((points[i] - points[j]) ** 2, axis=1) / radius**2
+    weight = np.maximum(1 - gap, 0.0) ** 2 * np.maximum(np.sum(normals[i] * normals[j], axis=1), 0.0)
+    weight[len(i) - len(own) :] = 1.0
+    total = np.bincount(i, weight, len(points))
+    return coo_array((weight / total[i], (i, j)), shape=(len(points),) * 2).tocsr()
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """A skin as one sparse matrix (n, 4 links) of weighted points, so that posing it is a product with the links'

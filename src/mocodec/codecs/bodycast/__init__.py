@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,10 @@ from .weave import valid_cells
 
 HIDDEN = 1.35  # cells for each that is surface: the others lie inside joints
 SURVEYED = 48  # frames that the surface which is stored once is made from
+LEARNT = 14  # frames from which it is learned what a point moves with
 KEEP = 0.4  # of what a cell held counts on when new points fall into it
 FIRST_WEIGHT = 3.0  # points that the first picture counts for in each cell
+STILL = 25  # percent of the residual up to which nothing moves but the poses
 EXACT = "exact"
 
 __all__ = ["Bodycast", "Role", "begin", "models"]
@@ -46,14 +48,15 @@ __all__ = ["Bodycast", "Role", "begin", "models"]
 class Bodycast:
     """Settings.
 
-    residual: how well and how often the moving surface follows the data, in percent; 0 sends the surface once and then
-    poses alone; "exact" sends every point as it is. precision: of exact points, metres; 0 keeps all bits of 32-bit
+    residual: how well surface and poses follow the data, in percent. From 0 to 25 the poses and the one picture of the
+    surface become finer; above that, pictures of what changes are sent too, the better and the more often the higher;
+    "exact" sends every point as it is. precision: of exact points, metres; 0 keeps all bits of 32-bit
     floats. skeleton: a Motion, or a file of one, whose first frame is the pose of the first frame, or a list of them
     for several people; fitted where none is given. people: so many are followed, at most; what others there are is
     coded as points. pose_step: metres that the surface moves for one step of a joint. points: of a decoded frame; as
     many as a frame has unless given. cells: of the picture of the surface. surface_quality: of that picture, as x265's
-    rate factor (lower is better). strangers: code what no body explains. tracked_points: of a frame, at most, that are
-    looked at.
+    rate factor (lower is better); these three are those of residual 0. strangers: code what no body explains.
+    tracked_points: of a frame, at most, that are looked at.
     """
 
     name: ClassVar[str] = "bodycast"
@@ -66,7 +69,7 @@ class Bodycast:
     cells: int = 10_000
     surface_quality: int = 30
     strangers: bool = True
-    tracked_points: int = 1000
+    tracked_points: int = 2500
     chunk_frames: int = 150
 
     def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
@@ -109,19 +112,16 @@ class Bodycast:
             )
 
     @property
-    def percent(self) -> float:
-        """Of the moving surface; exact points need none."""
-        return 0.0 if isinstance(self.residual, str) else self.residual
-
-    @property
-    def moving_quality(self) -> int:
-        """x265's rate factor of the changes of the surface."""
-        return self.surface_quality + round(14 * (1 - self.percent / 100))
-
-    @property
-    def every(self) -> int:
-        """Frames from one picture of the moving surface to the next."""
-        return max(1, round(100 / self.percent)) if self.percent else 1
+    def fineness(self) -> Fineness:
+        """What the residual asks for; exact points need neither fine poses nor pictures."""
+        percent = 0.0 if isinstance(self.residual, str) else self.residual
+        still, moving = min(percent / STILL, 1.0), max(percent - STILL, 0.0) / (100 - STILL)
+        quality = max(self.surface_quality - round(8 * still), 0)
+        every = max(1, round(1 / moving)) if moving else 0
+        step = self.pose_step * 4.0**-still
+        return Fineness(
+            step, round(self.cells * 2.0**still), quality, min(quality + round(14 * (1 - moving)), 51), every
+        )
 
     def _follow(self, followers: list[Follower], frames: list[Cloud], first: int) -> list[Role]:
         """Every body through all frames."""
@@ -142,12 +142,12 @@ class Bodycast:
         for role in cast:
             stream = poses.pack(role.follower.body, Track.of(role.poses[span]), role.model.scale)
             role.stored = poses.unpack(role.follower.body, stream, len(here), role.model.scale)
-            moving = self._pictures(role, span) if self.percent and any(role.there[i] for i in here) else []
+            moving = self._pictures(role, span) if self.fineness.every and any(role.there[i] for i in here) else []
             plays.append(chunks.Play(stream, tuple(moving)))
         if self.residual == EXACT:
             points = exact.pack([frames[i] for i in here], self.precision, coloured)
             return chunks.pack(chunks.Parts(absent, b"", b"", points, tuple(plays)))
-        nobody = absent.all(axis=1)
+        nobody = [not any(role.there[i] for role in cast) for i in here]
         others = list[Cloud]()
         for k, i in enumerate(here):
             bodies = [r.follower.surface(r.stored[k]) for r in cast if r.there[i]]
@@ -161,19 +161,19 @@ class Bodycast:
 
     def _pictures(self, role: Role, span: slice) -> list[bytes]:
         """The changing surface as packets that follow the key packet."""
-        atlas, planes = role.model.atlas, role.planes
+        atlas, planes, fine = role.model.atlas, role.planes, self.fineness
 
         def changing() -> Iterator[NDArray[np.uint8]]:
             yield planes
             sums = Sums.showing(atlas, planes, FIRST_WEIGHT)
-            for first in range(span.start, span.stop, self.every):
-                for i in range(first, min(span.stop, first + self.every)):
+            for first in range(span.start, span.stop, fine.every):
+                for i in range(first, min(span.stop, first + fine.every)):
                     if role.there[i]:
                         seen = role.sight(i, role.stored[i - span.start])
                         sums.gather(atlas, seen.points, seen.links, seen.colours, KEEP)
                 yield picture(atlas, sums)
 
-        packets = video.encode(changing(), self.surface_quality, self.moving_quality)
+        packets = video.encode(changing(), fine.quality, fine.moving)
         return [packets[0] if packets[0] != role.model.key else b"", *packets[1:]]
 
     @staticmethod
@@ -224,6 +224,18 @@ def models(encoded: Encoded[PointClouds]) -> list[Model]:
     return known
 
 
+class Fineness(NamedTuple):
+    """step: of poses. cells, quality: of the picture of the surface. moving: x265's rate factor of its changes. every:
+    frames from one of those to the next, 0 where there are none.
+    """
+
+    step: float
+    cells: int
+    quality: int
+    moving: int
+    every: int
+
+
 class Role:
     """A body while it is encoded: its poses in all frames, and the model that is made of it."""
 
@@ -255,21 +267,27 @@ class Role:
 
     def prepare(self, codec: Bodycast, usual: int, coloured: bool, roles: int) -> None:
         """Make the model: the means of all that was seen, fused over time in the canonical pose."""
-        body = self.follower.body
-        scale = Scale.of(body, self.follower.tracker.skin, codec.pose_step)
-        there = np.flatnonzero(self.there)
+        body, there = self.follower.body, np.flatnonzero(self.there)
+        if len(there) >= 8:
+            some = there[np.linspace(0, len(there) - 1, min(LEARNT, len(there))).round().astype(int)].tolist()
+            self.follower.learn([self.clouds[i] for i in some], [self.poses[i] for i in some])
+            if codec.fineness.step < codec.pose_step:  # poses that are told finely are looked at closely
+                for i in there.tolist():
+                    self.poses[i] = self.follower.refined(*self.clouds[i], i, self.poses[i])
+        fine = codec.fineness
+        scale = Scale.of(body, self.follower.tracker.skin, fine.step)
         some = there[np.unique(np.linspace(0, len(there) - 1, min(SURVEYED, len(there))).round().astype(int))]
         seen = [self.sight(i, self.poses[i]) for i in some.tolist()]
         places, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
         few = np.random.default_rng(0).permutation(len(places))[:60_000]
-        atlas = Atlas.plan(body, places[few], links[few], round(HIDDEN * min(codec.cells, len(places))))
+        atlas = Atlas.plan(body, places[few], links[few], round(HIDDEN * min(fine.cells, len(places))))
         if not atlas.tiles:
             raise CannotEncode("nothing was seen of the body's surface: does the skeleton fit the person?")
         sums = Sums.empty(atlas)
         sums.gather(atlas, places, links, np.concatenate([s.colours for s in seen]))
         self.planes = picture(atlas, sums)
-        key = video.encode([self.planes], codec.surface_quality, codec.moving_quality)[0]
+        key = video.encode([self.planes], fine.quality, fine.moving)[0]
         own = usual if roles == 1 else int(np.mean([len(self.clouds[i][0]) for i in there]))
         shown = codec.points or max(own, 1)
         valid = valid_cells(atlas, self.planes, sums)
-        self.model = Model(atlas, scale, valid, key, coloured, min(shown, model.MOST_POINTS), codec.every)
+        self.model = Model(atlas, scale, valid, key, coloured, min(shown, model.MOST_POINTS), fine.every or 1)

@@ -6,6 +6,7 @@ first frame ─► people ─► a body and a tracker each ─► poses, frame b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ DETAIL = 5000  # points of a frame that the surface is made from
 NEAR = 0.04  # metres from the template that a point of the surface may be
 APART = 0.12  # metres between two people, at least, in the first frame
 PERSON = 0.25  # of the points of the largest of them, and of its height twice that, that a person has
+ASTRAY = 0.08  # metres: farther than this is as far as any, where links of points are learned
+DECIDED = 0.006  # metres that another link must be nearer to the data, root mean square
+CLOSE = (0.027, 0.02)  # metres: widths of the robust weight where poses are refined
 ARM = 0.4  # metres from a body beyond which a point is nobody's
 
 
@@ -42,6 +46,13 @@ def begin(
 
     Raises CannotEncode where nobody stands there, BadInput for a skeleton that does not fit.
     """
+    return _begin(points, colours, skeleton, up, looked_at)[:2]
+
+
+def _begin(
+    points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
+) -> tuple[Body, body_tracking.Tracker, NDArray[np.uint8] | None]:
+    """The same, with the colours of the template."""
     if skeleton is None:
         body = body_fit.first_pose(points, up).body()
     else:
@@ -60,7 +71,7 @@ def begin(
     skin = skinning.skin(body, model.points[few], model.links[few])
     shades = None if model.colours is None else model.colours[few]
     settings = body_tracking.Settings(points=looked_at)
-    return body, body_tracking.Tracker(body, skin, model.normals[few], shades, settings)
+    return body, body_tracking.Tracker(body, skin, model.normals[few], shades, settings), shades
 
 
 class Follower:
@@ -70,7 +81,7 @@ class Follower:
         self, points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
     ) -> None:
         """As `begin`."""
-        self.body, self.tracker = begin(points, colours, skeleton, up, looked_at)
+        self.body, self.tracker, self.colours = _begin(points, colours, skeleton, up, looked_at)
 
     def begin(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
         """How the pose of the first frame fits it."""
@@ -78,6 +89,45 @@ class Follower:
 
     def fit(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
         return self.tracker.fit(points, colours, frame)
+
+    def learn(self, clouds: Sequence[Cloud], poses: Sequence[Pose]) -> None:
+        """What each point of the template moves with, from frames in which it has moved.
+
+        Of the links nearest to a point, the one is taken that brings it, and those around it, nearest to the data over
+        all frames; a sleeve that lay at the trunk in the first frame leaves it with the arm. It stays with its own
+        where that says little.
+        """
+        tracker, skin = self.tracker, self.tracker.skin
+        points, own = skin.points, skin.links[:, 0]
+        links = self._nearest_links(points, own)
+        costs = np.zeros(links.shape)
+        for frame, ((place, colours), pose) in enumerate(zip(clouds, poses, strict=True)):
+            data = tracker.look_at(place, colours, frame, DETAIL)
+            a, b = articulation.transforms(self.body, pose)
+            for k in range(links.shape[1]):
+                there = np.einsum("nij,nj->ni", a[links[:, k]], points) + b[links[:, k]]
+                away, _ = data.nearest(there, tracker.shades, ASTRAY)
+                costs[:, k] += np.minimum(away, ASTRAY) ** 2 / len(clouds)
+        every = np.full((len(points), len(self.body)), ASTRAY**2)
+        np.put_along_axis(every, links, costs, axis=1)
+        around = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ every)
+        around[np.arange(len(points)), own] -= DECIDED**2
+        better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
+        self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, self.colours, tracker.settings)
+
+    def refined(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose) -> Pose:
+        """A pose brought closer to a frame's points, from more of them than a tracker looks at."""
+        data = self.tracker.look_at(points, colours, frame, DETAIL)
+        return self.tracker.solve(data, pose, CLOSE).pose
+
+    def _nearest_links(self, points: Floats, own: Labels) -> Labels:
+        """(n, 5): links whose axes are nearest to each point, its own among them."""
+        along = self.body.tips - self.body.origins
+        offset = points[:, None] - self.body.origins
+        share = np.clip(np.einsum("nlk,lk->nl", offset, along) / np.sum(along**2, axis=1), 0, 1)
+        away = np.linalg.norm(offset - share[..., None] * along, axis=2)
+        away[np.arange(len(points)), own] = -1.0
+        return np.argsort(away, axis=1, kind="stable")[:, : min(5, len(self.body))]
 
     def surface(self, pose: Pose) -> Floats:
         """(n, 3): the template in a pose."""

@@ -54,7 +54,7 @@ class Sender:
     points: int | None = None
     cells: int = 10_000
     surface_quality: int = 30
-    tracked_points: int = 1000
+    tracked_points: int = 2500
     picture_every: int = 0
     model: bytes = b""
     """The packet with the model; empty until a frame has shown a body."""

@@ -24,7 +24,7 @@ from ...geometry.articulation import Body, Floats, Pose
 from ...geometry.skinning import Skin
 
 Integers = NDArray[np.int64]
-UNIT = 1e-4  # metres, of steps as they are stored
+UNIT = 1e-5  # metres, of steps as they are stored
 FINEST, OCTAVE = 0.015, 4  # metres: the shortest lever; how many sizes of lever there are to a doubling
 MIDDLE = 0.05  # radians a step of the turns in the middle frame
 ALONE, AMONG = 0.74, 0.62  # what a coefficient must be to be rounded up to 1: among zeros, and among others
@@ -57,7 +57,7 @@ class Scale(NamedTuple):
                 squares.sum(axis=1, keepdims=True) - squares
             )
         sizes = np.round(OCTAVE * np.log2(np.maximum(np.sqrt(square), FINEST) / FINEST))
-        return Scale(step, sizes.astype(np.int64))
+        return Scale(max(round(step / UNIT), 1) * UNIT, sizes.astype(np.int64))
 
     def pack(self) -> bytes:
         levers = coder.pack(self.levers)
@@ -67,7 +67,7 @@ class Scale(NamedTuple):
     def unpack(body: Body, data: bytes, at: int) -> tuple[Scale, int]:
         """The scale and where its bytes end. Raises Corrupt."""
         (step, size), at = varint.read(data, 2, at)
-        if not 0 < step < 1 << 16 or at + size > len(data):
+        if not 0 < step <= 1 << 17 or at + size > len(data):
             raise Corrupt("bodycast: the scale of its poses is damaged")
         levers = coder.unpack(data[at : at + size], (len(body), 3))
         if (levers < 0).any() or (levers > 20 * OCTAVE).any():

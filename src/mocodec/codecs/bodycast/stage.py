@@ -34,7 +34,7 @@ class Actor:
         planes = next(video.decode([model.key], model.atlas.picture_shape))
         self.weave: Weave = weave(model.atlas, planes, model.valid, model.points)
         points, self.colours = self.weave.surface(planes)
-        self.skin = skinning.skin(self.body, points, self.weave.links)
+        self.skin = skinning.blended(self.body, points, self.weave.links, self.weave.normals)
         self.rig = skinning.Rig.of(self.skin, len(self.body))
 
     def posed(self, pose: Pose) -> Floats:

@@ -25,7 +25,7 @@ STRIP = 4  # spacings of points that a strip of rows is high
 GOLDEN = 40503  # of 2^16: the step across a strip from one point to the next
 UNIT = 1e-12  # square metres
 FEW = 8  # points in a cell, below which it is counted with those around it
-USUAL = 0.5  # of the points that are usual for its area, which a cell of the surface has at least
+USUAL = 0.4  # of the points that are usual for its area, which a cell of the surface has at least
 
 
 class Weave(NamedTuple):

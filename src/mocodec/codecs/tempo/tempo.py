@@ -11,7 +11,7 @@ Where this suits a motion badly, a chunk is coded directly on a grid instead; th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple
@@ -310,11 +310,21 @@ def model_of(shared: tuple[bytes, ...], like: Motion) -> model.Model:
     """The model that a file was coded with. Raises Corrupt, UnknownCodec."""
     if len(shared) != 1 or not shared[0]:
         raise Corrupt("tempo: the shared bytes are not its own")
-    return _model_of(shared[0], like.names, like.rate, like.skeleton)
+    tree = like.skeleton
+    built = b"" if tree is None else np.array(tree.parents).tobytes() + tree.offsets.tobytes()
+    return _model_of(shared[0], like.names, like.rate, _Build(built, tree))
+
+
+@dataclass(frozen=True)
+class _Build:
+    """A skeleton that equals another of the same bones: each opening of a file reads its own."""
+
+    bones: bytes
+    skeleton: Skeleton | None = field(compare=False)
 
 
 @lru_cache(maxsize=8)
-def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton | None) -> model.Model:
+def _model_of(shared: bytes, names: tuple[str, ...], rate: float, build: _Build) -> model.Model:
     kind, at = shared[0] & ~WEIGHTED, 1
     weighting = b""
     if shared[0] & WEIGHTED:
@@ -324,12 +334,12 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float, skeleton: Skel
         raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
     if kind == LIMBS:
-        found = skeletal.unpack(rest, names, rate, skeleton, used)
+        found = skeletal.unpack(rest, names, rate, build.skeleton, used)
     elif kind == OWN_LIMBS:
         if used.sets[0].limbs is None:
             raise Corrupt("tempo: limbs, of a prior that knows none")
         stored, rest = skeletal.Stored.unpack(rest, len(names))
-        found = own.unpack(rest, used, names, rate, None, stored.points(names, skeleton))
+        found = own.unpack(rest, used, names, rate, None, stored.points(names, build.skeleton))
     elif kind == OWN:
         found = own.unpack(rest, used, names, rate, model.of_names(names, used, rate))
     elif kind == MAPPED:

@@ -61,7 +61,8 @@ class Result:
 
 
 def conditions(quick: bool = False) -> list[Condition]:
-    """The whole grid, or with `quick` what differs from the ordinary condition in one thing."""
+    """The whole grid, clip by clip; or with `quick` what differs from the ordinary condition in one thing, all clips in
+    each: so a run that is stopped has something of every clip."""
     every = [
         Condition(clip, rate, noise, kept, views)
         for clip in tracking.STARTS
@@ -70,8 +71,12 @@ def conditions(quick: bool = False) -> list[Condition]:
         for noise in NOISES_CM
         for kept in KEPT
     ]
+    if not quick:
+        return every
     ordinary = Condition("")
-    return [c for c in every if not quick or sum(a != b for a, b in zip(c[1:], ordinary[1:], strict=True)) < 2]
+    differs = {c: [a != b for a, b in zip(c[1:], ordinary[1:], strict=True)] for c in every}
+    few = [c for c in every if sum(differs[c]) < 2]
+    return sorted(few, key=lambda c: (VIEWS.index(c.views), RATES.index(c.rate), c.noise_cm, KEPT.index(c.kept)))
 
 
 def run(wanted: Sequence[Condition], data: Path, frames: int, known: Sequence[Result]) -> Iterator[Result]:
