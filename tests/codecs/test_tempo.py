@@ -84,6 +84,25 @@ def test_size_and_ratio_are_kept() -> None:
         through(motion, size=5)
 
 
+def test_a_size_that_leaves_room_for_everything_or_for_hardly_a_basis() -> None:
+    still = Motion(np.repeat(synthetic.markers(frames=1, seed=3).positions, 90, axis=0), 120.0)
+    assert through(still, size=20_000)[1] <= 20_000
+    line = Motion(np.cumsum(np.ones((90, 5, 3)), axis=0), 120.0)
+    assert through(line, ratio=2.0)[1] <= line.raw_bytes / 2
+    noise = Motion(np.random.default_rng(0).normal(size=(90, 41, 3)), 120.0)
+    assert through(noise, ratio=20.0)[1] <= noise.raw_bytes / 20
+
+
+def test_a_bound_beyond_counting_is_refused_or_kept() -> None:
+    motion = synthetic.markers(frames=30, seed=3)
+    huge = replace(motion, positions=motion.positions * 1e6)
+    try:
+        decoded, _ = through(huge, max_error=1e-9)
+    except CannotEncode:
+        return
+    assert error(huge, decoded).max() <= 1e-9 + ROUNDING * 1e7
+
+
 def test_weighted_points_are_kept_closer() -> None:
     motion = synthetic.markers(frames=240, seed=3)
     decoded, _ = through(motion, max_error=0.01, weights={"LTOE": 8.0})

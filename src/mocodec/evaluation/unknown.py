@@ -269,9 +269,8 @@ def main() -> None:
             print(markdown(figures))
             return
         known = figures
-        RESULTS.write_text(
-            json.dumps({"machine": runner.machine(), "figures": [asdict(f) for f in known]}, indent=0) + "\n"
-        )
+        stored = {"machine": runner.machine(), "figures": [asdict(f) for f in known]}
+        RESULTS.write_text(json.dumps(stored, indent=0) + "\n")
     write_page(markdown(known), "unknown")
 
 

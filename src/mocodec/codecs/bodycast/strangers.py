@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...entropy import coder, varint
 from ...errors import Corrupt
+from ...geometry import body_matching
 from ...geometry.articulation import Floats
 from .. import body_stream
 from . import bits, octree
@@ -29,22 +30,19 @@ COLOUR_STEP = 12
 
 def unexplained(frame: Cloud, bodies: Floats) -> Cloud:
     """The points of a frame that are away from the bodies' (m, 3), where there is a crowd of them."""
-    from scipy.spatial import KDTree
-
     points, colours = frame
-    away, _ = KDTree(bodies).query(points, distance_upper_bound=AWAY)
+    away, _ = body_matching.Data.build(bodies, None, None).nearest(points, None, AWAY)
     is_far = ~np.isfinite(away)
     far = np.flatnonzero(is_far)
     if len(far):
-        cube, which, count = np.unique(
-            np.floor(points / WIDE).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-        )
+        cube = np.clip(np.floor(points / WIDE).astype(np.int64) + (1 << DEPTH - 1), 0, (1 << DEPTH) - 1)
+        code, which, count = np.unique(octree.codes(cube), return_inverse=True, return_counts=True)
         which = which.reshape(-1)
         near = count[which[~is_far]]
         usual = float(np.median(near)) if len(near) else 1.0
-        outside = np.bincount(which[far], minlength=len(cube))
+        outside = np.bincount(which[far], minlength=len(code))
         far = far[outside[which[far]] >= max(CROWD * usual, 1.0)]
-        far = far[_in_company(cube, which[far], max(COMPANY * len(points), 8.0))]
+        far = far[_in_company(octree.cells_of(code), which[far], max(COMPANY * len(points), 8.0))]
     return points[far], None if colours is None else colours[far]
 
 

@@ -48,6 +48,8 @@ BATCH = 64
 """Chunks decoded side by side: enough to be fast, few enough to be small in memory."""
 FIRST_OFFSET = 28
 """The step to try first under a bound: this many 1/32 octaves above it."""
+COARSER_MODELS = 8
+"""How many coarser models are looked at, two octaves apart, where one takes more than half of a size."""
 HELD_BYTES = 8
 """What a chunk's held frames take, at most, where they are held in some order."""
 MEAN_WITHIN = 0.02
@@ -133,6 +135,11 @@ class Tempo:
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
         cut = [smooth[a:b] for a, b in bounds]
         shared, known = choose_model(cut, motion, self.first_step(motion), self.mean_error)
+        if self.ratio is not None or self.size is not None:
+            for coarser in range(1, COARSER_MODELS):
+                if len(shared) <= self.payload_bytes(motion) / 2:
+                    break
+                shared, known = choose_model(cut, motion, self.first_step(motion) + coarser * 2 * OCTAVE)
         if self.weights:
             weighting = weight_bytes(motion.names, self.weights)
             shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
@@ -228,13 +235,14 @@ def choose_model(
     candidates = [] if known is None else [(bytes([KNOWN]) + used.id, known)]
     if known is None and frames >= 2:
         for _ in range(STEP_ROUNDS if mean_error else 0):
-            step = _nearer_step(_with_own(cut, used, names, rate, step, None)[1], sample, step, mean_error or 1.0)
-        candidates = [_with_own(cut, used, names, rate, step - finer, None) for finer in OWN_FINER]
+            for _, fitted in _with_own(cut, used, names, rate, step, None):
+                step = _nearer_step(fitted, sample, step, mean_error or 1.0)
+        candidates = [c for finer in OWN_FINER for c in _with_own(cut, used, names, rate, step - finer, None)]
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
     elif known is not None and frames >= OWN_FRAMES:
-        candidates.append(_with_own(cut, used, names, rate, step, known))
+        candidates += _with_own(cut, used, names, rate, step, known)
     elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
         candidates.append(own_limbs)
     bodies = prior.of_bones() if known is None else None
@@ -261,9 +269,13 @@ STEP_ROUNDS = 2
 
 def _with_own(
     cut: list[Floats], used: prior.Prior, names: tuple[str, ...], rate: float, step: int, known: model.Model | None
-) -> tuple[bytes, model.Model]:
+) -> list[tuple[bytes, model.Model]]:
+    """The model of the recording's own basis; none where its numbers would be out of range."""
     fitted = own.fit(cut, used, names, rate, step, known)
-    return bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate, known)
+    try:
+        return [(bytes([OWN]) + used.id + fitted, own.unpack(fitted, used, names, rate, known))]
+    except Corrupt:
+        return []
 
 
 def _nearer_step(known: model.Model, sample: list[Floats], step: int, mean_error: float) -> int:
@@ -620,11 +632,18 @@ def to_size(pieces: list[Piece], size: float) -> list[bytes]:
     def at(step: int) -> list[bytes]:
         return packed(pieces, [p.draft(step) for p in pieces])
 
-    step = -_largest(lambda s: sum(map(len, at(-s))) <= size, round(-np.log2(0.004) * OCTAVE))
+    spectra = [np.abs(p.positions if p.spectrum is None else p.spectrum).max(initial=0.0) for p in pieces]
+    finest = int(np.ceil(OCTAVE * np.log2(max(*spectra, 1e-9) / LARGEST_NUMBER)))
+    start = max(finest, round(np.log2(0.004) * OCTAVE))
+    step = -_largest(lambda s: -s >= finest and sum(map(len, at(-s))) <= size, -start)
     result = at(step)
     if sum(map(len, result)) > size:
         raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
     return result
+
+
+LARGEST_NUMBER = 2.0**40
+"""A size leaves no room for larger numbers of steps than this, whatever it is."""
 
 
 def _largest(holds: Callable[[int], bool], start: int) -> int:
