@@ -15,7 +15,9 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +90,11 @@ def figure(
 def of_recording(
     recording: datasets.Recording, prior: Path | None, with_hou: bool, known: Sequence[Figure]
 ) -> list[Figure]:
-    """All figures of one recording; those of SZ3 that are known already are taken over."""
+    """All figures of one recording; those of other codecs that are known already are taken over."""
+
+    def before(codec: str, target: str, wanted: float) -> list[Figure]:
+        return [f for f in known if (f.file, f.codec, f.target, f.target_m) == (label, codec, target, wanted)][:1]
+
     motion, problem = datasets.loaded(recording)
     if motion is None or problem:
         return []
@@ -100,9 +106,8 @@ def of_recording(
         for target, wanted in [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]:
             outcome = runner.ours("tempo", motion, **{target: wanted})
             found.append(figure(label, kind, motion, "tempo", target, wanted, outcome))
-            before = [f for f in known if (f.file, f.codec, f.target, f.target_m) == (label, "sz3", target, wanted)]
-            if before:
-                found += before[:1]
+            if there := before("sz3", target, wanted):
+                found += there
                 continue
             guess = sz3.knob_of(wanted if target == "mean_error" else wanted / 3)
 
@@ -115,6 +120,9 @@ def of_recording(
         for wanted in HOU_MEANS if with_hou else ():
             codecs: dict[str, Any] = {"tempo": Tempo(), "hou2014": Hou2014(), PUBLISHED: Hou2014.as_published()}
             for name, codec in codecs.items():
+                if name != "tempo" and (there := before(name, "mean_error", wanted)):
+                    found += there
+                    continue
                 with contextlib.suppress(CannotEncode):
                     outcome = runner.ours(codec, motion, mean_error=wanted)
                     found.append(figure(label, kind, motion, name, "mean_error", wanted, outcome))
@@ -323,7 +331,8 @@ def main() -> None:
         "--priors", type=Path, default=Path("build/priors"), help="where priors without one person are kept"
     )
     parser.add_argument("--quick", action="store_true", help="every fifth recording")
-    parser.add_argument("--afresh", action="store_true", help="measure SZ3 again too")
+    parser.add_argument("--afresh", action="store_true", help="measure SZ3 and hou2014 again too")
+    parser.add_argument("--workers", type=int, default=1, help="how many recordings are measured side by side")
     parser.add_argument("--tables", action="store_true", help="only draw the tables again")
     parser.add_argument("--speed", action="store_true", help="only measure speed again")
     chosen = parser.parse_args()
@@ -334,24 +343,26 @@ def main() -> None:
         RESULTS.write_text(json.dumps(stored, indent=0))
     elif not chosen.tables:
         known = [] if chosen.afresh or not RESULTS.is_file() else read_figures()
-        figures: list[Figure] = []
         recordings = datasets.recordings(chosen.data)
+        every = max(1, len(recordings) // HOU_FILES)
+        tasks: list[tuple[datasets.Recording, Path | None, bool, Sequence[Figure]]] = []
         for number, recording in enumerate(recordings[:: 5 if chosen.quick else 1]):
             who = person(recording)
-            prior = None
-            if who is not None:
-                prior = folds.prior_path(chosen.priors, (who,))
-                if not prior.is_file():
-                    folds.train((who,), prior)
-            every = max(1, len(recordings) // HOU_FILES)
+            prior = None if who is None else folds.prior_path(chosen.priors, (who,))
+            if who is not None and prior is not None and not prior.is_file():
+                folds.train((who,), prior)
             with_hou = number % every == 0 or recording.label.endswith(("85_12.c3d", "03_04.amc"))
-            figures += of_recording(recording, prior, with_hou, known)
-            print(number, recording.label, flush=True)
+            tasks.append((recording, prior, with_hou, [f for f in known if f.file == recording.label]))
+        figures: list[Figure] = []
+        with ProcessPoolExecutor(chosen.workers, mp_context=get_context("spawn")) as pool:
+            for task, found in zip(tasks, pool.map(of_recording, *zip(*tasks, strict=True)), strict=True):
+                figures += found
+                print(task[0].label, flush=True)
         long = next(r for r in recordings if r.label.endswith("03_04.amc"))
         machine = runner.machine()
         speed = speeds(long.load())
-        found = {"machine": machine, "speed_machine": machine, "speed": speed, "figures": [asdict(f) for f in figures]}
-        RESULTS.write_text(json.dumps(found, indent=0))
+        stored = {"machine": machine, "speed_machine": machine, "speed": speed}
+        RESULTS.write_text(json.dumps(stored | {"figures": [asdict(f) for f in figures]}, indent=0))
     stored = json.loads(RESULTS.read_text())
     write_page(markdown(read_figures(), stored["speed"], stored["speed_machine"]))
     if PARTS.is_file():
