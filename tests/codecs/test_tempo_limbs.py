@@ -9,7 +9,7 @@ import pytest
 
 import mocodec
 from mocodec import metrics
-from mocodec.codecs.tempo import Tempo, limbs, prior, skeletal, tempo, training
+from mocodec.codecs.tempo import Decoder, Encoder, Tempo, limbs, prior, skeletal, tempo, training
 from mocodec.errors import Corrupt, MocodecError
 from mocodec.motion import Floats, Motion, Skeleton
 
@@ -201,6 +201,15 @@ def test_bones_are_found_among_points_that_no_prior_knows(with_skeleton: bool) -
     assert metrics.distances(motion.positions, Tempo.decode(encoded).positions).max() <= 0.004
     part = Tempo.decode(encoded, slice(250, 260))
     assert part.positions == pytest.approx(Tempo.decode(encoded).positions[250:260], abs=1e-9)
+
+
+def test_a_stream_of_a_stranger_needs_nothing_earlier() -> None:
+    motion = stranger(True, 60)
+    stream = Encoder(motion[:0], latency_seconds=0.5)
+    chunks = [*stream.push(motion.positions), *stream.finish()]
+    decoder = Decoder(stream.shared, motion[:0])
+    decoded = np.concatenate([decoder.push(c) for c in chunks])
+    assert metrics.distances(motion.positions, decoded).max() <= 0.005
 
 
 def test_points_that_are_no_body_are_no_limbs() -> None:

@@ -161,7 +161,7 @@ def unknown(
 
     pose: what the headings are counted from, (points, 3).
     """
-    if sum(map(len, runs)) < FEWEST_FRAMES or len(names) < FEWEST_POINTS:
+    if len(names) < FEWEST_POINTS:
         return None
     sample = [r[:: max(1, len(r) // SAMPLED)] for r in runs]
     tolerance = float(STRETCH * step_size(step))
@@ -203,7 +203,7 @@ def _trees(
 
 
 FEWEST_FRAMES, FEWEST_POINTS = 16, 4
-"""Of fewer nobody can tell whether they are a body's."""
+"""Of fewer nobody can tell whether the points are a body's."""
 MOST_POINTS = 128
 """Among more points than this no bones are looked for."""
 

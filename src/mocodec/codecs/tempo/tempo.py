@@ -291,6 +291,8 @@ def _with_own_limbs(
     cut: list[Floats], like: Motion, step: int, knowing: prior.Prior
 ) -> tuple[bytes, model.Model] | None:
     """The model of limbs that no prior knows, after its shared bytes; none where the points are no limbs'."""
+    if sum(map(len, cut)) < skeletal.FEWEST_FRAMES:
+        return None
     centred = np.concatenate([c[:: max(1, len(c) // 256)] for c in cut])
     pose = body.mean_pose(centred - centred.mean(axis=1, keepdims=True))
     found = skeletal.unknown(cut, pose, like.names, like.rate, step, like.skeleton)
