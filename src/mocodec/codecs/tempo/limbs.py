@@ -85,14 +85,18 @@ class Limbs:
                 turns = unwrapped(_rotation_vector(_framed_by(inside) @ plan.rest[hub].T))
                 out[plan.at_hub(hub)] = turns
                 found[-2 - hub] = _within(found.get(plan.carrier[children[0]]), turning(turns))
-            for bone in level.bones:
-                inside = _into(found.get(plan.carrier[bone]), offsets[:, [bone]])[:, 0]
-                local = np.tensordot(plan.axes[bone].T, inside, axes=1)
+            for carrier, group in level.groups:
+                axes = plan.stacked(group)
+                inside = _into(found.get(carrier), offsets[:, group])
+                local = axes[:, 0].T[..., None] * inside[0]
+                local += axes[:, 1].T[..., None] * inside[1]
+                local += axes[:, 2].T[..., None] * inside[2]
                 turns = unwrapped(_logarithm(local))
-                out[plan.at_bone(bone)] = turns
-                if bone in plan.carriers:
-                    turned = _Turned.by(np.sqrt(turns[0] ** 2 + turns[1] ** 2))
-                    found[bone] = _framed(found.get(plan.carrier[bone]), plan.axes[bone], turns, turned)
+                for i, bone in enumerate(group):
+                    out[plan.at_bone(bone)] = turns[:, i]
+                    if bone in plan.carriers:
+                        turned = _Turned.by(np.sqrt(turns[0, i] ** 2 + turns[1, i] ** 2))
+                        found[bone] = _framed(found.get(carrier), plan.axes[bone], turns[:, i], turned)
         return out.T
 
     def inverse(self, coordinates: Floats) -> Floats:
@@ -302,12 +306,12 @@ def _logarithm(local: Floats) -> Floats:
 
 
 def unwrapped(turns: Floats) -> Floats:
-    """Turns (n, frames) that go on past half a turn, rather than come back from the other side."""
-    steps = np.diff(turns, axis=1)
-    crossed = (steps**2).sum(axis=0) > np.pi**2
+    """Turns (n, …, frames) that go on past half a turn, rather than come back from the other side."""
+    crossed = (np.diff(turns) ** 2).sum(axis=0) > np.pi**2
     if not crossed.any():
         return turns
-    odd = np.concatenate([[False], np.cumsum(crossed) % 2 == 1])
+    odd = np.zeros(turns.shape[1:], bool)
+    odd[..., 1:] = np.cumsum(crossed, axis=-1) % 2 == 1
     angle = np.sqrt((turns**2).sum(axis=0))
     return np.where(odd, turns * (1 - _over(np.full_like(angle, 2 * np.pi), angle, 0.0)), turns)
 
@@ -321,8 +325,10 @@ class _Turned(NamedTuple):
 
     @classmethod
     def by(cls, angle: Floats) -> _Turned:
-        versed = 0.5 * _over(np.sin(angle / 2), angle / 2, 1.0) ** 2
-        return cls(_over(np.sin(angle), angle, 1.0), np.cos(angle), versed)
+        half = angle / 2
+        sine, cosine = np.sin(half), np.cos(half)
+        share = _over(sine, half, 1.0)
+        return cls(share * cosine, 1 - 2 * sine * sine, 0.5 * share * share)
 
     def of(self, numbers: int | list[int]) -> _Turned:
         return _Turned(*(each[numbers] for each in self))
