@@ -62,7 +62,7 @@ class Result:
 
 def conditions(quick: bool = False) -> list[Condition]:
     """The whole grid, clip by clip; or with `quick` what differs from the ordinary condition in one thing, all clips in
-    each: so a run that is stopped has something of every clip."""
+    each and the mildest first: so a run that is stopped has something of every clip."""
     every = [
         Condition(clip, rate, noise, kept, views)
         for clip in tracking.STARTS
@@ -76,7 +76,10 @@ def conditions(quick: bool = False) -> list[Condition]:
     ordinary = Condition("")
     differs = {c: [a != b for a, b in zip(c[1:], ordinary[1:], strict=True)] for c in every}
     few = [c for c in every if sum(differs[c]) < 2]
-    return sorted(few, key=lambda c: (VIEWS.index(c.views), RATES.index(c.rate), c.noise_cm, KEPT.index(c.kept)))
+    steps = {
+        c: (VIEWS.index(c.views), RATES.index(c.rate), NOISES_CM.index(c.noise_cm), KEPT.index(c.kept)) for c in few
+    }
+    return sorted(few, key=lambda c: (sum(steps[c]), *steps[c]))
 
 
 def run(wanted: Sequence[Condition], data: Path, frames: int, known: Sequence[Result]) -> Iterator[Result]:
@@ -138,7 +141,7 @@ def measure(
     for result in run(wanted, data, frames, known):
         fresh.append(result)
         told(Condition(result.clip, result.rate, result.noise_cm, result.kept, result.views).name)
-        if len(fresh) % 16 == 0:
+        if len(fresh) % 8 == 0:
             write(folder, merged(known, fresh))
     return write(folder, merged(known, fresh))
 
