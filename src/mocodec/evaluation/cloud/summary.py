@@ -29,8 +29,8 @@ def markdown(folder: Path) -> str:
         "Made by `mocodec eval cloud-summary` from the results of `mocodec eval cloud-grid`, `cloud-long`, `lien2006` "
         "and `python -m mocodec.evaluation.cloud.first_poses`. Speeds are of processor time on one core of a machine "
         f"that others were using; {len(rows)} of the grid's conditions are measured. Jumping jacks are periodic. "
-        "Ratios are of whole files, every byte counted, against 15 bytes a point. The paper's ratios leave out its model, "
-        "and are of its own recordings; of its figures no numbers are printed.", "",
+        "Ratios are of whole files, every byte counted, against 15 bytes a point. The paper's ratios leave out its "
+        "model, and are of its own recordings; of its figures no numbers are printed.", "",
         "| | paper | bodycast | lien2006 | must | aim |", "|---|---|---|---|---|---|",
     ]  # fmt: skip
     lines += [f"| {' | '.join(row)} |" for row in table(rows, runs, found["lien2006"])]
