@@ -203,6 +203,19 @@ def test_bones_are_found_among_points_that_no_prior_knows(with_skeleton: bool) -
     assert part.positions == pytest.approx(Tempo.decode(encoded).positions[250:260], abs=1e-9)
 
 
+def test_a_stream_with_a_skeleton_is_one_of_limbs() -> None:
+    motion = moving(240)
+    sizes = []
+    for about in (motion[:0], replace(motion[:0], skeleton=None)):
+        stream = Encoder(about, latency_seconds=0.5)
+        chunks = [*stream.push(motion.positions), *stream.finish()]
+        decoder = Decoder(stream.shared, about)
+        decoded = np.concatenate([decoder.push(c) for c in chunks])
+        assert metrics.distances(motion.positions, decoded).max() <= 0.005
+        sizes.append(sum(len(c.payload) for c in chunks))
+    assert sizes[0] < 0.9 * sizes[1]
+
+
 def test_a_stream_of_a_stranger_needs_nothing_earlier() -> None:
     motion = stranger(True, 60)
     stream = Encoder(motion[:0], latency_seconds=0.5)

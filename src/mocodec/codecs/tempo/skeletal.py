@@ -48,8 +48,11 @@ def candidate(
     step: about how coarsely the coefficients will be rounded, log₂ in 1/32 octave.
     """
     points = of_names(names, prior)
-    if points is None or points.limbs is None or not runs:
+    if points is None or points.limbs is None:
         return None
+    if not runs:  # a stream, of which nothing is known yet but its skeleton
+        stored = bytes([SKELETON])
+        return None if skeleton is None else (stored, unpack(stored, names, rate, skeleton, prior))
     poses = np.concatenate([r[:: max(1, len(r) // SAMPLED)] for r in runs])[:, points.columns]
     poses = poses - poses.mean(axis=1, keepdims=True)
     for stored, limbs in _builds(poses, points.limbs, skeleton, points.columns, step - FINER):

@@ -23,7 +23,8 @@ from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bo
 
 
 class Encoder:
-    """about: any motion with the stream's names, rate and up axis; its frames are not coded. max_error: metres.
+    """about: any motion with the stream's names, rate and up axis, and its skeleton if there is one, whose bones it is
+    then coded by; its frames are not coded. max_error: metres.
 
     latency_seconds: how long a chunk is, and so how long a frame may wait: from 0.1 up to 10. like: an earlier
     recording of the same points, for a basis where the prior does not know them.
@@ -73,7 +74,7 @@ class Encoder:
 
 
 class Decoder:
-    """shared: the encoder's. about: any motion with its names, rate and up axis. Raises Corrupt, UnknownCodec."""
+    """shared: the encoder's. about: any motion with its names, rate, up axis and skeleton. Raises Corrupt or UnknownCodec."""
 
     def __init__(self, shared: Iterable[bytes], about: Motion) -> None:
         self.about = about

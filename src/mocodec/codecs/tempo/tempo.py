@@ -241,6 +241,8 @@ def choose_model(
     knowing = prior.of_limbs()
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
+        if not cut:
+            return candidates[-1]
     elif known is not None and frames >= OWN_FRAMES:
         candidates += _with_own(cut, used, names, rate, step, known)
     elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
