@@ -74,7 +74,10 @@ class Encoder:
 
 
 class Decoder:
-    """shared: the encoder's. about: any motion with its names, rate, up axis and skeleton. Raises Corrupt or UnknownCodec."""
+    """shared: the encoder's. about: any motion with the names, rate, up axis and skeleton that it was given.
+
+    Raises Corrupt, UnknownCodec.
+    """
 
     def __init__(self, shared: Iterable[bytes], about: Motion) -> None:
         self.about = about
