@@ -19,7 +19,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from ..codecs.tempo import Tempo, coefficients, contexts, corrections, jumps, model, tempo
+from .. import native
+from ..codecs.tempo import Tempo, coefficients, contexts, corrections, jumps, model, prior, tempo
 from ..motion import Motion
 from . import datasets, folds, runner
 
@@ -41,7 +42,7 @@ def _single_frames(beyond: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return where, np.ones(len(where), np.int64)
 
 
-def _nearest(model_: model.Model, scaled: np.ndarray, step: int, _: float) -> tuple[np.ndarray, int, float]:
+def _nearest(model_: model.Model, scaled: np.ndarray, step: int, _: float = 0.0) -> tuple[np.ndarray, int, float]:
     return QUANTISE(model_, scaled, step, 0.0)
 
 
@@ -51,9 +52,15 @@ PARTS: dict[str, Callable[[], list[Any]]] = {
     "no heading": lambda: [patch.object(model, "smooth_heading", lambda h, rate: np.zeros_like(h))],
     "no slopes of the place": lambda: [patch.object(model, "SLOPE_FIT", (1 << 30, 1 << 30))],
     "no basis of its own, where the prior knows the points": lambda: [patch.object(tempo, "OWN_FRAMES", 1 << 40)],
+    "no limbs": lambda: [patch.object(prior, "of_limbs", lambda: None)],
+    "no limbs, and no points on bones": lambda: [
+        patch.object(prior, "of_limbs", lambda: None),
+        patch.object(prior, "of_bones", lambda: None),
+    ],
     "no prior: a basis of its own, always": lambda: [
         patch.object(model, "of_names", lambda *_: None),
-        patch.object(tempo.own, "of_names", lambda *_: None),
+        patch.object(prior, "of_limbs", lambda: None),
+        patch.object(prior, "of_bones", lambda: None),
     ],
     "numbers rounded to the nearest": lambda: [patch.object(coefficients, "quantise", _nearest)],
     "no groups of frequencies": lambda: [patch.object(contexts, "GROUPS", ((0, 1),))],
@@ -64,8 +71,9 @@ PARTS: dict[str, Callable[[], list[Any]]] = {
 
 @contextmanager
 def without(name: str) -> Iterator[None]:
-    """Within this, one part is taken out, on both sides."""
+    """Within this, one part is taken out, on both sides. In NumPy: what is compiled knows of no parts."""
     with ExitStack() as stack:
+        stack.enter_context(native.without())
         for change in PARTS[name]():
             stack.enter_context(change)
         _forget()
@@ -87,13 +95,13 @@ def main() -> None:
     for file in FILES:
         recording = datasets.labelled(chosen.data / file, chosen.data)
         motion = replace(recording.load(), extras={}, rotations=None)
-        prior = None
+        unseen = None
         if file.endswith(".amc"):
             who = Path(file).parent.name
-            prior = folds.prior_path(chosen.priors, (who,))
-            if not prior.is_file():
-                folds.train((who,), prior)
-        with folds.unseen(prior):
+            unseen = folds.prior_path(chosen.priors, (who,))
+            if not unseen.is_file():
+                folds.train((who,), unseen)
+        with folds.unseen(unseen):
             for name in PARTS:
                 for target in TARGETS:
                     with without(name):
