@@ -13,7 +13,7 @@ coordinates 58 remain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -73,66 +73,77 @@ class Limbs:
 
     def forward(self, pose: Floats) -> Floats:
         """Coordinates (frames, dimensions), radians, of poses (frames, points, 3): first all bones', then all hubs'."""
-        plan, frames = self.plan, len(pose)
-        out = np.empty((self.dimensions, frames))
-        offsets = _offsets(pose, self.parents)
-        found: dict[int, Floats] = {}
+        out = np.empty((self.dimensions, len(pose)))
+        bones, hubs = self.plan.split(out)
+        for block in blocks(len(pose)):
+            self.found(pose[block], bones[..., block], hubs[..., block])
+        bones[:], hubs[:] = unwrapped(bones), unwrapped(hubs)
+        return out.T
+
+    def found(self, pose: Floats, bones: Floats, hubs: Floats) -> Floats:
+        """The frames (3, 3, slots, frames) of all that carries, in poses (frames, points, 3).
+
+        The turns of bones (2, bones, frames) and of hubs (3, hubs, frames) are written to where they are to be.
+        """
+        plan, offsets = self.plan, _offsets(pose, self.parents)
+        found = np.empty((3, 3, plan.slots, len(pose)))
         for level in plan.levels:
             for hub in level.hubs:
-                children = plan.children[hub]
-                pair = plan.pairs[hub]
-                inside = _into(found.get(plan.carrier[children[0]]), offsets[:, pair])
-                turns = unwrapped(_rotation_vector(_framed_by(inside) @ plan.rest[hub].T))
-                out[plan.at_hub(hub)] = turns
-                found[-2 - hub] = _within(found.get(plan.carrier[children[0]]), turning(turns))
-            for carrier, group in level.groups:
-                axes = plan.stacked(group)
-                inside = _into(found.get(carrier), offsets[:, group])
-                local = axes[:, 0].T[..., None] * inside[0]
-                local += axes[:, 1].T[..., None] * inside[1]
-                local += axes[:, 2].T[..., None] * inside[2]
-                turns = unwrapped(_logarithm(local))
-                for i, bone in enumerate(group):
-                    out[plan.at_bone(bone)] = turns[:, i]
-                    if bone in plan.carriers:
-                        turned = _Turned.by(np.sqrt(turns[0, i] ** 2 + turns[1, i] ** 2))
-                        found[bone] = _framed(found.get(carrier), plan.axes[bone], turns[:, i], turned)
-        return out.T
+                pair = offsets[:, hub.pair]
+                if hub.carrier is not None:
+                    pair = _into(hub.home, _into(found[:, :, hub.carrier], pair))
+                hubs[:, hub.number] = _rotation_vector(_framed_by(pair) @ hub.still.T)
+                found[:, :, hub.slot] = turning(hubs[:, hub.number])
+                hub.carry(found)
+            if level.points:
+                here = offsets[:, level.points]
+                if level.carriers is not None:
+                    here = _into(found[:, :, level.carriers], here)
+                turns = _logarithm(_into(level.rest, here))
+                bones[:, level.numbers] = turns
+                own = found[:, :, level.slots]
+                k = own.shape[2]
+                _frames(level.rest[:, :, :k], turns[:, :k], _Turned.by(turns[:, :k]), own)
+                level.carry(found)
+        return found
 
     def inverse(self, coordinates: Floats) -> Floats:
         """Poses (frames, points, 3), metres, their mean in the origin."""
-        return _summed(self._turned(np.ascontiguousarray(coordinates.T)), self.parents)
+        return np.ascontiguousarray(self.posed(np.ascontiguousarray(coordinates.T)).transpose(2, 1, 0))
 
-    def _turned(self, values: Floats) -> Floats:
+    def posed(self, turns: Floats) -> Floats:
+        """`inverse` of turns (dimensions, frames), as (3, points, frames)."""
+        out = np.empty((3, len(self.parents), turns.shape[1]))
+        for block in blocks(turns.shape[1]):
+            _sum(self._turned(turns[:, block]), self.parents, out[..., block])
+        return out
+
+    def _turned(self, turns: Floats) -> Floats:
         """Offsets (3, points, frames) from parent to point, in the body's frame, of turns (dimensions, frames)."""
-        plan, frames = self.plan, values.shape[1]
-        bones = values[: 2 * len(plan.bones)].reshape(len(plan.bones), 2, frames)
-        hubs = values[2 * len(plan.bones) :][: 3 * len(plan.hubs)].reshape(len(plan.hubs), 3, frames)
-        of_bones = _Turned.by(np.sqrt(bones[:, 0] ** 2 + bones[:, 1] ** 2))
-        of_hubs = _Turned.by(np.sqrt(hubs[:, 0] ** 2 + hubs[:, 1] ** 2 + hubs[:, 2] ** 2))
+        plan, frames = self.plan, turns.shape[1]
+        bones, hubs = plan.split(turns)
+        bones, k = bones[:, plan.order], plan.framed
+        of_bones, of_hubs = _Turned.by(bones), _Turned.by(hubs)
         if (kernel := native.kernel("tempo_limbs")) is not None:
-            axes = plan.stacked(plan.bones) if plan.bones else np.zeros((0, 3, 3))
-            return kernel(bones, *of_bones, hubs, *of_hubs, *plan.program, axes, self.lengths, self.vectors)
-        offsets = np.zeros((3, len(self.parents), frames))
-        found: dict[int, Floats] = {}
+            turned = (bones, *of_bones, np.ascontiguousarray(hubs), *of_hubs)
+            return kernel(*turned, *plan.program, self.lengths, self.vectors)
+        found = np.empty((3, 3, plan.slots, frames))
+        _frames(plan.rest[:, :, :k], bones[:, :k], of_bones.of(slice(k)), found[:, :, :k])
+        found[:, :, k:] = _turning(hubs, of_hubs)
         for level in plan.levels:
             for hub in level.hubs:
-                children, number = plan.children[hub], plan.hubs.index(hub)
-                frame = _within(found.get(plan.carrier[children[0]]), _turning(hubs[number], of_hubs.of(number)))
-                found[-2 - hub] = frame
-                offsets[:, children] = _out_of(frame, self.vectors[children].T[..., None])
-            for carrier, group in level.groups:
-                numbers = [plan.bones.index(b) for b in group]
-                turns, turned = bones[numbers].swapaxes(0, 1), of_bones.of(numbers)
-                x, y = turns[0] * turned.sine, turns[1] * turned.sine
-                axes = plan.stacked(group) * self.lengths[list(group), None, None]
-                inside = axes[:, :, 0].T[..., None] * x
-                inside += axes[:, :, 1].T[..., None] * y
-                inside += axes[:, :, 2].T[..., None] * turned.cosine
-                offsets[:, group] = _out_of(found.get(carrier), inside)
-                for i, bone in enumerate(group):
-                    if bone in plan.carriers:
-                        found[bone] = _framed(found.get(carrier), plan.axes[bone], turns[:, i], turned.of(i))
+                hub.carry(found)
+            level.carry(found)
+        offsets = np.zeros((3, len(self.parents), frames))
+        offsets[:, plan.points[:k]] = found[2, :, :k]
+        ends = _directions(plan.rest[:, :, k:], bones[:, k:], of_bones.of(slice(k, None)))
+        free = plan.free
+        offsets[:, plan.points[k : k + free]] = ends[:, :free]
+        offsets[:, plan.points[k + free :]] = _out_of(found[:, :, plan.carriers[k + free :]], ends[:, free:])
+        offsets *= self.lengths[:, None]
+        for level in plan.levels:
+            for hub in level.hubs:
+                offsets[:, hub.children] = _out_of(found[:, :, [hub.slot]], hub.vectors)
         return offsets
 
     def metric(self, coordinates: Floats) -> Floats:
@@ -149,64 +160,128 @@ class Limbs:
 NUDGE = 1e-4
 
 
+BLOCK = 512
+"""Frames worked on at a time: enough to be fast, few enough to stay in a processor's cache."""
+
+
+def blocks(frames: int) -> Iterator[slice]:
+    return (slice(first, min(first + BLOCK, frames)) for first in range(0, frames, BLOCK))
+
+
+BODY = -1
+
+Slots = slice | NDArray[np.int64]
+"""Places among the frames of all that carries: a slice where they stand in a row, so that nothing is copied."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hub:
+    """A hub and where things of it are.
+
+    number, among hubs; slot, of its frame; carrier: the slot of the frame that it is counted in (none: the body's);
+    home (3, 3, 1, 1): the axes of the body, as the carrier's axes see them at rest; children, points, and their vectors
+    (3, n, 1); pair: the two of them that are least in line, which say how it is turned, and still: their frame (3, 3)
+    when it is not.
+    """
+
+    number: int
+    slot: int
+    carrier: slice | None
+    home: Floats
+    children: list[int]
+    vectors: Floats
+    pair: list[int]
+    still: Floats
+
+    def carry(self, found: Floats) -> None:
+        """From its carrier's frame into the body's, in place."""
+        if self.carrier is not None:
+            own = slice(self.slot, self.slot + 1)
+            found[:, :, own] = _out_of(found[:, :, self.carrier], _out_of(self.home, found[:, :, own]))
+
+
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What can be turned at once, since all that carries it is known: hubs, bones, and the bones by their carrier."""
+    """What can be turned at once, since all that carries it is known: hubs, and bones, first those that carry others.
 
-    hubs: tuple[int, ...]
-    bones: tuple[int, ...]
-    groups: tuple[tuple[int, tuple[int, ...]], ...]
+    points; numbers: of their coordinates; slots: of those that carry others; carriers: slots of the frames that all of
+    them, and those, are counted in (none: the body's); rest (3, 3, bones, 1): their axes, as their carrier's see them.
+    """
+
+    hubs: tuple[Hub, ...]
+    points: list[int]
+    numbers: list[int]
+    slots: slice
+    carriers: Slots | None
+    carriers_of_framed: Slots | None
+    rest: Floats
+
+    def carry(self, found: Floats) -> None:
+        """The frames of its bones from their carriers' into the body's, in place."""
+        if self.carriers_of_framed is not None:
+            found[:, :, self.slots] = _out_of(found[:, :, self.carriers_of_framed], found[:, :, self.slots])
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The order of the work. A carrier is a bone, −2 − joint for a hub, or BODY."""
+    """The order of the work. A carrier is a bone, −2 − joint for a hub, or BODY.
+
+    bones, hubs (by their joint): in the order of their coordinates. order: bones in the order of work, first those
+    that carry others, then the `free` ones that the body carries, then the rest; the hubs' frames stand behind the
+    bones'. Of bones in that order: points, rest (3, 3, bones, 1), and the slots of their carriers.
+    """
 
     bones: tuple[int, ...]
     hubs: tuple[int, ...]
     children: dict[int, list[int]]
     carrier: dict[int, int]
-    carriers: frozenset[int]
-    levels: tuple[Level, ...]
     axes: dict[int, Floats]
-    """Of each bone the frame (3, 3) whose third column is its direction."""
-    pairs: dict[int, list[int]]
-    """Of each hub the two bones that are least in line; they say how it is turned."""
-    rest: dict[int, Floats]
-    """The frame (3, 3) of those two where the hub is not turned."""
+    """The axes of bones, hubs and body where nothing is turned, (3, 3), columns; a bone's third is its direction."""
+    levels: tuple[Level, ...]
+    order: NDArray[np.int64]
+    framed: int
+    free: int
+    points: NDArray[np.int64]
+    carriers: NDArray[np.int64]
+    rest: Floats
+    slot: dict[int, int]
 
-    def at_bone(self, bone: int) -> slice:
-        at = 2 * self.bones.index(bone)
-        return slice(at, at + 2)
+    @property
+    def slots(self) -> int:
+        return self.framed + len(self.hubs)
 
-    def at_hub(self, hub: int) -> slice:
-        at = 2 * len(self.bones) + 3 * self.hubs.index(hub)
-        return slice(at, at + 3)
+    def split(self, turns: Floats) -> tuple[Floats, Floats]:
+        """Turns (dimensions, frames) of bones, (2, bones, frames), and of hubs, (3, hubs, frames): views."""
+        edge, frames = 2 * len(self.bones), turns.shape[1]
+        bones = turns[:edge].reshape(len(self.bones), 2, frames)
+        hubs = turns[edge : edge + 3 * len(self.hubs)].reshape(len(self.hubs), 3, frames)
+        return bones.swapaxes(0, 1), hubs.swapaxes(0, 1)
 
     @cached_property
-    def program(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """For the compiled module: (turns, 6) in order whether it is a hub, its number among those, the place of its
+    def program(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+        """For the compiled module: (turns, 6) in order whether it is a hub, its number among those, the slots of its
         carrier's frame and of its own (−1: none), its first child and the one past its last (of a bone, its point);
-        and the children."""
-        places = {carrier: place for place, carrier in enumerate(sorted(self.carriers - {BODY}))}
+        the children; and `rest` of bones and of hubs, (n, 3, 3)."""
         rows: list[tuple[int, ...]] = []
         children: list[int] = []
+        hubs: list[Hub] = []
         for level in self.levels:
+            for bone in range(level.slots.start, level.slots.stop):
+                rows.append((0, bone, self.carriers[bone], bone, self.points[bone], 0))
             for hub in level.hubs:
-                of_hub = self.children[hub]
-                carrier, own = places.get(self.carrier[of_hub[0]], -1), places.get(-2 - hub, -1)
-                rows.append((1, self.hubs.index(hub), carrier, own, len(children), len(children) + len(of_hub)))
-                children += of_hub
-            for bone in level.bones:
-                own = places.get(bone, -1)
-                rows.append((0, self.bones.index(bone), places.get(self.carrier[bone], -1), own, bone, bone + 1))
-        return np.array(rows, np.int64).reshape(-1, 6), np.array(children, np.int64)
-
-    def stacked(self, bones: Sequence[int]) -> Floats:
-        return np.stack([self.axes[b] for b in bones])
-
-
-BODY = -1
+                carrier = -1 if hub.carrier is None else hub.carrier.start
+                rows.append((1, hub.number, carrier, hub.slot, len(children), len(children) + len(hub.children)))
+                children += hub.children
+                hubs.append(hub)
+        for bone in range(self.framed, len(self.bones)):
+            rows.append((0, bone, self.carriers[bone], -1, self.points[bone], 0))
+        homes = [hub.home[..., 0, 0] for hub in sorted(hubs, key=lambda hub: hub.number)]
+        return (
+            np.array(rows, np.int64).reshape(-1, 6),
+            np.array(children, np.int64),
+            np.ascontiguousarray(self.rest[..., 0].transpose(2, 0, 1)),
+            np.array(homes).reshape(-1, 3, 3),
+        )
 
 
 def _plan(limbs: Limbs) -> Plan:
@@ -236,19 +311,71 @@ def _plan(limbs: Limbs) -> Plan:
             ends[j] = j
             depth[j] = depth[carrier[j]] + 1
             level_of[j] = depth[carrier[j]]
-    carriers = frozenset(carrier.values())
-    levels = []
-    for depth_ in range(max(level_of.values(), default=-1) + 1):
-        hubs = tuple(h for h in children if level_of[-2 - h] == depth_)
-        here = tuple(b for b in bones if level_of[b] == depth_)
-        by: dict[int, list[int]] = {}
-        for b in here:
-            by.setdefault(carrier[b], []).append(b)
-        levels.append(Level(hubs, here, tuple((c, tuple(group)) for c, group in by.items())))
+    carrying = set(carrier.values())
+    framed = sorted((b for b in bones if b in carrying), key=level_of.__getitem__)
+    leaves = sorted((b for b in bones if b not in carrying), key=level_of.__getitem__)
+    points, hubs = [*framed, *leaves], list(children)
+    slots = (
+        {BODY: -1} | {b: slot for slot, b in enumerate(framed)} | {-2 - h: len(framed) + i for i, h in enumerate(hubs)}
+    )
     axes = {b: _axes(limbs.vectors[b] / limbs.lengths[b]) for b in bones}
-    pairs = {hub: _least_in_line(limbs.vectors, of_hub) for hub, of_hub in children.items()}
-    rest = {hub: _framed_by(limbs.vectors[pair].T[..., None])[0] for hub, pair in pairs.items()}
-    return Plan(tuple(bones), tuple(children), children, carrier, carriers, tuple(levels), axes, pairs, rest)
+    axes |= {c: np.eye(3) for c in (BODY, *(-2 - h for h in hubs))}
+    rest = {b: (axes[carrier[b]].T @ axes[b]).T for b in bones}
+
+    def stacked(of: Sequence[int]) -> Floats:
+        return np.array([rest[b] for b in of]).reshape(-1, 3, 3).transpose(1, 2, 0)[..., None]
+
+    def slots_of(of: Sequence[int]) -> Slots | None:
+        places = np.array([slots[carrier[b]] for b in of], np.int64)
+        return None if (places < 0).any() or not len(of) else _in_a_row(places)
+
+    def hub(joint: int) -> Hub:
+        of_hub = children[joint]
+        pair = _least_in_line(limbs.vectors, of_hub)
+        vectors, slot = limbs.vectors[of_hub].T[..., None], slots[-2 - joint]
+        still = _framed_by(limbs.vectors[pair].T[..., None])[0]
+        at = slots[carrier[of_hub[0]]]
+        held = None if at < 0 else slice(at, at + 1)
+        home = axes[carrier[of_hub[0]]][..., None, None]
+        return Hub(hubs.index(joint), slot, held, home, of_hub, vectors, pair, still)
+
+    levels = []
+    for at in range(max(level_of.values(), default=-1) + 1):
+        here = [b for b in framed if level_of[b] == at]
+        start = sum(level_of[b] < at for b in framed)
+        every = [*here, *(b for b in leaves if level_of[b] == at)]
+        levels.append(
+            Level(
+                tuple(hub(h) for h in hubs if level_of[-2 - h] == at),
+                every,
+                [bones.index(b) for b in every],
+                slice(start, start + len(here)),
+                slots_of(every),
+                slots_of(here),
+                stacked(every),
+            )
+        )
+    return Plan(
+        tuple(bones),
+        tuple(hubs),
+        children,
+        carrier,
+        axes,
+        tuple(levels),
+        np.array([bones.index(b) for b in points], np.int64),
+        len(framed),
+        sum(carrier[b] == BODY for b in leaves),
+        np.array(points, np.int64),
+        np.array([slots[carrier[b]] for b in points], np.int64),
+        stacked(points),
+        slots,
+    )
+
+
+def _in_a_row(places: NDArray[np.int64]) -> Slots:
+    """The same as a slice, if it is one."""
+    first = int(places[0])
+    return slice(first, first + len(places)) if (np.diff(places) == 1).all() else places
 
 
 def _least_in_line(vectors: Floats, bones: Sequence[int]) -> list[int]:
@@ -284,13 +411,12 @@ def _offsets(pose: Floats, parents: Sequence[int]) -> Floats:
     return points - points[:, [max(p, 0) for p in parents]]
 
 
-def _summed(offsets: Floats, parents: Sequence[int]) -> Floats:
-    """Offsets (3, points, frames) along the tree, as poses (frames, points, 3) about their mean."""
+def _sum(offsets: Floats, parents: Sequence[int], out: Floats) -> None:
+    """Offsets (3, points, frames) along the tree, less the mean of all points; `offsets` is lost."""
     for j, p in enumerate(parents):
         if p >= 0:
             offsets[:, j] += offsets[:, p]
-    offsets -= offsets.mean(axis=1, keepdims=True)
-    return np.ascontiguousarray(offsets.transpose(2, 1, 0))
+    np.subtract(offsets, offsets.mean(axis=1, keepdims=True), out=out)
 
 
 def _over(a: Floats, b: Floats, otherwise: float) -> Floats:
@@ -324,55 +450,70 @@ class _Turned(NamedTuple):
     versed: Floats
 
     @classmethod
-    def by(cls, angle: Floats) -> _Turned:
-        half = angle / 2
+    def by(cls, turns: Floats) -> _Turned:
+        """turns (2 or 3, …)"""
+        angle = turns[0] * turns[0]
+        for part in turns[1:]:
+            angle += part * part
+        half = np.maximum(np.sqrt(angle) * 0.5, 1e-150)
         sine, cosine = np.sin(half), np.cos(half)
-        share = _over(sine, half, 1.0)
+        share = sine / half
         return cls(share * cosine, 1 - 2 * sine * sine, 0.5 * share * share)
 
-    def of(self, numbers: int | list[int]) -> _Turned:
-        return _Turned(*(each[numbers] for each in self))
+    def of(self, some: slice) -> _Turned:
+        return _Turned(*(each[some] for each in self))
 
 
-def _framed(carrier: Floats | None, axes: Floats, turns: Floats, turned: _Turned) -> Floats:
-    """The frame (3, 3, frames) of a bone turned by (2, frames), out of its carrier's: at rest that frame itself."""
-    vector = axes[:, 1, None] * turns[0] - axes[:, 0, None] * turns[1]
-    return _within(carrier, _turning(vector, turned))
+def _directions(rest: Floats, turns: Floats, turned: _Turned) -> Floats:
+    """Where the third axes (3, bones, frames) of frames at rest (3, 3, bones, 1) point after turns (2, bones, frames)
+    that tilt them towards the first and the second."""
+    out = rest[0] * (turns[0] * turned.sine)
+    out += rest[1] * (turns[1] * turned.sine)
+    out += rest[2] * turned.cosine
+    return out
+
+
+def _frames(rest: Floats, turns: Floats, turned: _Turned, out: Floats) -> None:
+    """All three axes after such turns, (3, 3, bones, frames), by Rodrigues' formula."""
+    tilt = rest[0] * turns[0]
+    tilt += rest[1] * turns[1]
+    np.multiply(tilt, turned.sine, out=out[2])
+    out[2] += rest[2] * turned.cosine
+    tilt *= turned.versed
+    tilt += rest[2] * turned.sine
+    np.subtract(rest[0], turns[0] * tilt, out=out[0])
+    np.subtract(rest[1], turns[1] * tilt, out=out[1])
 
 
 def turning(turns: Floats) -> Floats:
-    """Rotation matrices (3, 3, frames) of rotation vectors (3, frames)."""
-    return _turning(turns, _Turned.by(np.sqrt((turns**2).sum(axis=0))))
+    """Rotation matrices (3, 3, …), columns first, of rotation vectors (3, …)."""
+    return _turning(turns, _Turned.by(turns))
 
 
 def _turning(turns: Floats, turned: _Turned) -> Floats:
     sine, cos, versed = turned
     x, y, z = turns
-    out = np.empty((3, 3, turns.shape[1]))
+    out = np.empty((3, *turns.shape))
     out[0, 0], out[1, 1], out[2, 2] = cos + versed * x * x, cos + versed * y * y, cos + versed * z * z
     for a, b, product, left in ((0, 1, x * y, z), (0, 2, x * z, -y), (1, 2, y * z, x)):
-        out[a, b] = versed * product - sine * left
-        out[b, a] = versed * product + sine * left
+        out[b, a] = versed * product - sine * left
+        out[a, b] = versed * product + sine * left
     return out
 
 
-def _within(carrier: Floats | None, frame: Floats) -> Floats:
-    """Frames (3, 3, frames) that are given in a carrier's, in the body's."""
-    return _out_of(carrier, frame)
+def _into(frames: Floats, vectors: Floats) -> Floats:
+    """Vectors (3, …) in frames (3, 3, …), whose axes stand first."""
+    out = frames[:, 0] * vectors[0]
+    out += frames[:, 1] * vectors[1]
+    out += frames[:, 2] * vectors[2]
+    return out
 
 
-def _into(carrier: Floats | None, vectors: Floats) -> Floats:
-    """Vectors (3, n, frames) of the body in a carrier's frame."""
-    return vectors if carrier is None else np.einsum("abf,anf->bnf", carrier, vectors)
-
-
-def _out_of(carrier: Floats | None, vectors: Floats) -> Floats:
-    """The inverse of `_into`."""
-    if carrier is None:
-        return vectors
-    out = carrier[:, 0, None] * vectors[0]
-    out += carrier[:, 1, None] * vectors[1]
-    out += carrier[:, 2, None] * vectors[2]
+def _out_of(frames: Floats, vectors: Floats) -> Floats:
+    """The inverse of `_into`; also of the axes of frames, (3, 3, …)."""
+    out = frames[0] * vectors[..., 0, None, :, :]
+    out += frames[1] * vectors[..., 1, None, :, :]
+    out += frames[2] * vectors[..., 2, None, :, :]
     return out
 
 
@@ -386,7 +527,7 @@ def turn_between(rest: Floats, vectors: Floats) -> Floats:
 
 def turned_to(shape: Floats, like: Floats) -> Floats:
     """A rigid set (n, 3), turned so that it lies nearest to another."""
-    return shape @ turning(turn_between(shape, like.T[..., None]))[..., 0].T
+    return shape @ turning(turn_between(shape, like.T[..., None]))[..., 0]
 
 
 def _rotation_vector(m: Floats) -> Floats:
@@ -509,27 +650,18 @@ def _carry(limbs: Limbs, poses: Sequence[Floats], bone: int) -> Limbs:
     marks[children] = True
     found = replace(limbs, carried=marks)
     carrier = found.plan.carrier[bone]
-    mean = _usual([_into(_carrier_frame(found, p, carrier), _offsets(p, limbs.parents)[:, children]) for p in poses])
+    mean = _usual([_carried_offsets(found, p, carrier)[:, children] for p in poses])
     vectors = limbs.vectors.copy()
     vectors[children] = turned_to(vectors[children], mean) if limbs.hub[bone] else mean
     return replace(found, vectors=vectors)
 
 
-def _carrier_frame(limbs: Limbs, pose: Floats, carrier: int) -> Floats | None:
-    """The frame (3, 3, frames) of a carrier in these poses."""
+def _carried_offsets(limbs: Limbs, pose: Floats, carrier: int) -> Floats:
+    """Offsets (3, points, frames) in poses (frames, points, 3), in the frame of a carrier."""
+    offsets = _offsets(pose, limbs.parents)
     if carrier == BODY:
-        return None
-    plan, values = limbs.plan, np.ascontiguousarray(limbs.forward(pose).T)
-    chain = [carrier]
-    while chain[-1] != BODY:
-        at = chain[-1]
-        chain.append(plan.carrier[plan.children[-2 - at][0] if at < BODY else at])
-    frame = None
-    for at in reversed(chain[:-1]):
-        if at < BODY:
-            frame = _within(frame, turning(values[plan.at_hub(-2 - at)]))
-        else:
-            turns = values[plan.at_bone(at)]
-            turned = _Turned.by(np.sqrt(turns[0] ** 2 + turns[1] ** 2))
-            frame = _framed(frame, plan.axes[at], turns, turned)
-    return frame
+        return offsets
+    plan = limbs.plan
+    found = limbs.found(pose, *plan.split(np.empty((limbs.dimensions, len(pose)))))
+    own = [plan.slot[carrier]]
+    return _into(plan.axes[carrier][..., None, None], _into(found[:, :, own], offsets))
