@@ -45,13 +45,13 @@ def inverse(coefficients: Floats, frames: int) -> Floats:
     if frames <= MATRIX_FRAMES:
         even, odd = _half_matrices(frames)
         half = len(even)
-        flat = coefficients.reshape(known, -1)
-        alike = even[:, : (known + 1) // 2] @ flat[::2]
-        opposed = odd[:, : known // 2] @ flat[1::2]
-        out = np.empty((frames, flat.shape[1]))
-        np.subtract(alike, opposed, out=out[: -half - 1 : -1])
-        np.add(alike, opposed, out=out[:half])
-        return out.reshape(frames, *coefficients.shape[1:])
+        flat = coefficients.reshape(known, -1).T
+        alike = flat[:, ::2] @ even[:, : (known + 1) // 2].T
+        opposed = flat[:, 1::2] @ odd[:, : known // 2].T
+        out = np.empty((len(flat), frames))
+        np.subtract(alike, opposed, out=out[:, : -half - 1 : -1])
+        np.add(alike, opposed, out=out[:, :half])
+        return out.T.reshape(frames, *coefficients.shape[1:])
     turns = _turns(frames).reshape(-1, *[1] * (coefficients.ndim - 1))
     scale = np.abs(turns)
     padded = np.zeros((frames, *coefficients.shape[1:]))

@@ -109,14 +109,11 @@ class Limbs:
 
     def inverse(self, coordinates: Floats) -> Floats:
         """Poses (frames, points, 3), metres, their mean in the origin."""
-        return np.ascontiguousarray(self.posed(np.ascontiguousarray(coordinates.T)).transpose(2, 1, 0))
-
-    def posed(self, turns: Floats) -> Floats:
-        """`inverse` of turns (dimensions, frames), as (3, points, frames)."""
-        out = np.empty((3, len(self.parents), turns.shape[1]))
-        for block in blocks(turns.shape[1]):
+        turns = np.ascontiguousarray(coordinates.T)
+        out = np.empty((3, len(self.parents), len(coordinates)))
+        for block in blocks(len(coordinates)):
             _sum(self._turned(turns[:, block]), self.parents, out[..., block])
-        return out
+        return out.T
 
     def _turned(self, turns: Floats) -> Floats:
         """Offsets (3, points, frames) from parent to point, in the body's frame, of turns (dimensions, frames)."""
@@ -407,7 +404,7 @@ def _axes(direction: Floats) -> Floats:
 
 def _offsets(pose: Floats, parents: Sequence[int]) -> Floats:
     """From parent to point, (3, points, frames)."""
-    points = np.ascontiguousarray(pose.transpose(2, 1, 0))
+    points = np.ascontiguousarray(pose.T)
     return points - points[:, [max(p, 0) for p in parents]]
 
 

@@ -72,6 +72,7 @@ class Model:
         The heading comes as it will be decoded, rounded to its steps: what its rounding leaves is in the pose.
         """
         frames, points = positions.shape[:2]
+        positions = np.asfortranarray(positions)
         place = positions.mean(axis=1)
         centred = positions - place[:, None]
         out = np.zeros((frames, self.rows))
@@ -87,18 +88,18 @@ class Model:
 
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
         """The positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), in metres."""
-        points = len(self.points.pose)
-        curves = cosine.inverse(coefficients[:, HEADING:POSE], frames)
-        known = int(np.flatnonzero(coefficients[:, POSE:].any(axis=1)).max(initial=-1)) + 1
-        spectrum = np.zeros((known, self.points.bases[0].shape[1]))
-        for band, basis in zip(self.bands(frames), self.points.bases, strict=True):
-            part = coefficients[band.start : min(band.stop, known), POSE:]
-            np.matmul(part, basis, out=spectrum[band.start : band.start + len(part)])
-        place = curves[:, 1:]
+        points, bases = len(self.points.pose), self.points.unweighed_bases
+        known = int(np.flatnonzero(coefficients[:, HEADING:].any(axis=1)).max(initial=-1)) + 1
+        spectrum = np.empty((known, POSE - HEADING + bases[0].shape[1]))
+        spectrum[:, : POSE - HEADING] = coefficients[:known, HEADING:POSE]
+        for band, basis in zip(self.bands(frames), bases, strict=True):
+            part = slice(band.start, min(band.stop, known))
+            spectrum[part, POSE - HEADING :] = coefficients[part, POSE:] @ basis
+        curves = cosine.inverse(spectrum, frames)
+        place = curves[:, 1 : POSE - HEADING]
         if len(coefficients):
             place += slope_curves(frames).T @ coefficients[0, SLOPES].reshape(2, 3)
-        pose = self.points.posed(cosine.inverse(self.points.unweighed(spectrum), frames))
-        moved = body.turn(pose, curves[:, 0])
+        moved = body.turn(self.points.posed(curves[:, POSE - HEADING :]), curves[:, 0])
         moved += place[:, None] / np.sqrt(points)
         return moved
 

@@ -55,30 +55,34 @@ class PointSet:
     columns: Integers | None = None
 
     @cached_property
-    def _unreach(self) -> Floats:
-        assert self.reach is not None
-        return np.asarray(np.linalg.inv(self.reach), np.float64)
+    def unweighed_bases(self) -> tuple[Floats, ...]:
+        """`bases` that undo `weighed` too."""
+        if self.reach is None:
+            return self.bases
+        unreach = np.asarray(np.linalg.inv(self.reach), np.float64)
+        return tuple(b @ unreach for b in self.bases)
 
     def coordinates(self, poses: Floats) -> Floats:
         """Poses (frames, points, 3) about the origin, headed as the mean pose, as numbers (frames, dimensions)."""
         if self.limbs is None:
             return (poses - self.pose).reshape(len(poses), -1)
-        return self.limbs.forward(poses if self.columns is None else poses[:, self.columns])
+        return self.limbs.forward(poses if self.columns is None else _reordered(poses, self.columns))
 
     def weighed(self, spectrum: Floats) -> Floats:
         """Coordinates, or their spectrum, so that an error of one is about an error of one in the points."""
         return spectrum if self.reach is None else spectrum @ self.reach
-
-    def unweighed(self, spectrum: Floats) -> Floats:
-        """The inverse of `weighed`."""
-        return spectrum if self.reach is None else spectrum @ self._unreach
 
     def posed(self, coordinates: Floats) -> Floats:
         """The inverse of `coordinates`."""
         if self.limbs is None:
             return coordinates.reshape(-1, *self.pose.shape) + self.pose
         poses = self.limbs.inverse(coordinates)
-        return poses if self.columns is None else poses[:, np.argsort(self.columns)]
+        return poses if self.columns is None else _reordered(poses, np.argsort(self.columns))
+
+
+def _reordered(poses: Floats, columns: Integers) -> Floats:
+    """poses[:, columns], with frames next to each other in memory."""
+    return np.take(poses.T, columns, axis=1).T
 
 
 @dataclass(frozen=True, eq=False)

@@ -200,7 +200,9 @@ class Tempo:
             batch = covering[first : first + BATCH]
             for chunk, part in zip(batch, chunks.decode(known, batch), strict=True):
                 a, b = max(start, chunk.start), min(stop, chunk.stop)
-                positions[a - start : b - start] = body.unlevel(part[a - chunk.start : b - chunk.start], like.up)
+                here = body.unlevel(part[a - chunk.start : b - chunk.start], like.up)
+                for axis in range(3):  # frames are next to each other in `here`, axes in `positions`
+                    positions[a - start : b - start, :, axis] = here[..., axis]
         return restore(encoded, positions, start)
 
 
@@ -396,7 +398,7 @@ class Piece:
 
     def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask, spikes: gaps.Mask | None = None) -> None:
         self.model = known
-        self.positions = positions
+        self.positions = np.asfortranarray(positions)  # what works on all frames of a point is quicker so
         self.mask = mask
         self.spikes = mask & ~mask if spikes is None else spikes
         self.gaps = gaps.pack(mask)
