@@ -426,33 +426,36 @@ def _decode_coefficients(model: Model, plans: Sequence[Plan], stream: lanes.Lane
         return np.zeros((chunks, 0, rows), np.uint8)
     coder = model.prior.coder
     starts, _ = contexts.groups(longest)
+    sizes = np.diff(starts, append=longest)
     before = _steps_before(plans)
     widest = np.zeros(len(starts), np.int64)
     for p in plans:
         np.maximum.at(widest, p.order[2], p.order[1] + 1)
-    where = np.full((int(before[-1]), *stream.state.shape), -1)  # within a group's (frequencies, chunks, rows), flat
-    base = np.zeros((longest, chunks, rows), np.int32)
+    where = np.full((int(before[-1]), *stream.state.shape), -1)  # within a group's (chunks, frequencies, rows), flat
+    base = np.zeros((chunks, longest, rows), np.int64)
     for j, p in enumerate(plans):
         frequency, row, group, step, lane = p.order
-        where[before[group] + step, j, lane] = ((frequency - starts[group]) * chunks + j) * widest[group] + row
-        base[: p.frequencies, j] = p.base
-    shapes = contexts.shapes(longest)[:, None, None]
-    firsts = contexts.ceiling(symbols.FIRSTS).astype(np.int32)
-    magnitude = contexts.bordered(np.zeros((longest, chunks, rows), np.int32))
-    symbol = np.zeros((longest, chunks, rows), np.uint8)
-    left, right = contexts.BORDER + 1, contexts.BORDER
-    for g, (k, end, w) in enumerate(zip(starts, (*starts[1:], longest), widest, strict=True)):
-        m = magnitude[k : k + contexts.DEPTH, :, : w + left + right]
-        inner = m[:5, :, left:-right]
-        near = contexts.around(m[6], m[5], inner[4], inner[:4].sum(axis=0))
-        chosen = np.append(contexts.tables(base[k:end, :, :w], near, shapes[k:end]), coder.idle) << lanes.PRECISION
+        of_chunk = j * sizes[group] + frequency - starts[group]
+        where[before[group] + step, j, lane] = of_chunk * widest[group] + row
+        base[j, : p.frequencies] = p.base
+    weights = contexts.weights(rows)
+    firsts = contexts.ceiling(symbols.FIRSTS).astype(np.float32)
+    magnitude = np.zeros((chunks, contexts.DEPTH + longest, rows), np.float32)
+    flat = magnitude.reshape(chunks, -1)
+    symbol = np.zeros((chunks, longest, rows), np.uint8)
+    shapes = contexts.shapes(longest)[starts]
+    for g, (k, end, w, shape) in enumerate(zip(starts, starts + sizes, widest, shapes, strict=True)):
+        near = (flat[:, k * rows : (k + contexts.DEPTH) * rows] @ weights[:, :w]).astype(np.int64)
+        chosen = np.full(chunks * (end - k) * w + 1, coder.nothing)
+        chosen[:-1] = contexts.tables(base[:, k:end, :w], near[:, None], shape).ravel()
+        chosen[:-1] <<= lanes.PRECISION
         places = np.full(len(chosen), coder.nothing)
         for at in where[before[g] : before[g + 1]]:
             places[at] = stream.take(chosen.take(at, mode="wrap"))
-        here = coder.symbols.take(places[:-1]).reshape(end - k, chunks, w)
-        symbol[k:end, :, :w] = here
-        magnitude[k + contexts.DEPTH : end + contexts.DEPTH, :, left : w + left] = firsts.take(here)
-    return symbol.swapaxes(0, 1)
+        here = coder.symbols.take(places[:-1]).reshape(chunks, end - k, w)
+        symbol[:, k:end, :w] = here
+        magnitude[:, k + contexts.DEPTH : end + contexts.DEPTH, :w] = firsts.take(here)
+    return symbol
 
 
 def _decode_lists(

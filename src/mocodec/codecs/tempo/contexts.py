@@ -151,11 +151,29 @@ def around(below: Array, below_2: Array, below_3: Array, older: Array) -> Intege
     return total
 
 
-def tables(base_here: Array, neighbours: Integers, shape: int | Integers) -> Integers:
+@lru_cache(maxsize=8)
+def weights(rows: int) -> NDArray[np.float32]:
+    """What a neighbour counts, (frequencies below it, lowest first, · rows, rows): `neighbourhood` as one product.
+
+    Its sums are whole numbers so small that floats are exact, in whatever order a machine adds them.
+    """
+    out = np.zeros((DEPTH, rows, rows), np.float32)
+    apart = np.abs(np.arange(rows)[:, None] - np.arange(rows))
+    out[:4] = OLDER * (apart == 0)
+    out[4] = BELOW_3 * (apart == 0)
+    out[5] = NEAR * (apart == 0) + BLOCK * (apart < BORDER)
+    out[6] = NEAR * (apart == 0) + BESIDE * (apart == 1) + BLOCK * (apart <= BORDER)
+    return out.reshape(DEPTH * rows, rows)
+
+
+def tables(base_here: Array, neighbours: Integers, shape: int) -> Integers:
     """The table for each coefficient, from `base` and the sum over its neighbours there."""
     logs = _NUMERATOR_LOGS.take(neighbours, mode="clip")
-    logs = logs + (base_here - _FIRST_CLASS)
-    return _CLASS_OF.take(logs, mode="clip") + shape * CLASSES
+    logs = logs + base_here
+    logs -= _FIRST_CLASS
+    out = _CLASS_OF.take(logs, mode="clip")
+    out += shape * CLASSES
+    return out
 
 
 _FIRST_CLASS = CLASS_LOWEST - CLASS_WIDTH

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ Integers = NDArray[np.int64]
 PRECISION = 12
 TOTAL = 1 << PRECISION
 LOWEST = 1 << 16
+_WITHIN, _PRECISION, _LOWEST, _WORD = (np.array(n) for n in (TOTAL - 1, PRECISION, LOWEST, 16))
+"""NumPy takes its own numbers sooner than Python's, and a decoder takes each many times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,16 @@ class Tables:
         at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL
         within = np.tile(np.arange(TOTAL), len(rows)) - starts[at, symbols]
         return cls(rows, starts, within << 16 | rows[at, symbols], symbols)
+
+    @cached_property
+    def within(self) -> Integers:
+        """`packed` in two: within its symbol's range,"""
+        return self.packed >> 16
+
+    @cached_property
+    def widths(self) -> Integers:
+        """and the range's width."""
+        return self.packed & 0xFFFF
 
     @property
     def idle(self) -> int:
@@ -114,7 +127,7 @@ class Lanes:
         self.words = padded.ravel()
         self.first = np.arange(len(states))[:, None] * padded.shape[1] - 1
         self.next = self.first.copy()
-        self.packed = coder.packed
+        self.coder = coder
 
     def take(self, tables: Integers) -> Integers:
         """The next symbol of every lane, (chunks, lanes), given the table of each, times 2¹².
@@ -122,19 +135,19 @@ class Lanes:
         It comes as a place in `Tables.symbols`, to be looked up for many steps at once.
         """
         x = self.state
-        place = x & (TOTAL - 1)
+        place = x & _WITHIN
         place += tables
-        entry = self.packed.take(place)
-        x >>= PRECISION
-        x *= entry & 0xFFFF
-        entry >>= 16
-        x += entry
-        empty = x < LOWEST
-        count = empty.cumsum(axis=1)
-        word = self.words.take(count + self.next, mode="clip")
-        word |= x << 16
-        self.state = np.where(empty, word, x)
-        self.next += count[:, -1:]
+        x >>= _PRECISION
+        x *= self.coder.widths.take(place)
+        x += self.coder.within.take(place)
+        empty = x < _LOWEST
+        at = empty.astype(np.int64)
+        np.add.accumulate(at, 1, out=at)
+        at += self.next
+        self.next = at[:, -1:]
+        word = self.words.take(at, mode="clip")
+        word |= x << _WORD
+        np.putmask(x, empty, word)
         return place
 
     def finish(self) -> tuple[list[int], list[Integers]]:
