@@ -103,7 +103,7 @@ class Limbs:
                 bones[:, level.numbers] = turns
                 own = found[:, :, level.slots]
                 k = own.shape[2]
-                _frames(level.rest[:, :, :k], turns[:, :k], _Turned.by(turns[:, :k]), own)
+                _frames(level.rest[:, :, :k], turns[:, :k], _Turned.by(_squares(turns[:, :k])), own)
                 level.carry(found)
         return found
 
@@ -112,36 +112,42 @@ class Limbs:
         turns = np.ascontiguousarray(coordinates.T)
         out = np.empty((3, len(self.parents), len(coordinates)))
         for block in blocks(len(coordinates)):
-            _sum(self._turned(turns[:, block]), self.parents, out[..., block])
+            np.matmul(self._sums, self._directions(turns[:, block]), out=out[..., block])
         return out.T
 
-    def _turned(self, turns: Floats) -> Floats:
-        """Offsets (3, points, frames) from parent to point, in the body's frame, of turns (dimensions, frames)."""
+    @cached_property
+    def _sums(self) -> Floats:
+        """What each direction (in the order of `Plan.points`) moves each point by, about the mean of all."""
+        along = np.eye(len(self.parents))
+        for j, p in enumerate(self.parents):
+            if p >= 0:
+                along[j] += along[p]
+        return ((along - along.mean(axis=0)) * self.lengths)[:, self.plan.points]
+
+    def _directions(self, turns: Floats) -> Floats:
+        """Where each bone points in the body's frame, (3, bones, frames) in the order of `Plan.points`, after turns
+        (dimensions, frames)."""
         plan, frames = self.plan, turns.shape[1]
         bones, hubs = plan.split(turns)
-        bones, k = bones[:, plan.order], plan.framed
-        of_bones, of_hubs = _Turned.by(bones), _Turned.by(hubs)
+        bones, hubs = bones[:, plan.order], np.ascontiguousarray(hubs)
+        turned = _Turned.by(np.concatenate([_squares(bones), _squares(hubs)]))
         if (kernel := native.kernel("tempo_limbs")) is not None:
-            turned = (bones, *of_bones, np.ascontiguousarray(hubs), *of_hubs)
-            return kernel(*turned, *plan.program, self.lengths, self.vectors)
+            return kernel(bones, hubs, *turned, *plan.program)
+        k, n, free = plan.framed, len(plan.bones), plan.free
         found = np.empty((3, 3, plan.slots, frames))
-        _frames(plan.rest[:, :, :k], bones[:, :k], of_bones.of(slice(k)), found[:, :, :k])
-        found[:, :, k:] = _turning(hubs, of_hubs)
+        _frames(plan.rest[:, :, :k], bones[:, :k], turned.of(slice(k)), found[:, :, :k])
+        found[:, :, k:] = _turning(hubs, turned.of(slice(n, None)))
         for level in plan.levels:
             for hub in level.hubs:
                 hub.carry(found)
             level.carry(found)
-        offsets = np.zeros((3, len(self.parents), frames))
-        offsets[:, plan.points[:k]] = found[2, :, :k]
-        ends = _directions(plan.rest[:, :, k:], bones[:, k:], of_bones.of(slice(k, None)))
-        free = plan.free
-        offsets[:, plan.points[k : k + free]] = ends[:, :free]
-        offsets[:, plan.points[k + free :]] = _out_of(found[:, :, plan.carriers[k + free :]], ends[:, free:])
-        offsets *= self.lengths[:, None]
-        for level in plan.levels:
-            for hub in level.hubs:
-                offsets[:, hub.children] = _out_of(found[:, :, [hub.slot]], hub.vectors)
-        return offsets
+        out = np.empty((3, len(plan.points), frames))
+        out[:, :k] = found[2, :, :k]
+        _tilted(plan.rest[:, :, k:], bones[:, k:], turned.of(slice(k, n)), out[:, k:n])
+        out[:, n:] = plan.of_hubs
+        if k + free < len(plan.points):
+            out[:, k + free :] = _out_of(found[:, :, plan.carriers[k + free :]], out[:, k + free :])
+        return out
 
     def metric(self, coordinates: Floats) -> Floats:
         """How far the points move in all when coordinates do, (dimensions, dimensions): the mean of Jᵀ J over these."""
@@ -176,17 +182,14 @@ class Hub:
     """A hub and where things of it are.
 
     number, among hubs; slot, of its frame; carrier: the slot of the frame that it is counted in (none: the body's);
-    home (3, 3, 1, 1): the axes of the body, as the carrier's axes see them at rest; children, points, and their vectors
-    (3, n, 1); pair: the two of them that are least in line, which say how it is turned, and still: their frame (3, 3)
-    when it is not.
+    home (3, 3, 1, 1): the axes of the body, as the carrier's axes see them at rest; pair: the two of its bones that are
+    least in line, which say how it is turned, and still: their frame (3, 3) when it is not.
     """
 
     number: int
     slot: int
     carrier: slice | None
     home: Floats
-    children: list[int]
-    vectors: Floats
     pair: list[int]
     still: Floats
 
@@ -223,17 +226,21 @@ class Level:
 class Plan:
     """The order of the work. A carrier is a bone, −2 − joint for a hub, or BODY.
 
-    bones, hubs (by their joint): in the order of their coordinates. order: bones in the order of work, first those
-    that carry others, then the `free` ones that the body carries, then the rest; the hubs' frames stand behind the
-    bones'. Of bones in that order: points, rest (3, 3, bones, 1), and the slots of their carriers.
+    bones, hubs (by their joint): in the order of their coordinates. order: of the bones in the order of work, first
+    those that are `framed` since they carry others, then the `free` ones that the body carries, then the rest. slot:
+    where the frame of each carrier stands, those of hubs last. axes: of bones, hubs and body where nothing is turned, (3,
+    3), columns; a bone's third is its direction.
+
+    points: bones in the order of work, then those of hubs, `of_hubs`: where these point, (3, n, 1); carriers: of all of
+    them, their slots. rest (3, 3, bones, 1): axes in the order of work, as their carriers' see them.
     """
 
     bones: tuple[int, ...]
     hubs: tuple[int, ...]
     children: dict[int, list[int]]
     carrier: dict[int, int]
+    slot: dict[int, int]
     axes: dict[int, Floats]
-    """The axes of bones, hubs and body where nothing is turned, (3, 3), columns; a bone's third is its direction."""
     levels: tuple[Level, ...]
     order: NDArray[np.int64]
     framed: int
@@ -241,7 +248,7 @@ class Plan:
     points: NDArray[np.int64]
     carriers: NDArray[np.int64]
     rest: Floats
-    slot: dict[int, int]
+    of_hubs: Floats
 
     @property
     def slots(self) -> int:
@@ -255,30 +262,22 @@ class Plan:
         return bones.swapaxes(0, 1), hubs.swapaxes(0, 1)
 
     @cached_property
-    def program(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+    def program(self) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
         """For the compiled module: (turns, 6) in order whether it is a hub, its number among those, the slots of its
-        carrier's frame and of its own (−1: none), its first child and the one past its last (of a bone, its point);
-        the children; and `rest` of bones and of hubs, (n, 3, 3)."""
+        carrier's frame and of its own (−1: none), and the first of its directions and the one past its last; `rest` of
+        bones and of hubs, (n, 3, 3); and `of_hubs`, (n, 3)."""
         rows: list[tuple[int, ...]] = []
-        children: list[int] = []
-        hubs: list[Hub] = []
+        homes = np.zeros((len(self.hubs), 3, 3))
         for level in self.levels:
-            for bone in range(level.slots.start, level.slots.stop):
-                rows.append((0, bone, self.carriers[bone], bone, self.points[bone], 0))
+            rows += ((0, b, self.carriers[b], b, b, b + 1) for b in range(level.slots.start, level.slots.stop))
             for hub in level.hubs:
+                own = np.flatnonzero(self.carriers[len(self.bones) :] == hub.slot) + len(self.bones)
                 carrier = -1 if hub.carrier is None else hub.carrier.start
-                rows.append((1, hub.number, carrier, hub.slot, len(children), len(children) + len(hub.children)))
-                children += hub.children
-                hubs.append(hub)
-        for bone in range(self.framed, len(self.bones)):
-            rows.append((0, bone, self.carriers[bone], -1, self.points[bone], 0))
-        homes = [hub.home[..., 0, 0] for hub in sorted(hubs, key=lambda hub: hub.number)]
-        return (
-            np.array(rows, np.int64).reshape(-1, 6),
-            np.array(children, np.int64),
-            np.ascontiguousarray(self.rest[..., 0].transpose(2, 0, 1)),
-            np.array(homes).reshape(-1, 3, 3),
-        )
+                rows.append((1, hub.number, carrier, hub.slot, int(own[0]), int(own[-1]) + 1))
+                homes[hub.number] = hub.home[..., 0, 0]
+        rows += ((0, b, self.carriers[b], -1, b, b + 1) for b in range(self.framed, len(self.bones)))
+        rest = np.ascontiguousarray(self.rest[..., 0].transpose(2, 0, 1))
+        return np.array(rows, np.int64).reshape(-1, 6), rest, homes, np.ascontiguousarray(self.of_hubs[..., 0].T)
 
 
 def _plan(limbs: Limbs) -> Plan:
@@ -329,12 +328,11 @@ def _plan(limbs: Limbs) -> Plan:
     def hub(joint: int) -> Hub:
         of_hub = children[joint]
         pair = _least_in_line(limbs.vectors, of_hub)
-        vectors, slot = limbs.vectors[of_hub].T[..., None], slots[-2 - joint]
         still = _framed_by(limbs.vectors[pair].T[..., None])[0]
         at = slots[carrier[of_hub[0]]]
         held = None if at < 0 else slice(at, at + 1)
         home = axes[carrier[of_hub[0]]][..., None, None]
-        return Hub(hubs.index(joint), slot, held, home, of_hub, vectors, pair, still)
+        return Hub(hubs.index(joint), slots[-2 - joint], held, home, pair, still)
 
     levels = []
     for at in range(max(level_of.values(), default=-1) + 1):
@@ -352,20 +350,24 @@ def _plan(limbs: Limbs) -> Plan:
                 stacked(every),
             )
         )
+    turning_together = [j for h in hubs for j in children[h]]
     return Plan(
         tuple(bones),
         tuple(hubs),
         children,
         carrier,
+        slots,
         axes,
         tuple(levels),
         np.array([bones.index(b) for b in points], np.int64),
         len(framed),
         sum(carrier[b] == BODY for b in leaves),
-        np.array(points, np.int64),
-        np.array([slots[carrier[b]] for b in points], np.int64),
+        np.array([*points, *turning_together], np.int64),
+        np.array(
+            [*(slots[carrier[b]] for b in points), *(slots[-2 - limbs.parents[j]] for j in turning_together)], int
+        ),
         stacked(points),
-        slots,
+        (limbs.vectors[turning_together] / limbs.lengths[turning_together, None]).T[..., None],
     )
 
 
@@ -408,14 +410,6 @@ def _offsets(pose: Floats, parents: Sequence[int]) -> Floats:
     return points - points[:, [max(p, 0) for p in parents]]
 
 
-def _sum(offsets: Floats, parents: Sequence[int], out: Floats) -> None:
-    """Offsets (3, points, frames) along the tree, less the mean of all points; `offsets` is lost."""
-    for j, p in enumerate(parents):
-        if p >= 0:
-            offsets[:, j] += offsets[:, p]
-    np.subtract(offsets, offsets.mean(axis=1, keepdims=True), out=out)
-
-
 def _over(a: Floats, b: Floats, otherwise: float) -> Floats:
     """a / b, where b is not tiny."""
     tiny = b < 1e-8
@@ -447,12 +441,8 @@ class _Turned(NamedTuple):
     versed: Floats
 
     @classmethod
-    def by(cls, turns: Floats) -> _Turned:
-        """turns (2 or 3, …)"""
-        angle = turns[0] * turns[0]
-        for part in turns[1:]:
-            angle += part * part
-        half = np.maximum(np.sqrt(angle) * 0.5, 1e-150)
+    def by(cls, squared: Floats) -> _Turned:
+        half = np.maximum(np.sqrt(squared) * 0.5, 1e-150)
         sine, cosine = np.sin(half), np.cos(half)
         share = sine / half
         return cls(share * cosine, 1 - 2 * sine * sine, 0.5 * share * share)
@@ -461,13 +451,20 @@ class _Turned(NamedTuple):
         return _Turned(*(each[some] for each in self))
 
 
-def _directions(rest: Floats, turns: Floats, turned: _Turned) -> Floats:
+def _squares(turns: Floats) -> Floats:
+    """Angles, squared, of turns (n, …)."""
+    out = turns[0] * turns[0]
+    for part in turns[1:]:
+        out += part * part
+    return out
+
+
+def _tilted(rest: Floats, turns: Floats, turned: _Turned, out: Floats) -> None:
     """Where the third axes (3, bones, frames) of frames at rest (3, 3, bones, 1) point after turns (2, bones, frames)
     that tilt them towards the first and the second."""
-    out = rest[0] * (turns[0] * turned.sine)
+    np.multiply(rest[0], turns[0] * turned.sine, out=out)
     out += rest[1] * (turns[1] * turned.sine)
     out += rest[2] * turned.cosine
-    return out
 
 
 def _frames(rest: Floats, turns: Floats, turned: _Turned, out: Floats) -> None:
@@ -484,17 +481,15 @@ def _frames(rest: Floats, turns: Floats, turned: _Turned, out: Floats) -> None:
 
 def turning(turns: Floats) -> Floats:
     """Rotation matrices (3, 3, …), columns first, of rotation vectors (3, …)."""
-    return _turning(turns, _Turned.by(turns))
+    return _turning(turns, _Turned.by(_squares(turns)))
 
 
 def _turning(turns: Floats, turned: _Turned) -> Floats:
-    sine, cos, versed = turned
-    x, y, z = turns
-    out = np.empty((3, *turns.shape))
-    out[0, 0], out[1, 1], out[2, 2] = cos + versed * x * x, cos + versed * y * y, cos + versed * z * z
-    for a, b, product, left in ((0, 1, x * y, z), (0, 2, x * z, -y), (1, 2, y * z, x)):
-        out[b, a] = versed * product - sine * left
-        out[a, b] = versed * product + sine * left
+    out = turns[:, None] * (turns * turned.versed)
+    flat, across = out.reshape(9, *turns.shape[1:]), turns * turned.sine
+    flat[::4] += turned.cosine
+    flat[[5, 6, 1]] += across
+    flat[[7, 2, 3]] -= across
     return out
 
 
