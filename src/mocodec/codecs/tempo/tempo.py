@@ -260,7 +260,10 @@ def choose_model(
 
     def cost(candidate: tuple[bytes, model.Model]) -> float:
         pieces = (Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample)
-        return len(candidate[0]) + scale * sum(p.priced(step) for p in pieces) / 8
+        return (
+            len(candidate[0])
+            + scale * sum(b + e / coefficients.SLOPE for b, e in (p.weighed(step) for p in pieces)) / 8
+        )
 
     return min(candidates, key=cost)
 
@@ -426,13 +429,13 @@ class Piece:
         scaled = model.without_slopes(self.spectrum, step) / chunks.sizes(self.model, len(self.positions), step)
         return coefficients.quantise(self.model, scaled, step, slope)
 
-    def priced(self, step: int) -> float:
-        """About how many bits the whole numbers take, and their error, in the bits that are worth as much."""
+    def weighed(self, step: int) -> tuple[float, float]:
+        """About how many bits the whole numbers take, and the sum of their squared errors, in squared steps."""
         assert self.spectrum is not None
         scaled = model.without_slopes(self.spectrum, step) / chunks.sizes(self.model, len(self.positions), step)
         values, _, bits = coefficients.quantise(self.model, scaled, step)
         error = (scaled - coefficients.dequantise(values, np.ones(self.model.rows)))[:, model.HEADING + 1 :]
-        return bits + float((error**2).sum()) / coefficients.SLOPE
+        return bits, float((error**2).sum())
 
     def transformed(self, step: int, slope: float = coefficients.SLOPE) -> tuple[np.ndarray, int, float, Floats]:
         """Whole numbers (frequencies in the zone, rows), threshold, bits, and the positions that they decode to."""
@@ -564,7 +567,8 @@ SEARCHED = 3
 def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
     """Payloads at the common step whose mean error is nearest to the target.
 
-    The step is looked for among some of the chunks; all are then coded in it, and once more where their mean differs.
+    The step is looked for among some of the chunks, first by their coefficients alone; all are then coded in it, and
+    once more where their mean differs.
     """
 
     def excess(among: Sequence[Piece], step: int, slope: float = coefficients.SLOPE) -> tuple[float, list[Draft]]:
@@ -573,8 +577,19 @@ def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
         error = sum(d.error for d in drafts) / sum(int((~p.mask).sum()) for p in among)
         return OCTAVE * float(np.log2(max(error, 1e-12) / target)), drafts
 
-    def search(among: Sequence[Piece], step: int) -> tuple[dict[int, float], int, list[Draft]]:
-        """The excess at every step tried, the best of them, and what it gave."""
+    def estimate(among: Sequence[Piece], step: int) -> tuple[float, list[Draft]]:
+        """About the same."""
+        squared = sum(p.weighed(step)[1] for p in among) / sum(p.mask.size for p in among)
+        error = MEAN_OF_ROOT * np.sqrt(squared) * model.step_size(step)
+        return OCTAVE * float(np.log2(max(error, 1e-12) / target)), []
+
+    def search(
+        among: Sequence[Piece],
+        step: int,
+        excess: Callable[[Sequence[Piece], int], tuple[float, list[Draft]]] = excess,
+        near: float = BEST,
+    ) -> tuple[dict[int, float], int, list[Draft]]:
+        """The excess at every step tried until one is this near, the best of them, and what it gave."""
         tried: dict[int, float] = {}
         best: tuple[int, list[Draft]] = step, []
         for _ in range(12):
@@ -584,15 +599,17 @@ def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
             tried[step], drafts = excess(among, step)
             if abs(tried[step]) <= min(map(abs, tried.values())):
                 best = step, drafts
-            if abs(tried[step]) < BEST:
+            if abs(tried[step]) < near:
                 break
             step = _next_step(tried)
         return tried, *best
 
-    some = pieces[:: max(1, len(pieces) // SAMPLED)]
-    step = round(np.log2(2.8 * target) * OCTAVE)
+    some = pieces[:: -(-len(pieces) // SAMPLED)]
+    step = round(np.log2(USUAL_STEP * target**1.5) * OCTAVE)
+    if pieces[0].spectrum is not None:
+        step = search(some, step, estimate, ROUGHLY)[1]
     if len(some) < len(pieces):
-        step = search(some, step)[1]
+        step = search(some, step, near=ROUGHLY)[1]
     tried, step, drafts = search(pieces, step)
     if min(tried.values()) > NEAR:  # finer than the stored bases are exact
         return [p.directly(fine_step(target / CUBE_MEAN)) for p in pieces]
@@ -607,7 +624,14 @@ def to_mean(pieces: list[Piece], target: float) -> list[bytes]:
 
 
 SAMPLED = 4
-"""At least so many chunks are looked at for the step of a mean error."""
+"""At most so many chunks are looked at for the step of a mean error, before all are."""
+USUAL_STEP = 140
+"""The step for people's mean error, both in metres, is about this times its power of 1.5: more coefficients are zero in
+coarser steps."""
+MEAN_OF_ROOT = 0.81
+"""The mean distance against the root of the mean square: 0.92 were all errors alike."""
+ROUGHLY = 1.5
+"""Near enough to a mean error, 1/32 octave, among some of the chunks."""
 BEST = 0.43
 """No other step is nearer to a mean error than one this near, 1/32 octave."""
 OTHER_WAYS = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0) for change in (0, -1, 1, -2, 2))
@@ -627,8 +651,9 @@ def _next_step(tried: dict[int, float]) -> int:
             return a
         between = round(a - tried[a] * (b - a) / (tried[b] - tried[a]))
         return min(max(between, a + 1), b - 1)
-    last = max(below) if below else min(above)
-    change = -tried[last] / 0.85
+    last, *before = sorted(tried, key=lambda s: abs(tried[s]))
+    slope = 0.75 if not before else float(np.clip((tried[last] - tried[before[0]]) / (last - before[0]), 0.4, 1.0))
+    change = -tried[last] / slope
     return last + (int(np.ceil(change)) if change >= 0 else int(np.floor(change)))
 
 
