@@ -112,17 +112,21 @@ class Hou2014:
         """Whether the step is searched for."""
         return (self.max_error, self.mean_error, self.ratio) != (None, None, None)
 
-    def estimate(self, motion: Motion, smooth: Floats, times: float = 1.0) -> tuple[float, float]:
+    def estimate(
+        self, motion: Motion, smooth: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS
+    ) -> tuple[float, float]:
         """About how many payload bytes `encode_near` takes, and at which mean error (m), at the first step of a search.
 
         What `mean_error` or `max_error` is going to cost, for the price of one coding; under a bound the mean error is
-        not looked at, and nan. times: how often there is as much motion to code in the same basis. Raises as `encode`.
+        not looked at, and nan. times: how often there is as much motion to code in the same basis. chunks: at most so
+        many are coded. Raises as `encode`.
         """
         base.require_frames(motion)
         self._check(motion)
         coding = _Coding(self, motion, smooth, motion.gaps)
         rung = coding.first_rung
-        return coding.sampled_size(rung, times), math.nan if self.max_error is not None else coding.mean_error(rung)
+        size = coding.sampled_size(rung, times, chunks)
+        return size, math.nan if self.max_error is not None else coding.mean_error(rung)
 
     def _check(self, motion: Motion) -> None:
         targets = {name: getattr(self, name) for name in ("max_error", "mean_error", "ratio")}
@@ -239,7 +243,7 @@ class _Coding:
         packed = stream.pack_clips(clips, head)
         return stream.pack_payload(packed, gaps.pack(self.mask[start:stop]), corrections)
 
-    def sampled_size(self, rung: int, times: float = 1.0) -> float:
+    def sampled_size(self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
         """Bytes, from a few chunks of a long motion; infinite where it cannot be coded at this step.
 
         times: how often the chunks are counted.
@@ -248,7 +252,7 @@ class _Coding:
             draft = self.draft(rung)
             parts = clipping.chunked(draft.clips, self.codec.chunk_frames)
             starts = np.cumsum([0, *(clips.lengths.sum() for clips in parts)]).tolist()
-            some = range(0, len(parts), -(-len(parts) // SAMPLED_CHUNKS))
+            some = range(0, len(parts), -(-len(parts) // chunks))
             sizes = [len(self._payload(parts[i], draft.head, starts[i], starts[i + 1])) for i in some]
             return len(draft.head.pack(self.parents)) + times * sum(sizes) * len(parts) / len(sizes)
         except CannotEncode:

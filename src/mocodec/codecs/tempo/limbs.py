@@ -228,8 +228,8 @@ class Plan:
 
     bones, hubs (by their joint): in the order of their coordinates. order: of the bones in the order of work, first
     those that are `framed` since they carry others, then the `free` ones that the body carries, then the rest. slot:
-    where the frame of each carrier stands, those of hubs last. axes: of bones, hubs and body where nothing is turned, (3,
-    3), columns; a bone's third is its direction.
+    where the frame of each carrier stands, those of hubs last. axes: of bones, hubs and body where nothing is turned,
+    (3, 3), columns; a bone's third is its direction.
 
     points: bones in the order of work, then those of hubs, `of_hubs`: where these point, (3, n, 1); carriers: of all of
     them, their slots. rest (3, 3, bones, 1): axes in the order of work, as their carriers' see them.

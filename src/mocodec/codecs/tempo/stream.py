@@ -45,8 +45,9 @@ class Encoder:
         self.max_error = max_error
         self.chunk_frames = max(1, int(latency_seconds * about.rate))
         earlier = [] if like is None else [body.level(gaps.fill(like.positions)[0], like.up)]
-        shared, self._model = choose_model(earlier, about, step_for_bound(max_error))
-        self.shared: tuple[bytes, ...] = (shared,)
+        chosen = choose_model(earlier, about, step_for_bound(max_error))
+        self._model = chosen.model
+        self.shared: tuple[bytes, ...] = (chosen.shared,)
         self._waiting = np.zeros((0, about.points, 3))
         self._start = 0
 

@@ -21,6 +21,7 @@ from ...errors import CannotEncode
 from ...motion import Floats, Motion
 from ...stages import gaps
 from ..hou2014 import Hou2014
+from ..hou2014.codec import SAMPLED_CHUNKS
 from . import body, jumps
 
 KIND = 3
@@ -62,7 +63,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
         near = smooth if codec.max_error else filled
         try:
             if len(motion) > 2 * LOOK_FRAMES:
-                size = estimate(codec, motion[look], near[look], len(motion) / (look.stop - look.start))
+                size = estimate(codec, motion[look], near[look], len(motion) / (look.stop - look.start), 1)
                 if size > PROMISING_LOOK * best.payload_bytes:
                     continue
             if estimate(codec, motion, near) > PROMISING * best.payload_bytes:
@@ -78,9 +79,9 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
     return best
 
 
-def estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0) -> float:
-    """About how many bytes so many times as much motion takes at the codec's target."""
-    size, mean = codec.estimate(motion, near, times)
+def estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
+    """About how many bytes so many times as much motion takes at the codec's target; at most so many are coded."""
+    size, mean = codec.estimate(motion, near, times, chunks)
     return size * (mean / codec.mean_error) ** SLOPE if codec.mean_error and mean > 0 else size
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -134,16 +135,19 @@ class Tempo:
         smooth = jumps.bridged(positions, spikes)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, jumps.cuts(smooth, motion.rate))
         cut = [smooth[a:b] for a, b in bounds]
-        shared, known = choose_model(cut, motion, self.first_step(motion), self.mean_error)
+        shared, known, spectra = choose_model(cut, motion, self.first_step(motion), self.mean_error)
         if self.ratio is not None or self.size is not None:
             for coarser in range(1, COARSER_MODELS):
                 if len(shared) <= self.payload_bytes(motion) / 2:
                     break
-                shared, known = choose_model(cut, motion, self.first_step(motion) + coarser * 2 * OCTAVE)
+                shared, known, spectra = choose_model(cut, motion, self.first_step(motion) + coarser * 2 * OCTAVE)
         if self.weights:
             weighting = weight_bytes(motion.names, self.weights)
             shared, known = bytes([shared[0] | WEIGHTED]) + weighting + shared[1:], weighted(known, weighting)
-        pieces = [Piece(known, positions[a:b], mask[a:b], spikes[a:b]) for a, b in bounds]
+        pieces = [
+            Piece(known, positions[a:b], mask[a:b], spikes[a:b], spectra.get(number))
+            for number, (a, b) in enumerate(bounds)
+        ]
         for piece in pieces:
             piece.refill(self.first_step(motion))
         if self.mean_error is not None:
@@ -221,10 +225,16 @@ OWN_FRAMES = 1200
 """Points that the prior knows, but not as limbs, get a basis of their own only in recordings at least this long."""
 
 
-def choose_model(
-    cut: list[Floats], like: Motion, step: int, mean_error: float | None = None
-) -> tuple[bytes, model.Model]:
-    """The model that makes chunks (frames, points, 3) smallest in about this step, after its shared bytes.
+class Choice(NamedTuple):
+    """A model, its shared bytes, and the spectra of the chunks, by number, that were looked at when it was chosen."""
+
+    shared: bytes
+    model: model.Model
+    spectra: Mapping[int, Floats] = MappingProxyType({})
+
+
+def choose_model(cut: list[Floats], like: Motion, step: int, mean_error: float | None = None) -> Choice:
+    """The model that makes chunks (frames, points, 3) smallest in about this step.
 
     like: any motion with the names, rate and skeleton of the chunks. mean_error: metres; the step is then only where
     the search for the one that gives it begins.
@@ -232,7 +242,8 @@ def choose_model(
     used, names, rate = prior.shipped(), like.names, like.rate
     known = model.of_names(names, used, rate)
     frames = sum(map(len, cut))
-    sample = cut[:: max(1, len(cut) // 4)]
+    looked_at = range(0, len(cut), max(1, -(-len(cut) // 4)))
+    sample = [cut[i] for i in looked_at]
     scale = frames / max(1, sum(map(len, sample)))
     candidates = [] if known is None else [(bytes([KNOWN]) + used.id, known)]
     if known is None and frames >= 2:
@@ -244,7 +255,7 @@ def choose_model(
     if knowing is not None and (found := skeletal.candidate(cut, names, rate, step, like.skeleton, knowing)):
         candidates.append((bytes([LIMBS]) + knowing.id + found[0], found[1]))
         if not cut:
-            return candidates[-1]
+            return Choice(*candidates[-1])
     elif known is not None and frames >= OWN_FRAMES:
         candidates += _with_own(cut, used, names, rate, step, known)
     elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
@@ -254,18 +265,19 @@ def choose_model(
         on_bones = mapped.model(*sits, bodies.bones, bodies, names, rate)
         candidates.append((bytes([MAPPED]) + bodies.id + sits[0].pack(), on_bones))
     if not candidates:
-        return bytes([PLAIN]) + used.id, model.plain(names, used, rate)
+        return Choice(bytes([PLAIN]) + used.id, model.plain(names, used, rate))
     if len(candidates) == 1:
-        return candidates[0]
+        return Choice(*candidates[0])
 
-    def cost(candidate: tuple[bytes, model.Model]) -> float:
-        pieces = (Piece(candidate[1], s, np.zeros(s.shape[:2], bool)) for s in sample)
-        return (
-            len(candidate[0])
-            + scale * sum(b + e / coefficients.SLOPE for b, e in (p.weighed(step) for p in pieces)) / 8
-        )
+    def looked(candidate: tuple[bytes, model.Model]) -> tuple[float, Choice]:
+        """What it costs, in bytes."""
+        shared, known = candidate
+        pieces = [Piece(known, s, np.zeros(s.shape[:2], bool)) for s in sample]
+        bits = sum(b + e / coefficients.SLOPE for b, e in (p.weighed(step) for p in pieces))
+        spectra = {i: p.spectrum for i, p in zip(looked_at, pieces, strict=True) if p.spectrum is not None}
+        return len(shared) + scale * bits / 8, Choice(shared, known, spectra)
 
-    return min(candidates, key=cost)
+    return min(map(looked, candidates), key=lambda found: found[0])[1]
 
 
 OWN_FINER = (0, 32)
@@ -399,13 +411,23 @@ REFILLS = 3
 class Piece:
     """One chunk on its way: its samples, and their coefficients once."""
 
-    def __init__(self, known: model.Model, positions: Floats, mask: gaps.Mask, spikes: gaps.Mask | None = None) -> None:
+    def __init__(
+        self,
+        known: model.Model,
+        positions: Floats,
+        mask: gaps.Mask,
+        spikes: gaps.Mask | None = None,
+        spectrum: Floats | None = None,
+    ) -> None:
+        """spectrum: of the positions, where it is known and there are no spikes."""
         self.model = known
         self.positions = np.asfortranarray(positions)  # what works on all frames of a point is quicker so
         self.mask = mask
         self.spikes = mask & ~mask if spikes is None else spikes
         self.gaps = gaps.pack(mask)
-        self.spectrum = known.analyse(jumps.bridged(positions, self.spikes)) if known.rows else None
+        self.spectrum = spectrum
+        if known.rows and (spectrum is None or self.spikes.any()):
+            self.spectrum = known.analyse(jumps.bridged(self.positions, self.spikes))
 
     def refill(self, step: int) -> None:
         """Put into gaps what decoding in about this step would put there: nobody asks for more."""
