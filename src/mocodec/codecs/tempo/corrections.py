@@ -40,10 +40,10 @@ def find(error: Floats, bound: float, step: float) -> Corrections:
 
     Raises CannotEncode for errors beyond counting.
     """
-    flat = np.ascontiguousarray(error.swapaxes(0, 1))
-    beyond = np.einsum("pfc,pfc->pf", flat, flat) > bound * bound
+    by_axis = np.ascontiguousarray(error.T)
+    beyond = (by_axis * by_axis).sum(axis=0) > bound * bound
     start, length = _runs(beyond)
-    flat = flat.reshape(-1, 3)
+    flat = by_axis.reshape(3, -1).T
     if not (np.abs(flat[beyond.ravel()]) < LARGEST * step).all():
         raise CannotEncode("the motion is too large for so small an error")
     samples, of, weight = _samples(start, length)
