@@ -29,6 +29,11 @@ def unpack(bits: Bits, widths: Integers) -> Integers:
     return np.bincount(number, have * 2.0**place, minlength=len(widths)).astype(np.int64)
 
 
+def of_words(words: Integers) -> Bits:
+    """`pack` of numbers of 16 bits each."""
+    return np.unpackbits(words.astype(">u2").view(np.uint8))
+
+
 def _places(widths: Integers) -> tuple[Integers, Integers]:
     number = np.repeat(np.arange(len(widths)), widths)
     place = np.repeat(np.cumsum(widths), widths) - 1 - np.arange(len(number))

@@ -345,7 +345,7 @@ def unpack(
         signed = SIGNED_FIELDS * (len(listed) // fields)
         count = symbols.raw_count(known)
         total = count + symbols.raw_count(listed, signed)
-        first = bits.pack(riding, np.full(p.lanes, 16)) if len(known) or len(listed) else np.zeros(0, np.uint8)
+        first = bits.of_words(riding) if len(known) or len(listed) else np.zeros(0, np.uint8)
         beyond = max(0, total - len(first))
         if len(rest) != 2 * used + (beyond + 7) // 8:
             raise Corrupt("tempo: a chunk that does not end where it should")
@@ -368,7 +368,7 @@ def _write_states(states: Integers) -> bytes:
 
 def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:
     area = np.unpackbits(np.frombuffer(payload, np.uint8, min(4 * count + (count + 1) // 2, len(payload) - at), at))
-    sizes = bits.unpack(area, np.full(count, 4)) + 16
+    sizes = np.resize(area, 4 * count).reshape(count, 4) @ [8, 4, 2, 1] + 16
     end = 4 * count + int(sizes.sum())
     if end > len(area):
         raise Corrupt("tempo: a chunk that ends within its head")

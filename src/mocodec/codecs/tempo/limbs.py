@@ -13,6 +13,7 @@ coordinates 58 remain.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -442,21 +443,45 @@ class _Turned(NamedTuple):
 
     @classmethod
     def by(cls, squared: Floats) -> _Turned:
-        half = np.maximum(np.sqrt(squared) * 0.5, 1e-150)
-        sine, cosine = np.sin(half), np.cos(half)
-        share = sine / half
-        return cls(share * cosine, 1 - 2 * sine * sine, 0.5 * share * share)
+        """By the series of a quarter of the angle where that is small, which is twice as fast as NumPy's own sines."""
+        if squared.max(initial=0.0) <= HALF_TURN:
+            quarter = squared * (-1 / 16)
+            share, cosine = _series(quarter, _SINES), _series(quarter, _COSINES)
+            share *= cosine
+            cosine *= cosine
+            cosine *= 2
+            cosine -= 1
+        else:
+            half = np.maximum(np.sqrt(squared) * 0.5, 1e-150)
+            share, cosine = np.sin(half) / half, np.cos(half)
+        versed = share * share
+        versed *= 0.5
+        share *= cosine
+        return cls(share, 1 - versed * squared, versed)
 
     def of(self, some: slice) -> _Turned:
         return _Turned(*(each[some] for each in self))
 
 
+HALF_TURN = 10.0
+"""Angles, squared, that series are good for: just beyond half a turn, and more than that is hardly ever seen."""
+_SINES = tuple(1 / math.factorial(2 * k + 1) for k in range(8))
+_COSINES = tuple(1 / math.factorial(2 * k) for k in range(9))
+
+
+def _series(x: Floats, terms: Sequence[float]) -> Floats:
+    """terms[0] + terms[1] x + terms[2] x² + …"""
+    out = x * terms[-1]
+    for term in terms[-2:0:-1]:
+        out += term
+        out *= x
+    out += terms[0]
+    return out
+
+
 def _squares(turns: Floats) -> Floats:
     """Angles, squared, of turns (n, …)."""
-    out = turns[0] * turns[0]
-    for part in turns[1:]:
-        out += part * part
-    return out
+    return np.einsum("n...,n...->...", turns, turns)
 
 
 def _tilted(rest: Floats, turns: Floats, turned: _Turned, out: Floats) -> None:
