@@ -17,7 +17,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocodec import container, metrics
-from mocodec.codecs.tempo import Decoder, Encoder, Tempo, attach, body, mapped, prior, tailored, tempo, training
+from mocodec.codecs.tempo import (
+    Decoder,
+    Encoder,
+    Tempo,
+    attach,
+    body,
+    contexts,
+    mapped,
+    prior,
+    tailored,
+    tempo,
+    training,
+)
 from mocodec.codecs.tempo.model import POSE
 from mocodec.encoded import Chunk
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError, UnknownCodec
@@ -149,6 +161,26 @@ def test_spikes_cost_little_and_come_back(settings: dict[str, float]) -> None:
     decoded, size = through(replace(motion, positions=spiked), **settings)
     assert np.sqrt(((decoded.positions - spiked) ** 2).sum(axis=2))[[100, 300], [3, 20]].max() < 0.02
     assert size < through(motion, **settings)[1] + 60
+
+
+def test_a_chunk_that_was_looked_at_is_not_analysed_again_in_another_way() -> None:
+    motion = joints(1500)
+    codec = Tempo()
+    cut = [motion.positions[a:b] for a, b in tempo.chunk_bounds(len(motion), motion.rate, 4.0)]
+    chosen = tempo.choose_model(cut, motion, codec.first_step(motion))
+    assert len(chosen.spectra) >= 1
+    for number, spectrum in chosen.spectra.items():
+        np.testing.assert_array_equal(spectrum, chosen.model.analyse(cut[number]))
+
+
+def test_the_decoders_neighbours_weigh_what_the_encoders_do() -> None:
+    rng = np.random.default_rng(3)
+    magnitudes = contexts.ceiling(rng.geometric(0.02, (40, 23)) - 1)
+    encoders = contexts.neighbourhood(contexts.bordered(magnitudes))
+    below = np.concatenate([np.zeros((contexts.DEPTH, 23)), magnitudes]).astype(np.float32)
+    starts = contexts.groups(40)[0]
+    decoders = np.stack([below[k : k + contexts.DEPTH].ravel() for k in starts]) @ contexts.weights(23)
+    np.testing.assert_array_equal(decoders, encoders)
 
 
 def test_points_that_stand_still_cost_next_to_nothing() -> None:

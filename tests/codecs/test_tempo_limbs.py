@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mocodec
-from mocodec import metrics
+from mocodec import metrics, native
 from mocodec.codecs.tempo import Decoder, Encoder, Tempo, limbs, prior, skeletal, tempo, training
 from mocodec.errors import Corrupt, MocodecError
 from mocodec.motion import Floats, Motion, Skeleton
@@ -104,6 +104,46 @@ def test_points_that_stay_with_their_parent_have_no_coordinates() -> None:
     poses = chain.inverse(given)
     assert poses[:, 1] == pytest.approx(poses[:, 2])
     assert chain.forward(poses) == pytest.approx(given, abs=1e-9)
+
+
+def with_a_carried_hub() -> limbs.Limbs:
+    """A chest and its two shoulders, carried by the spine, and arms that the hub and each other carry."""
+    vectors = np.array(
+        [[0, 0, 0], [0, 0.5, 0], [-0.2, 0.1, 0], [0.2, 0.1, 0.02], [-0.3, 0, 0], [0.3, 0, 0], [0.2, 0, 0.1]], float
+    )
+    hub, carried = np.array([0, 0, 1, 1, 0, 0, 0], bool), np.array([0, 0, 1, 1, 1, 1, 1], bool)
+    return limbs.Limbs((-1, 0, 1, 1, 2, 3, 5), vectors, hub, carried)
+
+
+def test_a_hub_may_be_carried_and_carry() -> None:
+    built = with_a_carried_hub()
+    assert built.dimensions == 2 * 4 + 3
+    assert built.inverse(np.zeros((1, 11)))[0, 6] - built.inverse(np.zeros((1, 11)))[0, 0] == pytest.approx(
+        built.vectors[[1, 3, 5, 6]].sum(axis=0)
+    )
+    given = smooth(300, 11, 8)
+    poses = built.inverse(given)
+    offsets = poses[:, [2, 3, 4, 5, 6]] - poses[:, [1, 1, 2, 3, 5]]
+    assert np.sqrt((offsets**2).sum(axis=2)) == pytest.approx(np.tile(built.lengths[2:], (300, 1)))
+    assert built.forward(poses) == pytest.approx(given, abs=1e-9)
+    still = given * (np.arange(11) < 2)  # the spine alone: all that it carries turns with it
+    turned = built.inverse(still)
+    chest = turned[:, [2, 3, 4, 5, 6]] - turned[:, [1]]
+    assert np.linalg.norm(chest[:, :, None] - chest[:, None], axis=-1) == pytest.approx(
+        np.tile(np.linalg.norm(chest[0, :, None] - chest[0, None], axis=-1), (300, 1, 1))
+    )
+    with native.without():
+        np.testing.assert_array_equal(built.inverse(given), poses)
+
+
+def test_turns_by_series_are_those_by_sines() -> None:
+    built = body()
+    given = smooth(1, built.dimensions, 9)
+    given[0, 0] = 1.0
+    large = given.copy()
+    large[0, 0] = 1.0 + 2 * np.pi  # about the same axis, if the other number is zero
+    given[0, 1] = large[0, 1] = 0.0
+    assert built.inverse(large) == pytest.approx(built.inverse(given), abs=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------------------ the codec

@@ -66,6 +66,11 @@ class Plan:
         return frequency, row, group, rank // self.lanes, rank % self.lanes
 
     @cached_property
+    def places(self) -> Integers:
+        """Where in flat (frequencies, rows) those are."""
+        return np.flatnonzero(self.inside)
+
+    @cached_property
     def steps(self) -> Integers:
         """How many steps each group of frequencies takes."""
         starts, number = contexts.groups(self.frequencies)
@@ -341,7 +346,7 @@ def unpack(
     streams = _decode(model, plans, states, words, lists)
     for p, word, rest, (symbol, listed, used, last) in zip(plans, words, rests, streams, strict=True):
         riding = lanes.riding(last, used, len(word))
-        known = symbol[p.inside]
+        known = symbol.take(p.places)
         signed = SIGNED_FIELDS * (len(listed) // fields)
         count = symbols.raw_count(known)
         total = count + symbols.raw_count(listed, signed)
@@ -352,7 +357,7 @@ def unpack(
         later = np.unpackbits(np.frombuffer(rest, np.uint8, offset=2 * used), count=beyond)
         raw = np.concatenate([first, later])
         values = np.zeros((p.frequencies, model.rows), np.int64)
-        values[p.inside] = symbols.values(known, raw[:count])
+        values.put(p.places, symbols.values(known, raw[:count]))
         extra = symbols.values(listed, raw[count:total], signed).reshape(fields, -1)
         result.append((values, p.step, extra))
     return result
@@ -428,9 +433,10 @@ def _decode_coefficients(model: Model, plans: Sequence[Plan], stream: lanes.Lane
     starts, _ = contexts.groups(longest)
     sizes = np.diff(starts, append=longest)
     before = _steps_before(plans)
-    widest = np.zeros(len(starts), np.int64)
+    farthest = np.zeros(rows, np.int64)
     for p in plans:
-        np.maximum.at(widest, p.order[2], p.order[1] + 1)
+        np.maximum(farthest, p.reach, out=farthest)
+    widest = ((farthest > starts[:, None]) * np.arange(1, rows + 1)).max(axis=1)
     where = np.full((int(before[-1]), *stream.state.shape), -1)  # within a group's (chunks, frequencies, rows), flat
     base = np.zeros((chunks, longest, rows), np.int64)
     for j, p in enumerate(plans):

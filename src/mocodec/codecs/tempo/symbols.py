@@ -42,14 +42,14 @@ def raw(values: Integers, symbol: Integers, signed: int | None = None) -> bits.B
 
 def raw_count(symbol: Integers, signed: int | None = None) -> int:
     """How many bits `raw` makes."""
-    return int(WIDTHS[symbol].sum() + (symbol[:signed] > 0).sum())
+    return int(WIDTHS.take(symbol).sum() + (symbol[:signed] > 0).sum())
 
 
 def values(symbol: Integers, raw_bits: bits.Bits, signed: int | None = None) -> Integers:
     """The values of `raw`."""
-    widths = WIDTHS[symbol]
+    widths = WIDTHS.take(symbol)
     rest = int(widths.sum())
-    result = FIRSTS[symbol].copy()
+    result = FIRSTS.take(symbol)
     large = widths > 0
     if rest:
         result[large] += bits.unpack(raw_bits[:rest], widths[large])
