@@ -82,6 +82,14 @@ def test_a_mean_error_is_met_within_two_per_cent(mean: float) -> None:
     assert np.nanmean(error(motion, decoded)) == pytest.approx(mean, rel=0.02)
 
 
+@pytest.mark.parametrize(("frames", "seed", "mean"), [(60, 3, 0.005), (72, 2, 0.01), (96, 3, 0.005)])
+def test_a_mean_error_is_met_where_it_does_not_always_rise_with_the_step(frames: int, seed: int, mean: float) -> None:
+    motion = synthetic.markers(frames=frames, seed=seed)
+    encoded = Tempo(mean_error=mean).in_chunks(motion)
+    assert encoded.shared[0][0] != tempo.PLAIN
+    assert error(motion, Tempo.decode(encoded)).mean() == pytest.approx(mean, rel=0.02)
+
+
 def test_a_mean_error_finer_than_the_bases_are_exact() -> None:
     motion = synthetic.markers(frames=60, seed=3)
     decoded, _ = through(motion, mean_error=1e-10)

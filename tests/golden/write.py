@@ -13,6 +13,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,17 @@ def own_limbs() -> Motion:
     return Motion(motion.positions, motion.rate, (), motion.up)
 
 
+def on_bones() -> Motion:
+    """72 frames of a whole body's markers, too few for a basis of their own."""
+    return synthetic.markers(frames=72, seed=14)
+
+
+def held() -> Motion:
+    """96 frames of the body with its skeleton, each sample held for two."""
+    motion = limbs()[:96]
+    return replace(motion, positions=motion.positions[np.arange(96) // 2 * 2])
+
+
 RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
     "lossless-markers": (markers, "lossless", {}),
     "liu2006-markers": (markers, "liu2006", {}),
@@ -73,6 +85,8 @@ RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
     "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
     "tempo-limbs": (limbs, "tempo", {"max_error": 0.005}),
     "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
+    "tempo-on-bones": (on_bones, "tempo", {"max_error": 0.01}),
+    "tempo-held": (held, "tempo", {"max_error": 0.005}),
 }
 
 

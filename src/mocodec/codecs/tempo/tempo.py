@@ -673,7 +673,7 @@ def _next_step(tried: dict[int, float]) -> int:
             return a
         between = round(a - tried[a] * (b - a) / (tried[b] - tried[a]))
         return min(max(between, a + 1), b - 1)
-    last, *before = sorted(tried, key=lambda s: abs(tried[s]))
+    last, *before = sorted(tried, reverse=bool(below))
     slope = 0.75 if not before else float(np.clip((tried[last] - tried[before[0]]) / (last - before[0]), 0.4, 1.0))
     change = -tried[last] / slope
     return last + (int(np.ceil(change)) if change >= 0 else int(np.floor(change)))
