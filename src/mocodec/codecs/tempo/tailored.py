@@ -36,8 +36,9 @@ LONGEST_FRAMES = 60_000
 PROMISING = 1.06
 """A first coding this much larger than tempo's may still come out smaller at its best step."""
 
-LOOK_FRAMES, PROMISING_LOOK = 1000, 1.12
-"""Of a long recording a stretch is looked at before the whole; what is this much larger there is not promising."""
+LOOK_FRAMES = 1000
+"""Of a long recording a stretch is looked at before the whole, and looks better than that: it is less varied, and the
+basis is counted once. What is larger there is not promising."""
 
 SLOPE = 0.7
 """About how many octaves of bytes an octave of mean error costs."""
@@ -64,7 +65,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
         try:
             if len(motion) > 2 * LOOK_FRAMES:
                 size = estimate(codec, motion[look], near[look], len(motion) / (look.stop - look.start), 1)
-                if size > PROMISING_LOOK * best.payload_bytes:
+                if size > best.payload_bytes:
                     continue
             if estimate(codec, motion, near) > PROMISING * best.payload_bytes:
                 continue
