@@ -25,7 +25,6 @@ from ..errors import BadInput, CannotEncode, Corrupt
 from ..geometry import articulated_icp, articulation, body_fit, cylinder_map
 from ..geometry.articulation import Body, Floats, Pose
 from ..geometry.cylinder_map import Frame, Map
-from ..geometry.normals import outward
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import base, body_stream
@@ -137,16 +136,16 @@ class Lien2006:
         share = rng.permutation(len(points))[: max(2 * FEWEST, round(self.model_share * len(points)))]
         near = articulated_icp.is_near(body, points[share])
         share = share[near] if near.sum() >= FEWEST else share  # a second person, or a floor, is no part of the body
-        normals = outward(points[share], points) if normals is None else normals[share]
-        points, colours = points[share], None if colours is None else colours[share]
-        body, model = articulated_icp.make_model(body, points, colours, normals)
+        colours = None if colours is None else colours[share]
+        normals = None if normals is None else normals[share]
+        body, model = articulated_icp.make_model(body, points[share], colours, normals, among=points)
         body = body_stream.rounded(body)
         few = slice(0, self.tracked_points)
         small = articulated_icp.Model(
             model.points[few], model.normals[few], None if colours is None else colours[few], model.links[few]
         )
         settings = articulated_icp.Settings(articulation=self.articulation, global_fitting=self.global_fitting)
-        return _rounded(Model(body, points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
+        return _rounded(Model(body, model.points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
 
     def _fit(
         self,
@@ -156,11 +155,9 @@ class Lien2006:
         normals: Floats | None,
         frame: int,
     ) -> Pose:
-        if len(points) > self.tracked_points:
-            some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
-            normals = outward(points[some], points) if normals is None else normals[some]
-            points, colours = points[some], None if colours is None else colours[some]
-        return tracker.fit(points, colours, normals)
+        some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
+        colours = None if colours is None else colours[some]
+        return tracker.fit(points[some], colours, None if normals is None else normals[some], points)
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
