@@ -209,7 +209,7 @@ def _normals(clouds: PointClouds, frame: int) -> Floats | None:
     """Unit normals of the points that `body_stream.clean` keeps; None where the clouds have none that can be used."""
     if clouds.normals is None:
         return None
-    normals = np.asarray(clouds.normals[frame], np.float64)[np.isfinite(clouds.positions[frame]).all(axis=1)]
+    normals = np.asarray(clouds.normals[frame], np.float64)[body_stream.is_here(clouds.positions[frame])]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / length if np.isfinite(length).all() and (length > 1e-6).all() else None
 

@@ -206,8 +206,8 @@ def from_skeleton(
         if turns:
             kept.append(joint)
         link_of[joint] = len(kept) - 1 if turns else link_of[parent]
-    fork = [joint for joint in range(count) if one_trunk and link_of[joint] == 0 and chains[joint] >= 2]
-    return _links(names, parents, positions, kept, link_of, size, fork)
+    trunk = [joint for joint in range(count) if one_trunk and link_of[joint] == 0 and chains[joint] >= 2]
+    return _links(names, parents, positions, kept, link_of, size, trunk)
 
 
 def _links(
