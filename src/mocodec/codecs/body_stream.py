@@ -113,7 +113,7 @@ def dequantise(body: Body, integers: Integers, steps: Steps) -> Pose:
 
 def is_here(points: Floats, within: float = FARTHEST) -> NDArray[np.bool_]:
     """(n,): which points are no NaN and within so many metres of the origin."""
-    return (np.abs(points) < within).all(axis=1)
+    return np.asarray((np.abs(points) < within).all(axis=1))
 
 
 def clean(clouds: PointClouds, frame: int, within: float = FARTHEST) -> tuple[Floats, NDArray[np.uint8] | None]:

@@ -118,7 +118,7 @@ class ClusteredTree:
 
 
 def _tree(points: Floats, keys: Labels) -> Any:
-    from scipy.spatial import cKDTree  # KDTree checks every query at length
+    from scipy.spatial import cKDTree  # type: ignore[attr-defined]  # KDTree checks every query at length
 
     return cKDTree(np.column_stack([points, keys * APART]), 16, compact_nodes=False, balanced_tree=False)
 
