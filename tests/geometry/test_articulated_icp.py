@@ -49,7 +49,7 @@ def test_neighbourhoods_hold_only_like_normals_and_colours():
     p, n, c = blob()
     label = icp.labels(n, c, len(p))
     tree = icp.ClusteredTree.build(p, n, c, label)
-    row, distance = tree.closest(p, label)
+    row, distance = tree.closest(tree.placed(p, label))
     full = tree.filled[label]
     assert (distance[full] < 1e-9).all()  # every point is in its own neighbourhood
     assert icp.NEAR_NORMALS[icp.normal_cluster(n), icp.normal_cluster(n[row])][full].all()

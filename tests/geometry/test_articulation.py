@@ -52,6 +52,26 @@ def test_trunk_is_one_link_or_many():
     assert "ltip" not in fine.names
     foot = whole.names.index("lankle")
     np.testing.assert_allclose(whole.tips[foot], places[names.index("ltip")])
+    np.testing.assert_allclose(whole.tips[0], places[names.index("chest")])
+
+
+def test_raised_arms_make_the_same_links():
+    names, parents, places = human()
+    raised = places.copy()
+    for side in "lr":
+        arm = [names.index(side + part) for part in ("elbow", "wrist", "hand")]
+        raised[arm] = raised[names.index(side + "shoulder")] + np.array([[0, 0.3, 0], [0, 0.56, 0], [0, 0.74, 0]])
+    assert art.from_skeleton(names, parents, raised, one_trunk=True).names == (
+        art.from_skeleton(names, parents, places, one_trunk=True).names
+    )
+
+
+def test_a_short_bone_of_a_hand_is_one_link_with_it():
+    names, parents, places = human()
+    fingers = places[names.index("lhand")] + np.array([[0.06, 0, 0], [0.16, 0, 0]])
+    names, parents = [*names, "lfingers", "lend"], [*parents, names.index("lhand"), len(names)]
+    body = art.from_skeleton(names, parents, np.concatenate([places, fingers]), one_trunk=True, shortest=0.05)
+    assert "lfingers" not in body.names
 
 
 def test_pose_turns_what_hangs_below_and_comes_back_from_world():

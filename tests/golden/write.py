@@ -3,8 +3,9 @@
     python tests/golden/write.py              write those that are missing
     python tests/golden/write.py NAME …       write these afresh, only where the version in the twin is this package's
 
-`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres. A file of
-an earlier version is never written again: it is what must decode for ever.
+`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres, of point
+clouds to a micrometre and with colours. A file of an earlier version is never written again: it is what must decode for
+ever. lien2006-lines is of a form that is no longer written.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ import numpy as np
 
 import mocodec
 from mocodec.codecs.tempo import prior
+from mocodec.evaluation.cloud import actors, sequences
 from mocodec.motion import Motion, Skeleton
+from mocodec.pointcloud import PointClouds
 from mocodec.testing import synthetic
 
 HERE = Path(__file__).parent
@@ -74,7 +77,19 @@ def held() -> Motion:
     return replace(motion, positions=motion.positions[np.arange(96) // 2 * 2])
 
 
-RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
+def jumper() -> PointClouds:
+    """Three frames of 240 points of a jumping body; the middle one has only four."""
+    clouds = sequences.record(PERFORMANCE, 240, seed=14)
+    assert clouds.colours is not None
+    few = [slice(4) if frame == 1 else slice(None) for frame in range(3)]
+    positions = [points[some] for points, some in zip(clouds.positions, few, strict=True)]
+    return PointClouds(positions, 15.0, [c[some] for c, some in zip(clouds.colours, few, strict=True)])
+
+
+PERFORMANCE = sequences.jumping_jacks(actors.capsules(), 3)
+SKELETON = {"skeleton": PERFORMANCE.skeleton()}
+
+RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]]] = {
     "lossless-markers": (markers, "lossless", {}),
     "liu2006-markers": (markers, "liu2006", {}),
     "liu2006-markers-bounded": (markers, "liu2006", {"max_error": 0.002}),
@@ -87,6 +102,8 @@ RECIPES: dict[str, tuple[Callable[[], Motion], str, dict[str, Any]]] = {
     "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
     "tempo-on-bones": (on_bones, "tempo", {"max_error": 0.01}),
     "tempo-held": (held, "tempo", {"max_error": 0.005}),
+    "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
+    "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
 }
 
 
@@ -104,20 +121,25 @@ def write(name: str, folder: Path = HERE) -> None:
     about = {
         "version": mocodec.__version__,
         "codec": codec,
-        "settings": settings,
+        "settings": {key: value for key, value in settings.items() if key != "skeleton"},
         "recipe": recipe.__name__,
         "bytes": len(blob),
         "sha256": hashlib.sha256(blob).hexdigest(),
         "rate": decoded.rate,
         "up": decoded.up,
-        "names": decoded.names,
     }
-    frames = [
-        json.dumps([None if np.isnan(p[0]) else [round(c, 10) for c in p] for p in f.tolist()])
-        for f in decoded.positions
-    ]
-    lines = ",\n    ".join(frames)
-    twin.write_text(json.dumps(about, indent=2)[:-2] + f',\n  "positions": [\n    {lines}\n  ]\n}}\n')
+    if isinstance(decoded, Motion):
+        about["names"] = decoded.names
+        digits, frames = 10, {"positions": decoded.positions}
+    else:
+        digits, frames = 6, {"positions": decoded.positions, "colours": decoded.colours or []}
+    text = json.dumps(about, indent=2)[:-2]
+    for key, values in frames.items():
+        lines = [
+            json.dumps([None if np.isnan(p[0]) else [round(c, digits) for c in p] for p in f.tolist()]) for f in values
+        ]
+        text += f',\n  "{key}": [\n    ' + ",\n    ".join(lines) + "\n  ]"
+    twin.write_text(text + "\n}\n")
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from ..pointcloud import PointClouds
 
 Integers = NDArray[np.int64]
 MILLIMETRE = 1e-3
+FARTHEST = 1e4  # metres from the origin: what is beyond is nobody's
 MAX_LINKS, MAX_POINTS, MAX_RAW = 255, 1 << 19, 1 << 24
 
 
@@ -110,10 +111,15 @@ def dequantise(body: Body, integers: Integers, steps: Steps) -> Pose:
     return Pose(articulation.exp(vectors), values[:3] * steps.place)
 
 
-def clean(clouds: PointClouds, frame: int) -> tuple[Floats, NDArray[np.uint8] | None]:
-    """Points and colours of a frame, without those that are NaN or infinite."""
+def is_here(points: Floats, within: float = FARTHEST) -> NDArray[np.bool_]:
+    """(n,): which points are no NaN and within so many metres of the origin."""
+    return np.asarray((np.abs(points) < within).all(axis=1))
+
+
+def clean(clouds: PointClouds, frame: int, within: float = FARTHEST) -> tuple[Floats, NDArray[np.uint8] | None]:
+    """Points and colours of a frame that `is_here` keeps."""
     points = np.asarray(clouds.positions[frame], np.float64)
-    good = np.isfinite(points).all(axis=1)
+    good = is_here(points, within)
     colours = None if clouds.colours is None else clouds.colours[frame]
     return (points, colours) if good.all() else (points[good], None if colours is None else colours[good])
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -25,7 +26,6 @@ from ..errors import BadInput, CannotEncode, Corrupt
 from ..geometry import articulated_icp, articulation, body_fit, cylinder_map
 from ..geometry.articulation import Body, Floats, Pose
 from ..geometry.cylinder_map import Frame, Map
-from ..geometry.normals import outward
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import base, body_stream
@@ -34,7 +34,9 @@ from .body_stream import Steps
 Integers = NDArray[np.int64]
 STEPS = Steps(reach=0.002, place=0.002)
 POINT_STEP, COLOUR_STEP = 0.002, 4  # of the model: metres, and levels of 256
-DEPTH_STEP = 0.008  # of residual maps: metres; eight bits reach a metre either way
+DEPTH_STEP, OLD_DEPTH_STEP = 0.016, 0.008  # of residual maps: metres; eight bits reach two metres either way
+DEAD = 0.75  # steps: smaller differences of depth are none
+COLOURED, BY_CELL = 1, 2  # what a model's bytes say of its points, and of the stills of depth
 BEYOND = 0.25  # metres off a link's cylinder, where points are no longer the body's: props, other people
 FEWEST = 50  # points that a frame must have to be a body
 
@@ -53,6 +55,19 @@ class Residual(NamedTuple):
 
     depth: NDArray[np.uint8]
     colour: NDArray[np.uint8]
+
+
+class Maps(NamedTuple):
+    """How residual maps are stored: their share of the full ones, and whether a still of depth holds the frames of each
+    cell side by side, in steps of DEPTH_STEP. In older files it holds lines of them one below the other.
+    """
+
+    share: float
+    by_cell: bool = True
+
+    @property
+    def depth_step(self) -> float:
+        return DEPTH_STEP if self.by_cell else OLD_DEPTH_STEP
 
 
 class Tile(NamedTuple):
@@ -78,7 +93,7 @@ class Lien2006:
     skeleton: Any = None
     model_share: float = 0.5
     tracked_points: int = 2500
-    jpeg_quality: int = 75
+    jpeg_quality: int = 50
     chunk_frames: int = 60
     global_fitting: bool = True
     articulation: bool = True
@@ -137,16 +152,16 @@ class Lien2006:
         share = rng.permutation(len(points))[: max(2 * FEWEST, round(self.model_share * len(points)))]
         near = articulated_icp.is_near(body, points[share])
         share = share[near] if near.sum() >= FEWEST else share  # a second person, or a floor, is no part of the body
-        normals = outward(points[share], points) if normals is None else normals[share]
-        points, colours = points[share], None if colours is None else colours[share]
-        body, model = articulated_icp.make_model(body, points, colours, normals)
+        colours = None if colours is None else colours[share]
+        normals = None if normals is None else normals[share]
+        body, model = articulated_icp.make_model(body, points[share], colours, normals, among=points)
         body = body_stream.rounded(body)
         few = slice(0, self.tracked_points)
         small = articulated_icp.Model(
             model.points[few], model.normals[few], None if colours is None else colours[few], model.links[few]
         )
         settings = articulated_icp.Settings(articulation=self.articulation, global_fitting=self.global_fitting)
-        return _rounded(Model(body, points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
+        return _rounded(Model(body, model.points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
 
     def _fit(
         self,
@@ -156,21 +171,19 @@ class Lien2006:
         normals: Floats | None,
         frame: int,
     ) -> Pose:
-        if len(points) > self.tracked_points:
-            some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
-            normals = outward(points[some], points) if normals is None else normals[some]
-            points, colours = points[some], None if colours is None else colours[some]
-        return tracker.fit(points, colours, normals)
+        some = np.random.default_rng(frame).permutation(len(points))[: self.tracked_points]
+        colours = None if colours is None else colours[some]
+        return tracker.fit(points[some], colours, None if normals is None else normals[some], points)
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
         """The point clouds, or a slice of their frames. Raises Corrupt."""
-        model, residual = _unpack_model(encoded.shared)
-        atlas = _atlas(model, residual / 100) if residual else []
+        model, stored = _unpack_model(encoded.shared)
+        atlas = _atlas(model, stored.share) if stored.share else []
         positions, colours = list[Floats](), list[NDArray[np.uint8]]()
         start, stop = encoded.range(frames)
         for chunk in encoded.covering(start, stop):
-            for i, (points, colour) in enumerate(_decode_chunk(model, atlas, chunk)):
+            for i, (points, colour) in enumerate(_decode_chunk(model, stored, atlas, chunk)):
                 if start <= chunk.start + i < stop:
                     positions.append(points)
                     colours.append(colour if colour is not None else np.zeros((len(points), 3), np.uint8))
@@ -196,7 +209,7 @@ def _normals(clouds: PointClouds, frame: int) -> Floats | None:
     """Unit normals of the points that `body_stream.clean` keeps; None where the clouds have none that can be used."""
     if clouds.normals is None:
         return None
-    normals = np.asarray(clouds.normals[frame], np.float64)[np.isfinite(clouds.positions[frame]).all(axis=1)]
+    normals = np.asarray(clouds.normals[frame], np.float64)[body_stream.is_here(clouds.positions[frame])]
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / length if np.isfinite(length).all() and (length > 1e-6).all() else None
 
@@ -244,22 +257,31 @@ def _pack_model(model: Model, residual: float) -> bytes:
         lanes.append(np.round(model.colours / COLOUR_STEP).astype(np.int64))
     counts = np.bincount(model.links, minlength=len(model.body))
     points = coder.pack(np.diff(np.concatenate(lanes, axis=1), axis=0, prepend=0))
-    head = varint.write([round(residual * 100), model.colours is not None, len(grid), *counts.tolist()])
+    kind = BY_CELL + COLOURED * (model.colours is not None)
+    head = varint.write([round(residual * 100), kind, len(grid), *counts.tolist()])
     return body_stream.pack_body(model.body) + head + points
 
 
-def _unpack_model(shared: Sequence[bytes]) -> tuple[Model, float]:
+def _unpack_model(shared: Sequence[bytes]) -> tuple[Model, Maps]:
     if len(shared) != 1:
         raise Corrupt("lien2006: the model is missing")
     data = shared[0]
     body, at = body_stream.unpack_body(data)
-    (residual, coloured, count, *counts), at = varint.read(data, 3 + len(body), at)
-    if residual > 10000 or coloured > 1 or count > body_stream.MAX_POINTS or sum(counts) != count or not count:
+    (residual, kind, count, *counts), at = varint.read(data, 3 + len(body), at)
+    coloured = bool(kind & COLOURED)
+    if (
+        residual > 10000
+        or kind > COLOURED + BY_CELL
+        or count > body_stream.MAX_POINTS
+        or sum(counts) != count
+        or not count
+    ):
         raise Corrupt("lien2006: the model is damaged")
     values = np.cumsum(np.clip(coder.unpack(data[at:], (count, 6 if coloured else 3)), -(10**7), 10**7), axis=0)
     colours = np.clip(values[:, 3:] * COLOUR_STEP, 0, 255).astype(np.uint8) if coloured else None
     points = np.clip(values[:, :3], -(10**7), 10**7).astype(np.float64) * POINT_STEP
-    return Model(body, points, colours, np.repeat(np.arange(len(body)), counts)), residual / 100
+    model = Model(body, points, colours, np.repeat(np.arange(len(body)), counts))
+    return model, Maps(residual / 10000, bool(kind & BY_CELL))
 
 
 # --- residual maps (section 4) ---------------------------------------------------------------------------------------
@@ -334,7 +356,8 @@ def _differences(atlas: Sequence[Tile | None], maps: Sequence[Map | None]) -> Re
         there = np.isfinite(found.distance)
         steps = np.where(there, found.distance - tile.expected.distance, 0) / DEPTH_STEP
         here = _window(tile)
-        depth[here] = np.where(there, np.clip(np.round(steps) + 128, 1, 255), 0)
+        steps = np.where(np.abs(steps) < DEAD, 0, np.round(steps))
+        depth[here] = np.where(there, np.clip(steps + 128, 1, 255), 0)
         shades = np.where(there[..., None], found.colour - tile.expected.colour, 0)
         colour[here] = np.clip(np.round(shades / 2) + 128, 0, 255)
     return Residual(depth, colour)
@@ -354,19 +377,29 @@ def _frames_a_still(extent: tuple[int, int]) -> int:
 def _stills(residuals: Sequence[Residual], coloured: bool, quality: int) -> list[bytes]:
     """The frames' maps of depth as PNGs, then those of colour as JPEGs (section 5.2, table 2).
 
-    A still holds the maps of many frames, the same line of all of them together: so they share one header and one set
-    of tables, and what stays from frame to frame is next to itself, where PNG predicts and JPEG transforms.
+    A still holds the maps of many frames: all frames of a cell side by side (depth), or the same line of all of them
+    together (colour). So they share one header and one set of tables, and what stays from frame to frame is next to
+    itself, for PNG's runs and JPEG's transform. A palette of greys keeps PNG from predicting, which is worse.
     """
     image = body_stream.imaging()
     stills = list[bytes]()
-    kinds = ((0, "PNG", {"optimize": True}), (1, "JPEG", {"quality": quality, "subsampling": 2, "optimize": True}))
-    for kind, name, options in kinds[: 1 + coloured] if residuals else ():
-        for group in _groups(len(residuals), residuals[0].depth.shape[:2]):
-            lines = np.stack([residual[kind] for residual in residuals[group]], axis=1)
-            out = io.BytesIO()
-            image.fromarray(lines.reshape(-1, *lines.shape[2:])).save(out, name, **options)
-            stills.append(out.getvalue())
+    groups = _groups(len(residuals), residuals[0].depth.shape) if residuals else []
+    for group in groups:
+        cells = np.stack([residual.depth for residual in residuals[group]], axis=2)
+        still = image.fromarray(cells.reshape(len(cells), -1))
+        still.putpalette(np.repeat(np.arange(cells.max() + 1, dtype=np.uint8), 3).tobytes())
+        stills.append(_saved(still, "PNG", compress_level=9, compress_type=zlib.Z_RLE))
+    for group in groups if coloured else ():
+        lines = np.stack([residual.colour for residual in residuals[group]], axis=1)
+        still = image.fromarray(lines.reshape(-1, *lines.shape[2:]))
+        stills.append(_saved(still, "JPEG", quality=quality, subsampling=2, optimize=True))
     return stills
+
+
+def _saved(still: Any, kind: str, **options: Any) -> bytes:
+    out = io.BytesIO()
+    still.save(out, kind, **options)
+    return out.getvalue()
 
 
 def _groups(frames: int, extent: tuple[int, int]) -> list[slice]:
@@ -375,30 +408,39 @@ def _groups(frames: int, extent: tuple[int, int]) -> list[slice]:
     return [slice(start, min(start + most, frames)) for start in range(0, frames, most)]
 
 
-def _open_stills(stills: Sequence[bytes], frames: int, extent: tuple[int, int], coloured: bool) -> list[Residual]:
+def _open_stills(
+    stills: Sequence[bytes], frames: int, extent: tuple[int, int], coloured: bool, by_cell: bool
+) -> list[Residual]:
     """The frames' maps back. Raises Corrupt."""
     groups = _groups(frames, extent)
     if len(stills) != len(groups) * (1 + coloured):
         raise Corrupt("lien2006: residual maps are missing")
-    pages = list[NDArray[np.uint8]]()
-    for still, group, mode in zip(stills, groups * 2, ["L"] * len(groups) + ["RGB"] * len(groups), strict=False):
+    depth, colour = list[NDArray[np.uint8]](), list[NDArray[np.uint8]]()
+    for still, group in zip(stills, groups, strict=False):
         count = group.stop - group.start
-        lines = _open_still(still, (extent[0] * count, extent[1]), mode)
-        pages.append(lines.reshape(extent[0], count, *lines.shape[1:]).swapaxes(0, 1))
-    depth = np.concatenate(pages[: len(groups)])
-    grey = np.broadcast_to(np.uint8(128), (*depth.shape, 3))
-    colour = np.concatenate(pages[len(groups) :]) if coloured else grey
-    return [Residual(d, c) for d, c in zip(depth, colour, strict=True)]
+        shape = (extent[0], extent[1], count) if by_cell else (extent[0], count, extent[1])
+        pixels = _open_still(still, shape[0] * (1 if by_cell else count), "P" if by_cell else "L", shape)
+        depth += list(np.moveaxis(pixels, 2 if by_cell else 1, 0))
+    for still, group in zip(stills[len(groups) :], groups, strict=False):
+        count = group.stop - group.start
+        pixels = _open_still(still, extent[0] * count, "RGB", (extent[0], count, extent[1], 3))
+        colour += list(pixels.swapaxes(0, 1))
+    grey = np.broadcast_to(np.uint8(128), (*extent, 3))
+    return [Residual(d, c) for d, c in zip(depth, colour or [grey] * frames, strict=True)]
 
 
-def _open_still(data: bytes, extent: tuple[int, int], mode: str) -> NDArray[np.uint8]:
-    """The pixels of a still of the atlas. Raises Corrupt."""
+def _open_still(data: bytes, height: int, mode: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """The pixels of a still, which must be so many lines of this mode. Raises Corrupt."""
     image = body_stream.imaging()
     try:
         still = image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        if still.size != extent[::-1] or still.mode != mode:
+        if (
+            still.height != height
+            or still.mode != mode
+            or still.width * height * len(still.getbands()) != np.prod(shape)
+        ):
             raise Corrupt("lien2006: a residual map has the wrong size")
-        return np.asarray(still)
+        return np.asarray(still).reshape(shape)
     except Corrupt:
         raise
     except Exception as error:
@@ -429,7 +471,7 @@ def _unpack_poses(chunk: Chunk, links: int) -> tuple[Integers, bytes, list[bytes
 
 
 def _decode_chunk(
-    model: Model, atlas: Sequence[Tile | None], chunk: Chunk
+    model: Model, stored: Maps, atlas: Sequence[Tile | None], chunk: Chunk
 ) -> Iterator[tuple[Floats, NDArray[np.uint8] | None]]:
     coloured = model.colours is not None
     poses, raw, stills = _unpack_poses(chunk, len(model.body))
@@ -438,12 +480,13 @@ def _decode_chunk(
     bodies = int((~is_stray).sum())
     if stills and not atlas:
         raise Corrupt("lien2006: residual maps without a grid")
-    maps = iter(_open_stills(stills, bodies, _extent(atlas), coloured) if stills else [None] * bodies)
+    maps = iter(_open_stills(stills, bodies, _extent(atlas), coloured, stored.by_cell) if stills else [None] * bodies)
     for row, stray in zip(poses, is_stray, strict=True):
         if stray:
             yield next(strays)
         else:
-            yield _posed(model, atlas, body_stream.dequantise(model.body, row[1:], STEPS), next(maps))
+            pose = body_stream.dequantise(model.body, row[1:], STEPS)
+            yield _posed(model, atlas, pose, next(maps), stored.depth_step)
 
 
 def _corrected(
@@ -472,7 +515,7 @@ def _corrected(
 
 
 def _posed(
-    model: Model, atlas: Sequence[Tile | None], pose: Pose, residual: Residual | None
+    model: Model, atlas: Sequence[Tile | None], pose: Pose, residual: Residual | None, depth_step: float
 ) -> tuple[Floats, NDArray[np.uint8] | None]:
     """A frame's points: the model's, or those of the residual maps."""
     a, b = articulation.transforms(model.body, pose)
@@ -484,7 +527,7 @@ def _posed(
             continue
         here = _window(tile)
         there = residual.depth[here] > 0
-        farther = (residual.depth[here].astype(np.float64) - 128) * DEPTH_STEP
+        farther = (residual.depth[here].astype(np.float64) - 128) * depth_step
         brighter = 2 * (residual.colour[here].astype(np.float64) - 128)
         local, c = _corrected(model, link, tile, there, farther, brighter)
         points.append(local @ a[link].T + b[link])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from . import icp
 from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
-from .normals import outward
+from .normals import estimate, outward
 
 Labels = NDArray[Any]
 ROUNDS = 5  # of fitting surfaces to links and giving points to the nearest
@@ -41,18 +41,40 @@ def closeness(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats 
     0 where the normal points at the link. Among links that a point lies inside of, the one whose axis is nearest by
     its radius counts most: the paper leaves ties open, so 1 becomes 1 + the share of the radius that is left.
     """
-    origins = joints_of(body, a, b)
-    axes, radii = np.einsum("lij,lj->li", a, body.axes), body.radii[:, None]
-    along = axes @ points.T - np.sum(axes * origins, axis=1)[:, None]
-    square = np.sum(points**2, axis=1) - 2 * origins @ points.T + np.sum(origins**2, axis=1)[:, None]
-    away = np.sqrt(np.maximum(square - along**2, 0))
-    foot = np.clip(along, 0, body.lengths[:, None])
-    distance = np.hypot(np.maximum(away - radii, 0), along - foot)
+    away, foot, beyond = _cylindrical(body, a, b, points)
+    radii = body.radii[:, None]
+    distance = np.hypot(np.maximum(away - radii, 0), beyond)
     result = np.where(distance <= 0, 1.0 + np.maximum(1 - away / radii, 0), np.exp(-distance / radii))
     if normals is not None:
-        facing = np.sum(points * normals, axis=1) - origins @ normals.T - foot * (axes @ normals.T)
-        result[facing <= 0] = 0.0
+        result[_facing(body, a, b, points, normals, foot) <= 0] = 0.0
     return result
+
+
+def _cylindrical(body: Body, a: Floats, b: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+    """(links, n) each: points' distance from each link's line, the place of the closest point on its axis, and how far
+    they are beyond the axis's ends."""
+    origins, axes = joints_of(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    along = axes @ points.T - np.sum(axes * origins, axis=1)[:, None]
+    square = np.sum(points**2, axis=1) - 2 * origins @ points.T + np.sum(origins**2, axis=1)[:, None]
+    foot = np.clip(along, 0, body.lengths[:, None])
+    return np.sqrt(np.maximum(square - along**2, 0)), foot, along - foot
+
+
+def _facing(body: Body, a: Floats, b: Floats, points: Floats, directions: Floats, foot: Floats) -> Floats:
+    """(links, n): how far directions (n, 3) lead away from the links' axes, of which `foot` are the closest points."""
+    origins, axes = joints_of(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    return np.sum(points * directions, axis=1) - origins @ directions.T - foot * (axes @ directions.T)
+
+
+def turned_out(body: Body, a: Floats, b: Floats, points: Floats, among: Floats | None = None) -> Floats:
+    """(n, 3) unit normals, estimated among all the points of the frame, that turn away from the axis of the link whose
+    surface is nearest.
+    """
+    n = estimate(points, among)
+    away, foot, beyond = _cylindrical(body, a, b, points)
+    nearest = (np.hypot(away, beyond) - body.radii[:, None]).argmin(axis=0)
+    facing = np.take_along_axis(_facing(body, a, b, points, n, foot), nearest[None], axis=0)[0]
+    return np.where(facing[:, None] < 0, -n, n)
 
 
 def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> Labels:
@@ -73,15 +95,18 @@ def make_model(
     colours: NDArray[np.uint8] | None,
     normals: Floats | None = None,
     by_surface: bool = False,
+    among: Floats | None = None,
 ) -> tuple[Body, Model]:
     """The model of the first frame: its points by links; and the body with radii and lengths that fit them.
+
+    among (m, 3): all the points of the frame, from which normals are estimated where there are none.
 
     by_surface: points go to the link whose surface is nearest, in metres, not by equation (4), which favours thick
     links and gives them a hand that hangs beside a thigh.
     """
     a, b = transforms(body, Pose.canonical(len(body)))
-    n = outward(points, neighbours=10 if by_surface else 8) if normals is None else normals
     if by_surface:
+        n = outward(points, neighbours=10) if normals is None else normals
         for _ in range(3):
             links = nearest_surface(body, points, n)
             body = fit_cylinders(body, points, links, paired=True)
@@ -89,6 +114,7 @@ def make_model(
         for _ in range(ROUNDS):
             links = nearest_surface(body, points, n, surface_shapes(body, points, links))
         return fit_cylinders(body, points, links, paired=True), Model(points, n, colours, links)
+    n = turned_out(body, a, b, points, among) if normals is None else normals
     for _ in range(2):
         body = fit_cylinders(body, points, segment(body, a, b, points, n))
     return body, Model(points, n, colours, segment(body, a, b, points, n))
@@ -211,13 +237,13 @@ def third_moments(points: Floats, links: Labels, count: int) -> Floats:
 def global_errors(
     body: Body, a: Floats, b: Floats, moments: Floats, points: Floats, links: Labels, *, fewest: int = 8
 ) -> Floats:
-    """(links,): equation (5) by links, |μ3(P_l) − μ3(Q_l)| in the link's own frame; its cube root, so in metres.
+    """(links,): equation (5) by links, |μ3(P_l) − μ3(Q_l)| in the link's own frame; its cube root, by the link's size.
 
     moments (links, 3, 3, 3): of the model. Links with fewer than `fewest` data points count as ∞.
     """
     local = np.einsum("nji,nj->ni", a[links], points - b[links]) - ((body.origins + body.tips) / 2)[links]
     difference = third_moments(local, links, len(body)) - moments
-    errors = np.cbrt(np.linalg.norm(difference.reshape(len(body), -1), axis=1))
+    errors = np.cbrt(np.linalg.norm(difference.reshape(len(body), -1), axis=1)) / np.hypot(body.lengths / 2, body.radii)
     return np.where(np.bincount(links, minlength=len(body)) >= fewest, errors, np.inf)
 
 
@@ -226,12 +252,12 @@ FEWEST = 6  # points that a link must have to be fitted
 
 @dataclass(frozen=True)
 class Settings:
-    """How ARTICP runs. threshold_m: links whose global error is above it are fitted again; rounds: how often at
-    most.
+    """How ARTICP runs. threshold: links whose global error is above it are fitted again, and two samples of one surface
+    differ by much of it; rounds: how often at most.
     """
 
     iterations: int = 12
-    threshold_m: float = 0.035
+    threshold: float = 0.8
     rounds: int = 3
     articulation: bool = True
     global_fitting: bool = True
@@ -250,15 +276,23 @@ class Tracker:
         centres = (body.origins + body.tips) / 2
         self.moments = third_moments(model.points - centres[model.links], model.links, len(body))
 
-    def fit(self, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None = None) -> Pose:
+    def fit(
+        self,
+        points: Floats,
+        colours: NDArray[np.uint8] | None,
+        normals: Floats | None = None,
+        among: Floats | None = None,
+    ) -> Pose:
         """Algorithm 3.1 on one frame of points (n, 3), metres. Frames of fewer than 10 points leave the pose as it
         was.
+
+        among (m, 3): all the points of the frame, from which normals are estimated where there are none.
         """
         if len(points) < 10:
             return self.pose
         body, model = self.body, self.model
         a, b = transforms(body, self.pose)
-        n = outward(points) if normals is None else normals
+        n = turned_out(body, a, b, points, among) if normals is None else normals
         turned = np.einsum("nij,nj->ni", a[model.links], model.normals)
         label = icp.labels(turned, None if colours is None else model.colours, len(model.points))
         tree = icp.ClusteredTree.build(points, n, None if model.colours is None else colours, label)
@@ -300,7 +334,7 @@ class Tracker:
             if total >= best:
                 break
             best, kept = total, (a.copy(), b.copy())
-            bad = (errors > self.settings.threshold_m) & (np.bincount(links, minlength=len(errors)) >= 10)
+            bad = (errors > self.settings.threshold) & (np.bincount(links, minlength=len(errors)) >= 10)
             if turn == self.settings.rounds or not bad.any():
                 break
             own = icp.ClusteredTree.of_groups(points, links, len(errors))

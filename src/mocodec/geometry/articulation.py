@@ -167,8 +167,9 @@ def from_skeleton(
 
     names, parents: of its joints, a parent before its children. positions (joints, 3): metres. A joint turns a link of
     its own if a chain of at least `shortest` of the body's size hangs on it: fingers and toes do not. one_trunk: hips,
-    spine and collars are one cylinder, as in Lien and Bajcsy 2006, section 3.1, and so are neck and head; otherwise
-    every bone of the spine turns. Radii are a guess from the lengths. Raises BadInput where there is no body in it.
+    spine and collars are one cylinder as far as the arms, as in Lien and Bajcsy 2006, section 3.1, and so are neck and
+    head, and hand and fingers; otherwise every bone of the spine turns. Radii are a guess from the lengths. Raises
+    BadInput where there is no body in it.
     """
     positions = np.asarray(positions, np.float64)
     count = len(names)
@@ -176,6 +177,8 @@ def from_skeleton(
     if count < 2 or size <= 0.05:
         raise BadInput(f"a skeleton of {count} joints within {size:.2f} m is not a body")
     bones = np.array([0.0 if p < 0 else np.linalg.norm(positions[j] - positions[p]) for j, p in enumerate(parents)])
+    if one_trunk:
+        size = min(size, 4 * float(bones.max()))  # raised arms make a pose larger, not its bones
     leaf = np.array([joint not in set(parents) for joint in range(count)])
     below = np.where(leaf, np.clip(bones, 0.03 * size, 0.07 * size), 0.0)  # the longest chain that hangs on each joint
     long_bone = np.zeros(count, bool)
@@ -199,17 +202,24 @@ def from_skeleton(
         if nested and np.linalg.norm(positions[joint] - positions[kept[link_of[parent]]]) < 0.01 * size:
             turns = False  # a second joint in one place, as CMU's BVH files have at the hips
         if one_trunk:
-            turns &= in_limb[joint] or (chains[joint] == 0 and in_trunk)
+            turns &= (in_limb[joint] and bones[joint] > 0.04 * size) or (chains[joint] == 0 and in_trunk)
         if turns:
             kept.append(joint)
         link_of[joint] = len(kept) - 1 if turns else link_of[parent]
-    return _links(names, parents, positions, kept, link_of, size)
+    trunk = [joint for joint in range(count) if one_trunk and link_of[joint] == 0 and chains[joint] >= 2]
+    return _links(names, parents, positions, kept, link_of, size, trunk)
 
 
 def _links(
-    names: Sequence[str], parents: Sequence[int], positions: Floats, kept: list[int], link_of: Ints, size: float
+    names: Sequence[str],
+    parents: Sequence[int],
+    positions: Floats,
+    kept: list[int],
+    link_of: Ints,
+    size: float,
+    trunk: Sequence[int],
 ) -> Body:
-    """Kept joints as links: the axis of each runs to where it carries most."""
+    """Kept joints as links: the axis of each runs to where it carries most; the root's through all of `trunk`."""
     above = [-1 if i == 0 else int(link_of[max(parents[joint], 0)]) for i, joint in enumerate(kept)]
     carried = np.ones(len(names), int)
     for joint in range(len(names) - 1, 0, -1):
@@ -218,9 +228,10 @@ def _links(
     tips = origins.copy()
     for link, joint in enumerate(kept):
         hanging = [j for j, p in enumerate(parents) if p >= 0 and j != joint and link in (link_of[j], link_of[p])]
+        hanging = [j for j in hanging if link or j in trunk] or hanging
         reach = np.array([np.linalg.norm(positions[j] - origins[link]) for j in hanging])
         if hanging and reach.max() > 0.02 * size:
-            score = carried[hanging] * (reach > 0.03 * size) + reach if link == 0 else reach
+            score = carried[hanging] * (reach > 0.03 * size) + reach if link == 0 and not trunk else reach
             tips[link] = positions[hanging[int(np.argmax(score))]]
         else:
             back = origins[link] - origins[max(above[link], 0)]

@@ -84,44 +84,43 @@ class ClusteredTree:
         """The tree of points (n, 3) for queries with the labels in `wanted`; without normals or colours, all are
         alike.
         """
-        from scipy.spatial import KDTree
-
-        n_label = None if normals is None else normal_cluster(normals)
-        c_label = None if colours is None else colour_cluster(colours)
+        n_label = np.zeros(len(points), np.int64) if normals is None else normal_cluster(normals)
+        c_label = np.zeros(len(points), np.int64) if colours is None else colour_cluster(colours)
+        keys = np.unique(wanted)
+        n, c = np.divmod(keys, COLOUR_CLUSTERS)
+        near_normals = NEAR_NORMALS if normals is not None else np.ones_like(NEAR_NORMALS)
+        near_colours = NEAR_COLOURS if colours is not None else np.ones_like(NEAR_COLOURS)
+        inside = near_normals[n][:, n_label] & near_colours[c][:, c_label]
+        enough = inside.sum(axis=1) >= 3
         filled = np.zeros(NORMAL_CLUSTERS * COLOUR_CLUSTERS, bool)
-        rows, keys = [np.arange(len(points))], [np.full(len(points), -1)]  # neighbourhood −1 is all points
-        for key in np.unique(wanted):
-            n, c = divmod(int(key), COLOUR_CLUSTERS)
-            inside = np.ones(len(points), bool)
-            if n_label is not None:
-                inside &= NEAR_NORMALS[n][n_label]
-            if c_label is not None:
-                inside &= NEAR_COLOURS[c][c_label]
-            here = np.flatnonzero(inside)
-            filled[key] = len(here) >= 3
-            rows.append(here)
-            keys.append(np.full(len(here), key))
-        row, key = np.concatenate(rows), np.concatenate(keys)
-        placed = np.column_stack([points[row], key * APART])
-        return ClusteredTree(points, KDTree(placed, 24, compact_nodes=False, balanced_tree=False), row, filled)
+        filled[keys] = enough
+        keys, inside = keys[enough], inside[enough]
+        if not enough.all():  # neighbourhood −1 is all points
+            keys, inside = np.append(keys, -1), np.vstack([inside, np.ones(len(points), bool)])
+        key, row = np.nonzero(inside)
+        return ClusteredTree(points, _tree(points[row], keys[key]), row, filled)
 
     @staticmethod
     def of_groups(points: Floats, groups: Labels, count: int) -> ClusteredTree:
         """The tree of points (n, 3) of which each is in one group (n,), 0 to count − 1: for queries labelled by group,
         of groups that have points."""
-        from scipy.spatial import KDTree
-
-        placed = np.column_stack([points, groups * APART])
         filled = np.bincount(groups, minlength=count) > 0
-        return ClusteredTree(
-            points, KDTree(placed, 24, compact_nodes=False, balanced_tree=False), np.arange(len(points)), filled
-        )
+        return ClusteredTree(points, _tree(points, groups), np.arange(len(points)), filled)
 
-    def closest(self, points: Floats, labels: Labels) -> tuple[Labels, Floats]:
-        """For each point (n, 3), the row and the distance of the closest data point in its label's neighbourhood."""
-        where = np.where(self.filled[labels], labels, -1) * APART
-        distance, index = self.tree.query(np.column_stack([points, where]))
+    def placed(self, points: Floats, labels: Labels) -> Floats:
+        """(n, 4): points in the neighbourhoods of their labels, as `closest` takes them."""
+        return np.column_stack([points, np.where(self.filled[labels], labels, -1) * APART])
+
+    def closest(self, placed: Floats) -> tuple[Labels, Floats]:
+        """For each of `placed` (n, 4), the row and the distance of the closest data point in its neighbourhood."""
+        distance, index = self.tree.query(placed)
         return self.rows[index], distance
+
+
+def _tree(points: Floats, keys: Labels) -> Any:
+    from scipy.spatial import cKDTree  # type: ignore[attr-defined]  # KDTree checks every query at length
+
+    return cKDTree(np.column_stack([points, keys * APART]), 16, compact_nodes=False, balanced_tree=False)
 
 
 def labels(normals: Floats | None, colours: NDArray[Any] | None, count: int) -> Labels:
@@ -167,37 +166,36 @@ def icp_many(
     where they are; NaN for a part that is free. Returns R (parts, 3, 3), t (parts, 3), the errors of each part.
     """
     count = len(sizes)
-    bounds = np.concatenate([[0], np.cumsum(sizes)])
+    many = np.array(sizes)
     r, t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     errors = [list[float]() for _ in range(count)]
-    moved, free = points.copy(), np.isnan(pivots[:, 0])
-    active = np.arange(count)
+    placed, free = data.placed(points, label), np.isnan(pivots[:, :1])
+    active, part_of = np.arange(count), np.repeat(np.arange(count), many)
+    last = np.full(count, np.inf)
     for _ in range(iterations):
-        rows = np.concatenate([np.arange(bounds[part], bounds[part + 1]) for part in active])
-        starts = np.concatenate([[0], np.cumsum(np.diff(bounds)[active])])[:-1]
-        many = np.diff(bounds)[active].astype(np.float64)
-        row, distance = data.closest(moved[rows], label[rows])
+        starts = np.cumsum(many) - many
+        row, distance = data.closest(placed)
         error = np.add.reduceat(distance**2, starts) / many
-        going = np.ones(len(active), bool)
-        for i, part in enumerate(active):
-            errors[part].append(float(error[i]))
-            if len(errors[part]) > 1:
-                going[i] = np.sqrt(errors[part][-2]) - np.sqrt(errors[part][-1]) >= tolerance
-        if not going.any():
-            break
-        p, q = moved[rows], data.points[row]
-        centre_p, centre_q = (np.add.reduceat(x, starts) / many[:, None] for x in (p, q))
-        centre_p, centre_q = (np.where(free[active, None], c, pivots[active]) for c in (centre_p, centre_q))
-        part_of = np.repeat(np.arange(len(active)), many.astype(np.int64))
+        for part, value in zip(active, error.tolist(), strict=True):
+            errors[part].append(value)
+        root = np.sqrt(error)
+        going = last - root >= tolerance
+        if not going.all():
+            if not going.any():
+                break
+            stay = going[part_of]
+            placed, row = placed[stay], row[stay]
+            active, many, root = active[going], many[going], root[going]
+            starts, part_of = np.cumsum(many) - many, np.repeat(np.arange(len(active)), many)
+        last = root
+        p, q, each = placed[:, :3], data.points[row], many[:, None]
+        centre_p, centre_q = (np.where(free[active], np.add.reduceat(x, starts) / each, pivots[active]) for x in (p, q))
         off_p, off_q = p - centre_p[part_of], q - centre_q[part_of]
         products = (off_p[:, :, None] * off_q[:, None, :]).reshape(-1, 9)
-        step = rotations(np.add.reduceat(products, starts).reshape(-1, 3, 3) / many[:, None, None])
+        step = rotations((np.add.reduceat(products, starts) / each).reshape(-1, 3, 3))
         move = centre_q - np.einsum("pij,pj->pi", step, centre_p)
-        moved[rows] = np.einsum("nij,nj->ni", step[part_of], p) + move[part_of]
-        for i in np.flatnonzero(going):
-            part = active[i]
-            r[part], t[part] = step[i] @ r[part], step[i] @ t[part] + move[i]
-        active = active[going]
+        placed[:, :3] = np.einsum("nij,nj->ni", step[part_of], p) + move[part_of]
+        r[active], t[active] = step @ r[active], np.einsum("pij,pj->pi", step, t[active]) + move
     return r, t, errors
 
 

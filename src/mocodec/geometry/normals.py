@@ -9,25 +9,27 @@ Floats = NDArray[np.float64]
 ROUNDS = 8  # of asking the neighbours which way is out
 
 
-def estimate(points: Floats, neighbours: int = 10) -> Floats:
-    """(n, 3) unit normals of (n, 3) points, of either sign; +y where there are fewer than three points."""
+def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) -> Floats:
+    """(n, 3) unit normals of (n, 3) points, of either sign; +y where there are fewer than three points.
+
+    among (m, 3): all the points of the surface, where `points` are some of them.
+    """
     from scipy.spatial import KDTree
 
-    count = len(points)
-    if count < 3:
-        return np.tile([0.0, 1.0, 0.0], (count, 1))
-    tree = KDTree(points, leafsize=16, compact_nodes=False, balanced_tree=False)
-    _, index = tree.query(points, k=min(neighbours, count))
-    spread = points[index] - points[:, None]
+    if len(points) < 3:
+        return np.tile([0.0, 1.0, 0.0], (len(points), 1))
+    among = points if among is None else among
+    tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
+    spread = among[tree.query(points, k=min(neighbours, len(among)))[1]] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
     return least(np.einsum("nki,nkj->nij", spread, spread))
 
 
-def outward(points: Floats, among: Floats | None = None, neighbours: int = 8, cell: float = 0.05) -> Floats:
+def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
     """(n, 3) unit normals that point away from where the other points around are, which is inside a body.
 
-    among (m, 3): all the points of the surface, where `points` are some of them. The middle of what is within some 15
-    cm, weighted by a bell, comes from sums over cells of `cell` metres; then what neighbours say counts too.
+    The middle of what is within some 15 cm, weighted by a bell, comes from sums over cells of `cell` metres; then what
+    neighbours say counts too.
     """
     from scipy.ndimage import gaussian_filter
     from scipy.spatial import KDTree
@@ -36,11 +38,7 @@ def outward(points: Floats, among: Floats | None = None, neighbours: int = 8, ce
         return estimate(points)
     tree = KDTree(points, leafsize=16, compact_nodes=False, balanced_tree=False)
     index = np.asarray(tree.query(points, k=min(neighbours, len(points)))[1], np.int64)
-    near = points[index]
-    if among is not None and len(among) > len(points):
-        tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
-        near = among[tree.query(points, k=neighbours + 4)[1]]
-    spread = near - points[:, None]
+    spread = points[index] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
     normals = least(np.einsum("nki,nkj->nij", spread, spread))
     low = np.percentile(points, 1, axis=0) - 0.5

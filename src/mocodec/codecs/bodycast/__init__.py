@@ -92,7 +92,10 @@ class Bodycast:
             role.prepare(self, usual, coloured, len(cast))
         here = range(0, len(frames), self.chunk_frames)
         spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in here]
-        written = [Chunk(s.start, s.stop - s.start, self._chunk(cast, frames, s, coloured)) for s in spans]
+        told = frames
+        if self.residual == EXACT:
+            told = [body_stream.clean(clouds, i, float(np.finfo(np.float32).max)) for i in range(len(clouds))]
+        written = [Chunk(s.start, s.stop - s.start, self._chunk(cast, told, s, coloured)) for s in spans]
         settings = base.settings(self)
         if self.skeleton is not None:
             settings["skeleton"] = [s if isinstance(s, str) else "given" for s in skeletons]

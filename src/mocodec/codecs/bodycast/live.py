@@ -23,6 +23,7 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Floats, Pose
+from .. import body_stream
 from . import Bodycast, Role, poses, video
 from . import model as models
 from .atlas import Sums, picture
@@ -70,7 +71,7 @@ class Sender:
 
         Raises CannotEncode where the first frame with points shows no body and no skeleton is given.
         """
-        good = np.isfinite(points).all(axis=1)
+        good = body_stream.is_here(points)
         points, colours = points[good], None if colours is None else colours[good]
         number, self._number = self._number, self._number + 1
         if len(points) < FEWEST:
