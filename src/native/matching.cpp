@@ -98,6 +98,9 @@ class Cloud {
 
     const double *point(size_t row) const { return &values[row * width]; }
 
+    // All rows, those of points that lie together together.
+    const std::vector<size_t> &together() const { return order; }
+
     // The row nearest to a place of `width` coordinates, nearer than the square root of `limit`; −1 where none is.
     // `limit` becomes its squared distance.
     int64_t nearest(const double *place, double &limit) const {
@@ -213,8 +216,9 @@ class Cloud {
         if (node.axis < 0) {
             for (size_t i = node.first; i < node.last; ++i) {
                 const double *other = &sorted[i * width];
-                double sum = 0;
-                for (int d = 0; d < width; ++d) sum += squared(place[d] - other[d]);
+                double sum = squared(place[0] - other[0]) + squared(place[1] - other[1]) + squared(place[2] - other[2]);
+                if (sum >= limit) continue;
+                for (int d = 3; d < width; ++d) sum += squared(place[d] - other[d]);
                 if (sum < limit) limit = sum, found = int64_t(order[i]);
             }
             return;
@@ -235,11 +239,31 @@ class Cloud {
     std::vector<Node> nodes;
 };
 
+constexpr uint16_t NONE = 0xffff;
+
+// Rows of a template in half the memory: a table of them then stays in the cache.
+std::vector<uint16_t> narrow(Input<int32_t, 1> nearest, size_t rows) {
+    std::vector<uint16_t> result(nearest.size());
+    for (size_t i = 0; i < nearest.size(); ++i) {
+        const int32_t row = nearest.data()[i];
+        if (row < -1 || row >= int64_t(rows) || row >= NONE)
+            throw std::invalid_argument("BodyMatcher: a row beyond the template");
+        result[i] = row < 0 ? NONE : uint16_t(row);
+    }
+    return result;
+}
+
 // Symmetric sums of one pair of links that a point may follow: of f fᵀ by shares first², first · second and second², and
 // of f times the residual by shares.
 struct Sums {
     double square[3][21];
     double right[2][6];
+};
+
+// What draws a template row: where it is, the sum of weights, and of weights times how far away targets are.
+struct Pull {
+    double at[3] = {0, 0, 0}, weight = 0, gap[3] = {0, 0, 0};
+    bool is_posed = false;
 };
 
 class Body {
@@ -249,7 +273,7 @@ class Body {
          Input<double, 2> low, Input<int32_t, 2> size, Input<int64_t, 1> start, double cell, double margin)
         : count(parents.shape(0)), rows(points.shape(0)), coloured(shades.shape(0) > 0), cell(cell), margin(margin),
           parents(copy(parents)), origins(copy(origins)), lengths(copy(lengths)), points(copy(points)), links(copy(links)),
-          weights(copy(weights)), normals(copy(normals)), shades(copy(shades)), nearest(copy(nearest)), low(copy(low)),
+          weights(copy(weights)), normals(copy(normals)), shades(copy(shades)), nearest(narrow(nearest, rows)), low(copy(low)),
           size(copy(size)), start(copy(start)), pair(rows) {
         const bool same = origins.shape(0) == count && lengths.shape(0) == count && links.shape(0) == rows && links.shape(1) == 2 &&
                           weights.shape(0) == rows && normals.shape(0) == rows && low.shape(0) == count &&
@@ -262,10 +286,9 @@ class Body {
             if (this->parents[l] >= int64_t(l) || s[0] < 1 || s[1] < 1 || s[2] < 1 || this->start[l] < 0 ||
                 uint64_t(this->start[l]) + uint64_t(s[0]) * s[1] * s[2] > this->nearest.size())
                 throw std::invalid_argument("BodyMatcher: not a tree, or a table beyond its end");
-            filled.push_back(this->nearest[this->start[l]] >= 0);
+            filled.push_back(this->nearest[this->start[l]] != NONE);
         }
-        for (int32_t row : this->nearest)
-            if (row < -1 || row >= int64_t(rows)) throw std::invalid_argument("BodyMatcher: a row beyond the template");
+        for (size_t l = 0; l < count; ++l) enclose(l);
         for (int64_t link : this->links)
             if (link < 0 || link >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link beyond the body");
         std::vector<int64_t> numbers(count * count, -1);
@@ -277,11 +300,12 @@ class Body {
     }
 
     // Gauss–Newton: one step for each row of `steps`, its width, how many of the data's points and how many rows of
-    // `some` it looks at; the pose that it ends with, and the links that points were matched to. Steps of the same width are left out after one that moves nothing
-    // by more than `calm`.
+    // `some` it looks at; the pose that it ends with, and the links that points were matched to. After a step that moves
+    // nothing by more than `calm`, others are left out until the width is down to `ease` times its own, if that is more
+    // than `fine`.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
-                    double loose, double pull, double noise, double reach, double calm) {
+                    double loose, double pull, double noise, double reach, double calm, double ease, double fine) {
         require(rotations, root, allowed, some);
         require(cloud);
         if (held.shape(0) != count || strengths.shape(0) != 2 || strengths.shape(1) != count || widths.shape(1) != 3)
@@ -296,31 +320,35 @@ class Body {
         const size_t unknowns = 3 + 3 * count;
         Doubles h, g;
         size_t taken = 0;
-        bool is_calm = false;
+        double calm_at = std::numeric_limits<double>::infinity();  // the width of a calm step
         for (size_t step = 0; step < widths.shape(0); ++step) {
             const double width = widths.data()[3 * step];
-            if (is_calm && width == widths.data()[3 * (step - 1)]) continue;
+            if (width > std::max(fine, ease * calm_at)) continue;
             const size_t here = std::min(cloud.count, size_t(widths.data()[3 * step + 1]));
             const size_t looked = std::min(some.shape(0), size_t(widths.data()[3 * step + 2]));
             if (taken++ % REFRESH == 0 || candidates.size() < here * CANDIDATES)
                 find_candidates(cloud, here, allowed.data());
-            sums.assign(pairs.size(), Sums{});
-            for (size_t i = 0; i < here; ++i) {
+            pulls.assign(rows, Pull{});
+            for (size_t i : cloud.together()) {
+                if (i >= here) continue;
                 int64_t link;
                 const int64_t row = match(cloud, i, &candidates[i * CANDIDATES], link);
-                if (row >= 0) add(row, cloud.point(i), width, pull, noise);
+                if (row >= 0) draw(row, cloud.point(i), width, noise);
             }
             for (size_t k = 0; k < looked; ++k) {
                 const int64_t row = some.data()[k];
                 double at[6], limit = squared(reach * width);
                 seen(cloud, row, at);
                 found[k] = cloud.nearest_from(found[k], at, limit);
-                if (found[k] >= 0) add(row, cloud.point(found[k]), width, pull, noise);
+                if (found[k] >= 0) draw(row, cloud.point(found[k]), width, noise);
             }
+            sums.assign(pairs.size(), Sums{});
+            for (size_t row = 0; row < rows; ++row)
+                if (pulls[row].weight > 0) add(int64_t(row), pulls[row], pull);
             equations(h, g);
             priors(expected, expected_root, held.data(), strengths.data(), loose, h, g);
             if (!solve_symmetric(h, g, unknowns)) throw std::runtime_error("BodyMatcher.solve: no solution");
-            is_calm = move(g) < calm;
+            calm_at = move(g) < calm ? width : std::numeric_limits<double>::infinity();
         }
         Fresh<double> out(9 * count), out_root(3);
         std::copy(turns.begin(), turns.end(), out.data.get());
@@ -430,6 +458,19 @@ class Body {
     static constexpr size_t CANDIDATES = 3;
     static constexpr size_t REFRESH = 3;
 
+    // The sphere about the box of a link's points that holds them all.
+    void enclose(size_t link) {
+        const int32_t *s = &size[3 * link];
+        for (int d = 0; d < 3; ++d) centres.push_back(low[3 * link + d] + cell * s[d] / 2);
+        radii.push_back(0);
+        if (!filled[link]) return;
+        for (int64_t at = start[link], end = at + int64_t(s[0]) * s[1] * s[2]; at < end; ++at) {
+            const double *y = &points[3 * nearest[at]], *m = &centres[3 * link];
+            const double away = squared(y[0] - m[0]) + squared(y[1] - m[1]) + squared(y[2] - m[2]);
+            radii[link] = std::max(radii[link], std::sqrt(away));
+        }
+    }
+
     template <class Mask>
     void require(const Input<double, 3> &rotations, const Input<double, 1> &root, const Mask &allowed,
                  const Input<int64_t, 1> &some) const {
@@ -446,7 +487,12 @@ class Body {
     void transform() {
         a.resize(9 * count);
         b.resize(3 * count);
-        for (size_t link = 0; link < count; ++link) transform(int64_t(link));
+        middles.resize(3 * count);
+        for (size_t link = 0; link < count; ++link) {
+            transform(int64_t(link));
+            turn(&a[9 * link], &centres[3 * link], &middles[3 * link]);
+            for (int d = 0; d < 3; ++d) middles[3 * link + d] += b[3 * link + d];
+        }
     }
 
     void transform(int64_t link) {
@@ -499,30 +545,55 @@ class Body {
         return nearest[start[link] + index];
     }
 
+    // The links whose points are nearest to each of the first points, nearest first. Those that were so before are
+    // looked at first: few others are near enough then to be looked at at all.
     void find_candidates(const Cloud &cloud, size_t here, const bool *allowed) {
+        const std::vector<int64_t> before = std::move(candidates);
         candidates.assign(here * CANDIDATES, -1);
-        for (size_t i = 0; i < here; ++i) {
-            double best[CANDIDATES];
-            std::fill_n(best, CANDIDATES, std::numeric_limits<double>::infinity());
+        std::vector<int64_t> usable;
+        for (size_t link = 0; link < count; ++link)
+            if (filled[link] && allowed[link]) usable.push_back(int64_t(link));
+        std::vector<char> seen(count, 0);
+        for (size_t i : cloud.together()) {
+            if (i >= here) continue;
+            const double *x = cloud.point(i);
+            double best[CANDIDATES], reach = std::numeric_limits<double>::infinity();  // that of the last: a distance
+            std::fill_n(best, CANDIDATES, reach);
             int64_t *found = &candidates[i * CANDIDATES];
-            for (size_t link = 0; link < count; ++link) {
-                if (!filled[link] || !allowed[link]) continue;
-                const double *x = cloud.point(i), *shift = &b[3 * link];
+            const auto look = [&](int64_t link) {
+                if (is_beyond(link, x, reach)) return;
+                const double *shift = &b[3 * link];
                 const double offset[3] = {x[0] - shift[0], x[1] - shift[1], x[2] - shift[2]};
                 double local[3];
                 turn_back(&a[9 * link], offset, local);
-                if (outside(int64_t(link), local) >= best[CANDIDATES - 1]) continue;
-                const double *y = &points[3 * look_up(int64_t(link), local)];
+                if (outside(link, local) >= best[CANDIDATES - 1]) return;
+                const double *y = &points[3 * look_up(link, local)];
                 const double distance =
                     squared(local[0] - y[0]) + squared(local[1] - y[1]) + squared(local[2] - y[2]);
                 size_t at = CANDIDATES;
                 while (at > 0 && distance < best[at - 1]) --at;
-                if (at == CANDIDATES) continue;
+                if (at == CANDIDATES) return;
                 for (size_t k = CANDIDATES - 1; k > at; --k) best[k] = best[k - 1], found[k] = found[k - 1];
                 best[at] = distance;
-                found[at] = int64_t(link);
-            }
+                found[at] = link;
+                reach = std::sqrt(best[CANDIDATES - 1]);
+            };
+            int64_t known[CANDIDATES];
+            std::fill_n(known, CANDIDATES, -1);
+            if ((i + 1) * CANDIDATES <= before.size()) std::copy_n(&before[i * CANDIDATES], CANDIDATES, known);
+            for (int64_t link : known)
+                if (link >= 0 && allowed[link]) look(link), seen[link] = 1;
+            for (int64_t link : usable)
+                if (!seen[link]) look(link);
+            for (int64_t link : known)
+                if (link >= 0) seen[link] = 0;
         }
+    }
+
+    // Whether no point of a link is nearer to a place than `reach`, by the sphere about them.
+    bool is_beyond(int64_t link, const double *x, double reach) const {
+        const double *m = &middles[3 * link];
+        return squared(x[0] - m[0]) + squared(x[1] - m[1]) + squared(x[2] - m[2]) >= squared(radii[link] + reach);
     }
 
     // Squared distance of a place in a link's coordinates from the box of its points: no point of it is nearer.
@@ -540,8 +611,9 @@ class Body {
         const double *x = cloud.point(i);
         int64_t row = -1;
         link = -1;
-        double distance = std::numeric_limits<double>::infinity();
+        double distance = std::numeric_limits<double>::infinity(), reach = distance;
         for (size_t k = 0; k < CANDIDATES && candidates[k] >= 0; ++k) {
+            if (k && is_beyond(candidates[k], x, reach)) continue;
             const double *shift = &b[3 * candidates[k]];
             const double offset[3] = {x[0] - shift[0], x[1] - shift[1], x[2] - shift[2]};
             double local[3];
@@ -555,19 +627,26 @@ class Body {
                 for (int d = 0; d < 3; ++d) shade += squared(x[3 + d] - shades[3 * here + d]);
                 sum += std::min(shade, SHADE);
             }
-            if (sum < distance) distance = sum, row = here, link = candidates[k];
+            if (sum < distance) distance = sum, reach = std::sqrt(sum), row = here, link = candidates[k];
         }
         return row;
     }
 
     // A pair of a template row and the place that it should come to.
-    void add(int64_t row, const double *target, double width, double pull, double noise) {
-        double y[3], n[3], f[6];
-        posed(row, y);
+    void draw(int64_t row, const double *target, double width, double noise) {
+        Pull &sum = pulls[row];
+        if (!sum.is_posed) posed(row, sum.at), sum.is_posed = true;
+        const double gap[3] = {target[0] - sum.at[0], target[1] - sum.at[1], target[2] - sum.at[2]};
+        const double weight = squared(width * width / (width * width + dot(gap, gap))) / squared(noise);
+        sum.weight += weight;
+        for (int d = 0; d < 3; ++d) sum.gap[d] += weight * gap[d];
+    }
+
+    // All that draws a template row, in the sums of its links.
+    void add(int64_t row, const Pull &drawn, double pull) {
+        double n[3], f[6];
+        const double *y = drawn.at, *gap = drawn.gap;
         turn(&a[9 * links[2 * row]], &normals[3 * row], n);
-        const double gap[3] = {target[0] - y[0], target[1] - y[1], target[2] - y[2]};
-        const double far = dot(gap, gap);
-        const double weight = squared(width * width / (width * width + far)) / squared(noise);
         std::copy_n(n, 3, f);
         cross(y, n, f + 3);
         double outer[21], right[6], turned[3];
@@ -599,17 +678,18 @@ class Body {
         }
         Sums &sum = sums[pair[row]];
         const double first = weights[row], second = 1 - first;
+        const double weight = drawn.weight;
         const double shares[3] = {weight * first * first, weight * first * second, weight * second * second};
         if (second == 0) {
             for (int i = 0; i < 21; ++i) sum.square[0][i] += shares[0] * outer[i];
-            for (int i = 0; i < 6; ++i) sum.right[0][i] += weight * right[i];
+            for (int i = 0; i < 6; ++i) sum.right[0][i] += right[i];
             return;
         }
         for (int s = 0; s < 3; ++s)
             for (int i = 0; i < 21; ++i) sum.square[s][i] += shares[s] * outer[i];
         for (int i = 0; i < 6; ++i) {
-            sum.right[0][i] += weight * first * right[i];
-            sum.right[1][i] += weight * second * right[i];
+            sum.right[0][i] += first * right[i];
+            sum.right[1][i] += second * right[i];
         }
     }
 
@@ -711,26 +791,32 @@ class Body {
         }
     }
 
-    // g becomes the solution of h x = g, by Cholesky on the upper triangle of h, whose rows are worked on as they lie;
-    // false where h is not positive definite.
+    // g becomes the solution of h x = g, by Cholesky from the last unknown on: a joint then meets only those above it,
+    // and the few whose skin it shares. False where h is not positive definite.
     static bool solve_symmetric(Doubles &h, Doubles &g, size_t n) {
-        for (size_t j = 0; j < n; ++j) {
+        std::vector<size_t> met;
+        met.reserve(n);
+        for (size_t j = n; j-- > 0;) {
             double *row = &h[j * n];
             if (!(row[j] > 0)) return false;
             const double scale = 1 / std::sqrt(row[j]);
-            for (size_t k = j; k < n; ++k) row[k] *= scale;
+            met.clear();
+            for (size_t k = 0; k < j; ++k)
+                if (row[k] != 0) row[k] *= scale, met.push_back(k);
+            row[j] *= scale;
             g[j] *= scale;
-            for (size_t i = j + 1; i < n; ++i) {
-                const double factor = row[i];
-                if (factor == 0) continue;
+            for (size_t i : met) {
                 double *other = &h[i * n];
-                for (size_t k = i; k < n; ++k) other[k] -= factor * row[k];
-                g[i] -= factor * g[j];
+                for (size_t k : met) {
+                    if (k > i) break;
+                    other[k] -= row[i] * row[k];
+                }
+                g[i] -= row[i] * g[j];
             }
         }
-        for (size_t i = n; i-- > 0;) {
+        for (size_t i = 0; i < n; ++i) {
             double sum = g[i];
-            for (size_t k = i + 1; k < n; ++k) sum -= h[i * n + k] * g[k];
+            for (size_t k = 0; k < i; ++k) sum -= h[i * n + k] * g[k];
             g[i] = sum / h[i * n + i];
         }
         return true;
@@ -769,14 +855,16 @@ class Body {
     const Doubles origins, lengths, points;
     const std::vector<int64_t> links;
     const Doubles weights, normals, shades;
-    const std::vector<int32_t> nearest;
+    const std::vector<uint16_t> nearest;
     const Doubles low;
     const std::vector<int32_t> size;
     const std::vector<int64_t> start;
     std::vector<char> filled;
+    Doubles centres, radii;  // of spheres about the links' points
     std::vector<int64_t> pair, pairs, candidates;
-    Doubles turns, place, a, b, blocks, vectors;  // of the pose that a call looks at
+    Doubles turns, place, a, b, middles, blocks, vectors;  // of the pose that a call looks at
     std::vector<Sums> sums;
+    std::vector<Pull> pulls;
 };
 
 }  // namespace

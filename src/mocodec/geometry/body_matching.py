@@ -27,7 +27,8 @@ CELL = 0.02  # metres between the entries of a link's table
 MARGIN = 0.10  # metres that a table reaches beyond its link's points
 CANDIDATES, REFRESH = 3, 3  # links that a point is matched to, and steps after which they are chosen anew
 REACH = 3.0  # widths of the robust weight at which a template point looks for data
-CALM = 0.01  # metres: after a step that moves nothing farther, others of the same width are left out
+CALM, EASE = 0.01, 0.6  # metres: after a step that moves nothing farther, those wider than this share are left out,
+FINE = 0.05  # metres: unless they are narrower than this
 FARTHEST = 0.2  # metres: a template point farther than this from all data is not said to be farther
 SHADE = 0.04  # metres: what a difference in colour counts at most, where a point chooses its link
 TRUNCATE = 0.12  # metres beyond which a distance costs no more
@@ -237,15 +238,15 @@ class Matcher:
             strengths = np.stack([prior.turn, prior.hold])
             rotations, root, candidates = self.compiled.solve(
                 data.tree, start.rotations, start.root, np.array(steps, float).reshape(-1, 3), some, allowed,
-                prior.held, strengths, prior.root, self.pull, self.noise, REACH, CALM,
+                prior.held, strengths, prior.root, self.pull, self.noise, REACH, CALM, EASE, FINE,
             )  # fmt: skip
             return Pose(rotations, root), candidates
         pose = start
         a, b = transforms(self.body, pose)
         candidates = NOBODY
-        taken, before, calm = 0, 0.0, False
+        taken, calm_at = 0, np.inf  # the width of a calm step
         for step in steps:
-            if calm and step.width == before:
+            if step.width > max(FINE, EASE * calm_at):
                 continue
             points = data.points[: step.points]
             if taken % REFRESH == 0 or len(candidates) < len(points):
@@ -257,7 +258,7 @@ class Matcher:
             near = np.isfinite(distance)
             target = np.concatenate([points, data.points[index[near]]])
             pose, moved = self._step(target, np.concatenate([row, rows[near]]), pose, start, a, b, step.width, prior)
-            taken, before, calm = taken + 1, step.width, moved < CALM
+            taken, calm_at = taken + 1, step.width if moved < CALM else np.inf
             a, b = transforms(self.body, pose)
         return pose, candidates
 

@@ -47,7 +47,8 @@ class Limb:
     rows: Labels
 
 
-DOUBT, ASTRAY = 1.15, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
+DOUBT, ASTRAY = 1.25, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
+HOPE = 1.03  # times the cost of the best pose, below which one of which only a limb is solved is solved as a whole
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
 # shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
 LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
@@ -95,7 +96,7 @@ class Tracker:
         self.above_hips = [link for link, parent in enumerate(body.parents) if parent == 0 and link not in in_limbs]
         self.upright = _unit(body.origins[self.above_hips or [0]].mean(axis=0) - body.origins[0], body.axes[0])
         self.pose = Pose.canonical(len(body))
-        self.before = self.pose
+        self.before = self.sure = self.pose  # sure: the last pose that fitted well
         self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
         self.twins = self._twins()
         self.doubt = DOUBT  # times the usual cost that are put up with
@@ -141,8 +142,9 @@ class Tracker:
             return Fit.nothing(self.pose)
         data = self.look_at(points, colours, seed)
         found = self.solve(data, self.predict())
-        if found.cost > self.doubt * self.usual:  # it may have turned back: start from where it was
-            found = min(found, self.solve(data, self.pose), key=lambda fit: fit.cost)
+        if found.cost > min(self.doubt, ASTRAY) * self.usual:  # it may have turned back: start from where it was
+            starts = [self.pose] if self.sure is self.pose else [self.pose, self.sure]
+            found = min([found, *(self.solve(data, start) for start in starts)], key=lambda fit: fit.cost)
         better = found
         if self.settings.search:
             if found.cost > max(ASTRAY, self.doubt) * self.usual:
@@ -152,9 +154,15 @@ class Tracker:
             self.before = self.pose
             return self.assess(data, self.pose)
         self.before, self.pose = self.pose if better is found else better.pose, better.pose
+        if better.cost < ASTRAY * self.usual:
+            self.sure = better.pose
         slowly = better.cost if np.isinf(self.usual) else 0.97 * self.usual + 0.03 * better.cost
         self.usual = min(better.cost, slowly)
         return better
+
+    def expect(self, points: Floats, colours: NDArray[np.uint8] | None) -> None:
+        """Points of the first frame that the template was not made from: frames to come will fit about as well."""
+        self.usual = self.see(points, colours).cost
 
     def see(
         self, points: Floats, colours: NDArray[np.uint8] | None = None, seed: int = 0, most: int | None = None
@@ -262,7 +270,8 @@ class Tracker:
                 continue
             before = best
             for pose in self._draw(limb, data, best, seed):
-                best = _better(best, self.solve(data, pose, self.settings.widths[-5:]))
+                if self.assess(data, pose).cost < HOPE * best.cost:
+                    best = _better(best, self.solve(data, pose, self.settings.widths[-5:]))
             if best is before:  # it is where it is best: what is missing is hidden, or not in the template
                 self.patience[number] = max(self.patience[number], PUT_UP * share)
         for pair in self.twins:
@@ -271,7 +280,8 @@ class Tracker:
                 pose = self._exchanged(best.pose, *(self.limbs[i] for i in pair))
                 best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
         is_vain = is_odd and best is found
-        self.doubt = PUT_UP * found.cost / self.usual if is_vain else max(TRUST * self.doubt, DOUBT)
+        put_up = PUT_UP * found.cost / self.usual
+        self.doubt = put_up if is_vain else max(min(TRUST * self.doubt, put_up), DOUBT)
         return best
 
     def _exchanged(self, pose: Pose, one: Limb, other: Limb) -> Pose:
@@ -309,7 +319,44 @@ class Tracker:
         parts = (fit.gaps[np.isin(owner, links)] > LOST for links in (limb.links, limb.links[1:]))
         return max((float(part.mean()) for part in parts if len(part)), default=0.0)
 
-    def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 8) -> list[Pose]:
+    def _shaken(
+        self, limb: Limb, pose: Pose, rng: np.random.Generator, draws: int, first: float, second: float
+    ) -> Floats:
+        """(draws, links of the limb, 3, 3): its rotations with the first two of them turned at random, by so much."""
+        turns = np.zeros((draws, len(limb.links), 3))
+        for link, spread in enumerate((first, second)[: len(limb.links)]):
+            turns[:, link] = spread * rng.normal(size=(draws, 3))
+        return exp(turns) @ pose.rotations[limb.links]
+
+    def _reaching(self, limb: Limb, pose: Pose, rng: np.random.Generator, targets: Floats) -> Floats:
+        """(draws, links of the limb, 3, 3): its rotations where a place on its second bone or a little beyond is at one
+        of targets (draws, 3), and it bends to any side.
+        """
+        a, b = transforms(self.body, pose)
+        (upper, bend), (lower, end) = self._reach(limb)
+        start = a[upper] @ self.body.origins[upper] + b[upper]
+        first, second = bend - self.body.origins[upper], end - self.body.origins[lower]
+        one, two = np.linalg.norm(first), np.linalg.norm(second) * rng.uniform(0.5, 1.3, len(targets))
+        way = targets - start
+        far = np.linalg.norm(way, axis=1)
+        to = way / np.maximum(far, 1e-9)[:, None]
+        far = np.clip(far, np.abs(one - two) + 1e-3, one + two - 1e-3)
+        cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]
+        side = np.cross(to, rng.normal(size=to.shape))
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        along = cosine * to + np.sqrt(1 - cosine**2) * side
+        onward = start + far[:, None] * to - (start + one * along)
+        onward /= np.linalg.norm(onward, axis=1, keepdims=True)
+        turned = between(np.tile(a[upper] @ first / one, (len(to), 1)), along) @ a[upper]
+        below = turned @ pose.rotations[lower]
+        below = between(below @ second / np.linalg.norm(second), onward) @ below
+        parent = self.body.parents[upper]
+        rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
+        rotations[:, 0] = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
+        rotations[:, 1] = turned.transpose(0, 2, 1) @ below
+        return rotations
+
+    def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 5) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""
         free = np.flatnonzero((found.residuals > 0.5 * LOST) | np.isin(found.links, limb.links))
         if len(free) < 10:
@@ -317,17 +364,16 @@ class Tracker:
         wanted = data.points[found.residuals > LOST]
         wanted = wanted[:: max(1, len(wanted) // 50)]
         rng = np.random.default_rng([seed, int(limb.links[0])])
-        turns = np.zeros((draws, len(limb.links), 3))
-        first, second = rng.normal(size=(2, draws, 3))
-        # a third: the second bone anywhere; a third: around where the limb is; a third: around where it was
-        spread = np.repeat([0.15, 0.9, 0.9], draws // 3)[:, None]
-        turns[:, 0] = spread * first
-        turns[:, 1] = np.repeat([2.0, 0.7, 0.7], draws // 3)[:, None] * second
-        start = np.tile(found.pose.rotations[limb.links], (draws, 1, 1, 1))
-        start[2 * draws // 3 :] = self.pose.rotations[limb.links]
-        rotations = exp(turns) @ start
+        rotations = np.concatenate([
+            self._shaken(limb, found.pose, rng, draws // 3, 0.15, 2.0),
+            self._shaken(limb, self.pose, rng, draws // 3, 0.9, 0.7),
+            self._reaching(limb, found.pose, rng, wanted[rng.integers(len(wanted), size=draws // 3)])
+            if len(wanted) and len(limb.links) > 1
+            else self._shaken(limb, found.pose, rng, draws // 3, 0.9, 0.7),
+        ])  # fmt: skip
         places = Data.build(data.points[free], None, None)
-        score = self.matcher.distances(places, wanted, found.pose, limb.links, rotations, limb.rows)
+        score = self.matcher.distances(places, wanted, found.pose, limb.links, rotations, limb.rows[::3])
+        free = free[:: max(1, len(free) // 300)]
         still = np.full(len(self.body), 1e8)
         still[limb.links] = self.stiffness[limb.links] ** -2.0
         prior = self.prior._replace(turn=still, root=1e8)

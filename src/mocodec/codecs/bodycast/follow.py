@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput, CannotEncode
-from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning
+from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning, smoothing
 from ...geometry.articulation import Body, Floats, Pose
 from .. import body_stream
 
@@ -21,6 +21,7 @@ Labels = NDArray[Any]
 Cloud = tuple[Floats, NDArray[np.uint8] | None]
 FEWEST = 50  # points that a frame must have to be a body
 TEMPLATE = 3000  # points of the first frame that the tracker keeps
+OTHERS = 500  # points beyond these, at least, that say how well a frame is to fit
 DETAIL = 5000  # points of a frame that the surface is made from
 NEAR = 0.04  # metres from the template that a point of the surface may be
 APART = 0.12  # metres between two people, at least, in the first frame
@@ -65,13 +66,17 @@ def _begin(
     if len(some) < 2 * FEWEST:
         raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
     shades = None if colours is None else colours[some]
-    body, model = articulated_icp.make_model(body, points[some], shades, by_surface=True)
+    surface = smoothing.smoothed(points[some], points)
+    body, model = articulated_icp.make_model(body, surface, shades, by_surface=True)
     body = body_stream.rounded(body)
     few = slice(0, TEMPLATE)
     skin = skinning.skin(body, model.points[few], model.links[few])
     shades = None if model.colours is None else model.colours[few]
-    settings = body_tracking.Settings(points=looked_at)
-    return body, body_tracking.Tracker(body, skin, model.normals[few], shades, settings), shades
+    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, body_tracking.Settings(points=looked_at))
+    if len(some) >= TEMPLATE + OTHERS:
+        others = some[TEMPLATE:]
+        tracker.expect(points[others], None if colours is None else colours[others])
+    return body, tracker, shades
 
 
 class Follower:
@@ -114,6 +119,7 @@ class Follower:
         around[np.arange(len(points)), own] -= DECIDED**2
         better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
         self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, self.colours, tracker.settings)
+        self.tracker.usual = tracker.usual
 
     def refined(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose) -> Pose:
         """A pose brought closer to a frame's points, from more of them than a tracker looks at."""
