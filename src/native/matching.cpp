@@ -2,6 +2,7 @@
 // which defines the result. Sums run in another order there, so that the two agree to rounding, not to the last bit.
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -300,9 +301,8 @@ class Body {
     }
 
     // Gauss–Newton: one step for each row of `steps`, its width, how many of the data's points and how many rows of
-    // `some` it looks at; the pose that it ends with, and the links that points were matched to. After a step that moves
-    // nothing by more than `calm`, others are left out until the width is down to `ease` times its own, if that is more
-    // than `fine`.
+    // `some` it looks at; the pose that it ends with. After a step that moves nothing by more than `calm`, others are
+    // left out until the width is down to `ease` times its own, if that is more than `fine`.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
                     double loose, double pull, double noise, double reach, double calm, double ease, double fine) {
@@ -353,28 +353,22 @@ class Body {
         Fresh<double> out(9 * count), out_root(3);
         std::copy(turns.begin(), turns.end(), out.data.get());
         std::copy(place.begin(), place.end(), out_root.data.get());
-        const size_t known = candidates.size() / CANDIDATES;
-        Fresh<int64_t> last(candidates.size());
-        std::copy(candidates.begin(), candidates.end(), last.data.get());
-        return nb::make_tuple(out.give({count, 3, 3}), out_root.give({3}), last.give({known, CANDIDATES}));
+        return nb::make_tuple(out.give({count, 3, 3}), out_root.give({3}));
     }
 
     // For each data point the template row and link that explain it, −1 where none may, and how far it is away; for
     // each template row of `some` how far the data point nearest in place and colour is away in place (`within`, where
-    // none is nearer); and the mean squares of both distances, with colours, none beyond `most`. known: links
-    // that each point is matched to; chosen anew where there are not as many rows as points.
+    // none is nearer); and the mean squares of both distances, with colours, none beyond `most`. solved: this pose
+    // and cloud are those of the last call of `solve`, so that the links that points are matched to are known.
     nb::tuple assess(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<int64_t, 1> some,
-                     Input<bool, 1> allowed, Input<int64_t, 2> known, double within, double most) {
+                     Input<bool, 1> allowed, bool solved, double within, double most) {
         require(rotations, root, allowed, some);
         require(cloud);
         turns.assign(rotations.data(), rotations.data() + 9 * count);
         place.assign(root.data(), root.data() + 3);
         transform();
-        if (known.shape(0) == cloud.count && known.shape(1) == CANDIDATES) {
-            candidates = copy(known);
-            for (int64_t link : candidates)
-                if (link >= int64_t(count)) throw std::invalid_argument("BodyMatcher.assess: a link beyond the body");
-        } else {
+        if (!solved || candidates.size() != cloud.count * CANDIDATES) {
+            candidates.clear();
             find_candidates(cloud, cloud.count, allowed.data());
         }
         const size_t n = cloud.count, k = some.shape(0);
@@ -457,6 +451,8 @@ class Body {
   private:
     static constexpr size_t CANDIDATES = 3;
     static constexpr size_t REFRESH = 3;
+    static constexpr double RIVAL = 0.08;
+    static constexpr float SLACK = 1e-4f;  // metres: more than single precision errs by, near a body
 
     // The sphere about the box of a link's points that holds them all.
     void enclose(size_t link) {
@@ -545,28 +541,37 @@ class Body {
         return nearest[start[link] + index];
     }
 
-    // The links whose points are nearest to each of the first points, nearest first. Those that were so before are
-    // looked at first: few others are near enough then to be looked at at all.
+    // The links whose points are nearest to each of the first points, nearest first, and none that is farther than the
+    // nearest by RIVAL. Those that were so before are looked at first: few others are near enough then to be looked at.
     void find_candidates(const Cloud &cloud, size_t here, const bool *allowed) {
         const std::vector<int64_t> before = std::move(candidates);
         candidates.assign(here * CANDIDATES, -1);
         std::vector<int64_t> usable;
         for (size_t link = 0; link < count; ++link)
             if (filled[link] && allowed[link]) usable.push_back(int64_t(link));
+        const size_t width = usable.size();
+        std::vector<float> spheres(4 * width), away(width);  // middles by axes, then radii; squared distances of them
+        for (size_t u = 0; u < width; ++u) {
+            for (int d = 0; d < 3; ++d) spheres[d * width + u] = float(middles[3 * usable[u] + d]);
+            spheres[3 * width + u] = float(radii[usable[u]]) + SLACK;
+        }
+        const float *mx = &spheres[0], *my = mx + width, *mz = my + width, *radius = mz + width;
         std::vector<char> seen(count, 0);
+        std::array<int64_t, CANDIDATES> last;  // those of the point before, which lies near
+        last.fill(-1);
         for (size_t i : cloud.together()) {
             if (i >= here) continue;
             const double *x = cloud.point(i);
-            double best[CANDIDATES], reach = std::numeric_limits<double>::infinity();  // that of the last: a distance
-            std::fill_n(best, CANDIDATES, reach);
+            double best[CANDIDATES];
+            double reach = std::numeric_limits<double>::infinity();  // how far the last of them may be
+            std::fill_n(best, CANDIDATES, std::numeric_limits<double>::infinity());
             int64_t *found = &candidates[i * CANDIDATES];
             const auto look = [&](int64_t link) {
-                if (is_beyond(link, x, reach)) return;
                 const double *shift = &b[3 * link];
                 const double offset[3] = {x[0] - shift[0], x[1] - shift[1], x[2] - shift[2]};
                 double local[3];
                 turn_back(&a[9 * link], offset, local);
-                if (outside(link, local) >= best[CANDIDATES - 1]) return;
+                if (outside(link, local) >= squared(reach)) return;
                 const double *y = &points[3 * look_up(link, local)];
                 const double distance =
                     squared(local[0] - y[0]) + squared(local[1] - y[1]) + squared(local[2] - y[2]);
@@ -576,17 +581,25 @@ class Body {
                 for (size_t k = CANDIDATES - 1; k > at; --k) best[k] = best[k - 1], found[k] = found[k - 1];
                 best[at] = distance;
                 found[at] = link;
-                reach = std::sqrt(best[CANDIDATES - 1]);
+                reach = std::min(std::sqrt(best[CANDIDATES - 1]), std::sqrt(best[0]) + RIVAL);
             };
-            int64_t known[CANDIDATES];
-            std::fill_n(known, CANDIDATES, -1);
-            if ((i + 1) * CANDIDATES <= before.size()) std::copy_n(&before[i * CANDIDATES], CANDIDATES, known);
+            const bool is_known = (i + 1) * CANDIDATES <= before.size();
+            std::array<int64_t, CANDIDATES> known = last;
+            if (is_known) std::copy_n(&before[i * CANDIDATES], CANDIDATES, known.begin());
             for (int64_t link : known)
                 if (link >= 0 && allowed[link]) look(link), seen[link] = 1;
-            for (int64_t link : usable)
-                if (!seen[link]) look(link);
+            const float px = float(x[0]), py = float(x[1]), pz = float(x[2]);
+            for (size_t u = 0; u < width; ++u)
+                away[u] = (px - mx[u]) * (px - mx[u]) + (py - my[u]) * (py - my[u]) + (pz - mz[u]) * (pz - mz[u]);
+            for (size_t u = 0; u < width; ++u) {
+                const float most = radius[u] + float(reach);
+                if (away[u] < most * most && !seen[usable[u]]) look(usable[u]);
+            }
             for (int64_t link : known)
                 if (link >= 0) seen[link] = 0;
+            for (size_t k = 1; k < CANDIDATES; ++k)
+                if (best[k] > squared(std::sqrt(best[0]) + RIVAL)) found[k] = -1;
+            std::copy_n(found, CANDIDATES, last.begin());
         }
     }
 

@@ -159,3 +159,34 @@ def test_legs_that_are_taken_for_each_other_are_exchanged(performance, clouds):
     for f in range(2, 8):
         fit = tracker.fit(clouds.positions[f], clouds.colours[f], f)
     assert errors(tracker, performance, fit, 7).max() < 0.06
+
+
+def test_a_limb_reaches_where_it_is_told_to(performance, clouds):
+    tracker = tracker_of(performance, clouds)
+    limb = next(limb for limb in tracker.limbs if tracker.body.names[limb.links[0]] == "LeftArm")
+    a, b = articulation.transforms(tracker.body, tracker.pose)
+    (upper, bend), (lower, end) = tracker._reach(limb)
+    start = a[upper] @ tracker.body.origins[upper] + b[upper]
+    rng = np.random.default_rng(4)
+    targets = start + rng.normal(size=(20, 3)) * 0.15
+    rotations = tracker._reaching(limb, tracker.pose, rng, targets)
+    length = np.linalg.norm(end - bend)
+    for target, turned in zip(targets, rotations, strict=True):
+        whole = tracker.pose.rotations.copy()
+        whole[limb.links] = turned
+        a, b = articulation.transforms(tracker.body, articulation.Pose(whole, tracker.pose.root))
+        elbow, wrist = a[upper] @ bend + b[upper], a[lower] @ end + b[lower]
+        along = np.clip((target - elbow) @ (wrist - elbow) / length**2, 0.5, 1.3)
+        assert np.linalg.norm(elbow + along * (wrist - elbow) - target) < 0.01 or np.linalg.norm(target - start) < 0.1
+
+
+def test_what_fits_well_is_known_from_points_of_the_first_frame(performance):
+    clouds = sequences.record(performance, 8000, seed=2)
+    assert clouds.colours is not None
+    first = slice(0, 3000), slice(3000, None)
+    some, others = (PointClouds([clouds.positions[0][s]], 15.0, [clouds.colours[0][s]]) for s in first)
+    tracker = tracker_of(performance, some)
+    tracker.expect(others.positions[0], others.colours[0])
+    expected = tracker.usual
+    fit = tracker.fit(clouds.positions[1], clouds.colours[1], 1)
+    assert 0.5 < fit.cost / expected < 2

@@ -27,6 +27,7 @@ CELL = 0.02  # metres between the entries of a link's table
 MARGIN = 0.10  # metres that a table reaches beyond its link's points
 CANDIDATES, REFRESH = 3, 3  # links that a point is matched to, and steps after which they are chosen anew
 REACH = 3.0  # widths of the robust weight at which a template point looks for data
+RIVAL = 0.08  # metres beyond the nearest link at which another does not count
 CALM, EASE = 0.01, 0.6  # metres: after a step that moves nothing farther, those wider than this share are left out,
 FINE = 0.05  # metres: unless they are narrower than this
 FARTHEST = 0.2  # metres: a template point farther than this from all data is not said to be farther
@@ -38,6 +39,7 @@ CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
 CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
 NO_SHADES = np.zeros((0, 3))
 NOBODY = np.zeros((0, CANDIDATES), np.int64)
+SOLVED = NOBODY.copy()  # stands for what the compiled twin has kept
 
 
 class Step(NamedTuple):
@@ -236,11 +238,11 @@ class Matcher:
         allowed = self.everywhere if allowed is None else allowed
         if self.compiled and native.available():
             strengths = np.stack([prior.turn, prior.hold])
-            rotations, root, candidates = self.compiled.solve(
+            rotations, root = self.compiled.solve(
                 data.tree, start.rotations, start.root, np.array(steps, float).reshape(-1, 3), some, allowed,
                 prior.held, strengths, prior.root, self.pull, self.noise, REACH, CALM, EASE, FINE,
             )  # fmt: skip
-            return Pose(rotations, root), candidates
+            return Pose(rotations, root), SOLVED
         pose = start
         a, b = transforms(self.body, pose)
         candidates = NOBODY
@@ -267,7 +269,7 @@ class Matcher:
         some = self.some
         if self.compiled and native.available():
             return Fit(pose, data, *self.compiled.assess(
-                data.tree, pose.rotations, pose.root, some, self.everywhere, candidates, FARTHEST, TRUNCATE
+                data.tree, pose.rotations, pose.root, some, self.everywhere, candidates is SOLVED, FARTHEST, TRUNCATE
             ))  # fmt: skip
         a, b = transforms(self.body, pose)
         if len(candidates) != len(data.points):
@@ -308,14 +310,20 @@ class Matcher:
         return score
 
     def _candidates(self, points: Floats, a: Floats, b: Floats, allowed: Mask) -> Labels:
-        """(n, candidates): the links whose template is nearest to each point."""
+        """(n, candidates): the links whose template is nearest to each point; for those farther than the nearest
+        by RIVAL, the nearest again.
+        """
         links = np.flatnonzero(self.has_points & allowed)
         local = (points[None] - b[links, None]) @ a[links]
         row = self.tables.look_up(links[:, None], local)
         gap = local - self.skin.points[row]
         distance = np.einsum("lni,lni->ln", gap, gap)
         count = min(CANDIDATES, len(links))
-        return links[np.argpartition(distance, count - 1, axis=0)[:count]].T
+        order = np.argpartition(distance, count - 1, axis=0)[:count]
+        nearest = distance.argmin(axis=0)
+        there = np.sqrt(np.take_along_axis(distance, order, axis=0))
+        order = np.where(there > np.sqrt(distance[nearest, np.arange(len(points))]) + RIVAL, nearest, order)
+        return links[order].T
 
     def _match(self, data: Data, a: Floats, b: Floats, candidates: Labels) -> tuple[Labels, Labels]:
         """For each of the first points, the nearest template point among those of its candidate links, and that

@@ -41,10 +41,13 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """links of an arm or leg from its long bone on, and rows of the template that follow them."""
+    """links of an arm or leg from its long bone on; rows of the template that follow them; and, of those that look for
+    data, which follow any of them, and which those beyond the long bone.
+    """
 
     links: Labels
     rows: Labels
+    looked_at: tuple[Labels, Labels]
 
 
 DOUBT, ASTRAY = 1.25, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
@@ -217,7 +220,9 @@ class Tracker:
                 continue
             mine = np.flatnonzero(np.isin(self.skin.links[:, 0], chain))
             if len(mine) >= 30:
-                limbs.append(Limb(np.array(chain), mine[:: max(1, len(mine) // 60)]))
+                owner = self.skin.links[self.matcher.some, 0]
+                every, beyond = (np.flatnonzero(np.isin(owner, links)) for links in (chain, chain[1:]))
+                limbs.append(Limb(np.array(chain), mine[:: max(1, len(mine) // 60)], (every, beyond)))
         return limbs
 
     def _anew(self, data: Data, found: Fit) -> Fit:
@@ -315,8 +320,7 @@ class Tracker:
 
     def _lost(self, limb: Limb, fit: Fit) -> float:
         """The share of a limb's template that has no data near it, of all of it or of what is beyond its first bone."""
-        owner = self.skin.links[self.matcher.some, 0]
-        parts = (fit.gaps[np.isin(owner, links)] > LOST for links in (limb.links, limb.links[1:]))
+        parts = (fit.gaps[rows] > LOST for rows in limb.looked_at)
         return max((float(part.mean()) for part in parts if len(part)), default=0.0)
 
     def _shaken(
