@@ -319,15 +319,15 @@ class Body {
         std::vector<int64_t> found(some.shape(0), -1);
         const size_t unknowns = 3 + 3 * count;
         Doubles h, g;
-        size_t taken = 0;
+        size_t since = 0;  // steps since links were chosen anew
         double calm_at = std::numeric_limits<double>::infinity();  // the width of a calm step
         for (size_t step = 0; step < widths.shape(0); ++step) {
             const double width = widths.data()[3 * step];
             if (width > std::max(fine, ease * calm_at)) continue;
             const size_t here = std::min(cloud.count, size_t(widths.data()[3 * step + 1]));
             const size_t looked = std::min(some.shape(0), size_t(widths.data()[3 * step + 2]));
-            if (taken++ % REFRESH == 0 || candidates.size() < here * CANDIDATES)
-                find_candidates(cloud, here, allowed.data());
+            if (++since > REFRESH && std::isinf(calm_at)) candidates_from(cloud, 0, here, allowed.data()), since = 1;
+            candidates_from(cloud, candidates.size() / CANDIDATES, here, allowed.data());
             pulls.assign(rows, Pull{});
             for (size_t i : cloud.together()) {
                 if (i >= here) continue;
@@ -369,7 +369,7 @@ class Body {
         transform();
         if (!solved || candidates.size() != cloud.count * CANDIDATES) {
             candidates.clear();
-            find_candidates(cloud, cloud.count, allowed.data());
+            candidates_from(cloud, 0, cloud.count, allowed.data());
         }
         const size_t n = cloud.count, k = some.shape(0);
         Fresh<int64_t> row(n), link(n);
@@ -541,11 +541,14 @@ class Body {
         return nearest[start[link] + index];
     }
 
-    // The links whose points are nearest to each of the first points, nearest first, and none that is farther than the
-    // nearest by RIVAL. Those that were so before are looked at first: few others are near enough then to be looked at.
-    void find_candidates(const Cloud &cloud, size_t here, const bool *allowed) {
-        const std::vector<int64_t> before = std::move(candidates);
-        candidates.assign(here * CANDIDATES, -1);
+    // The links whose points are nearest to each of the points from one to another, nearest first, and none that is
+    // farther than the nearest by RIVAL. Those that were so before are looked at first: few others are near enough then to
+    // be looked at.
+    void candidates_from(const Cloud &cloud, size_t from, size_t here, const bool *allowed) {
+        if (from >= here) return;
+        const std::vector<int64_t> before(candidates.begin() + from * CANDIDATES, candidates.end());
+        candidates.resize(from * CANDIDATES);
+        candidates.resize(here * CANDIDATES, -1);
         std::vector<int64_t> usable;
         for (size_t link = 0; link < count; ++link)
             if (filled[link] && allowed[link]) usable.push_back(int64_t(link));
@@ -560,7 +563,7 @@ class Body {
         std::array<int64_t, CANDIDATES> last;  // those of the point before, which lies near
         last.fill(-1);
         for (size_t i : cloud.together()) {
-            if (i >= here) continue;
+            if (i < from || i >= here) continue;
             const double *x = cloud.point(i);
             double best[CANDIDATES];
             double reach = std::numeric_limits<double>::infinity();  // how far the last of them may be
@@ -583,9 +586,9 @@ class Body {
                 found[at] = link;
                 reach = std::min(std::sqrt(best[CANDIDATES - 1]), std::sqrt(best[0]) + RIVAL);
             };
-            const bool is_known = (i + 1) * CANDIDATES <= before.size();
+            const bool is_known = (i - from + 1) * CANDIDATES <= before.size();
             std::array<int64_t, CANDIDATES> known = last;
-            if (is_known) std::copy_n(&before[i * CANDIDATES], CANDIDATES, known.begin());
+            if (is_known) std::copy_n(&before[(i - from) * CANDIDATES], CANDIDATES, known.begin());
             for (int64_t link : known)
                 if (link >= 0 && allowed[link]) look(link), seen[link] = 1;
             const float px = float(x[0]), py = float(x[1]), pz = float(x[2]);

@@ -25,7 +25,7 @@ Labels = NDArray[Any]
 Mask = NDArray[np.bool_]
 CELL = 0.02  # metres between the entries of a link's table
 MARGIN = 0.10  # metres that a table reaches beyond its link's points
-CANDIDATES, REFRESH = 3, 3  # links that a point is matched to, and steps after which they are chosen anew
+CANDIDATES, REFRESH = 3, 3  # links that a point is matched to, and steps after which they are chosen anew if it moves
 REACH = 3.0  # widths of the robust weight at which a template point looks for data
 RIVAL = 0.08  # metres beyond the nearest link at which another does not count
 CALM, EASE = 0.01, 0.6  # metres: after a step that moves nothing farther, those wider than this share are left out,
@@ -246,13 +246,17 @@ class Matcher:
         pose = start
         a, b = transforms(self.body, pose)
         candidates = NOBODY
-        taken, calm_at = 0, np.inf  # the width of a calm step
+        since, calm_at = 0, np.inf  # steps since links were chosen anew; the width of a calm step
         for step in steps:
             if step.width > max(FINE, EASE * calm_at):
                 continue
             points = data.points[: step.points]
-            if taken % REFRESH == 0 or len(candidates) < len(points):
-                candidates = self._candidates(points, a, b, allowed)
+            since += 1
+            if since > REFRESH and np.isinf(calm_at):
+                candidates, since = NOBODY, 1
+            if len(candidates) < len(points):
+                more = self._candidates(points[len(candidates) :], a, b, allowed)
+                candidates = np.concatenate([candidates, more]) if len(candidates) else more
             row, _ = self._match(data, a, b, candidates[: len(points)])
             rows = some[: step.template]
             shades = None if self.shades is None else self.shades[rows]
@@ -260,7 +264,7 @@ class Matcher:
             near = np.isfinite(distance)
             target = np.concatenate([points, data.points[index[near]]])
             pose, moved = self._step(target, np.concatenate([row, rows[near]]), pose, start, a, b, step.width, prior)
-            taken, calm_at = taken + 1, step.width if moved < CALM else np.inf
+            calm_at = step.width if moved < CALM else np.inf
             a, b = transforms(self.body, pose)
         return pose, candidates
 
