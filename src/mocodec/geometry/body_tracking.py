@@ -55,8 +55,8 @@ HOPE = 1.03  # times the cost of the best pose, below which one of which only a 
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
 # shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
 LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
-# after a search in vain, times what was amiss is put up with; the share of it a frame later, of a limb's and the cost
-PUT_UP, FORGET, TRUST = 1.2, 0.85, 0.85
+# after a search in vain, times what was amiss is put up with, of a limb and of the cost; the share of it a frame later
+PUT_UP, AGAIN, FORGET, TRUST = 1.2, 1.1, 0.85, 0.85
 FINE, COARSE = 0.03, 0.05  # metres: wider weights look at half of the points, or at a few
 FEW = 0.01  # share of the template below which a link has too little to turn by
 ABSENT = 0.10  # metres from each other at which most of the data and of the template are not of one body
@@ -285,7 +285,7 @@ class Tracker:
                 pose = self._exchanged(best.pose, *(self.limbs[i] for i in pair))
                 best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
         is_vain = is_odd and best is found
-        put_up = PUT_UP * found.cost / self.usual
+        put_up = AGAIN * found.cost / self.usual
         self.doubt = put_up if is_vain else max(min(TRUST * self.doubt, put_up), DOUBT)
         return best
 
