@@ -80,7 +80,7 @@ def fit(
     stored = min(plain, on_body, key=lambda s: len(s.pack()))
     moves = mapped.movements(stored, bones)
     start = mapped.model(stored, moves, bones, prior, names, rate)
-    return replace(stored, levels=_levels(positions, start, moves, bones, step)), moves
+    return replace(stored, levels=levels_of(positions, start, moves, bones.usual, step)), moves
 
 
 FEWEST = 4
@@ -210,7 +210,9 @@ def _followed(moved: Floats, turn: float, t: Try, bones: Bones, rounds: int = BE
     return _unlikely(a, flat, noise), turn, t
 
 
-def _levels(positions: Sequence[Floats], start: Model, found: mapped.Movements, bones: Bones, step: int) -> Integers:
+def levels_of(
+    positions: Sequence[Floats], start: Model, found: mapped.Movements, usual: Integers, step: int
+) -> Integers:
     """The levels that make the coefficients of the recording cheapest."""
     size = float(step_size(step)) * FLOOR
     nodes = np.array(contexts.BANDS_MHZ[1:])
@@ -224,7 +226,7 @@ def _levels(positions: Sequence[Floats], start: Model, found: mapped.Movements, 
     mean = total / np.maximum(count, 1)[:, None] + size
 
     def bits(levels: tuple[int, ...]) -> float:
-        expected = step_size(mapped.spreads_of(found, bones, np.array(levels))[:, 1:].T) + size
+        expected = step_size(mapped.spreads_of(found, usual, np.array(levels))[:, 1:].T) + size
         return float((count[:, None] * (np.log2(expected) + mean / expected / np.log(2))).sum())
 
     best, levels = bits(FIRST_LEVELS), FIRST_LEVELS

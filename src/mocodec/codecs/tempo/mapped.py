@@ -116,14 +116,15 @@ class Movements:
 def movements(stored: Stored, bones: Bones) -> Movements:
     weights = stored.weights
     free = 3 * len(weights) - 3
-    strength = _power(bones.set.spreads[POSE:])
+    strength = power(bones.set.spreads[POSE:])
+    alike = np.tile(np.eye(3), len(weights)) / np.sqrt(len(weights))  # moves of all points
     bases, explained = [], []
     for band, modes in enumerate(bones.set.bases):
         moved = spread_over(modes, weights, stored.where)
-        basis = _directions(moved * np.sqrt(strength[:, _nodes_of(band)].max(axis=1))[:, None], free)
+        basis = directions(moved * np.sqrt(strength[:, nodes_of(band)].max(axis=1))[:, None], free)
         variance = np.zeros((free, len(bones.usual)))
-        variance[: len(basis)] = _times(_times(basis, moved.T.copy()) ** 2, strength)
-        bases.append(_completed(basis, free))
+        variance[: len(basis)] = times(times(basis, moved.T.copy()) ** 2, strength)
+        bases.append(completed(basis, free, alike))
         explained.append(variance)
     return Movements(tuple(bases), tuple(explained))
 
@@ -131,11 +132,8 @@ def movements(stored: Stored, bones: Bones) -> Movements:
 def model(stored: Stored, found: Movements, bones: Bones, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
     """The model of points on bones, once their movements are known."""
     like = bones.set
-    spreads = spreads_of(found, bones, stored.levels)
-    change = int(contexts.log2(np.array([len(like.names)]))[0] - contexts.log2(np.array([len(names)]))[0]) // 2
-    moved, means = like.spreads[:POSE].copy(), like.means[:POSE].copy()
-    moved[HEADING + 1 :] -= change
-    means[HEADING + 1 :] -= change
+    spreads = spreads_of(found, bones.usual, stored.levels)
+    moved, means = of_whole_body(like, len(names))
     points = PointSet(
         names,
         stored.place(bones),
@@ -146,11 +144,20 @@ def model(stored: Stored, found: Movements, bones: Bones, prior: Prior, names: t
     return Model(points, prior, rate)
 
 
-def spreads_of(found: Movements, bones: Bones, levels: Integers) -> Integers:
-    """The spreads of the rows, (rows, frequencies), at these levels."""
+def of_whole_body(like: PointSet, points: int) -> tuple[Integers, Integers]:
+    """Spreads (rows, frequencies) and means (rows,) of heading and place, as known of other points, of so many."""
+    change = int(contexts.log2(np.array([len(like.names)]))[0] - contexts.log2(np.array([points]))[0]) // 2
+    moved, means = like.spreads[:POSE].copy(), like.means[:POSE].copy()
+    moved[HEADING + 1 :] -= change
+    means[HEADING + 1 :] -= change
+    return moved, means
+
+
+def spreads_of(found: Movements, usual: Integers, levels: Integers) -> Integers:
+    """The spreads of the rows, (rows, frequencies), at these levels. usual (frequencies,): a middling component's."""
     gain, gain_rise, left, left_rise, white = (int(v) * LEVEL_UNIT for v in levels)
-    gains = _power(gain + gain_rise * _OCTAVES // contexts.OCTAVE)
-    noise = _power(bones.usual + left + left_rise * _OCTAVES // contexts.OCTAVE) + _power(np.full(len(_OCTAVES), white))
+    gains = power(gain + gain_rise * _OCTAVES // contexts.OCTAVE)
+    noise = power(usual + left + left_rise * _OCTAVES // contexts.OCTAVE) + power(np.full(len(_OCTAVES), white))
     curves = [contexts.log2_of(e * gains + noise) // 2 for e in found.explained]
     return np.stack([curves[_band_of(f)][:, i] for i, f in enumerate(contexts.BANDS_MHZ)], axis=1)
 
@@ -172,11 +179,11 @@ def spread_over(modes: Floats, weights: Floats, where: Integers) -> Floats:
     moved = found[:, :, 0] * weights[:, 0, None]
     for i in range(1, 4):
         moved = moved + found[:, :, i] * weights[:, i, None]
-    mean = _sum(moved.swapaxes(0, 1)) / len(weights)
+    mean = sum_of(moved.swapaxes(0, 1)) / len(weights)
     return (moved - mean[:, None]).reshape(len(modes), -1)
 
 
-def _nodes_of(band: int) -> slice:
+def nodes_of(band: int) -> slice:
     """The frequencies among `BANDS_MHZ` that one basis serves."""
     inside = [i for i, f in enumerate(contexts.BANDS_MHZ) if _band_of(f) == band]
     return slice(inside[0], inside[-1] + 1)
@@ -186,19 +193,19 @@ def _band_of(millihertz: int) -> int:
     return sum(millihertz > e for e in EDGES_MHZ)
 
 
-def _directions(scaled: Floats, most: int) -> Floats:
+def directions(scaled: Floats, most: int) -> Floats:
     """Orthonormal directions (k, 3 points) of movements (modes, 3 points), strongest first."""
     found = _orthonormal(scaled, most)
     for _ in range(ROUNDS):
         if len(found):
-            found = _orthonormal(_times(_times(found, scaled.T.copy()), scaled), most)
+            found = _orthonormal(times(times(found, scaled.T.copy()), scaled), most)
     return found
 
 
 def _orthonormal(rows: Floats, most: int) -> Floats:
     """Gram–Schmidt on rows, the longest that is left first; rows too short to say anything are dropped."""
     left = rows.T.copy()
-    size = _sum(left**2)
+    size = sum_of(left**2)
     floor = max(1e-30, float(size.max(initial=0.0)) * FAINTEST)
     out = np.zeros((left.shape[0], min(most, len(rows))))
     for count in range(out.shape[1]):
@@ -206,20 +213,20 @@ def _orthonormal(rows: Floats, most: int) -> Floats:
         if size[longest] < floor:
             return out[:, :count].T.copy()
         direction = left[:, longest] / np.sqrt(size[longest])
-        direction = direction - _sum((out[:, :count] * _sum(out[:, :count] * direction[:, None])).T)
-        unit = direction / np.sqrt(_sum(direction**2))
+        direction = direction - sum_of((out[:, :count] * sum_of(out[:, :count] * direction[:, None])).T)
+        unit = direction / np.sqrt(sum_of(direction**2))
         out[:, count] = unit
-        left -= unit[:, None] * _sum(left * unit[:, None])
-        size = _sum(left**2)
+        left -= unit[:, None] * sum_of(left * unit[:, None])
+        size = sum_of(left**2)
         size[longest] = 0.0
     return out.T.copy()
 
 
-def _completed(rows: Floats, count: int) -> Floats:
-    """Orthonormal rows with more after them, up to `count`, by Householder's reflections; moves of all points alike are
-    left out. The coder does not depend on these."""
+def completed(rows: Floats, count: int, without: Floats) -> Floats:
+    """Orthonormal rows with more after them, up to `count`, by Householder's reflections, and none of other such rows.
+    The coder does not depend on these."""
     n = rows.shape[1]
-    known = np.concatenate([rows, np.tile(np.eye(3), n // 3) / np.sqrt(n / 3)])
+    known = np.concatenate([rows, without])
     mirrors: list[Floats] = []
     for i in range(len(known)):
         mirror = known[i, i:].copy()
@@ -233,7 +240,7 @@ def _completed(rows: Floats, count: int) -> Floats:
     return np.concatenate([rows, missing])[:count]
 
 
-def _power(logs: Integers) -> Floats:
+def power(logs: Integers) -> Floats:
     """4^log of logarithms in 1/32 octave, from a table: the same on every machine."""
     twice = 2 * logs
     return np.ldexp(_FRACTIONS[twice & 31], twice >> 5)
@@ -242,7 +249,7 @@ def _power(logs: Integers) -> Floats:
 _FRACTIONS = np.array([round(2 ** (i / 32) * (1 << 20)) / (1 << 20) for i in range(32)])
 
 
-def _times(a: Floats, b: Floats) -> Floats:
+def times(a: Floats, b: Floats) -> Floats:
     """The product of matrices, summed in order."""
     out = np.zeros((len(a), b.shape[1]))
     for column, row in zip(a.T, b, strict=True):
@@ -250,7 +257,7 @@ def _times(a: Floats, b: Floats) -> Floats:
     return out
 
 
-def _sum(a: Floats) -> Floats:
+def sum_of(a: Floats) -> Floats:
     """The sum along the first axis, by halves."""
     while len(a) > 1:
         half = len(a) // 2

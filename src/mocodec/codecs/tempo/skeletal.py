@@ -70,7 +70,7 @@ def unpack(data: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton 
     if data[0] == SKELETON:
         if skeleton is None or len(data) > 1:
             raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
-        return Model(replace(points, limbs=points.limbs.built(_offsets(skeleton, points.columns))), prior, rate)
+        return Model(replace(points, limbs=points.limbs.built(offsets_of(skeleton, points.columns))), prior, rate)
     return Model(replace(points, limbs=_unpack_build(data[1:], points.limbs)), prior, rate)
 
 
@@ -127,7 +127,7 @@ class Stored:
         parents = self.parents
         if skeleton is not None and not parents:
             parents = skeleton.parents
-        columns = _ordered(parents)
+        columns = ordered(parents)
         if columns is None or len(parents) != len(names):
             raise Corrupt("tempo: bones that make no tree")
         place = np.argsort(columns)
@@ -142,7 +142,7 @@ class Stored:
         if not limbs.dimensions or any(len(children) < 2 for children in limbs.plan.children.values()):
             raise Corrupt("tempo: limbs without bones, or a hub of one")
         if skeleton is not None and not self.parents:
-            limbs = limbs.built(_offsets(skeleton, columns))
+            limbs = limbs.built(offsets_of(skeleton, columns))
             if not limbs.dimensions or not limbs.lengths.max() < LONGEST_M:
                 raise Corrupt("tempo: a skeleton without bones")
         still = np.zeros((1, limbs.dimensions))
@@ -170,13 +170,13 @@ def unknown(
     tolerance = float(STRETCH * step_size(step))
     headed = [body.turn(c, -body.heading(c, pose)) for c in (s - s.mean(axis=1, keepdims=True) for s in sample)]
     every = np.concatenate(headed)
-    for parents, fine in _trees(every, skeleton, tolerance, step):
-        columns = _ordered(parents)
+    for parents, fine in trees(every, skeleton, tolerance, step):
+        columns = ordered(parents)
         if columns is None:
             continue
         place = np.argsort(columns)
         builds = [skeleton.offsets[columns]] * len(headed) if skeleton is not None and fine is None else None
-        found = fit([h[:, columns] for h in headed], _in_order(parents, columns), builds)
+        found = fit([h[:, columns] for h in headed], in_order(parents, columns), builds)
         if not found.dimensions:
             continue
         grid = step - FINER if fine is None else fine
@@ -195,7 +195,7 @@ def unknown(
     return None
 
 
-def _trees(
+def trees(
     poses: Floats, skeleton: Skeleton | None, tolerance: float, step: int
 ) -> Iterator[tuple[Sequence[int], int | None]]:
     """Parents of each point, and how finely the bones must be stored, log₂ in 1/32 octave; none for a skeleton's."""
@@ -232,7 +232,7 @@ def _rigid_tree(poses: Floats, tolerance: float) -> tuple[int, ...] | None:
     return tuple(int(p) for p in parents)
 
 
-def _ordered(parents: Sequence[int]) -> Integers | None:
+def ordered(parents: Sequence[int]) -> Integers | None:
     """Points so that each comes after its parent; none where that is not one tree."""
     children: dict[int, list[int]] = {}
     for point, parent in enumerate(parents):
@@ -245,7 +245,7 @@ def _ordered(parents: Sequence[int]) -> Integers | None:
     return np.array(order) if len(order) == len(parents) else None
 
 
-def _offsets(skeleton: Skeleton, columns: Integers | None) -> Floats:
+def offsets_of(skeleton: Skeleton, columns: Integers | None) -> Floats:
     """Offsets (points, 3) in steps of 10 µm: a file may keep no more of them, and both sides must build the same."""
     return np.rint(skeleton.offsets[columns] * OFFSETS_PER_M) / OFFSETS_PER_M
 
@@ -253,7 +253,7 @@ def _offsets(skeleton: Skeleton, columns: Integers | None) -> Floats:
 OFFSETS_PER_M = 100_000
 
 
-def _in_order(parents: Sequence[int], columns: Integers) -> tuple[int, ...]:
+def in_order(parents: Sequence[int], columns: Integers) -> tuple[int, ...]:
     """The parents of points that stand in this order now."""
     place = np.append(np.argsort(columns), -1)  # the root's parent, −1, stays
     return tuple(int(place[parents[c]]) for c in columns)
@@ -264,7 +264,7 @@ def _builds(
 ) -> Iterator[tuple[bytes, Limbs]]:
     """What is stored of a build, and limbs of that build."""
     if skeleton is not None:
-        yield bytes([SKELETON]), like.built(_offsets(skeleton, columns))
+        yield bytes([SKELETON]), like.built(offsets_of(skeleton, columns))
     stored = _pack_build(poses, like, fine)
     yield bytes([MEASURED]) + stored, _unpack_build(stored, like)
 

@@ -34,7 +34,9 @@ from . import (
     direct,
     held,
     jumps,
+    liken,
     mapped,
+    matched,
     model,
     own,
     prior,
@@ -215,10 +217,11 @@ def step_for_bound(bound: float) -> int:
     return round(np.log2(2.2 * bound) * OCTAVE)
 
 
-PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS = 0, 1, 2, 4, 5, 7
+PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS, MATCHED_LIMBS = 0, 1, 2, 4, 5, 7, 16
 """Kinds of model: none (every chunk is coded directly), the prior's, one stored in the file, the prior's of limbs, the
-prior's of bones for points that sit on them, and limbs stored in the file; `tailored.KIND` is another. Never change
-them."""
+prior's of bones for points that sit on them, limbs stored in the file, and such as the prior knows under other names;
+`tailored.KIND` is another. Never change them."""
+KINDS = (PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS, MATCHED_LIMBS)
 WEIGHTED = 8
 """Beside the kind: a byte a point follows, its weight."""
 OWN_FRAMES = 1200
@@ -260,6 +263,9 @@ def choose_model(cut: list[Floats], like: Motion, step: int, mean_error: float |
         candidates += _with_own(cut, used, names, rate, step, known)
     elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
         candidates.append(own_limbs)
+    if knowing is not None and known is None and (matches := liken.candidate(cut, like, step, knowing)):
+        stored = bytes([MATCHED_LIMBS]) + knowing.id + matches.stored.pack()
+        candidates.append((stored, matches.model(knowing, names, rate)))
     bodies = prior.of_bones() if known is None else None
     if bodies is not None and bodies.bones is not None and (sits := attach.fit(cut, bodies, names, rate, step)):
         on_bones = mapped.model(*sits, bodies.bones, bodies, names, rate)
@@ -363,11 +369,13 @@ def _model_of(shared: bytes, names: tuple[str, ...], rate: float, build: _Build)
     if shared[0] & WEIGHTED:
         weighting, at = shared[at : at + len(names)], at + len(names)
     id_, rest = shared[at : at + prior.ID_BYTES], shared[at + prior.ID_BYTES :]
-    if len(id_) < prior.ID_BYTES or kind not in (PLAIN, KNOWN, OWN, LIMBS, MAPPED, OWN_LIMBS):
+    if len(id_) < prior.ID_BYTES or kind not in KINDS:
         raise Corrupt("tempo: the shared bytes are not its own")
     used = prior.named(id_)
     if kind == LIMBS:
         found = skeletal.unpack(rest, names, rate, build.skeleton, used)
+    elif kind == MATCHED_LIMBS:
+        found = matched.unpack(rest, names, rate, build.skeleton, used)
     elif kind == OWN_LIMBS:
         if used.sets[0].limbs is None:
             raise Corrupt("tempo: limbs, of a prior that knows none")

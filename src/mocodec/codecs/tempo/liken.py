@@ -1,0 +1,246 @@
+"""Which joint of the prior's each joint of a file is, from where the joints are and how they hang together.
+
+    a tree ─turned 16 ways, in 3 sizes─► for each joint and each of the prior's: what the branch costs at best ─► where
+    where, movement ─► hubs, what is carried, lengths ─► matched.Stored
+
+Names say nothing here. A branch is laid on a branch: a bone takes the place of one of the prior's, or of two or three
+in a row, or is a piece more than the prior has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import Corrupt
+from ...motion import Floats, Motion, Skeleton
+from . import attach, body, skeletal
+from .limbs import SHORTEST_M, fit
+from .matched import ROUGH, Matched, Stored, at_rest, usual
+from .model import step_size
+from .prior import PointSet, Prior
+
+Integers = NDArray[np.int64]
+
+TURNS = 16
+SIZES = (0.85, 1.0, 1.18)
+"""Of the body, against what the spread of its points says."""
+NEAR_M, NEAR = 0.03, 0.3
+"""A bone ends about so far from where the prior's does, and so much of its length."""
+EXTRA, SKIPPED = 2.0, 0.5
+"""What a bone costs that none of the prior's stands for, and one of the prior's that is passed over."""
+PASSED = 3
+"""A bone stands for at most so many of the prior's in a row, and at most so many in a row are pieces more."""
+
+
+def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> Matched | None:
+    """How runs of positions (frames, points, 3) are limbs that the prior knows; none where they are no limbs' or no
+    body's. like: any motion with their names, rate and skeleton."""
+    known = prior.sets[0]
+    if like.points < skeletal.FEWEST_POINTS or sum(map(len, runs)) < skeletal.FEWEST_FRAMES:
+        return None
+    centred = [r - r.mean(axis=1, keepdims=True) for r in (r[:: max(1, len(r) // skeletal.SAMPLED)] for r in runs)]
+    pose = body.mean_pose(np.concatenate(centred))
+    headed = [body.turn(c, -body.heading(c, pose)) for c in centred]
+    tolerance = float(skeletal.STRETCH * step_size(step))
+    every = np.concatenate(headed)
+    for parents, fine in skeletal.trees(every, like.skeleton, tolerance, step):
+        rooted = [tuple(parents)] if fine is None else list(_rooted(parents))
+        placed = [p for tree in rooted if (p := _placed(pose, tree, known)) is not None]
+        if not placed:
+            continue
+        best = min(placed, key=lambda p: p.cost)
+        if fine is not None and (tree := _relinked(every, best, known, tolerance)) != best.parents:
+            best = min(filter(None, (best, _placed(pose, tree, known))), key=lambda p: p.cost)
+        turned = [body.turn(h, np.full(len(h), best.turn)) for h in headed]
+        found = _stored(turned, best, fine, known, like.skeleton)
+        try:
+            matched = Matched.of(found, prior, like.skeleton)
+        except Corrupt:
+            continue
+        poses = np.concatenate(turned)[:, matched.columns]
+        poses = poses - poses.mean(axis=1, keepdims=True)
+        off = np.sqrt(((matched.limbs.inverse(matched.limbs.forward(poses)) - poses) ** 2).sum(axis=2))
+        if (off > 2 * tolerance).mean() < 0.01:
+            start = matched.model(prior, like.names, like.rate)
+            levels = attach.levels_of(runs, start, matched.found, usual(prior.sets[0]), step)
+            return replace(matched, stored=replace(found, levels=levels))
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """One way to see the tree: what it costs, the turn of the pose, and the prior's joint of each, −1 for none."""
+
+    cost: float
+    turn: float
+    parents: tuple[int, ...]
+    where: Integers
+
+
+def _rooted(parents: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """The tree from each of the joints that three bones or more meet in, or from its own root."""
+    beside: dict[int, list[int]] = {j: [] for j in range(len(parents))}
+    for j, p in enumerate(parents):
+        if p >= 0:
+            beside[j].append(p)
+            beside[p].append(j)
+    for root in [j for j, near in beside.items() if len(near) > 2] or [parents.index(-1)]:
+        out = [-1] * len(parents)
+        todo = [root]
+        for at in todo:
+            for other in beside[at]:
+                if other != out[at]:
+                    out[other] = at
+                    todo.append(other)
+        yield tuple(out)
+
+
+def _placed(pose: Floats, parents: tuple[int, ...], known: PointSet) -> Place | None:
+    """The best way to lay the prior's tree on this one, as the mean pose (points, 3) has it."""
+    assert known.limbs is not None
+    order = skeletal.ordered(parents)
+    if order is None:
+        return None
+    theirs = known.limbs.inverse(np.zeros((1, known.limbs.dimensions)))[0]
+    angles = np.arange(TURNS) * 2 * np.pi / TURNS
+    spread = np.sqrt((theirs**2).mean() / max(float((pose**2).mean()), 1e-12))
+    poses = np.concatenate([body.turn(np.repeat(pose[None], TURNS, axis=0), angles) * spread * s for s in SIZES])
+    children: dict[int, list[int]] = {}
+    for j in order[1:]:
+        children.setdefault(parents[j], []).append(int(j))
+    bones = theirs - theirs[:, None]  # from, to
+    length = np.sqrt((bones**2).sum(axis=2))
+    passed = _passed(known.limbs.parents)
+    wide = 2 * (NEAR_M + NEAR * length) ** 2
+    toll = np.where(passed > 0, SKIPPED * (passed - 1.0), np.inf)
+    memo: dict[tuple[int, int, int], tuple[Floats, Integers]] = {}
+    ends = {j: _sum_of_branch(j, children) for j in range(len(parents))}
+
+    def below(joint: int) -> Floats:
+        """What the branches at a joint cost where it is each of the prior's: (prior's joints, ways)."""
+        return sum((branch(c, joint, 0)[0] for c in children.get(joint, [])), np.zeros((len(theirs), len(poses))))
+
+    def branch(joint: int, above: int, more: int) -> tuple[Floats, Integers]:
+        """What the branch that begins with this joint costs, where `above` is each of the prior's; and which of them
+        the joint is then."""
+        if (joint, above, more) in memo:
+            return memo[joint, above, more]
+        offset = poses[:, joint] - poses[:, above]
+        apart = ((offset[:, None, None] - bones) ** 2).sum(axis=3) / wide + toll
+        laid = apart.transpose(1, 2, 0) + below(joint)[None]
+        cost, at = laid.min(axis=1), laid.argmin(axis=1)
+        if more == PASSED:
+            left = np.full(cost.shape, EXTRA * ends[joint])
+        else:
+            left = sum((branch(c, above, more + 1)[0] for c in children.get(joint, [])), np.full(cost.shape, EXTRA))
+        memo[joint, above, more] = np.minimum(cost, left), np.where(left < cost, -1, at)
+        return memo[joint, above, more]
+
+    root = int(order[0])
+    cost = below(root)
+    first, way = np.unravel_index(cost.argmin(), cost.shape)
+    where = np.full(len(parents), -1)
+
+    def follow(joint: int, above: int, over: int, more: int) -> None:
+        at = int(branch(joint, above, more)[1][over, way])
+        where[joint] = at
+        for c in children.get(joint, []) if at >= 0 or more < PASSED else []:
+            follow(c, joint if at >= 0 else above, at if at >= 0 else over, 0 if at >= 0 else more + 1)
+
+    where[root] = first
+    for c in children.get(root, []):
+        follow(c, root, int(first), 0)
+    if (where >= 0).sum() < FEWEST_MATCHED:
+        return None
+    return Place(float(cost[first, way]), float(angles[way % TURNS]), parents, where)
+
+
+FEWEST_MATCHED = 4
+
+
+def _relinked(poses: Floats, place: Place, known: PointSet, tolerance: float) -> tuple[int, ...]:
+    """The tree with joints linked as the prior's are, where those links keep their lengths too."""
+    assert known.limbs is not None
+    at = {int(v): j for j, v in reversed(list(enumerate(place.where))) if v >= 0}
+    parents = list(place.parents)
+    for v, j in at.items():
+        above = known.limbs.parents[v]
+        while above >= 0 and above not in at:
+            above = known.limbs.parents[above]
+        if above < 0 or parents[j] < 0:
+            continue
+        apart = np.sqrt(((poses[:, j] - poses[:, at[above]]) ** 2).sum(axis=1))
+        if (np.abs(apart - np.median(apart)) > tolerance).mean() < 0.01:
+            before, parents[j] = parents[j], at[above]
+            if skeletal.ordered(parents) is None:
+                parents[j] = before
+    return tuple(parents)
+
+
+def _sum_of_branch(joint: int, children: dict[int, list[int]]) -> int:
+    return 1 + sum(_sum_of_branch(c, children) for c in children.get(joint, []))
+
+
+def _passed(parents: Sequence[int]) -> Integers:
+    """How many bones lie between two joints, the second below the first: (from, to); 0 where more than `PASSED`."""
+    out = np.zeros((len(parents), len(parents)), np.int64)
+    for j in range(len(parents)):
+        at = parents[j]
+        for count in range(1, PASSED + 1):
+            if at < 0:
+                break
+            out[at, j] = count
+            at = parents[at]
+    return out
+
+
+def _stored(
+    poses: Sequence[Floats], place: Place, fine: int | None, known: PointSet, skeleton: Skeleton | None
+) -> Stored:
+    """What is stored of limbs so placed, for runs of poses (frames, points, 3), turned as the prior's."""
+    assert known.limbs is not None
+    like, parents, where = known.limbs, place.parents, place.where.copy()
+    columns = skeletal.ordered(parents)
+    assert columns is not None
+    back = np.argsort(columns)
+    for j in columns[:0:-1]:  # a piece more, before a joint that the prior knows, is one of the same bone
+        if where[parents[j]] < 0 <= where[j]:
+            where[parents[j]] = where[j]
+    builds = [skeleton.offsets[columns]] * len(poses) if skeleton is not None and fine is None else None
+    found = fit([p[:, columns] for p in poses], skeletal.in_order(parents, columns), builds)
+    vectors, hub, carried = found.vectors[back], found.hub[back] & ~found.still[back], found.carried[back]
+    lengths = np.sqrt((vectors**2).sum(axis=1))
+    for j, p in enumerate(parents):
+        if p >= 0 and (lengths[j] <= SHORTEST_M or like.parents[where[j]] < 0):
+            where[j] = -1
+    sure = where >= 0
+    carried = np.where(sure, like.carried[where], carried)
+    for joint in {p for p, h in zip(parents, hub, strict=True) if h}:
+        of = [j for j, p in enumerate(parents) if p == joint and hub[j]]
+        theirs = [j for j in of if sure[j] and like.hub[where[j]]]
+        carried[of] = carried[theirs[0]] if theirs else False
+        hub[of] = bool(theirs) or not sure[of].any()
+    digits = ROUGH if fine is None else int(np.ceil(-fine / 32))
+    marks = hub + 2 * carried
+    bones = np.rint(np.ldexp(np.where(sure[:, None], 0.0, vectors), digits)).astype(np.int64)
+    stored = Stored(
+        digits, () if fine is None else parents, where, marks.astype(np.int64), bones, np.array(attach.FIRST_LEVELS)
+    )
+    if fine is None:
+        return stored
+    try:
+        rest, _ = at_rest(stored, like, skeleton)
+    except Corrupt:
+        return stored
+    every = np.concatenate(poses)[:, columns]
+    offsets = every - every[:, [max(p, 0) for p in rest.parents]]
+    measured = rest.built(offsets[len(offsets) // 2])
+    longer = np.median(np.sqrt((offsets**2).sum(axis=2)), axis=0) - rest.lengths
+    theirs = np.where(sure[columns, None], rest.vectors, 0.0)
+    numbers = np.where((sure[columns] & ~rest.hub)[:, None], longer[:, None], measured.vectors - theirs)
+    told = np.rint(np.ldexp(numbers[back], digits)).astype(np.int64)
+    return replace(stored, bones=told)

@@ -1,0 +1,299 @@
+"""Limbs that the prior does not know by name, each taken for one that it knows: its model of them, for a few bytes each.
+
+    file's tree, mean pose ─turned and scaled, branch by branch─► the prior's joint that each point is   where
+    where ─► turns of the file's bones as those of the prior's   W ─► the prior's components as turns of the file's
+    components · Wᵀ · reach ─orthonormal, strongest first─► bases     Σ over components ─► spreads of their rows
+
+Skeletons differ in names, in fingers and toes, in how many pieces a back has; hips and knees they all have. A bone
+counts from the direction that the prior's usually has, in the frame that the prior counts it in, and so moves as the
+prior says. What no bone of the prior's stands for gets a level, as on bones (`mapped`).
+
+The coder depends on the spreads, so what leads to them is arithmetic on single numbers in a written order, from whole
+numbers and the prior's: the file's own build has no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...entropy import coder, varint
+from ...errors import Corrupt
+from ...motion import Floats, Motion, Skeleton
+from . import attach, body, contexts, mapped, skeletal
+from .limbs import Limbs
+from .limbs import fit as fit_limbs
+from .mapped import LEVELS, Movements
+from .model import POSE, Model, step_size
+from .prior import PointSet, Prior
+
+Integers = NDArray[np.int64]
+
+FINEST = 40
+"""Bones are stored in steps of at least 2^−(this) m."""
+ROUGH = 7
+"""Directions alone are stored in steps of 2^−(this) m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What is stored, in the order of the points.
+
+    digits: bones are in 2^(−digits) m. parents: −1 for the root; empty where they and the build are the skeleton's.
+    where (points,): the prior's point, −1 for none. marks (points,): 1 of a hub, 2 carried. bones (points, 3): the
+    vector, less the prior's if it knows the bone; if that is of no hub, only its length, less the prior's. levels (5,).
+    """
+
+    digits: int
+    parents: tuple[int, ...]
+    where: Integers
+    marks: Integers
+    bones: Integers
+    levels: Integers
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Which numbers of the bones are stored, (points, 3)."""
+        known = self.where >= 0
+        if not self.parents:
+            return np.repeat(~known[:, None], 3, axis=1)
+        length = known & (self.marks % 2 == 0)
+        return ~length[:, None] | (np.arange(3) == 0)
+
+    def pack(self) -> bytes:
+        count = np.arange(len(self.where))
+        lists = [np.array(self.parents, np.int64) - count[: len(self.parents)], np.diff(self.where, prepend=-1)]
+        parts = [coder.pack(a[:, None]) for a in (*lists, self.marks, self.bones[self.told])]
+        head = [varint.signed(int(n)) for n in (self.digits, *self.levels)]
+        return varint.write([*head, bool(self.parents), *map(len, parts)]) + b"".join(parts)
+
+    @classmethod
+    def unpack(cls, data: bytes, points: int, like: PointSet) -> Stored:
+        """Raises Corrupt."""
+        (*folded, has_tree, a, b, c, d), at = varint.read(data, 1 + LEVELS + 5)
+        digits, *levels = (varint.unsigned(n) for n in folded)
+        if has_tree > 1 or not -FINEST <= digits <= FINEST or max(map(abs, levels)) > 2000:
+            raise Corrupt("tempo: matched limbs that are out of range")
+        if at + a + b + c + d != len(data):
+            raise Corrupt("tempo: the shared bytes do not end where they should")
+        edges = at + np.cumsum([0, a, b, c, d])
+        blobs = [data[i:j] for i, j in zip(edges[:-1], edges[1:], strict=True)]
+        tree = coder.unpack(blobs[0], (points * has_tree, 1))[:, 0] + np.arange(points * has_tree)
+        where = np.cumsum(coder.unpack(blobs[1], (points, 1))[:, 0]) - 1
+        marks = coder.unpack(blobs[2], (points, 1))[:, 0]
+        if where.min() < -1 or where.max() >= len(like.names) or (marks != marks.clip(0, 3)).any():
+            raise Corrupt("tempo: a limb that is not there")
+        bones = np.zeros((points, 3), np.int64)
+        out = cls(digits, tuple(int(p) for p in tree), where, marks, bones, np.array(levels, np.int64))
+        bones[out.told] = coder.unpack(blobs[3], (int(out.told.sum()), 1))[:, 0]
+        if not np.abs(bones).max() < 1 << 40:
+            raise Corrupt("tempo: matched limbs that are out of range")
+        return out
+
+    def tree(self, skeleton: Skeleton | None) -> tuple[tuple[int, ...], Integers]:
+        """Parents, and the points so that each comes after its own. Raises Corrupt."""
+        parents = self.parents
+        if not parents:
+            if skeleton is None:
+                raise Corrupt("tempo: the motion lacks the skeleton that it was coded with")
+            parents = skeleton.parents
+        columns = skeletal.ordered(parents)
+        if columns is None or len(parents) != len(self.where):
+            raise Corrupt("tempo: bones that make no tree")
+        return parents, columns
+
+
+def at_rest(stored: Stored, like: Limbs, skeleton: Skeleton | None) -> tuple[Limbs, Integers]:
+    """The file's limbs on the prior's build, and the points in their order: of whole numbers and the prior's only.
+    Raises Corrupt."""
+    parents, columns = stored.tree(skeleton)
+    known = stored.where >= 0
+    vectors = np.where(known[:, None], like.vectors[stored.where], np.ldexp(stored.bones.astype(float), -stored.digits))
+    marks = stored.marks[columns]
+    limbs = Limbs(skeletal.in_order(parents, columns), vectors[columns], marks % 2 == 1, marks > 1)
+    if not limbs.dimensions or any(len(children) < 2 for children in limbs.plan.children.values()):
+        raise Corrupt("tempo: limbs without bones, or a hub of one")
+    return limbs, columns
+
+
+def built(stored: Stored, rest: Limbs, columns: Integers, skeleton: Skeleton | None) -> Limbs:
+    """The limbs on the file's build. Raises Corrupt."""
+    if not stored.parents:
+        assert skeleton is not None
+        out = rest.built(skeletal.offsets_of(skeleton, columns))
+    else:
+        numbers = np.ldexp(stored.bones[columns].astype(float), -stored.digits)
+        length = (stored.where[columns] >= 0) & ~rest.hub
+        longer = np.maximum(rest.lengths + numbers[:, 0], 0.0) / np.maximum(rest.lengths, 1e-30)
+        full = np.where((stored.where[columns] >= 0)[:, None], rest.vectors + numbers, numbers)
+        vectors = np.where(length[:, None], rest.vectors * longer[:, None], full)
+        out = replace(rest, vectors=vectors)
+    if not np.array_equal(out.still[1:], rest.still[1:]) or not out.lengths.max() < skeletal.LONGEST_M:
+        raise Corrupt("tempo: bones that are there on one build only")
+    return out
+
+
+def movements(stored: Stored, rest: Limbs, columns: Integers, like: PointSet) -> tuple[Movements, Floats]:
+    """What the prior's limbs explain of the file's, and the reach of the coordinates of these."""
+    assert like.limbs is not None
+    assert like.reach is not None
+    reach = _cholesky(_metric(rest))
+    onto = _onto(rest, stored.where[columns], like.limbs)
+    free = rest.dimensions
+    strength = mapped.power(np.concatenate([like.means[POSE:, None], like.spreads[POSE:, 1:]], axis=1))
+    bases, explained = [], []
+    for band, modes in enumerate(like.bases):
+        moved = mapped.times(mapped.times(_unweighed(modes, like.reach), onto), reach)
+        nodes = mapped.nodes_of(band)
+        loud = np.sqrt(strength[:, max(nodes.start, 1) : nodes.stop].max(axis=1))
+        basis = mapped.directions(moved * loud[:, None], free)
+        variance = np.zeros((free, strength.shape[1]))
+        variance[: len(basis)] = mapped.times(mapped.times(basis, moved.T.copy()) ** 2, strength)
+        bases.append(mapped.completed(basis, free, np.zeros((0, free))))
+        explained.append(variance)
+    return Movements(tuple(bases), tuple(explained)), reach
+
+
+def usual(like: PointSet) -> Integers:
+    """How large the prior's components are in the middle, at each frequency."""
+    return np.median(np.concatenate([like.means[POSE:, None], like.spreads[POSE:, 1:]], axis=1), axis=0).astype(int)
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Limbs on the file's build, and all that the model needs beside the levels."""
+
+    stored: Stored
+    limbs: Limbs
+    columns: Integers
+    found: Movements
+    reach: Floats
+
+    @classmethod
+    def of(cls, stored: Stored, prior: Prior, skeleton: Skeleton | None) -> Matched:
+        """Raises Corrupt."""
+        like = prior.sets[0]
+        assert like.limbs is not None
+        rest, columns = at_rest(stored, like.limbs, skeleton)
+        limbs = built(stored, rest, columns, skeleton)
+        return cls(stored, limbs, columns, *movements(stored, rest, columns, like))
+
+    def model(self, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
+        like = prior.sets[0]
+        spreads = mapped.spreads_of(self.found, usual(like), self.stored.levels)
+        pose = self.limbs.inverse(np.zeros((1, self.limbs.dimensions)))[0][np.argsort(self.columns)]
+        moved, means = mapped.of_whole_body(like, len(names))
+        points = PointSet(
+            names,
+            pose,
+            self.found.bases,
+            np.concatenate([moved, spreads]),
+            np.concatenate([means, spreads[:, 0]]),
+            self.limbs,
+            self.reach,
+            self.columns,
+        )
+        return Model(points, prior, rate)
+
+
+def unpack(data: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton | None, prior: Prior) -> Model:
+    """The model again. Raises Corrupt."""
+    if not prior.sets or prior.sets[0].limbs is None:
+        raise Corrupt("tempo: limbs, of a prior that knows none")
+    stored = Stored.unpack(data, len(names), prior.sets[0])
+    return Matched.of(stored, prior, skeleton).model(prior, names, rate)
+
+
+# The arithmetic in a written order.
+
+
+def _turns(limbs: Limbs) -> Iterator[tuple[Floats, list[int]]]:
+    """Of each coordinate the axis that it turns about at rest, and the points whose bones it turns."""
+    plan = limbs.plan
+    carried: dict[int, list[int]] = {}
+    for b in (j for j in range(len(limbs.parents)) if limbs.parents[j] >= 0 and not limbs.still[j]):
+        by = -2 - limbs.parents[b] if limbs.hub[b] else b
+        while True:
+            carried.setdefault(by, []).append(b)
+            if by == -1:
+                break
+            first = plan.children[-2 - by][0] if by < -1 else by
+            by = plan.carrier[first]
+    for b in plan.bones:
+        first, second = tilts(limbs.vectors[b])
+        yield second, carried[b]
+        yield -first, carried[b]
+    for h in plan.hubs:
+        for axis in np.eye(3):
+            yield axis, carried[-2 - h]
+
+
+def tilts(vector: Floats) -> tuple[Floats, Floats]:
+    """The first two axes of a bone, as `limbs` has them."""
+    d = vector / np.sqrt((vector[0] * vector[0] + vector[1] * vector[1]) + vector[2] * vector[2])
+    helper = np.eye(3)[np.abs(d).argmin()]
+    along = (helper[0] * d[0] + helper[1] * d[1]) + helper[2] * d[2]
+    first = helper - d * along
+    first = first / np.sqrt((first[0] * first[0] + first[1] * first[1]) + first[2] * first[2])
+    return first, _cross(d, first)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.stack([a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=-1)
+
+
+def _metric(limbs: Limbs) -> Floats:
+    """`Limbs.metric` at rest."""
+    moved = np.zeros((limbs.dimensions, len(limbs.parents), 3))
+    for row, (axis, bones) in zip(moved, _turns(limbs), strict=True):
+        row[bones] = _cross(np.broadcast_to(axis, (len(bones), 3)), limbs.vectors[bones])
+        for j, p in enumerate(limbs.parents):
+            if p >= 0:
+                row[j] += row[p]
+    mean = mapped.sum_of(moved.swapaxes(0, 1)) / len(limbs.parents)
+    flat = (moved - mean[:, None]).reshape(len(moved), -1)
+    metric = mapped.times(flat, flat.T.copy())
+    return metric + skeletal.LEAST * metric.max() * np.eye(len(metric))
+
+
+def _cholesky(metric: Floats) -> Floats:
+    """Lower triangular, times its transpose the metric."""
+    left, out = metric.copy(), np.zeros_like(metric)
+    for i in range(len(left)):
+        out[i:, i] = left[i:, i] / np.sqrt(left[i, i])
+        left[i:, i:] -= out[i:, i, None] * out[i:, i]
+    return out
+
+
+def _unweighed(modes: Floats, reach: Floats) -> Floats:
+    """modes · reach⁻¹, reach lower triangular."""
+    out = modes.copy()
+    for i in range(len(reach) - 1, -1, -1):
+        out[:, i] /= reach[i, i]
+        out[:, :i] -= out[:, i, None] * reach[i, :i]
+    return out
+
+
+def _onto(rest: Limbs, where: Integers, like: Limbs) -> Floats:
+    """Coordinates of the prior's limbs to those of the file's, (theirs, these)."""
+    plan, known = rest.plan, like.plan
+    bones = {b: 2 * i for i, b in enumerate(known.bones)}
+    hubs = {h: 2 * len(known.bones) + 3 * i for i, h in enumerate(known.hubs)}
+    out = np.zeros((like.dimensions, rest.dimensions))
+    for i, b in enumerate(plan.bones):
+        v = int(where[b])
+        if v in bones:
+            out[bones[v] + np.arange(2), 2 * i + np.arange(2)] = 1.0
+        elif v >= 0 and like.hub[v] and like.parents[v] in hubs:
+            first, second = tilts(like.vectors[v])
+            at = hubs[like.parents[v]]
+            out[at : at + 3, 2 * i], out[at : at + 3, 2 * i + 1] = second, -first
+    for i, h in enumerate(plan.hubs):
+        of = [like.parents[v] for v in where[plan.children[h]] if v >= 0 and like.hub[v]]
+        if of:
+            at = hubs[max(of, key=of.count)]
+            out[at + np.arange(3), 2 * len(plan.bones) + 3 * i + np.arange(3)] = 1.0
+    return out
