@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ...errors import Corrupt
 from ...motion import Floats, Motion, Skeleton
-from . import attach, body, skeletal
+from . import attach, body, contexts, skeletal
 from .limbs import SHORTEST_M, fit
-from .matched import ROUGH, Matched, Stored, at_rest, usual
-from .model import step_size
+from .matched import ROUGH, USUAL_LEVELS, Matched, Stored, at_rest, usual_spreads, usual_tree
+from .model import Model, step_size
 from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
@@ -36,10 +36,11 @@ PASSED = 3
 """A bone stands for at most so many of the prior's in a row, and at most so many in a row are pieces more."""
 
 
-def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> Matched | None:
-    """How runs of positions (frames, points, 3) are limbs that the prior knows; none where they are no limbs' or no
-    body's. like: any motion with their names, rate and skeleton."""
+def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> tuple[bytes, Model] | None:
+    """What is stored of the model for runs of positions (frames, points, 3), and that; none where they are no limbs'
+    or no body's. like: any motion with their names, rate and skeleton."""
     known = prior.sets[0]
+    assert known.limbs is not None
     if like.points < skeletal.FEWEST_POINTS or sum(map(len, runs)) < skeletal.FEWEST_FRAMES:
         return None
     centred = [r - r.mean(axis=1, keepdims=True) for r in (r[:: max(1, len(r) // skeletal.SAMPLED)] for r in runs)]
@@ -66,8 +67,9 @@ def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> 
         off = np.sqrt(((matched.limbs.inverse(matched.limbs.forward(poses)) - poses) ** 2).sum(axis=2))
         if (off > 2 * tolerance).mean() < 0.01:
             start = matched.model(prior, like.names, like.rate)
-            levels = attach.levels_of(runs, start, matched.found, usual(prior.sets[0]), step)
-            return replace(matched, stored=replace(found, levels=levels))
+            levels = attach.levels_of(runs, start, matched.found, usual_spreads(prior.sets[0]), step)
+            matched = replace(matched, stored=replace(found, levels=levels))
+            return matched.stored.pack(known.limbs), matched.model(prior, like.names, like.rate)
     return None
 
 
@@ -165,17 +167,13 @@ FEWEST_MATCHED = 4
 def _relinked(poses: Floats, place: Place, known: PointSet, tolerance: float) -> tuple[int, ...]:
     """The tree with joints linked as the prior's are, where those links keep their lengths too."""
     assert known.limbs is not None
-    at = {int(v): j for j, v in reversed(list(enumerate(place.where))) if v >= 0}
     parents = list(place.parents)
-    for v, j in at.items():
-        above = known.limbs.parents[v]
-        while above >= 0 and above not in at:
-            above = known.limbs.parents[above]
-        if above < 0 or parents[j] < 0:
+    for j, usual in enumerate(usual_tree(place.where, known.limbs)):
+        if place.where[j] < 0 or usual < 0 or parents[j] < 0:
             continue
-        apart = np.sqrt(((poses[:, j] - poses[:, at[above]]) ** 2).sum(axis=1))
+        apart = np.sqrt(((poses[:, j] - poses[:, usual]) ** 2).sum(axis=1))
         if (np.abs(apart - np.median(apart)) > tolerance).mean() < 0.01:
-            before, parents[j] = parents[j], at[above]
+            before, parents[j] = parents[j], int(usual)
             if skeletal.ordered(parents) is None:
                 parents[j] = before
     return tuple(parents)
@@ -224,11 +222,11 @@ def _stored(
         theirs = [j for j in of if sure[j] and like.hub[where[j]]]
         carried[of] = carried[theirs[0]] if theirs else False
         hub[of] = bool(theirs) or not sure[of].any()
-    digits = ROUGH if fine is None else int(np.ceil(-fine / 32))
+    digits = ROUGH if fine is None else round(-fine / contexts.OCTAVE)
     marks = hub + 2 * carried
     bones = np.rint(np.ldexp(np.where(sure[:, None], 0.0, vectors), digits)).astype(np.int64)
     stored = Stored(
-        digits, () if fine is None else parents, where, marks.astype(np.int64), bones, np.array(attach.FIRST_LEVELS)
+        digits, () if fine is None else parents, where, marks.astype(np.int64), bones, np.array(USUAL_LEVELS)
     )
     if fine is None:
         return stored

@@ -1,4 +1,4 @@
-"""Limbs that the prior does not know by name, each taken for one that it knows: its model of them, for a few bytes each.
+"""Limbs that the prior knows under other names: its model of them, for a few bytes each.
 
     file's tree, mean pose ─turned and scaled, branch by branch─► the prior's joint that each point is   where
     where ─► turns of the file's bones as those of the prior's   W ─► the prior's components as turns of the file's
@@ -14,7 +14,7 @@ numbers and the prior's: the file's own build has no part in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from ...entropy import coder, varint
 from ...errors import Corrupt
-from ...motion import Floats, Motion, Skeleton
-from . import attach, body, contexts, mapped, skeletal
+from ...motion import Floats, Skeleton
+from . import mapped, skeletal
 from .limbs import Limbs
-from .limbs import fit as fit_limbs
 from .mapped import LEVELS, Movements
-from .model import POSE, Model, step_size
+from .model import POSE, Model
 from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
@@ -36,6 +35,8 @@ FINEST = 40
 """Bones are stored in steps of at least 2^−(this) m."""
 ROUGH = 7
 """Directions alone are stored in steps of 2^−(this) m."""
+USUAL_LEVELS = (-4, 0, -44, 0, -160)
+"""Levels, as in `mapped`, are stored less these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,33 +64,33 @@ class Stored:
         length = known & (self.marks % 2 == 0)
         return ~length[:, None] | (np.arange(3) == 0)
 
-    def pack(self) -> bytes:
-        count = np.arange(len(self.where))
-        lists = [np.array(self.parents, np.int64) - count[: len(self.parents)], np.diff(self.where, prepend=-1)]
-        parts = [coder.pack(a[:, None]) for a in (*lists, self.marks, self.bones[self.told])]
-        head = [varint.signed(int(n)) for n in (self.digits, *self.levels)]
-        return varint.write([*head, bool(self.parents), *map(len, parts)]) + b"".join(parts)
+    def pack(self, like: Limbs) -> bytes:
+        tree, marks = usual_tree(self.where, like), usual_marks(self.where, like)
+        parents = np.array(self.parents or tree, np.int64)
+        names = coder.pack(np.stack([np.diff(self.where, prepend=-1) - 1, self.marks - marks, parents - tree], axis=1))
+        head = [varint.signed(int(n)) for n in (self.digits, *(self.levels - np.array(USUAL_LEVELS)))]
+        head += [bool(self.parents), len(names)]
+        return varint.write(head) + names + coder.pack(self.bones[self.told][:, None])
 
     @classmethod
-    def unpack(cls, data: bytes, points: int, like: PointSet) -> Stored:
+    def unpack(cls, data: bytes, points: int, like: Limbs) -> Stored:
         """Raises Corrupt."""
-        (*folded, has_tree, a, b, c, d), at = varint.read(data, 1 + LEVELS + 5)
+        (*folded, has_tree, size), at = varint.read(data, 1 + LEVELS + 2)
         digits, *levels = (varint.unsigned(n) for n in folded)
-        if has_tree > 1 or not -FINEST <= digits <= FINEST or max(map(abs, levels)) > 2000:
+        if has_tree > 1 or abs(digits) > FINEST or max(map(abs, levels)) > 2000 or at + size > len(data):
             raise Corrupt("tempo: matched limbs that are out of range")
-        if at + a + b + c + d != len(data):
-            raise Corrupt("tempo: the shared bytes do not end where they should")
-        edges = at + np.cumsum([0, a, b, c, d])
-        blobs = [data[i:j] for i, j in zip(edges[:-1], edges[1:], strict=True)]
-        tree = coder.unpack(blobs[0], (points * has_tree, 1))[:, 0] + np.arange(points * has_tree)
-        where = np.cumsum(coder.unpack(blobs[1], (points, 1))[:, 0]) - 1
-        marks = coder.unpack(blobs[2], (points, 1))[:, 0]
-        if where.min() < -1 or where.max() >= len(like.names) or (marks != marks.clip(0, 3)).any():
+        names = coder.unpack(data[at : at + size], (points, 3))
+        where = np.cumsum(names[:, 0] + 1) - 1
+        if where.min() < -1 or where.max() >= len(like.parents):
             raise Corrupt("tempo: a limb that is not there")
-        bones = np.zeros((points, 3), np.int64)
-        out = cls(digits, tuple(int(p) for p in tree), where, marks, bones, np.array(levels, np.int64))
-        bones[out.told] = coder.unpack(blobs[3], (int(out.told.sum()), 1))[:, 0]
-        if not np.abs(bones).max() < 1 << 40:
+        marks = names[:, 1] + usual_marks(where, like)
+        if (marks != marks.clip(0, 3)).any() or (names[:, 2].any() and not has_tree):
+            raise Corrupt("tempo: matched limbs that are out of range")
+        parents = tuple(int(p) for p in names[:, 2] + usual_tree(where, like)) if has_tree else ()
+        levels = np.array(levels, np.int64) + np.array(USUAL_LEVELS)
+        out = cls(digits, parents, where, marks, np.zeros((points, 3), np.int64), levels)
+        out.bones[out.told] = coder.unpack(data[at + size :], (int(out.told.sum()), 1))[:, 0]
+        if not np.abs(out.bones).max() < 1 << 40:
             raise Corrupt("tempo: matched limbs that are out of range")
         return out
 
@@ -104,6 +105,23 @@ class Stored:
         if columns is None or len(parents) != len(self.where):
             raise Corrupt("tempo: bones that make no tree")
         return parents, columns
+
+
+def usual_marks(where: Integers, like: Limbs) -> Integers:
+    """The marks that the prior's bones have."""
+    return np.where(where >= 0, like.hub[where] + 2 * like.carried[where], 0)
+
+
+def usual_tree(where: Integers, like: Limbs) -> Integers:
+    """The parents, were the points linked as the prior's are; those that it does not know follow each other."""
+    at = {int(v): j for j, v in enumerate(where) if v >= 0}
+    out = np.arange(len(where)) - 1
+    for j in np.flatnonzero(where >= 0):
+        above = like.parents[where[j]]
+        while above >= 0 and above not in at:
+            above = like.parents[above]
+        out[j] = at.get(above, -1)
+    return out
 
 
 def at_rest(stored: Stored, like: Limbs, skeleton: Skeleton | None) -> tuple[Limbs, Integers]:
@@ -157,7 +175,7 @@ def movements(stored: Stored, rest: Limbs, columns: Integers, like: PointSet) ->
     return Movements(tuple(bases), tuple(explained)), reach
 
 
-def usual(like: PointSet) -> Integers:
+def usual_spreads(like: PointSet) -> Integers:
     """How large the prior's components are in the middle, at each frequency."""
     return np.median(np.concatenate([like.means[POSE:, None], like.spreads[POSE:, 1:]], axis=1), axis=0).astype(int)
 
@@ -183,7 +201,7 @@ class Matched:
 
     def model(self, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
         like = prior.sets[0]
-        spreads = mapped.spreads_of(self.found, usual(like), self.stored.levels)
+        spreads = mapped.spreads_of(self.found, usual_spreads(like), self.stored.levels)
         pose = self.limbs.inverse(np.zeros((1, self.limbs.dimensions)))[0][np.argsort(self.columns)]
         moved, means = mapped.of_whole_body(like, len(names))
         points = PointSet(
@@ -203,7 +221,7 @@ def unpack(data: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton 
     """The model again. Raises Corrupt."""
     if not prior.sets or prior.sets[0].limbs is None:
         raise Corrupt("tempo: limbs, of a prior that knows none")
-    stored = Stored.unpack(data, len(names), prior.sets[0])
+    stored = Stored.unpack(data, len(names), prior.sets[0].limbs)
     return Matched.of(stored, prior, skeleton).model(prior, names, rate)
 
 

@@ -263,9 +263,9 @@ def choose_model(cut: list[Floats], like: Motion, step: int, mean_error: float |
         candidates += _with_own(cut, used, names, rate, step, known)
     elif knowing is not None and known is None and (own_limbs := _with_own_limbs(cut, like, step, knowing)):
         candidates.append(own_limbs)
-    if knowing is not None and known is None and (matches := liken.candidate(cut, like, step, knowing)):
-        stored = bytes([MATCHED_LIMBS]) + knowing.id + matches.stored.pack()
-        candidates.append((stored, matches.model(knowing, names, rate)))
+    if knowing is not None and known is None and (likened := liken.candidate(cut, like, step, knowing)):
+        stored, likened_model = likened
+        candidates.append((bytes([MATCHED_LIMBS]) + knowing.id + stored, likened_model))
     bodies = prior.of_bones() if known is None else None
     if bodies is not None and bodies.bones is not None and (sits := attach.fit(cut, bodies, names, rate, step)):
         on_bones = mapped.model(*sits, bodies.bones, bodies, names, rate)
