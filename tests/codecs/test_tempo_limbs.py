@@ -277,10 +277,10 @@ def test_points_that_are_no_body_are_no_limbs() -> None:
 
 
 def test_two_bodies_and_a_loop_are_no_tree() -> None:
-    assert skeletal._ordered((-1, 0, -1, 2)) is None
-    assert skeletal._ordered((2, 0, 1)) is None
-    assert skeletal._ordered((-1, 0, 5)) is None
-    assert list(np.asarray(skeletal._ordered((1, -1, 0)))) == [1, 0, 2]
+    assert skeletal.ordered((-1, 0, -1, 2)) is None
+    assert skeletal.ordered((2, 0, 1)) is None
+    assert skeletal.ordered((-1, 0, 5)) is None
+    assert list(np.asarray(skeletal.ordered((1, -1, 0)))) == [1, 0, 2]
 
 
 def test_damaged_limbs_are_refused() -> None:

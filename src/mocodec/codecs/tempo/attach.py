@@ -9,7 +9,7 @@ Names say nothing here: there are as many as there are laboratories.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,7 +80,7 @@ def fit(
     stored = min(plain, on_body, key=lambda s: len(s.pack()))
     moves = mapped.movements(stored, bones)
     start = mapped.model(stored, moves, bones, prior, names, rate)
-    return replace(stored, levels=levels_of(positions, start, moves, bones.usual, step)), moves
+    return replace(stored, levels=_levels(positions, start, moves, bones, step)), moves
 
 
 FEWEST = 4
@@ -210,10 +210,18 @@ def _followed(moved: Floats, turn: float, t: Try, bones: Bones, rounds: int = BE
     return _unlikely(a, flat, noise), turn, t
 
 
-def levels_of(
-    positions: Sequence[Floats], start: Model, found: mapped.Movements, usual: Integers, step: int
+def _levels(positions: Sequence[Floats], start: Model, found: mapped.Movements, bones: Bones, step: int) -> Integers:
+    return cheapest(positions, start, lambda at: mapped.spreads_of(found, bones.usual, at), FIRST_LEVELS, step)
+
+
+def cheapest(
+    positions: Sequence[Floats],
+    start: Model,
+    spreads: Callable[[Integers], Integers],
+    first: tuple[int, ...],
+    step: int,
 ) -> Integers:
-    """The levels that make the coefficients of the recording cheapest."""
+    """The levels whose spreads (rows, frequencies) make the coefficients of the recording cheapest."""
     size = float(step_size(step)) * FLOOR
     nodes = np.array(contexts.BANDS_MHZ[1:])
     total, count = np.zeros((len(nodes), start.rows - POSE)), np.zeros(len(nodes))
@@ -226,12 +234,12 @@ def levels_of(
     mean = total / np.maximum(count, 1)[:, None] + size
 
     def bits(levels: tuple[int, ...]) -> float:
-        expected = step_size(mapped.spreads_of(found, usual, np.array(levels))[:, 1:].T) + size
+        expected = step_size(spreads(np.array(levels))[:, 1:].T) + size
         return float((count[:, None] * (np.log2(expected) + mean / expected / np.log(2))).sum())
 
-    best, levels = bits(FIRST_LEVELS), FIRST_LEVELS
+    best, levels = bits(first), first
     for width in (16, 8, 4, 2, 1) * 2:
-        for i in range(mapped.LEVELS):
+        for i in range(len(first)):
             for change in (-width, width):
                 other = (*levels[:i], int(np.clip(levels[i] + change, -400, 400)), *levels[i + 1 :])
                 cost = bits(other)

@@ -577,7 +577,7 @@ def fit(poses: Sequence[Floats], parents: Sequence[int], builds: Sequence[Floats
     marks = _carried(parents, vectors)
     limbs = Limbs(tuple(parents), _with_rigid_hubs(vectors, offsets, parents, hub), hub, np.zeros(points, bool))
     for j in np.flatnonzero(marks):
-        limbs = _carry(limbs, poses, int(j))
+        limbs = carry(limbs, poses, int(j))
     return limbs
 
 
@@ -659,7 +659,7 @@ def _with_rigid_hubs(
     return out
 
 
-def _carry(limbs: Limbs, poses: Sequence[Floats], bone: int) -> Limbs:
+def carry(limbs: Limbs, poses: Sequence[Floats], bone: int) -> Limbs:
     """Limbs with this bone (or the hub that it is of) carried, and its usual direction in that frame."""
     marks = limbs.carried.copy()
     joint = limbs.parents[bone]

@@ -195,18 +195,18 @@ def _band_of(millihertz: int) -> int:
 
 def directions(scaled: Floats, most: int) -> Floats:
     """Orthonormal directions (k, 3 points) of movements (modes, 3 points), strongest first."""
-    found = _orthonormal(scaled, most)
+    found = orthonormal(scaled, most)
     for _ in range(ROUNDS):
         if len(found):
-            found = _orthonormal(times(times(found, scaled.T.copy()), scaled), most)
+            found = orthonormal(times(times(found, scaled.T.copy()), scaled), most)
     return found
 
 
-def _orthonormal(rows: Floats, most: int) -> Floats:
-    """Gram–Schmidt on rows, the longest that is left first; rows too short to say anything are dropped."""
+def orthonormal(rows: Floats, most: int, shortest: float = 1e-30) -> Floats:
+    """Gram–Schmidt on rows, the longest that is left first; rows too short (squared) to say anything are dropped."""
     left = rows.T.copy()
     size = sum_of(left**2)
-    floor = max(1e-30, float(size.max(initial=0.0)) * FAINTEST)
+    floor = max(shortest, float(size.max(initial=0.0)) * FAINTEST)
     out = np.zeros((left.shape[0], min(most, len(rows))))
     for count in range(out.shape[1]):
         longest = int(size.argmax())

@@ -14,7 +14,7 @@ numbers and the prior's: the file's own build has no part in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,8 +35,8 @@ FINEST = 40
 """Bones are stored in steps of at least 2^−(this) m."""
 ROUGH = 7
 """Directions alone are stored in steps of 2^−(this) m."""
-USUAL_LEVELS = (-4, 0, -44, 0, -160)
-"""Levels, as in `mapped`, are stored less these."""
+USUAL_LEVELS = (0, 0, -24, 0, -150, 0)
+"""Levels, as in `mapped`, and how much larger it is what no bone of the prior's has a part in; stored less these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Stored:
 
     digits: bones are in 2^(−digits) m. parents: −1 for the root; empty where they and the build are the skeleton's.
     where (points,): the prior's point, −1 for none. marks (points,): 1 of a hub, 2 carried. bones (points, 3): the
-    vector, less the prior's if it knows the bone; if that is of no hub, only its length, less the prior's. levels (5,).
+    vector, less the prior's if it knows the bone; if that is of no hub, only its length, less the prior's. levels (6,).
     """
 
     digits: int
@@ -75,7 +75,7 @@ class Stored:
     @classmethod
     def unpack(cls, data: bytes, points: int, like: Limbs) -> Stored:
         """Raises Corrupt."""
-        (*folded, has_tree, size), at = varint.read(data, 1 + LEVELS + 2)
+        (*folded, has_tree, size), at = varint.read(data, 1 + len(USUAL_LEVELS) + 2)
         digits, *levels = (varint.unsigned(n) for n in folded)
         if has_tree > 1 or abs(digits) > FINEST or max(map(abs, levels)) > 2000 or at + size > len(data):
             raise Corrupt("tempo: matched limbs that are out of range")
@@ -124,14 +124,36 @@ def usual_tree(where: Integers, like: Limbs) -> Integers:
     return out
 
 
+def paths(where: Integers, parents: Sequence[int], like: Limbs) -> list[tuple[int, ...]]:
+    """The prior's bones that each bone stands for, the last first: all from the joint that its start is, or the joint
+    before its start; pieces of a bone stand for the same. Parents stand before their children."""
+    out: list[tuple[int, ...]] = []
+    for j, at in enumerate(where):
+        above = parents[j]
+        while above >= 0 and where[above] < 0:
+            above = parents[above]
+        path = [int(at)] if at >= 0 and like.parents[at] >= 0 else []
+        if path and above >= 0 and where[above] == at:
+            path = list(out[above]) or path
+        elif path and above >= 0:
+            line = path.copy()
+            while like.parents[line[-1]] >= 0 and like.parents[line[-1]] != where[above]:
+                line.append(like.parents[line[-1]])
+            path = line if like.parents[line[-1]] == where[above] else path
+        out.append(tuple(path))
+    return out
+
+
 def at_rest(stored: Stored, like: Limbs, skeleton: Skeleton | None) -> tuple[Limbs, Integers]:
     """The file's limbs on the prior's build, and the points in their order: of whole numbers and the prior's only.
     Raises Corrupt."""
     parents, columns = stored.tree(skeleton)
-    known = stored.where >= 0
-    vectors = np.where(known[:, None], like.vectors[stored.where], np.ldexp(stored.bones.astype(float), -stored.digits))
-    marks = stored.marks[columns]
-    limbs = Limbs(skeletal.in_order(parents, columns), vectors[columns], marks % 2 == 1, marks > 1)
+    ordered, marks = skeletal.in_order(parents, columns), stored.marks[columns]
+    vectors = np.ldexp(stored.bones[columns].astype(float), -stored.digits)
+    for j, path in enumerate(paths(stored.where[columns], ordered, like)):
+        if stored.where[columns[j]] >= 0:
+            vectors[j] = sum((like.vectors[b] for b in path), np.zeros(3))
+    limbs = Limbs(ordered, vectors, marks % 2 == 1, marks > 1)
     if not limbs.dimensions or any(len(children) < 2 for children in limbs.plan.children.values()):
         raise Corrupt("tempo: limbs without bones, or a hub of one")
     return limbs, columns
@@ -159,7 +181,7 @@ def movements(stored: Stored, rest: Limbs, columns: Integers, like: PointSet) ->
     assert like.limbs is not None
     assert like.reach is not None
     reach = _cholesky(_metric(rest))
-    onto = _onto(rest, stored.where[columns], like.limbs)
+    onto = _onto(rest, paths(stored.where[columns], rest.parents, like.limbs), like.limbs)
     free = rest.dimensions
     strength = mapped.power(np.concatenate([like.means[POSE:, None], like.spreads[POSE:, 1:]], axis=1))
     bases, explained = [], []
@@ -167,7 +189,7 @@ def movements(stored: Stored, rest: Limbs, columns: Integers, like: PointSet) ->
         moved = mapped.times(mapped.times(_unweighed(modes, like.reach), onto), reach)
         nodes = mapped.nodes_of(band)
         loud = np.sqrt(strength[:, max(nodes.start, 1) : nodes.stop].max(axis=1))
-        basis = mapped.directions(moved * loud[:, None], free)
+        basis = _with_the_rest(mapped.directions(moved * loud[:, None], free), moved)
         variance = np.zeros((free, strength.shape[1]))
         variance[: len(basis)] = mapped.times(mapped.times(basis, moved.T.copy()) ** 2, strength)
         bases.append(mapped.completed(basis, free, np.zeros((0, free))))
@@ -199,9 +221,16 @@ class Matched:
         limbs = built(stored, rest, columns, skeleton)
         return cls(stored, limbs, columns, *movements(stored, rest, columns, like))
 
+    def spreads(self, like: PointSet, levels: Integers) -> Integers:
+        """Of the components, (rows, frequencies), at these levels."""
+        out = mapped.spreads_of(self.found, usual_spreads(like), levels[:LEVELS])
+        for band, explained in enumerate(self.found.explained):
+            out[~explained.any(axis=1), mapped.nodes_of(band)] += levels[LEVELS] * mapped.LEVEL_UNIT
+        return out
+
     def model(self, prior: Prior, names: tuple[str, ...], rate: float) -> Model:
         like = prior.sets[0]
-        spreads = mapped.spreads_of(self.found, usual_spreads(like), self.stored.levels)
+        spreads = self.spreads(like, self.stored.levels)
         pose = self.limbs.inverse(np.zeros((1, self.limbs.dimensions)))[0][np.argsort(self.columns)]
         moved, means = mapped.of_whole_body(like, len(names))
         points = PointSet(
@@ -228,6 +257,18 @@ def unpack(data: bytes, names: tuple[str, ...], rate: float, skeleton: Skeleton 
 # The arithmetic in a written order.
 
 
+def _with_the_rest(basis: Floats, moved: Floats) -> Floats:
+    """Orthonormal rows, with those after them that rows `moved` need beside them, however faint."""
+    rest = moved / np.sqrt(np.maximum(mapped.sum_of(moved.T**2), 1e-30))[:, None]
+    for _ in range(2):
+        rest = rest - mapped.times(mapped.times(rest, basis.T.copy()), basis)
+    return np.concatenate([basis, mapped.orthonormal(rest, len(basis[0]) - len(basis), FAINT)])
+
+
+FAINT = 1e-14
+"""Of a row of length one, squared: so little left is nothing."""
+
+
 def _turns(limbs: Limbs) -> Iterator[tuple[Floats, list[int]]]:
     """Of each coordinate the axis that it turns about at rest, and the points whose bones it turns."""
     plan = limbs.plan
@@ -251,11 +292,10 @@ def _turns(limbs: Limbs) -> Iterator[tuple[Floats, list[int]]]:
 
 def tilts(vector: Floats) -> tuple[Floats, Floats]:
     """The first two axes of a bone, as `limbs` has them."""
-    d = vector / np.sqrt((vector[0] * vector[0] + vector[1] * vector[1]) + vector[2] * vector[2])
+    d = _unit(vector)
     helper = np.eye(3)[np.abs(d).argmin()]
     along = (helper[0] * d[0] + helper[1] * d[1]) + helper[2] * d[2]
-    first = helper - d * along
-    first = first / np.sqrt((first[0] * first[0] + first[1] * first[1]) + first[2] * first[2])
+    first = _unit(helper - d * along)
     return first, _cross(d, first)
 
 
@@ -295,23 +335,45 @@ def _unweighed(modes: Floats, reach: Floats) -> Floats:
     return out
 
 
-def _onto(rest: Limbs, where: Integers, like: Limbs) -> Floats:
-    """Coordinates of the prior's limbs to those of the file's, (theirs, these)."""
-    plan, known = rest.plan, like.plan
-    bones = {b: 2 * i for i, b in enumerate(known.bones)}
-    hubs = {h: 2 * len(known.bones) + 3 * i for i, h in enumerate(known.hubs)}
+def _onto(rest: Limbs, paths: Sequence[tuple[int, ...]], like: Limbs) -> Floats:
+    """Coordinates of the prior's limbs to those of the file's, (theirs, these), as small turns about the rest."""
+    turned = np.zeros((len(like.parents), like.dimensions, 3))  # how the prior's bones turn with its coordinates
+    for number, (axis, bones) in enumerate(_turns(like)):
+        turned[bones, number] += axis
+    plan = rest.plan
+    number = {b: 2 * i for i, b in enumerate(plan.bones)}
+    number |= {-2 - h: 2 * len(plan.bones) + 3 * i for i, h in enumerate(plan.hubs)}
+    frames: dict[int, Floats] = {-1: np.zeros((like.dimensions, 3))}
     out = np.zeros((like.dimensions, rest.dimensions))
-    for i, b in enumerate(plan.bones):
-        v = int(where[b])
-        if v in bones:
-            out[bones[v] + np.arange(2), 2 * i + np.arange(2)] = 1.0
-        elif v >= 0 and like.hub[v] and like.parents[v] in hubs:
-            first, second = tilts(like.vectors[v])
-            at = hubs[like.parents[v]]
-            out[at : at + 3, 2 * i], out[at : at + 3, 2 * i + 1] = second, -first
-    for i, h in enumerate(plan.hubs):
-        of = [like.parents[v] for v in where[plan.children[h]] if v >= 0 and like.hub[v]]
-        if of:
-            at = hubs[max(of, key=of.count)]
-            out[at + np.arange(3), 2 * len(plan.bones) + 3 * i + np.arange(3)] = 1.0
+    for j, parent in enumerate(rest.parents):
+        if parent < 0 or rest.still[j]:
+            continue
+        carried = frames[plan.carrier[j]]
+        at = number[-2 - parent if rest.hub[j] else j]
+        if rest.hub[j]:
+            theirs = [b for c in plan.children[parent] for b in paths[c][-1:] if like.hub[b]]
+            if -2 - parent not in frames:
+                own = turned[theirs[0]] - carried if theirs else np.zeros_like(carried)
+                out[:, at : at + 3] = own
+                frames[-2 - parent] = carried + own
+            continue
+        first, second = tilts(rest.vectors[j])
+        own = np.zeros((like.dimensions, 2))
+        if paths[j]:
+            moved = -_cross(carried, np.broadcast_to(_unit(rest.vectors[j]), carried.shape))
+            for b in paths[j]:
+                along = like.vectors[b] / _length(rest.vectors[j])
+                moved = moved + _cross(turned[b], np.broadcast_to(along, carried.shape))
+            for i, axis in enumerate((first, second)):
+                own[:, i] = (moved[:, 0] * axis[0] + moved[:, 1] * axis[1]) + moved[:, 2] * axis[2]
+        out[:, at : at + 2] = own
+        frames[j] = carried + own[:, :1] * second - own[:, 1:] * first
     return out
+
+
+def _length(v: Floats) -> Floats:
+    return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
+
+
+def _unit(v: Floats) -> Floats:
+    return v / _length(v)
