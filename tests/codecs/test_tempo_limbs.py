@@ -284,6 +284,6 @@ def test_two_bodies_and_a_loop_are_no_tree() -> None:
 
 
 def test_damaged_limbs_are_refused() -> None:
-    encoded = Tempo(max_error=0.02).in_chunks(stranger(False, 240))
+    encoded = Tempo(max_error=0.004).in_chunks(stranger(False))
     assert kind(encoded) == tempo.OWN_LIMBS
-    refuses_or_decodes_damage(encoded, 7)
+    refuses_or_decodes_damage(encoded, 29)

@@ -27,6 +27,7 @@ def person(frames: int = 150, rate: float = 30.0, seed: int = 0) -> Floats:
     """Positions (frames, points, 3) of somebody who moves as the prior expects, on a build of their own."""
     rng = np.random.default_rng(seed)
     built = LIKE.built(LIKE.vectors * rng.uniform(0.9, 1.12, (len(NAMES), 1)))
+    assert KNOWING is not None
     model = Model(replace(POINTS, limbs=built), KNOWING, rate)
     usual = step_size(model.expected(frames, 0))
     usual[:, : HEADING + 1] = 0.0
@@ -168,7 +169,7 @@ def test_damage_is_refused() -> None:
         Tempo.decode(replace(with_one, about=about))
 
 
-# -------------------------------------------------------------------------------------- the arithmetic in a written order
+# ------------------------------------------------------------------------------------- the arithmetic in a written order
 
 
 def merged(gone: Sequence[int]) -> tuple[limbs.Limbs, matched.Stored, list[int]]:

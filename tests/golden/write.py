@@ -5,7 +5,7 @@
 
 `NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres, of point
 clouds to a micrometre and with colours. A file of an earlier version is never written again: it is what must decode for
-ever. lien2006-lines is of a form that is no longer written.
+ever. lien2006-lines is of a form that is no longer written; tempo-own-limbs would now be matched to the prior's limbs.
 """
 
 from __future__ import annotations
@@ -66,6 +66,13 @@ def own_limbs() -> Motion:
     return Motion(motion.positions, motion.rate, (), motion.up)
 
 
+def matched_limbs() -> Motion:
+    """72 frames of the same body, without fingers, thumbs and toes."""
+    motion = own_limbs()[:72]
+    gone = [i for i, name in enumerate(limbs().names) if name[1:] in ("fingers", "thumb", "toes")]
+    return Motion(np.delete(motion.positions, gone, axis=1), motion.rate, (), motion.up)
+
+
 def on_bones() -> Motion:
     """72 frames of a whole body's markers, too few for a basis of their own."""
     return synthetic.markers(frames=72, seed=14)
@@ -100,6 +107,7 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
     "tempo-limbs": (limbs, "tempo", {"max_error": 0.005}),
     "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
+    "tempo-matched-limbs": (matched_limbs, "tempo", {"max_error": 0.005}),
     "tempo-on-bones": (on_bones, "tempo", {"max_error": 0.01}),
     "tempo-held": (held, "tempo", {"max_error": 0.005}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),

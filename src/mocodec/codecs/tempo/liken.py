@@ -1,6 +1,6 @@
 """Which joint of the prior's each joint of a file is, from where the joints are and how they hang together.
 
-    a tree ─turned 16 ways, in 5 sizes─► for each joint and each of the prior's: what the branch costs at best ─► where
+    a tree ─turned 12 ways, in 5 sizes─► for each joint and each of the prior's: what the branch costs at best ─► where
     where, movement ─► hubs, what is carried, lengths ─► matched.Stored
 
 Names say nothing here. A branch is laid on a branch: a bone takes the place of one of the prior's, or of two or three
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +26,14 @@ from .prior import PointSet, Prior
 
 Integers = NDArray[np.int64]
 
-TURNS = 16
+TURNS = 12
 SIZES = (0.72, 0.85, 1.0, 1.18, 1.4)
 """Of the body, against what the spread of its points says."""
 NEAR_M, NEAR = 0.03, 0.3
 """A bone ends about so far from where the prior's does, and so much of its length."""
-EXTRA, SKIPPED = 2.0, 0.5
+AS_LONG = 0.2
+"""Its length differs by about this, as a logarithm: that does not depend on the pose."""
+EXTRA, SKIPPED = 3.0, 1.0
 """What a bone costs that none of the prior's stands for, and one of the prior's that is passed over."""
 PASSED = 3
 """A bone stands for at most so many of the prior's in a row, and at most so many in a row are pieces more."""
@@ -52,9 +55,9 @@ def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> 
         if skeletal.ordered(parents) is None:
             continue
         rooted = [tuple(parents)] if fine is None else _rooted(parents, pose)
-        best = _parted(pose, min((_laid(pose, tree, known) for tree in rooted), key=lambda p: p.cost), known)
+        best = min((_laid(every, tree, known) for tree in rooted), key=lambda p: p.cost)
         if fine is not None and (tree := _relinked(every, best, known, tolerance)) != best.parents:
-            best = min(best, _parted(pose, _laid(pose, tree, known), known), key=lambda p: p.cost)
+            best = min(best, _laid(every, tree, known), key=lambda p: p.cost)
         if (best.where >= 0).sum() < FEWEST_MATCHED:
             continue
         turned = [body.turn(h, np.full(len(h), best.turn)) for h in headed]
@@ -76,15 +79,12 @@ def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """One way to see the tree: what it costs, the turn of the pose, the prior's joint of each (−1 for none), and what the
-    branch that begins with each gains by not being pieces more; and the best turns and sizes."""
+    """One way to see the tree: what it costs, the turn of the pose, and the prior's joint of each, −1 for none."""
 
     cost: float
     turn: float
     parents: tuple[int, ...]
     where: Integers
-    gains: Floats
-    ways: Integers
 
 
 def _rooted(parents: Sequence[int], pose: Floats) -> Iterator[tuple[int, ...]]:
@@ -111,124 +111,144 @@ ROOTS = 4
 """Of these, as many are tried, those in the middle of the body."""
 
 
-def _parted(pose: Floats, place: Place, known: PointSet) -> Place:
-    """The same, with no two joints on one of the prior's."""
-    barred = np.zeros((len(place.parents), len(known.names)), bool)
-    for _ in range(ROUNDS):
-        if not (twice := _twice(place, len(known.names))).any():
-            return place
-        barred |= twice
-        place = _laid(pose, place.parents, known, barred, place.ways)
-    twice = _twice(place, len(known.names))
-    return replace(place, where=np.where(twice.any(axis=1), -1, place.where))
-
-
-ROUNDS = 8
-"""So often joints that are one and the same are parted."""
-
-
-def _laid(
-    pose: Floats,
-    parents: tuple[int, ...],
-    known: PointSet,
-    barred: NDArray[np.bool_] | None = None,
-    ways: NDArray[np.int64] | None = None,
-) -> Place:
-    """The best way to lay the prior's tree on this one, as the mean pose (points, 3) has it.
-
-    barred (points, prior's joints): what they are not. ways: turns and sizes that are tried, all unless given.
-    """
+def _laid(headed: Floats, parents: tuple[int, ...], known: PointSet) -> Place:
+    """The best way to lay the prior's tree on this one, as poses (frames, points, 3) have it: where bones point is that
+    of their mean, how long they are is not."""
     assert known.limbs is not None
     order = skeletal.ordered(parents)
     assert order is not None
     theirs = known.limbs.inverse(np.zeros((1, known.limbs.dimensions)))[0]
     angles = np.arange(TURNS) * 2 * np.pi / TURNS
-    spread = np.sqrt((theirs**2).mean() / max(float((pose**2).mean()), 1e-12))
-    poses = np.concatenate([body.turn(np.repeat(pose[None], TURNS, axis=0), angles) * spread * s for s in SIZES])
-    if ways is None:
-        ways = np.arange(len(poses))
-    poses = poses[ways]
+    pose = headed.mean(axis=0)
+    spread = np.sqrt((theirs**2).mean() / max(float((headed**2).mean()), 1e-12))
+    poses = np.concatenate([body.turn(np.repeat(pose[None], TURNS, axis=0), angles)] * len(SIZES))
+    sizes = np.repeat(np.array(SIZES) * spread, TURNS)
     children: dict[int, list[int]] = {}
     for j in order[1:]:
         children.setdefault(parents[j], []).append(int(j))
+    still = {int(j) for j in order[1:] if float(((pose[j] - pose[parents[j]]) ** 2).sum()) <= SHORTEST_M**2}
     bones = theirs - theirs[:, None]  # from, to
     length = np.sqrt((bones**2).sum(axis=2))
-    passed = _passed(known.limbs.parents)
     wide = 2 * (NEAR_M + NEAR * length) ** 2
-    toll = np.where(passed > 0, SKIPPED * (passed - 1.0), np.inf)
-    memo: dict[tuple[int, int, int], tuple[Floats, Integers]] = {}
-    ends = {j: _sum_of_branch(j, children) for j in range(len(parents))}
+    toll = _toll(known.limbs.parents)
+    sets = 1 << len(toll)
+    shape = (sets, len(theirs), len(poses))
 
-    none = np.zeros((len(theirs), len(poses)))
-    still = {int(j) for j in order[1:] if float(((pose[j] - pose[parents[j]]) ** 2).sum()) <= SHORTEST_M**2}
-
-    def below(joint: int) -> Floats:
-        """What the branches at a joint cost where it is each of the prior's: (prior's joints, ways)."""
-        return sum((branch(c, joint, 0)[0] for c in children.get(joint, [])), none)
-
-    def branch(joint: int, above: int, more: int) -> tuple[Floats, Integers]:
-        """What the branch that begins with this joint costs, where `above` is each of the prior's; and which of them
-        the joint is then."""
-        if (joint, above, more) in memo:
-            return memo[joint, above, more]
-        if joint in still:
-            costs = [branch(c, above, more)[0] for c in children.get(joint, [])]
-            memo[joint, above, more] = sum(costs, none), np.full(none.shape, -1)
-            return memo[joint, above, more]
+    @cache
+    def matched(joint: int, above: int) -> Floats:
+        """What the branch that begins with this joint costs where `above` is each of the prior's and this one below it:
+        (prior's branches there, prior's joints, prior's joints that this one is, ways)."""
         offset = poses[:, joint] - poses[:, above]
-        apart = ((offset[:, None, None] - bones) ** 2).sum(axis=3) / wide + toll
-        if barred is not None:
-            apart[..., barred[joint]] = np.inf
-        laid = apart.transpose(1, 2, 0) + below(joint)[None]
-        cost, at = laid.min(axis=1), laid.argmin(axis=1)
-        if more == PASSED:
-            left = np.full(cost.shape, EXTRA * ends[joint])
-        else:
-            left = sum((branch(c, above, more + 1)[0] for c in children.get(joint, [])), np.full(cost.shape, EXTRA))
-        memo[joint, above, more] = np.minimum(cost, left), np.where(left < cost, -1, at)
-        return memo[joint, above, more]
+        long = sizes * np.median(np.sqrt(((headed[:, joint] - headed[:, above]) ** 2).sum(axis=1)))
+        offset = offset / np.maximum(np.sqrt((offset**2).sum(axis=1)), 1e-9)[:, None] * long[:, None]
+        apart = ((offset[:, None, None] - bones) ** 2).sum(axis=3) / wide
+        apart += (np.log((long[:, None, None] + NEAR_M) / (length + NEAR_M)) / AS_LONG) ** 2 / 2
+        laid = apart.transpose(1, 2, 0) + below(joint).min(axis=0)
+        return laid + toll[..., None]
+
+    @cache
+    def cheapest(joint: int, above: int) -> Floats:
+        return matched(joint, above).min(axis=2)
+
+    @cache
+    def left_out(joint: int, above: int, more: int) -> Floats:
+        """What the branch costs if its first bone is a piece more, by the set of the prior's branches that it takes."""
+        if joint in still:
+            return _together([branch(c, above, more) for c in children.get(joint, [])], shape)
+        if more < PASSED:
+            return EXTRA + _together([branch(c, above, more + 1) for c in children.get(joint, [])], shape)
+        out = np.full(shape, np.inf)
+        out[0] = EXTRA * len(_below(joint, parents))
+        return out
+
+    @cache
+    def branch(joint: int, above: int, more: int) -> Floats:
+        """What the branch costs at best, by the set of the prior's branches that it takes."""
+        out = left_out(joint, above, more).copy()
+        if joint not in still:
+            for b, cost in enumerate(cheapest(joint, above)):
+                out[1 << b] = np.minimum(out[1 << b], cost)
+        return out
+
+    @cache
+    def below(joint: int) -> Floats:
+        """What the branches at a joint cost where it is each of the prior's, by the set of branches that they take."""
+        return _together([branch(c, joint, 0) for c in children.get(joint, [])], shape)
 
     root = int(order[0])
-    cost = below(root)
-    first, way = np.unravel_index(cost.argmin(), cost.shape)
+    cost = below(root).min(axis=0)
+    first, way = (int(i) for i in np.unravel_index(cost.argmin(), cost.shape))
     where = np.full(len(parents), -1)
 
-    def follow(joint: int, above: int, over: int, more: int) -> None:
-        at = int(branch(joint, above, more)[1][over, way])
-        where[joint] = at
-        if at >= 0:
-            above, over, more = joint, at, 0
-        elif joint not in still:
-            more += 1
-        for c in children.get(joint, []) if more <= PASSED else []:
-            follow(c, above, over, more)
+    def follow(joint: int, above: int, over: int, more: int, taken: int) -> None:
+        """Say where the branch lies, given where `above` does, and which branches there are its own."""
+        number = taken.bit_length() - 1
+        alone = taken and taken == 1 << number and joint not in still
+        if alone and cheapest(joint, above)[number, over, way] <= left_out(joint, above, more)[taken, over, way]:
+            at = int(matched(joint, above)[number, over, :, way].argmin())
+            where[joint] = at
+            share(joint, joint, at, 0, int(below(joint)[:, at, way].argmin()))
+        elif joint in still or more < PASSED:
+            share(joint, above, over, more + (joint not in still), taken)
+
+    def share(joint: int, above: int, over: int, more: int, taken: int) -> None:
+        """Share the branches out among the children of a joint."""
+        below_it = children.get(joint, [])
+        costs = [branch(c, above, more)[:, over, way] for c in below_it]
+        for i in range(len(below_it) - 1, -1, -1):
+            others = _together([c[:, None, None] for c in costs[:i]], (sets, 1, 1))[:, 0, 0]
+            own = min(_within(taken), key=lambda s: others[taken ^ s] + costs[i][s])
+            follow(below_it[i], above, over, more, own)
+            taken ^= own
 
     where[root] = first
-    for c in children.get(root, []):
-        follow(c, root, int(first), 0)
-    gains = np.zeros(len(parents))
-    for (j, above, _), (of_branch, _) in memo.items():
-        if where[j] >= 0 and where[above] >= 0:
-            gains[j] = EXTRA * ends[j] - of_branch[where[above], way]
+    share(root, root, first, 0, int(below(root)[:, first, way].argmin()))
     sure = where >= 0
     here, there = (each - each.mean(axis=0) for each in (pose[sure], theirs[where[sure]]))
-    turn = -float(body.heading(here[None], there)[0])
-    best = ways[cost.min(axis=0).argsort()[:BEST_WAYS]]
-    return Place(float(cost[first, way]), turn, parents, where, gains, best)
+    return Place(float(cost[first, way]), -float(body.heading(here[None], there)[0]), parents, where)
 
 
-def _twice(place: Place, joints: int) -> NDArray[np.bool_]:
-    """What joints should not be, (points, prior's joints): of those that are one and the same, only that whose branch
-    gains most by it should be."""
-    out = np.zeros((len(place.where), joints), bool)
-    for v in range(joints):
-        same = np.flatnonzero(place.where == v)
-        if len(same) > 1:
-            out[same, v] = same != same[place.gains[same].argmax()]
+def _together(costs: Sequence[Floats], shape: tuple[int, int, int]) -> Floats:
+    """What branches cost together, each by the set that it takes (sets, …), none taken twice."""
+    out = np.full(shape, np.inf)
+    out[0] = 0.0
+    for cost in costs:
+        before, out = out, np.full(shape, np.inf)
+        for taken in range(shape[0]):
+            for own in _within(taken):
+                np.minimum(out[taken], before[taken ^ own] + cost[own], out=out[taken])
     return out
 
 
-FEWEST_MATCHED, BEST_WAYS = 4, 8
+def _within(taken: int) -> list[int]:
+    """The sets that are within a set."""
+    return [s for s in range(taken + 1) if s & taken == s]
+
+
+def _toll(parents: Sequence[int]) -> Floats:
+    """What it costs to pass over bones, (branches, from, to): nothing between neighbours, and no way into another
+    branch, nor past more than `PASSED`."""
+    children = [[j for j, p in enumerate(parents) if p == v] for v in range(len(parents))]
+    out = np.full((max(map(len, children)), len(parents), len(parents)), np.inf)
+    for j in range(len(parents)):
+        at = j
+        for passed in range(PASSED):
+            if parents[at] < 0:
+                break
+            out[children[parents[at]].index(at), parents[at], j] = SKIPPED * passed
+            at = parents[at]
+    return out
+
+
+def _below(joint: int, parents: Sequence[int]) -> list[int]:
+    """The joint and all that hang on it."""
+    out = [joint]
+    for at in out:
+        out += [j for j, p in enumerate(parents) if p == at]
+    return out
+
+
+FEWEST_MATCHED = 4
 
 
 def _relinked(poses: Floats, place: Place, known: PointSet, tolerance: float) -> tuple[int, ...]:
@@ -266,22 +286,24 @@ def _passed(parents: Sequence[int]) -> Integers:
 def _stored(
     poses: Sequence[Floats], place: Place, fine: int | None, known: PointSet, skeleton: Skeleton | None
 ) -> Stored:
-    """What is stored of limbs so placed, for runs of poses (frames, points, 3) turned as the prior's. Raises Corrupt."""
+    """What is stored of limbs so placed, for runs of poses (frames, points, 3) turned as the prior's. Raises
+    Corrupt."""
     assert known.limbs is not None
     like, parents, where = known.limbs, place.parents, place.where.copy()
     columns = skeletal.ordered(parents)
     assert columns is not None
     back = np.argsort(columns)
     for j in columns[:0:-1]:  # a piece more, before a joint that the prior knows, is one of the same bone
-        if where[parents[j]] < 0 <= where[j]:
+        if where[parents[j]] < 0 <= where[j] and parents[parents[j]] >= 0:
             where[parents[j]] = where[j]
     builds = [skeleton.offsets[columns]] * len(poses) if skeleton is not None and fine is None else None
     ordered = [p[:, columns] for p in poses]
     found = fit(ordered, skeletal.in_order(parents, columns), builds)
     where[(found.still[back]) | (np.array(like.parents)[where] < 0)] = -1
     digits = ROUGH if fine is None else round(-fine / contexts.OCTAVE + 0.5)
-    for _ in range(2):
-        stored = _with_directions(ordered, found, where, digits, () if fine is None else parents, like, skeleton)
+    tree = () if fine is None else parents
+    while True:
+        stored = _with_directions(ordered, found, where, digits, tree, like, skeleton)
         rest, _ = at_rest(stored, like, skeleton)
         plan = rest.plan
         turns, _ = plan.split(np.concatenate([rest.forward(o) for o in ordered]).T)
