@@ -169,7 +169,7 @@ def test_damage_is_refused() -> None:
         Tempo.decode(replace(with_one, about=about))
 
 
-# ------------------------------------------------------------------------------------- the arithmetic in a written order
+# ------------------------------------------------------------------------------------ the arithmetic in a written order
 
 
 def merged(gone: Sequence[int]) -> tuple[limbs.Limbs, matched.Stored, list[int]]:
