@@ -35,6 +35,8 @@ AS_LONG = 0.2
 """Its length differs by about this, as a logarithm: that does not depend on the pose."""
 EXTRA, SKIPPED = 3.0, 1.0
 """What a bone costs that none of the prior's stands for, and one of the prior's that is passed over."""
+LEVELLED = 8
+"""Levels are fitted to about so many of the chunks."""
 PASSED = 3
 """A bone stands for at most so many of the prior's in a row, and at most so many in a row are pieces more."""
 
@@ -44,7 +46,9 @@ def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> 
     or no body's. like: any motion with their names, rate and skeleton."""
     known = prior.sets[0]
     assert known.limbs is not None
-    if like.points < skeletal.FEWEST_POINTS or sum(map(len, runs)) < skeletal.FEWEST_FRAMES:
+    if not skeletal.FEWEST_POINTS <= like.points <= skeletal.MOST_POINTS:
+        return None
+    if sum(map(len, runs)) < skeletal.FEWEST_FRAMES:
         return None
     centred = [r - r.mean(axis=1, keepdims=True) for r in (r[:: max(1, len(r) // skeletal.SAMPLED)] for r in runs)]
     pose = body.mean_pose(np.concatenate(centred))
@@ -70,8 +74,9 @@ def candidate(runs: Sequence[Floats], like: Motion, step: int, prior: Prior) -> 
         poses = poses - poses.mean(axis=1, keepdims=True)
         off = np.sqrt(((matched.limbs.inverse(matched.limbs.forward(poses)) - poses) ** 2).sum(axis=2))
         if (off > 2 * tolerance).mean() < 0.01:
+            some = runs[:: -(-len(runs) // LEVELLED)]
             start = matched.model(prior, like.names, like.rate)
-            levels = attach.cheapest(runs, start, lambda at, m=matched: m.spreads(known, at), USUAL_LEVELS, step)
+            levels = attach.cheapest(some, start, lambda at, m=matched: m.spreads(known, at), USUAL_LEVELS, step)
             matched = replace(matched, stored=replace(found, levels=levels))
             return matched.stored.pack(known.limbs), matched.model(prior, like.names, like.rate)
     return None
@@ -127,28 +132,32 @@ def _laid(headed: Floats, parents: tuple[int, ...], known: PointSet) -> Place:
     for j in order[1:]:
         children.setdefault(parents[j], []).append(int(j))
     still = {int(j) for j in order[1:] if float(((pose[j] - pose[parents[j]]) ** 2).sum()) <= SHORTEST_M**2}
-    bones = theirs - theirs[:, None]  # from, to
-    length = np.sqrt((bones**2).sum(axis=2))
+    start, number, end, toll = _ways_down(known.limbs.parents)
+    bones = theirs[end] - theirs[start]
+    length = np.sqrt((bones**2).sum(axis=1))
     wide = 2 * (NEAR_M + NEAR * length) ** 2
-    toll = _toll(known.limbs.parents)
-    sets = 1 << len(toll)
+    groups = np.flatnonzero(np.diff(number * len(theirs) + start, prepend=-1))
+    branches = int(number.max()) + 1
+    sets = 1 << branches
     shape = (sets, len(theirs), len(poses))
 
     @cache
     def matched(joint: int, above: int) -> Floats:
-        """What the branch that begins with this joint costs where `above` is each of the prior's and this one below it:
-        (prior's branches there, prior's joints, prior's joints that this one is, ways)."""
+        """What the branch that begins with this joint costs where the bone from `above` is each of the ways down the
+        prior's tree: (ways down, ways)."""
         offset = poses[:, joint] - poses[:, above]
         long = sizes * np.median(np.sqrt(((headed[:, joint] - headed[:, above]) ** 2).sum(axis=1)))
         offset = offset / np.maximum(np.sqrt((offset**2).sum(axis=1)), 1e-9)[:, None] * long[:, None]
-        apart = ((offset[:, None, None] - bones) ** 2).sum(axis=3) / wide
-        apart += (np.log((long[:, None, None] + NEAR_M) / (length + NEAR_M)) / AS_LONG) ** 2 / 2
-        laid = apart.transpose(1, 2, 0) + below(joint).min(axis=0)
-        return laid + toll[..., None]
+        apart = ((offset - bones[:, None]) ** 2).sum(axis=2) / wide[:, None]
+        apart += (np.log((long + NEAR_M) / (length[:, None] + NEAR_M)) / AS_LONG) ** 2 / 2
+        return apart + toll[:, None] + below(joint).min(axis=0)[end]
 
     @cache
     def cheapest(joint: int, above: int) -> Floats:
-        return matched(joint, above).min(axis=2)
+        """The same by the branch that is gone down, (branches, prior's joints that `above` is, ways)."""
+        out = np.full((branches, *shape[1:]), np.inf)
+        out[number[groups], start[groups]] = np.minimum.reduceat(matched(joint, above), groups, axis=0)
+        return out
 
     @cache
     def left_out(joint: int, above: int, more: int) -> Floats:
@@ -175,6 +184,8 @@ def _laid(headed: Floats, parents: tuple[int, ...], known: PointSet) -> Place:
         """What the branches at a joint cost where it is each of the prior's, by the set of branches that they take."""
         return _together([branch(c, joint, 0) for c in children.get(joint, [])], shape)
 
+    for joint in order[::-1]:  # or a long chain would nest as deeply
+        below(int(joint))
     root = int(order[0])
     cost = below(root).min(axis=0)
     first, way = (int(i) for i in np.unravel_index(cost.argmin(), cost.shape))
@@ -182,10 +193,11 @@ def _laid(headed: Floats, parents: tuple[int, ...], known: PointSet) -> Place:
 
     def follow(joint: int, above: int, over: int, more: int, taken: int) -> None:
         """Say where the branch lies, given where `above` does, and which branches there are its own."""
-        number = taken.bit_length() - 1
-        alone = taken and taken == 1 << number and joint not in still
-        if alone and cheapest(joint, above)[number, over, way] <= left_out(joint, above, more)[taken, over, way]:
-            at = int(matched(joint, above)[number, over, :, way].argmin())
+        only = taken.bit_length() - 1
+        alone = taken and taken == 1 << only and joint not in still
+        if alone and cheapest(joint, above)[only, over, way] <= left_out(joint, above, more)[taken, over, way]:
+            ways_down = np.flatnonzero((number == only) & (start == over))
+            at = int(end[ways_down[matched(joint, above)[ways_down, way].argmin()]])
             where[joint] = at
             share(joint, joint, at, 0, int(below(joint)[:, at, way].argmin()))
         elif joint in still or more < PASSED:
@@ -225,19 +237,20 @@ def _within(taken: int) -> list[int]:
     return [s for s in range(taken + 1) if s & taken == s]
 
 
-def _toll(parents: Sequence[int]) -> Floats:
-    """What it costs to pass over bones, (branches, from, to): nothing between neighbours, and no way into another
-    branch, nor past more than `PASSED`."""
+def _ways_down(parents: Sequence[int]) -> tuple[Integers, Integers, Integers, Floats]:
+    """From each joint to those below it, at most `PASSED` bones away: where from, the number of the branch, where to,
+    and what it costs to pass over bones. Ordered by branch and start."""
     children = [[j for j, p in enumerate(parents) if p == v] for v in range(len(parents))]
-    out = np.full((max(map(len, children)), len(parents), len(parents)), np.inf)
+    found: list[tuple[int, int, int, float]] = []
     for j in range(len(parents)):
         at = j
         for passed in range(PASSED):
             if parents[at] < 0:
                 break
-            out[children[parents[at]].index(at), parents[at], j] = SKIPPED * passed
+            found.append((children[parents[at]].index(at), parents[at], j, SKIPPED * passed))
             at = parents[at]
-    return out
+    number, start, end, toll = (np.array(column) for column in zip(*sorted(found), strict=True))
+    return start, number, end, toll
 
 
 def _below(joint: int, parents: Sequence[int]) -> list[int]:
