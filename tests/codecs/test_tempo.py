@@ -260,7 +260,8 @@ def test_points_on_bones_have_orthonormal_bases_and_come_back_from_their_bytes(p
         assert (getattr(again, name) == getattr(stored, name)).all()
     there = mapped.movements(again, bodies.bones)
     assert (
-        mapped.spreads_of(there, bodies.bones.usual, again.levels) == mapped.spreads_of(found, bodies.bones.usual, stored.levels)
+        mapped.spreads_of(there, bodies.bones.usual, again.levels)
+        == mapped.spreads_of(found, bodies.bones.usual, stored.levels)
     ).all()
     for size in range(len(stored.pack())):
         with pytest.raises(Corrupt):
