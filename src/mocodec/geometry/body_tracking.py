@@ -71,6 +71,11 @@ def _unit(vector: Floats, otherwise: Floats | None = None) -> Floats:
     return np.array([0.0, 1.0, 0.0]) if otherwise is None else otherwise
 
 
+def _units(vectors: Floats) -> Floats:
+    """(n, 3): directions of vectors (n, 3), nothing where they have none."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+
+
 def _better(fit: Fit, other: Fit) -> Fit:
     """The other fit if it is clearly better."""
     return other if other.cost < 0.97 * fit.cost else fit
@@ -341,19 +346,15 @@ class Tracker:
         start = a[upper] @ self.body.origins[upper] + b[upper]
         first, second = bend - self.body.origins[upper], end - self.body.origins[lower]
         one, two = np.linalg.norm(first), np.linalg.norm(second) * rng.uniform(0.5, 1.3, len(targets))
-        way = targets - start
-        far = np.linalg.norm(way, axis=1)
-        to = way / np.maximum(far, 1e-9)[:, None]
+        to, far = _units(targets - start), np.linalg.norm(targets - start, axis=1)
         far = np.clip(far, np.abs(one - two) + 1e-3, one + two - 1e-3)
         cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]
-        side = np.cross(to, rng.normal(size=to.shape))
-        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        side = _units(np.cross(to, rng.normal(size=to.shape)))
         along = cosine * to + np.sqrt(1 - cosine**2) * side
-        onward = start + far[:, None] * to - (start + one * along)
-        onward /= np.linalg.norm(onward, axis=1, keepdims=True)
-        turned = between(np.tile(a[upper] @ first / one, (len(to), 1)), along) @ a[upper]
+        onward = _units(far[:, None] * to - one * along)
+        turned = between(_units(np.tile(a[upper] @ first, (len(to), 1))), along) @ a[upper]
         below = turned @ pose.rotations[lower]
-        below = between(below @ second / np.linalg.norm(second), onward) @ below
+        below = between(_units(below @ second), onward) @ below
         parent = self.body.parents[upper]
         rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
         rotations[:, 0] = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
