@@ -63,17 +63,15 @@ ABSENT = 0.10  # metres from each other at which most of the data and of the tem
 LOST = 0.045  # metres: a point farther than this from the template is not explained by it
 
 
-def _unit(vector: Floats, otherwise: Floats | None = None) -> Floats:
-    """The vector's direction; `otherwise`, or up, where it has none."""
+def _unit(vector: Floats, otherwise: Floats) -> Floats:
+    """The vector's direction; `otherwise` where it has none."""
     length = float(np.linalg.norm(vector))
-    if length > 1e-3:
-        return vector / length
-    return np.array([0.0, 1.0, 0.0]) if otherwise is None else otherwise
+    return vector / length if length > 1e-3 else otherwise
 
 
 def _units(vectors: Floats) -> Floats:
-    """(n, 3): directions of vectors (n, 3), nothing where they have none."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    """(…, 3): directions of vectors (…, 3), nothing where they have none."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
 def _better(fit: Fit, other: Fit) -> Fit:
@@ -299,16 +297,10 @@ class Tracker:
         a, b = transforms(self.body, pose)
         rotations = pose.rotations.copy()
         for mine, theirs in ((one, other), (other, one)):
-            upper, lower = mine.links[:2]
+            upper = mine.links[0]
             bends, ends = (a[link] @ place + b[link] for link, place in self._reach(theirs))
             start = a[upper] @ self.body.origins[upper] + b[upper]
-            turned = between(_unit(a[upper] @ self.body.axes[upper]), _unit(bends - start)) @ a[upper]
-            elbow = start + turned @ (self.body.origins[lower] - self.body.origins[upper])
-            below = turned @ rotations[lower]
-            below = between(_unit(below @ self.body.axes[lower]), _unit(ends - elbow)) @ below
-            parent = self.body.parents[upper]
-            rotations[upper] = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
-            rotations[lower] = turned.T @ below
+            rotations[mine.links[:2]] = self._pointed(mine, pose, a, start, bends - start, ends)
         return Pose(rotations, pose.root)
 
     def _reach(self, limb: Limb) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
@@ -351,15 +343,22 @@ class Tracker:
         cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]
         side = _units(np.cross(to, rng.normal(size=to.shape)))
         along = cosine * to + np.sqrt(1 - cosine**2) * side
-        onward = _units(far[:, None] * to - one * along)
-        turned = between(_units(np.tile(a[upper] @ first, (len(to), 1))), along) @ a[upper]
-        below = turned @ pose.rotations[lower]
-        below = between(_units(below @ second), onward) @ below
-        parent = self.body.parents[upper]
         rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
-        rotations[:, 0] = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
-        rotations[:, 1] = turned.transpose(0, 2, 1) @ below
+        rotations[:, :2] = self._pointed(limb, pose, a, start, along, start + far[:, None] * to)
         return rotations
+
+    def _pointed(self, limb: Limb, pose: Pose, a: Floats, start: Floats, along: Floats, ends: Floats) -> Floats:
+        """(…, 2, 3, 3): rotations of a limb's first two bones where the first, from `start` (3,), points along (…, 3),
+        and the second from there to ends (…, 3). a: of the pose, as `transforms` gives it.
+        """
+        upper, lower = limb.links[:2]
+        axes, parent = self.body.axes, self.body.parents[upper]
+        turned = between(_units(np.broadcast_to(a[upper] @ axes[upper], along.shape)), _units(along)) @ a[upper]
+        elbow = start + turned @ (self.body.origins[lower] - self.body.origins[upper])
+        below = turned @ pose.rotations[lower]
+        below = between(_units(below @ axes[lower]), _units(ends - elbow)) @ below
+        first = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
+        return np.stack([first, np.swapaxes(turned, -1, -2) @ below], axis=-3)
 
     def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 5) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""
