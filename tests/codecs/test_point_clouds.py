@@ -1,0 +1,32 @@
+"""What every codec of point clouds does alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mocodec.codecs.bodycast import Bodycast
+from mocodec.codecs.lien2006 import Lien2006
+from mocodec.errors import CannotEncode
+from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.pointcloud import PointClouds
+
+pytest.importorskip("av")
+pytest.importorskip("PIL")
+
+
+@pytest.mark.parametrize("codec", [Bodycast(), Lien2006(residual=25)], ids=lambda codec: codec.name)
+@pytest.mark.parametrize("far", [1e6, 1e20, 1e200])
+def test_what_is_out_of_the_world_is_nobodys(codec, far):
+    performance = sequences.jumping_jacks(actors.capsules(), 8)
+    clouds = sequences.record(performance, 2000, seed=1)
+    codec = replace(codec, skeleton=performance.skeleton())
+    positions = [points.copy() for points in clouds.positions[:4]]
+    positions[1][5], positions[2] = far, positions[2] * far
+    decoded = codec.decode(codec.encode(PointClouds(positions, 15.0)))
+    assert measures.d1(clouds, decoded, 1) < 0.05
+    assert len(decoded.positions[2]) == 0
+    assert measures.d1(clouds, decoded, 3) < 0.06
+    with pytest.raises(CannotEncode, match="no body"):
+        codec.encode(PointClouds([points * far for points in clouds.positions[:2]], 15.0))
