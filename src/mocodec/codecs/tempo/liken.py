@@ -279,23 +279,6 @@ def _relinked(poses: Floats, place: Place, known: PointSet, tolerance: float) ->
     return tuple(parents)
 
 
-def _sum_of_branch(joint: int, children: dict[int, list[int]]) -> int:
-    return 1 + sum(_sum_of_branch(c, children) for c in children.get(joint, []))
-
-
-def _passed(parents: Sequence[int]) -> Integers:
-    """How many bones lie between two joints, the second below the first: (from, to); 0 where more than `PASSED`."""
-    out = np.zeros((len(parents), len(parents)), np.int64)
-    for j in range(len(parents)):
-        at = parents[j]
-        for count in range(1, PASSED + 1):
-            if at < 0:
-                break
-            out[at, j] = count
-            at = parents[at]
-    return out
-
-
 def _stored(
     poses: Sequence[Floats], place: Place, fine: int | None, known: PointSet, skeleton: Skeleton | None
 ) -> Stored:
