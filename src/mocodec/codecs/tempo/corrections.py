@@ -32,9 +32,6 @@ class Corrections(NamedTuple):
     by: Integers
 
 
-NONE = Corrections(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
-
-
 def find(error: Floats, bound: float, step: float) -> Corrections:
     """Corrections for errors (frames, points, 3) beyond the bound, in steps that bring any single error within it.
 
