@@ -119,9 +119,11 @@ def is_here(points: Floats, within: float = FARTHEST) -> NDArray[np.bool_]:
 def clean(clouds: PointClouds, frame: int, within: float = FARTHEST) -> tuple[Floats, NDArray[np.uint8] | None]:
     """Points and colours of a frame that `is_here` keeps."""
     points = np.asarray(clouds.positions[frame], np.float64)
-    good = is_here(points, within)
     colours = None if clouds.colours is None else clouds.colours[frame]
-    return (points, colours) if good.all() else (points[good], None if colours is None else colours[good])
+    if points.size and -within < points.min() and points.max() < within:  # false where any is NaN
+        return points, colours
+    good = is_here(points, within)
+    return points[good], None if colours is None else colours[good]
 
 
 def pack_raw(frames: Sequence[tuple[Floats, NDArray[np.uint8] | None]]) -> bytes:

@@ -139,7 +139,7 @@ def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats 
     away = np.linalg.norm(out, axis=2)
     radius = body.radii[:, None]
     if shapes is not None:
-        radius = np.einsum("lnk,lk->ln", _harmonics(body, offset), shapes)
+        radius = np.einsum("kln,lk->ln", _harmonics(offset, body.axes[:, None], body.lengths[:, None]), shapes)
     distance = np.abs(away - radius) + 0.5 * np.abs(along - foot)
     facing = np.einsum("lni,ni->ln", out, normals) / np.maximum(away, 1e-6)
     return (distance + 0.05 * (1 - np.abs(facing))).argmin(axis=0)
@@ -153,32 +153,37 @@ def surface_shapes(body: Body, points: Floats, links: Labels, stiff: float = 12.
     """
     shapes = np.zeros((len(body), 10))
     shapes[:, 0] = body.radii
+    order = np.argsort(links, kind="stable")
+    offset, axes, lengths = (points - body.origins[links])[order], body.axes[links[order]], body.lengths[links[order]]
+    foot = np.clip(np.sum(offset * axes, axis=1), 0, lengths)
+    away = np.linalg.norm(offset - foot[:, None] * axes, axis=1)
+    harmonics, ridge = _harmonics(offset, axes, lengths), np.diag([0.1, *[stiff] * 9])
+    ends = np.searchsorted(links[order], np.arange(len(body) + 1))
     for link in range(len(body)):
-        own = points[links == link] - body.origins[link]
-        if len(own) < 30:
+        own = slice(ends[link], ends[link + 1])
+        if own.stop - own.start < 30:
             continue
-        basis = _harmonics(body, own[None], [link])[0]
-        along = np.clip(own @ body.axes[link], 0, body.lengths[link])
-        away = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
-        ridge = np.diag([0.1, *[stiff] * 9])
-        target = ridge @ shapes[link]
+        basis, target = harmonics[:, own], ridge @ shapes[link]
         for _ in range(4):
-            off = away - basis @ shapes[link]
-            weight = 1 / (1 + (off / 0.02) ** 2)
-            shapes[link] = np.linalg.solve((basis.T * weight) @ basis + ridge, (basis.T * weight) @ away + target)
+            off = away[own] - shapes[link] @ basis
+            weighted = basis / (1 + (off / 0.02) ** 2)
+            shapes[link] = np.linalg.solve(weighted @ basis.T + ridge, weighted @ away[own] + target)
     return shapes
 
 
-def _harmonics(body: Body, offset: Floats, links: Sequence[int] | slice = slice(None)) -> Floats:
-    """(links, n, 10): 1, cos, sin, cos 2θ, sin 2θ around each link's axis, then times the place along it, −1 to 1."""
-    axes, lengths = body.axes[links], body.lengths[links]
-    side = np.cross(axes, np.where(np.abs(axes[:, :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    x, y = (np.einsum("lni,li->ln", offset, u) for u in (side, np.cross(axes, side)))
-    share = np.clip(np.einsum("lni,li->ln", offset, axes) / lengths[:, None], 0, 1) * 2 - 1
-    turn = np.arctan2(y, x)
-    around = np.stack([np.ones_like(x), np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)], -1)
-    return np.concatenate([around, around * share[..., None]], -1)
+def _harmonics(offset: Floats, axes: Floats, lengths: Floats) -> Floats:
+    """(10, …): 1, cos, sin, cos 2θ, sin 2θ around links' axes (…, 3), then times the place along them, −1 to 1, of
+    offsets (…, 3) from their origins.
+    """
+    side = np.cross(axes, np.where(np.abs(axes[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    x, y, along = (np.einsum("...i,...i->...", offset, u) for u in (side, np.cross(axes, side), axes))
+    share = np.clip(along / lengths, 0, 1) * 2 - 1
+    away = np.sqrt(x * x + y * y)
+    some = np.where(away > 0, away, 1.0)
+    cos, sin = np.where(away > 0, x, 1.0) / some, y / some
+    around = np.stack([np.ones_like(x), cos, sin, cos * cos - sin * sin, 2 * sin * cos])
+    return np.concatenate([around, around * share])
 
 
 def mirrored(body: Body) -> list[tuple[int, int]]:

@@ -38,11 +38,17 @@ class Map(NamedTuple):
 
 def frame(origin: Floats, tip: Floats, low: float, high: float) -> Frame:
     """The cylinder from `origin` towards `tip`, its rows from `low` to `high` metres along the axis."""
-    axis = tip - origin
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
-    side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-    side /= np.linalg.norm(side)
-    return Frame(origin, axis, side, np.cross(axis, side), low, high)
+    side, across, axis = (rows[0] for rows in directions(origin[None], tip[None]))
+    return Frame(origin, axis, side, across, low, high)
+
+
+def directions(origins: Floats, tips: Floats) -> tuple[Floats, Floats, Floats]:
+    """Unit vectors (n, 3): the sides of cylinders, what lies across side and axis, and the axes."""
+    axis = tips - origins
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    side = np.cross(axis, np.where(np.abs(axis[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(axis, side), axis
 
 
 def grid_size(points: int, radius: float, length: float, share: float = 1.0) -> tuple[int, int]:

@@ -22,7 +22,7 @@ def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) 
     tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
     spread = among[tree.query(points, k=min(neighbours, len(among)))[1]] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
-    return least(np.einsum("nki,nkj->nij", spread, spread))
+    return least(spread.transpose(0, 2, 1) @ spread)
 
 
 def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
@@ -40,7 +40,7 @@ def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
     index = np.asarray(tree.query(points, k=min(neighbours, len(points)))[1], np.int64)
     spread = points[index] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
-    normals = least(np.einsum("nki,nkj->nij", spread, spread))
+    normals = least(spread.transpose(0, 2, 1) @ spread)
     low = np.percentile(points, 1, axis=0) - 0.5
     place = np.clip((points - low) / cell, 0, 99).astype(np.int64)  # five metres: what flies beyond is no matter
     shape = place.max(axis=0) + 1

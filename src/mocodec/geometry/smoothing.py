@@ -24,7 +24,7 @@ def smoothed(points: Floats, among: Floats) -> Floats:
     away, rows = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False).query(points, k=NEIGHBOURS)
     offset = among[rows] - points[:, None]
     spread = offset - offset.mean(axis=1, keepdims=True)
-    normal = least(np.einsum("nki,nkj->nij", spread, spread))
+    normal = least(spread.transpose(0, 2, 1) @ spread)
     side = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     size = np.maximum(away[:, -1:], 1e-9)
@@ -36,7 +36,7 @@ def smoothed(points: Floats, among: Floats) -> Floats:
     surface = np.zeros((len(points), 6))
     for _ in range(ROUNDS):
         weighted = terms * weight[..., None]
-        matrix = np.einsum("nki,nkj->nij", weighted, terms) + ridge
-        surface = np.linalg.solve(matrix, np.einsum("nki,nk->ni", weighted, height)[..., None])[..., 0]
+        across = weighted.transpose(0, 2, 1)
+        surface = np.linalg.solve(across @ terms + ridge, across @ height[..., None])[..., 0]
         weight = near / (1 + ((terms @ surface[..., None])[..., 0] - height) ** 2 / STRAY**2)
     return points + normal * surface[:, :1]

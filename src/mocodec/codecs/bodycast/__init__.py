@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...formats.gltf import Surface
+from ...geometry.body_matching import Data
 from ...motion import Motion
 from ...pointcloud import PointClouds
 from .. import base, body_stream
 from . import chunks, exact, model, poses, video
-from .atlas import Atlas, Sums, picture
-from .follow import DETAIL, FEWEST, Cloud, Follower, Sighting, begin, enter, shared_out
+from .atlas import Atlas, Labels, Sums, picture
+from .follow import FEWEST, Cloud, Follower, Sighting, begin, enter, shared_out
 from .model import Model
 from .poses import Scale, Track
 from .stage import Actor, Stage
@@ -153,12 +154,13 @@ class Bodycast:
         nobody = [not any(role.there[i] for role in cast) for i in here]
         others = list[Cloud]()
         for k, i in enumerate(here):
-            bodies = [r.follower.surface(r.stored[k]) for r in cast if r.there[i]]
             share = max((r.unexplained[i] for r in cast if r.there[i]), default=0.0)
-            wanted = self.strangers and bodies and (share >= 0.01 or len(cast) > 1)
-            points, colours = frames[i]
-            nothing = points[:0], None if colours is None else colours[:0]
-            others.append(unexplained(frames[i], np.concatenate(bodies)) if wanted else nothing)
+            if self.strangers and not nobody[k] and (share >= 0.01 or len(cast) > 1):
+                bodies = [r.follower.surface(r.stored[k]) for r in cast if r.there[i]]
+                others.append(unexplained(frames[i], np.concatenate(bodies)))
+            else:
+                points, colours = frames[i]
+                others.append((points[:0], None if colours is None else colours[:0]))
         strays = body_stream.pack_raw([frames[i] for k, i in enumerate(here) if nobody[k]])
         return chunks.pack(chunks.Parts(absent, strays, pack_strangers(others, coloured), b"", tuple(plays)))
 
@@ -266,21 +268,33 @@ class Role:
         self.there.append(there)
 
     def sight(self, frame: int, pose: Any) -> Sighting:
-        return self.follower.sight(*self.clouds[frame], frame, pose, DETAIL)
+        return self.follower.sight(self.look_closely(frame), pose)
+
+    def _surveyed(self, there: Labels, closely: bool) -> list[Sighting]:
+        """What was seen of the surface in some of the frames in which the body is there. closely: the poses of all of
+        them are first brought closer to their points.
+        """
+        some = set(there[np.linspace(0, len(there) - 1, min(SURVEYED, len(there))).round().astype(int)].tolist())
+        seen = list[Sighting]()
+        for i in there.tolist() if closely else sorted(some):
+            data = self.look_closely(i)
+            if closely:
+                self.poses[i] = self.follower.refined(data, self.poses[i])
+            if i in some:
+                seen.append(self.follower.sight(data, self.poses[i]))
+        return seen
+
+    def look_closely(self, frame: int) -> Data:
+        return self.follower.look_closely(*self.clouds[frame], frame)
 
     def prepare(self, codec: Bodycast, usual: int, coloured: bool, roles: int) -> None:
         """Make the model: the means of all that was seen, fused over time in the canonical pose."""
-        body, there = self.follower.body, np.flatnonzero(self.there)
+        body, there, fine = self.follower.body, np.flatnonzero(self.there), codec.fineness
         if len(there) >= 8:
             some = there[np.linspace(0, len(there) - 1, min(LEARNT, len(there))).round().astype(int)].tolist()
             self.follower.learn([self.clouds[i] for i in some], [self.poses[i] for i in some])
-            if codec.fineness.step < codec.pose_step:  # poses that are told finely are looked at closely
-                for i in there.tolist():
-                    self.poses[i] = self.follower.refined(*self.clouds[i], i, self.poses[i])
-        fine = codec.fineness
         scale = Scale.of(body, self.follower.tracker.skin, fine.step)
-        some = there[np.unique(np.linspace(0, len(there) - 1, min(SURVEYED, len(there))).round().astype(int))]
-        seen = [self.sight(i, self.poses[i]) for i in some.tolist()]
+        seen = self._surveyed(there, closely=len(there) >= 8 and fine.step < codec.pose_step)
         places, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
         few = np.random.default_rng(0).permutation(len(places))[:60_000]
         atlas = Atlas.plan(body, places[few], links[few], round(HIDDEN * min(fine.cells, len(places))))

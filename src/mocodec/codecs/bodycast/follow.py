@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...errors import BadInput, CannotEncode
 from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning, smoothing
 from ...geometry.articulation import Body, Floats, Pose
+from ...geometry.body_matching import Data, Step
 from .. import body_stream
 
 Labels = NDArray[Any]
@@ -107,7 +108,7 @@ class Follower:
         links = self._nearest_links(points, own)
         costs = np.zeros(links.shape)
         for frame, ((place, colours), pose) in enumerate(zip(clouds, poses, strict=True)):
-            data = tracker.look_at(place, colours, frame, DETAIL)
+            data = self.look_closely(place, colours, frame)
             a, b = articulation.transforms(self.body, pose)
             for k in range(links.shape[1]):
                 there = np.einsum("nij,nj->ni", a[links[:, k]], points) + b[links[:, k]]
@@ -121,10 +122,15 @@ class Follower:
         self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, self.colours, tracker.settings)
         self.tracker.usual = tracker.usual
 
-    def refined(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose) -> Pose:
-        """A pose brought closer to a frame's points, from more of them than a tracker looks at."""
-        data = self.tracker.look_at(points, colours, frame, DETAIL)
-        return self.tracker.solve(data, pose, CLOSE).pose
+    def look_closely(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> Data:
+        """More of a frame's points than a tracker looks at, for `refined` and `sight`."""
+        return self.tracker.look_at(points, colours, frame, DETAIL)
+
+    def refined(self, data: Data, pose: Pose) -> Pose:
+        """A pose brought closer to a frame's points."""
+        matcher = self.tracker.matcher
+        steps = [Step(width, len(data.points), len(matcher.some)) for width in CLOSE]
+        return matcher.solve(data, pose, steps, self.tracker.prior)
 
     def _nearest_links(self, points: Floats, own: Labels) -> Labels:
         """(n, 5): links whose axes are nearest to each point, its own among them."""
@@ -139,14 +145,12 @@ class Follower:
         """(n, 3): the template in a pose."""
         return self.tracker.skin.posed(*articulation.transforms(self.body, pose))
 
-    def sight(
-        self, points: Floats, colours: NDArray[np.uint8] | None, frame: int, pose: Pose, most: int | None = None
-    ) -> Sighting:
+    def sight(self, data: Data, pose: Pose) -> Sighting:
         """The points of a frame brought back into the canonical pose, from the pose as it is stored."""
         skin = self.tracker.skin
-        found = self.tracker.assess(self.tracker.look_at(points, colours, frame, most), pose)
+        found = self.tracker.assess(data, pose)
         a, b = articulation.transforms(self.body, pose)
-        data, rows = found.data, found.rows
+        rows = found.rows
         good = found.residuals < NEAR
         canonical = skin.unposed(a, b, rows[good], data.points[good])
         # where a joint folds the blend of two turns, almost nothing comes back near to where it came from

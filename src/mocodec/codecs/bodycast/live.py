@@ -27,7 +27,7 @@ from .. import body_stream
 from . import Bodycast, Role, poses, video
 from . import model as models
 from .atlas import Sums, picture
-from .follow import DETAIL, FEWEST, Cloud, Follower
+from .follow import FEWEST, Cloud, Follower
 from .poses import Integers
 from .stage import Actor
 
@@ -118,7 +118,8 @@ class Sender:
         assert self._role is not None
         assert self._sums is not None
         atlas = self._role.model.atlas
-        seen = self._role.follower.sight(points, colours, number, pose, DETAIL)
+        follower = self._role.follower
+        seen = follower.sight(follower.look_closely(points, colours, number), pose)
         self._sums.gather(atlas, seen.points, seen.links, seen.colours, REMEMBERED)
         if number % self.picture_every:
             return []

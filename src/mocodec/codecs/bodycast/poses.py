@@ -180,8 +180,7 @@ def _order(links: int) -> Integers:
 
 def _axes(body: Body) -> Floats:
     """(links, 3, 3): two directions across each link and the one along it, as rows."""
-    frames = [cylinder_map.frame(o, t, 0.0, 1.0) for o, t in zip(body.origins, body.tips, strict=True)]
-    return np.array([[f.side, f.across, f.axis] for f in frames])
+    return np.stack(cylinder_map.directions(body.origins, body.tips), axis=1)
 
 
 def _transposed(rotations: Floats) -> Floats:
@@ -213,9 +212,14 @@ def _joined(values: Floats, axes: Floats) -> Floats:
 def _unwound(vectors: Floats) -> Floats:
     """Rotation vectors (frames, 2): of those of each rotation, the one nearest to the last frame's."""
     result = vectors.copy()
-    for frame in range(1, len(vectors)):
-        angle = np.linalg.norm(vectors[frame], axis=-1, keepdims=True)
-        unit = vectors[frame] / np.maximum(angle, 1e-9)
-        turns = np.round((np.sum(result[frame - 1] * unit, axis=-1, keepdims=True) - angle) / (2 * np.pi))
-        result[frame] += unit * (2 * np.pi * turns)
+    angle = np.linalg.norm(vectors, axis=1)
+    unit = vectors / np.maximum(angle, 1e-9)[:, None]
+
+    def turns(frames: slice) -> Floats:
+        last = result[frames.start - 1 : frames.stop - 1]
+        return np.round((np.sum(last * unit[frames], axis=1) - angle[frames]) / (2 * np.pi))
+
+    away = np.flatnonzero(turns(slice(1, len(vectors))))  # until the first of these, vectors stay as they are
+    for frame in range(1 + away[0] if len(away) else len(vectors), len(vectors)):
+        result[frame] += unit[frame] * (2 * np.pi * turns(slice(frame, frame + 1)))
     return result
