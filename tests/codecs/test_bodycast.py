@@ -13,7 +13,7 @@ from mocodec.codecs.bodycast import Bodycast, follow
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
 from mocodec.evaluation.cloud import actors, measures, sequences
-from mocodec.geometry import body_tracking, skinning
+from mocodec.geometry import articulation, body_tracking, skinning
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import corruption
@@ -161,6 +161,21 @@ def test_what_a_point_moves_with_is_learned(performance, clouds):
     follower.learn(frames, poses)
     found = follower.tracker.skin.links[rows, 0]
     assert np.mean(found == body.names.index("Spine")) < 0.1
+
+
+def test_poses_are_refined_and_what_has_few_points_is_held(performance, clouds):
+    assert clouds.colours is not None
+    follower = follow.Follower(clouds.positions[0], clouds.colours[0], performance.skeleton(), "y", 1000)
+    body, data = follower.body, follower.look_closely(clouds.positions[0], clouds.colours[0], 0)
+    owners = np.bincount(follower.tracker.skin.links[:, 0], minlength=len(body))
+    end = min((link for link in range(len(body)) if link not in body.parents and owners[link]), key=lambda i: owners[i])
+    assert owners[end] < follow.SLIGHT * owners.sum()
+    forearm = body.names.index("LeftForeArm")
+    for link, turn in ((forearm, 0.12 * np.cross(body.axes[forearm], [0, 0, 1.0])), (end, 0.5 * body.axes[end])):
+        pose = articulation.Pose.canonical(len(body))
+        pose.rotations[link] = articulation.exp(turn)
+        left = articulation.log(follower.refined(data, pose).rotations[link])
+        assert np.linalg.norm(left) < 0.5 * np.linalg.norm(turn)
 
 
 def test_as_many_points_as_wanted(performance, clouds):

@@ -136,6 +136,17 @@ def test_poses_come_back_within_their_step(arm, frames):
     assert frames < 90 or len(data) < 12 * frames
 
 
+def test_turns_have_no_leaps(arm):
+    body, _ = arm
+    time = np.arange(200) / 15
+    for most in (1.0, 3.0, 9.0):  # radians: far from half a turn, near it, and beyond
+        swings = np.stack([most * np.sin(time), 0.3 * np.cos(time), 0 * time], axis=1)
+        axes = poses._axes(body)[1]
+        parted = poses._parted(poses._joined(swings, axes), axes)
+        assert np.abs(np.diff(parted, axis=0)).max() < 0.12 * most + 0.1
+        np.testing.assert_allclose(poses._joined(parted, axes), poses._joined(swings, axes), atol=1e-9)
+
+
 def test_a_scale_survives(arm):
     body, skin = arm
     scale = poses.Scale.of(body, skin, 0.0030072)

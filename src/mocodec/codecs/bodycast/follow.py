@@ -30,6 +30,8 @@ PERSON = 0.25  # of the points of the largest of them, and of its height twice t
 ASTRAY = 0.08  # metres: farther than this is as far as any, where links of points are learned
 DECIDED = 0.006  # metres that another link must be nearer to the data, root mean square
 CLOSE = (0.027, 0.02)  # metres: widths of the robust weight where poses are refined
+SLIGHT = 0.05  # share of the surface below which what hangs on a joint is held there to its first pose
+HELD = 0.1  # radians that it usually is from that
 ARM = 0.4  # metres from a body beyond which a point is nobody's
 
 
@@ -127,10 +129,15 @@ class Follower:
         return self.tracker.look_at(points, colours, frame, DETAIL)
 
     def refined(self, data: Data, pose: Pose) -> Pose:
-        """A pose brought closer to a frame's points."""
-        matcher = self.tracker.matcher
+        """A pose brought closer to a frame's points. What has few of them, as hands, turns by their noise, and is held
+        to its first pose.
+        """
+        matcher, prior = self.tracker.matcher, self.tracker.prior
+        owners = np.bincount(self.tracker.skin.links[:, 0], minlength=len(self.body))
+        slight = self.body.ancestors @ owners < SLIGHT * len(self.tracker.skin.points)
+        held = prior._replace(hold=np.where(slight, np.maximum(prior.hold, HELD**-2), prior.hold))
         steps = [Step(width, len(data.points), len(matcher.some)) for width in CLOSE]
-        return matcher.solve(data, pose, steps, self.tracker.prior)
+        return matcher.solve(data, pose, steps, held)
 
     def _nearest_links(self, points: Floats, own: Labels) -> Labels:
         """(n, 5): links whose axes are nearest to each point, its own among them."""
