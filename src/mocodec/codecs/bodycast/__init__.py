@@ -37,7 +37,7 @@ from .weave import valid_cells
 HIDDEN = 1.35  # cells for each that is surface: the others lie inside joints
 SURVEYED = 48  # frames that the surface which is stored once is made from
 LEARNT = 14  # frames from which it is learned what a point moves with
-KEEP = 0.4  # of what a cell held counts on when new points fall into it
+KEEP = 0.7  # of what a cell held counts on when new points fall into it
 FIRST_WEIGHT = 3.0  # points that the first picture counts for in each cell
 STILL = 25  # percent of the residual up to which nothing moves but the poses
 EXACT = "exact"
