@@ -51,12 +51,13 @@ class Limb:
 
 
 DOUBT, ASTRAY = 1.25, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
+ROUGHLY = 1.3  # times the cost of the best pose, below which one that was solved of a few points is solved as a whole
 HOPE = 1.03  # times the cost of the best pose, below which one of which only a limb is solved is solved as a whole
 ELSEWHERE, SIDES, ROUGH = 0.15, 8, 400  # metres; sides that a body is turned to; points for a first look
 # shares of the data, of a limb's template and of both limbs' of a pair, that make a search worth while
 LOST_POINTS, LOST_LIMB, LOST_TWINS = 0.006, 0.12, 0.05
 # after a search in vain, times what was amiss is put up with, of a limb and of the cost; the share of it a frame later
-PUT_UP, AGAIN, FORGET, TRUST = 1.2, 1.1, 0.85, 0.85
+PUT_UP, AGAIN, FORGET, TRUST = 1.2, 1.1, 0.85, 0.9
 FINE, COARSE = 0.03, 0.05  # metres: wider weights look at half of the points, or at a few
 FEW = 0.01  # share of the template below which a link has too little to turn by
 ABSENT = 0.10  # metres from each other at which most of the data and of the template are not of one body
@@ -243,10 +244,13 @@ class Tracker:
             shift = away if np.linalg.norm(away) > ELSEWHERE else np.zeros(3)
             for turn in self._turns(a[0] @ self.upright):
                 starts += [self._turned(pose, turn, shift, whole) for whole in (True, False)]
-        steps = [Step(width, ROUGH, 200) for width in self.settings.widths[2:8]]
-        rough = [self.matcher.assess(some, self.matcher.solve(some, start, steps, self.prior)) for start in starts]
-        rough.sort(key=lambda fit: fit.cost)
+        rough = sorted((self._roughly(some, start) for start in starts), key=lambda fit: fit.cost)
         return min([found, *(self.solve(data, fit.pose) for fit in rough[:2])], key=lambda fit: fit.cost)
+
+    def _roughly(self, some: Data, start: Pose) -> Fit:
+        """How well a pose fits some of the data after a few steps of a few points."""
+        steps = [Step(width, ROUGH, 200) for width in self.settings.widths[2:8]]
+        return self.matcher.assess(some, self.matcher.solve(some, start, steps, self.prior))
 
     def _turns(self, axis: Floats) -> Floats:
         """World rotations (sides, 3, 3) about an axis."""
@@ -269,7 +273,7 @@ class Tracker:
         """
         if np.mean(found.residuals > LOST) < LOST_POINTS:
             return found
-        best = found
+        best, some = found, data.some(np.arange(min(len(data.points), ROUGH)))
         is_odd = found.cost > self.doubt * self.usual  # though every limb has data near it: it may lie on another's
         for number, limb in enumerate(self.limbs):
             share = self._lost(limb, best)
@@ -286,7 +290,8 @@ class Tracker:
             share = min(self._lost(self.limbs[number], best) for number in pair)
             if share >= LOST_TWINS or is_odd:
                 pose = self._exchanged(best.pose, *(self.limbs[i] for i in pair))
-                best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
+                if self._roughly(some, pose).cost < ROUGHLY * best.cost:
+                    best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
         is_vain = is_odd and best is found
         put_up = AGAIN * found.cost / self.usual
         self.doubt = put_up if is_vain else max(min(TRUST * self.doubt, put_up), DOUBT)
