@@ -365,7 +365,7 @@ class Tracker:
         first = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
         return np.stack([first, np.swapaxes(turned, -1, -2) @ below], axis=-3)
 
-    def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 5) -> list[Pose]:
+    def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 3) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""
         free = np.flatnonzero((found.residuals > 0.5 * LOST) | np.isin(found.links, limb.links))
         if len(free) < 10:
