@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mocodec.codecs import bodycast
 from mocodec.evaluation.cloud import actors, sequences, tracking
 from mocodec.geometry import articulated_icp, articulation, body_tracking, skinning
 from mocodec.pointcloud import PointClouds
@@ -56,6 +59,34 @@ def test_a_lost_limb_is_found_again_within_ten_frames(performance, clouds):
         for f in range(2, 12)
     ]
     assert found[-1] < 0.06
+
+
+def test_a_template_of_few_points_grows_by_what_fits(performance):
+    """600 points a frame are followed more closely once those of several frames stand for the surface."""
+    few = sequences.record(performance, 600, seed=3)
+    trackers = [
+        bodycast.begin(few.positions[0], few.colours[0], performance.skeleton()[:1], "y", 2500)[1] for _ in range(2)
+    ]
+    grown, bare = trackers
+    bare.is_sparse = False
+    closeness = np.zeros((2, 14))
+    for frame in range(1, 14):
+        for number, tracker in enumerate(trackers):
+            fit = tracker.fit(few.positions[frame], few.colours[frame], frame)
+            closeness[number, frame] = errors(tracker, performance, fit, frame).mean()
+    assert len(bare.skin.points) <= 600
+    assert len(grown.skin.points) > 1200
+    assert len(grown.colours) == len(grown.normals) == len(grown.skin.points)
+    assert closeness[0, 6:].mean() < closeness[1, 6:].mean()
+
+
+def test_a_template_without_colours_grows_too(performance):
+    few = sequences.record(performance, 300, seed=4)
+    tracker = tracker_of(performance, replace(few, colours=None))
+    for frame in range(1, 8):
+        tracker.fit(few.positions[frame], few.colours[frame] if frame == 3 else None, frame)
+    assert tracker.colours is None
+    assert len(tracker.skin.points) > 300
 
 
 def test_skin_follows_links_and_weights_sum_to_one(performance, clouds):

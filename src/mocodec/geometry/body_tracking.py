@@ -6,11 +6,12 @@ constant velocity ──► solve (body_matching) ──► is a limb lost? ─�
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import articulated_icp
+from . import articulated_icp, normals, skinning, smoothing
 from .articulation import Body, Floats, Labels, Pose, between, exp, log, transforms
 from .body_matching import Data, Fit, Matcher, Prior, Step
 from .skinning import Skin
@@ -21,14 +22,16 @@ class Settings:
     """How the tracker runs. Lengths in metres, turns in radians.
 
     widths: of the robust weight, one an iteration. points, model_points: of the data and of the template that are
-    looked at, at most. pull: weight of the distance along the surface against that across it. turn, spine: how far a
-    joint usually turns from where constant velocity puts it; `spine` for short bones, which are also held to `bend` of
-    their first pose. velocity: the share of the last movement that is expected again.
+    looked at, at most. template: points that a template of few points grows to. pull: weight of the distance along the
+    surface against that across it. turn, spine: how far a joint usually turns from where constant velocity puts it;
+    `spine` for short bones, which are also held to `bend` of their first pose. velocity: the share of the last movement
+    that is expected again.
     """
 
     widths: tuple[float, ...] = (0.2, 0.2, 0.2, 0.2, 0.16, 0.16, 0.11, 0.08, 0.055, 0.038, 0.027, 0.02)
     points: int = 2500
     model_points: int = 400
+    template: int = 3000
     pull: float = 0.1
     noise: float = 0.01
     turn: float = 1.0
@@ -37,6 +40,14 @@ class Settings:
     velocity: float = 0.8
     colour: float = 0.20
     search: bool = True
+
+
+class Sighting(NamedTuple):
+    """What was seen of the surface: canonical points (n, 3), links (n,), colours (n, 3)."""
+
+    points: Floats
+    links: Labels
+    colours: NDArray[np.uint8] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,27 +98,61 @@ class Tracker:
         self,
         body: Body,
         skin: Skin,
-        normals: Floats,
+        outward: Floats,
         colours: NDArray[np.uint8] | None = None,
         settings: Settings | None = None,
     ) -> None:
-        self.body, self.skin, self.normals = body, skin, normals
+        self.body = body
         self.settings = settings or Settings()
-        self.shades = None if colours is None else self._shades(colours)
-        some = np.random.default_rng(0).permutation(len(skin.points))[: self.settings.model_points]
-        self.matcher = Matcher(body, skin, normals, self.shades, some, self.settings.pull, self.settings.noise)
-        self.stiffness = self._stiffness()
-        self.prior = self._prior()
-        self.limbs = self._limbs()
+        self._wear(skin, outward, colours)
+        self.is_sparse = len(skin.points) < self.settings.template / 2
+        self.seen = list[Sighting]()
         in_limbs = [int(limb.links[0]) for limb in self.limbs]
         self.above_hips = [link for link, parent in enumerate(body.parents) if parent == 0 and link not in in_limbs]
         self.upright = _unit(body.origins[self.above_hips or [0]].mean(axis=0) - body.origins[0], body.axes[0])
         self.pose = Pose.canonical(len(body))
         self.before = self.sure = self.pose  # sure: the last pose that fitted well
-        self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
-        self.twins = self._twins()
         self.doubt = DOUBT  # times the usual cost that are put up with
         self.usual = np.inf  # cost of a frame that fits
+
+    def _wear(self, skin: Skin, outward: Floats, colours: NDArray[np.uint8] | None) -> None:
+        """Take a template, and what follows from it."""
+        self.skin, self.normals, self.colours = skin, outward, colours
+        self.shades = None if colours is None else self._shades(colours)
+        some = np.random.default_rng(0).permutation(len(skin.points))[: self.settings.model_points]
+        self.matcher = Matcher(self.body, skin, outward, self.shades, some, self.settings.pull, self.settings.noise)
+        self.stiffness = self._stiffness()
+        self.prior = self._prior()
+        self.limbs = self._limbs()
+        self.twins = self._twins()
+        self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
+
+    def _grow(self, fit: Fit) -> None:
+        """A template of few points takes up those of frames that fit, in the canonical pose: whenever they are half as
+        many as it has, until it has enough, and then once more. Rather few points a frame then show a whole surface.
+        """
+        if fit.cost > DOUBT * self.usual or (fit.data.colours is None) != (self.colours is None):
+            return
+        a, b = transforms(self.body, fit.pose)
+        good = np.flatnonzero(fit.residuals < LOST)
+        places = self.skin.unposed(a, b, fit.rows[good], fit.data.points[good])
+        held = np.linalg.norm(places - self.skin.points[fit.rows[good]], axis=1) < LOST
+        good = good[held]
+        self.seen.append(
+            Sighting(places[held], fit.links[good], None if fit.data.colours is None else fit.data.colours[good])
+        )
+        most, have = self.settings.template, len(self.skin.points)
+        if sum(len(sight.points) for sight in self.seen) < (have / 2 if have < most else 2 * most):
+            return
+        self.is_sparse = have < most
+        seen = [Sighting(self.skin.points, self.skin.links[:, 0], self.colours), *self.seen]
+        self.seen.clear()
+        points, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
+        some = np.sort(np.random.default_rng(0).permutation(len(points))[:most])
+        colours = None if self.colours is None else np.concatenate([s.colours for s in seen if s.colours is not None])
+        surface = smoothing.smoothed(points[some], points)
+        skin = skinning.skin(self.body, surface, links[some])
+        self._wear(skin, normals.outward(surface, neighbours=10), None if colours is None else colours[some])
 
     def _stiffness(self) -> Floats:
         """(links,): the expected turn of each joint: little for short bones that carry others, and those without
@@ -165,6 +210,8 @@ class Tracker:
             self.sure = better.pose
         slowly = better.cost if np.isinf(self.usual) else 0.97 * self.usual + 0.03 * better.cost
         self.usual = min(better.cost, slowly)
+        if self.is_sparse:
+            self._grow(better)
         return better
 
     def expect(self, points: Floats, colours: NDArray[np.uint8] | None) -> None:

@@ -21,8 +21,7 @@ from .. import body_stream
 Labels = NDArray[Any]
 Cloud = tuple[Floats, NDArray[np.uint8] | None]
 FEWEST = 50  # points that a frame must have to be a body
-TEMPLATE = 3000  # points of the first frame that the tracker keeps
-OTHERS = 500  # points beyond these, at least, that say how well a frame is to fit
+OTHERS = 500  # points beyond those of the template, at least, that say how well a frame is to fit
 DETAIL = 5000  # points of a frame that the surface is made from
 NEAR = 0.04  # metres from the template that a point of the surface may be
 APART = 0.12  # metres between two people, at least, in the first frame
@@ -50,13 +49,6 @@ def begin(
 
     Raises CannotEncode where nobody stands there, BadInput for a skeleton that does not fit.
     """
-    return _begin(points, colours, skeleton, up, looked_at)[:2]
-
-
-def _begin(
-    points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
-) -> tuple[Body, body_tracking.Tracker, NDArray[np.uint8] | None]:
-    """The same, with the colours of the template."""
     if skeleton is None:
         body = body_fit.first_pose(points, up).body()
     else:
@@ -72,14 +64,15 @@ def _begin(
     surface = smoothing.smoothed(points[some], points)
     body, model = articulated_icp.make_model(body, surface, shades, by_surface=True)
     body = body_stream.rounded(body)
-    few = slice(0, TEMPLATE)
+    settings = body_tracking.Settings(points=looked_at)
+    few = slice(0, settings.template)
     skin = skinning.skin(body, model.points[few], model.links[few])
     shades = None if model.colours is None else model.colours[few]
-    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, body_tracking.Settings(points=looked_at))
-    if len(some) >= TEMPLATE + OTHERS:
-        others = some[TEMPLATE:]
+    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, settings)
+    if len(some) >= settings.template + OTHERS:
+        others = some[settings.template :]
         tracker.expect(points[others], None if colours is None else colours[others])
-    return body, tracker, shades
+    return body, tracker
 
 
 class Follower:
@@ -89,7 +82,7 @@ class Follower:
         self, points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
     ) -> None:
         """As `begin`."""
-        self.body, self.tracker, self.colours = _begin(points, colours, skeleton, up, looked_at)
+        self.body, self.tracker = begin(points, colours, skeleton, up, looked_at)
 
     def begin(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
         """How the pose of the first frame fits it."""
@@ -121,7 +114,7 @@ class Follower:
         around = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ every)
         around[np.arange(len(points)), own] -= DECIDED**2
         better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
-        self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, self.colours, tracker.settings)
+        self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, tracker.colours, tracker.settings)
         self.tracker.usual = tracker.usual
 
     def look_closely(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> Data:
