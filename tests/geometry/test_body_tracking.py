@@ -73,7 +73,7 @@ def test_a_template_of_few_points_grows_by_what_fits(performance):
     for frame in range(1, 14):
         for number, tracker in enumerate(trackers):
             fit = tracker.fit(few.positions[frame], few.colours[frame], frame)
-            closeness[number, frame] = errors(tracker, performance, fit, frame).mean()
+            closeness[number, frame] = tracking._errors(performance, tracker.body, fit.pose, frame).mean()
     assert len(bare.skin.points) <= 600
     assert len(grown.skin.points) > 1200
     assert len(grown.colours) == len(grown.normals) == len(grown.skin.points)
