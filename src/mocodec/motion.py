@@ -24,6 +24,34 @@ UP_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False)
+class Limits:
+    """How far the joints of a skeleton may turn.
+
+    A joint's rotation against its parent is C · R · C⁻¹, where C is the turn of its axis frame, `axes` (joints, 4; unit
+    quaternions, w first), and R is made of turns about the three axes named in its entry of `orders`, read as
+    `geometry.rigid` reads them ("zyx" is Rz · Ry · Rx). ranges (joints, 3, 2): the least and the greatest of each of
+    these angles, in that order, radians; −∞ and ∞ where nothing limits it, 0 and 0 where the joint does not turn so.
+    """
+
+    orders: tuple[str, ...]
+    axes: Floats
+    ranges: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "orders", tuple(self.orders))
+        object.__setattr__(self, "axes", np.asarray(self.axes, np.float64))
+        object.__setattr__(self, "ranges", np.asarray(self.ranges, np.float64))
+        n = len(self.orders)
+        if self.axes.shape != (n, 4) or self.ranges.shape != (n, 3, 2):
+            raise BadInput(f"limits of {n} joints need axes ({n}, 4) and ranges ({n}, 3, 2)")
+        if any(sorted(order) != ["x", "y", "z"] for order in self.orders):
+            raise BadInput("the orders of limits are made of x, y and z")
+        low, high = self.ranges[..., 0], self.ranges[..., 1]
+        if not (np.isfinite(self.axes).all() and ((low <= high) & (low < np.inf) & (high > -np.inf)).all()):
+            raise BadInput("limits need finite axes, and ranges from the lesser angle to the greater")
+
+
+@dataclass(frozen=True, eq=False)
 class Skeleton:
     """A tree of joints at rest.
 
@@ -31,12 +59,14 @@ class Skeleton:
     root; a parent stands before its children. offsets (joints, 3): from parent to joint in the parent's frame, metres;
     at rest all frames are parallel. Where `source["format"]` is "amc" a joint is the end of a bone that turns about its
     start, so its offset is in its own frame: bones that begin in one joint turn apart, which no one frame of that joint
-    could say (`geometry.kinematics.forward(…, own_frame=True)`).
+    could say (`geometry.kinematics.forward(…, own_frame=True)`). limits: how far the joints may turn, where the source
+    says it (ASF); they do not bind `rotations`.
     """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
     offsets: Floats
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
@@ -48,6 +78,8 @@ class Skeleton:
         for joint, parent in enumerate(self.parents):
             if not -1 <= parent < joint:
                 raise BadInput(f"skeleton joint {joint} ({self.names[joint]}): its parent must stand before it")
+        if self.limits is not None and len(self.limits.orders) != n:
+            raise BadInput(f"skeleton of {n} joints with limits of {len(self.limits.orders)}")
 
     def __len__(self) -> int:
         return len(self.names)

@@ -10,6 +10,7 @@ import pytest
 import mocodec as mc
 from mocodec import BadInput, Motion, formats
 from mocodec.formats import asf_amc
+from mocodec.geometry import rigid
 from mocodec.testing import synthetic
 
 from .samples import AMC, ASF, SHARED, markers, needs_shared
@@ -91,6 +92,68 @@ def test_radians_and_other_orders(tmp_path):
     assert np.allclose(formats.read(tmp_path / "tiny_02.amc").positions, motion.positions, atol=1e-7)
 
 
+def limits_of(tmp_path, asf: str = ASF):
+    limits = formats.read(pair(tmp_path, asf=asf)).skeleton.limits
+    assert limits is not None
+    return limits
+
+
+def test_limits_stand_in_the_order_of_the_turns_and_in_the_axis_frame(tmp_path):
+    asf = ASF.replace("(-20 20)", "(-20 20) # of three", 1).replace("dof rx\n", "dof rx\n limits ( -10,170.0 )\n")
+    asf = asf.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-inf 20)\nbodymass 3")
+    limits = limits_of(tmp_path, asf)
+    assert limits.orders == ("zyx",) * 5
+    assert limits.ranges[0].tolist() == [[-np.inf, np.inf]] * 3  # the root
+    assert np.allclose(np.degrees(limits.ranges[1]), [[-20, 20]] * 3)
+    assert limits.ranges[2].tolist() == [[-np.inf, np.inf]] * 3  # moves, and nothing is said of it
+    assert np.allclose(np.degrees(limits.ranges[3]), [[0, 0], [0, 0], [-10, 170]])
+    assert np.allclose(np.degrees(limits.ranges[4]), [[-np.inf, 20], [0, 0], [-45, 90]])
+    for joint, frame in ((3, xyz(0, 0, 20)), (4, xyz(-90, 0, 20))):
+        assert np.allclose(rigid.to_matrix(limits.axes[joint]), frame)
+
+
+def test_limits_are_kept_where_a_skeleton_is_written(tmp_path):
+    asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-inf 20)").replace("-90 0 20 XYZ", "-90 7 20 ZYX")
+    limits = limits_of(tmp_path, asf)
+    motion = formats.read(tmp_path / "tiny_01.amc")
+    (tmp_path / "new").mkdir()
+    formats.write(tmp_path / "new" / "walk.amc", motion)
+    again = formats.read(tmp_path / "new" / "walk.amc")
+    assert np.allclose(again.positions, motion.positions, atol=1e-7)
+    assert again.skeleton.limits.orders[1:] == limits.orders[1:]
+    assert np.allclose(again.skeleton.limits.ranges, limits.ranges)
+    assert np.allclose(again.skeleton.limits.axes[1:], limits.axes[1:])
+
+
+def test_limits_that_are_odd(tmp_path):
+    exchanged = limits_of(tmp_path, ASF.replace("(-20 20)", "(20 -20)"))
+    assert np.array_equal(exchanged.ranges, limits_of(tmp_path).ranges)
+    radians = limits_of(tmp_path, ASF.replace("angle deg", "angle rad").replace("(-20 20)", "(-0.5 0.25)"))
+    assert radians.ranges[1].tolist() == [[-0.5, 0.25]] * 3
+    none = ASF.replace("limits (-20 20)", "").replace("(-20 20)", "")
+    assert formats.read(pair(tmp_path, asf=none)).skeleton.limits is None
+
+
+def test_limits_stay_with_a_part_of_a_motion_and_in_npz(tmp_path):
+    limits = limits_of(tmp_path)
+    motion = formats.read(tmp_path / "tiny_01.amc")
+    assert motion[1:].skeleton is motion.skeleton
+    formats.write(tmp_path / "x.npz", motion)
+    again = formats.read(tmp_path / "x.npz").skeleton.limits
+    assert again.orders == limits.orders
+    assert np.array_equal(again.axes, limits.axes)
+    assert np.array_equal(again.ranges, limits.ranges)
+
+
+def test_a_mocz_keeps_no_limits_as_it_keeps_no_rotations(tmp_path):
+    limits_of(tmp_path)
+    motion = formats.read(tmp_path / "tiny_01.amc")
+    for codec in ("lossless", "tempo"):
+        again = mc.decode(mc.encode(motion, codec=codec))
+        assert again.skeleton.limits is None
+        assert again.skeleton.names == motion.skeleton.names
+
+
 def test_which_skeleton(tmp_path):
     path = pair(tmp_path, name="other")
     assert formats.read(path).points == 5  # the only one there
@@ -139,6 +202,11 @@ def test_damage_of_the_motion(tmp_path, old, new, says):
         ("direction 0 1 0", "direction 0 inf 0", "three numbers"),
         ("axis XYZ", "axis XXZ", "axis order"),
         ("order TX", "order TW", "root's order"),
+        ("(-20 20)", "(-20 nan)", "one pair of numbers for each of its 3 dof"),
+        ("(-20 20)", "(-20)", "limits .* one pair"),
+        ("limits (-20 20)", "limits (-20 20) (0 1)", "limits .* one pair"),
+        ("(-20 20)", "(-20 wide)", "pairs of numbers"),
+        ("(-20 20)", "(inf inf)", "pair of numbers"),
     ],
 )
 def test_damage_of_the_skeleton(tmp_path, old, new, says):

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import BadInput
 from ..geometry import kinematics, rigid
-from ..motion import Floats, Motion, Skeleton
+from ..motion import Floats, Limits, Motion, Skeleton
 from . import replace_whole
 from .conventions import first_frame, unit_of
 from .text import decoded, numbers
@@ -27,17 +27,19 @@ from .text import decoded, numbers
 HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
 DEGREES_OF_FREEDOM = ("rx", "ry", "rz")
 CMU_RATE = 120.0
+FREE = ((-math.inf, math.inf),)
 
 
 @dataclass(frozen=True)
 class Bone:
-    """One bone as its ASF has it: the turn C of its axis frame, the order of its turns, and which of them move."""
+    """One bone as its ASF has it: the turn C of its axis frame, the order of its turns, and which of them move how far."""
 
     name: str
     offset: tuple[float, float, float]  # direction × length, in the file's units
     axis: tuple[float, float, float] = (0.0, 0.0, 0.0)  # degrees or radians, as the file counts
     order: str = "xyz"  # first turn first
     dof: tuple[str, ...] = ()
+    limits: tuple[tuple[float, float], ...] = ()  # of each dof, least and greatest, as the file counts; or of none
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,21 @@ class Acclaim:
     @property
     def skeleton(self) -> Skeleton:
         offsets = np.array([bone.offset for bone in self.bones]) * self.unit_m
-        return Skeleton(tuple(bone.name for bone in self.bones), self.parents, offsets)
+        return Skeleton(tuple(bone.name for bone in self.bones), self.parents, offsets, self._limits)
+
+    @property
+    def _limits(self) -> Limits | None:
+        """None where no bone has any. The root, and a dof of which nothing is said, are free."""
+        if not any(bone.limits for bone in self.bones):
+            return None
+        ranges = np.zeros((len(self.bones), 3, 2))
+        for bone, its in zip(self.bones, ranges, strict=True):
+            for name, allowed in zip(bone.dof, bone.limits or FREE * len(bone.dof), strict=True):
+                if name[0] == "r":
+                    its[bone.order[::-1].index(name[1])] = allowed
+        ranges[0] = FREE
+        axes = np.stack([_axis_frame(bone, self) for bone in self.bones])
+        return Limits(tuple(bone.order[::-1] for bone in self.bones), axes, self.radians(ranges))
 
     def radians(self, values: Floats) -> Floats:
         return np.radians(values) if self.degrees else values
@@ -151,7 +167,11 @@ def _acclaim(sections: dict[str, list[list[str]]]) -> Acclaim:
 def _bones(lines: list[list[str]]) -> list[Bone]:
     bones: list[Bone] = []
     fields: dict[str, list[str]] | None = None
+    key = ""
     for words in lines:
+        if key == "limits" and fields is not None and not words[0][0].isalpha():  # a pair a line, as a rule
+            fields[key] += words
+            continue
         key = words[0].lower()
         if key == "begin":
             fields = {}
@@ -165,11 +185,28 @@ def _bones(lines: list[list[str]]) -> list[Bone]:
             axis = fields.get("axis", ["0", "0", "0", "XYZ"])
             order = _order(axis[3] if len(axis) > 3 else "XYZ")
             x, y, z = (along * length).tolist()
-            bones.append(Bone(fields["name"][0], (x, y, z), _triple(axis), order, dof))
+            limits = _limits(fields["name"][0], dof, fields.get("limits", []))
+            bones.append(Bone(fields["name"][0], (x, y, z), _triple(axis), order, dof, limits))
             fields = None
         elif fields is not None and key not in fields:
             fields[key] = words[1:]
     return bones
+
+
+def _limits(name: str, dof: tuple[str, ...], words: list[str]) -> tuple[tuple[float, float], ...]:
+    """A pair of each dof, the lesser first whichever the file has first. Raises BadInput."""
+    text = " ".join(words)
+    if not (words and dof):
+        return ()
+    try:
+        values = [float(word) for word in re.split(r"[\s(),]+", text) if word]
+    except ValueError:
+        raise BadInput(f"bone {name}: its limits {text} are not pairs of numbers") from None
+    pairs = tuple((min(pair), max(pair)) for pair in zip(values[::2], values[1::2], strict=False))
+    is_between = all(low < math.inf and high > -math.inf for low, high in pairs)
+    if len(values) != 2 * len(dof) or any(map(math.isnan, values)) or not is_between:
+        raise BadInput(f"bone {name}: its limits {text} are not one pair of numbers for each of its {len(dof)} dof")
+    return pairs
 
 
 def _hierarchy(lines: list[list[str]], bones: dict[str, Bone]) -> dict[str, str]:
@@ -326,8 +363,21 @@ def _angles(bone: Bone, own_turn: Floats, moved: Floats, acclaim: Acclaim) -> Fl
     return np.stack(columns, axis=1) if columns else np.empty((len(own_turn), 0))
 
 
+def _limits_text(limits: Limits | None, joint: int) -> list[str]:
+    """The lines that say how a bone turns. A way in which it does not is one with limits 0 and 0."""
+    if limits is None:
+        return ["     axis 0 0 0 XYZ", "    dof rx ry rz"]
+    order = limits.orders[joint]
+    by_turn = np.degrees(rigid.to_euler(order, limits.axes[joint]))
+    x, y, z = (by_turn[order.index(letter)] for letter in "xyz")
+    lines = [f"     axis {x:.10g} {y:.10g} {z:.10g} {order[::-1].upper()}", "    dof rx ry rz"]
+    ranges = np.degrees(limits.ranges[joint][[order.index(letter) for letter in "xyz"]])
+    pairs = [f"({low:.10g} {high:.10g})" for low, high in ranges.tolist()] if np.isfinite(ranges).any() else []
+    return lines + [f"    {'limits' if i == 0 else '      '} {pair}" for i, pair in enumerate(pairs)]
+
+
 def _asf_text(skeleton: Skeleton, unit_m: float) -> str:
-    """A skeleton file whose bones have no axis frames and turn about x, y and z."""
+    """A skeleton file whose bones turn about x, y and z: of the axis frames that limits are counted in, if it has any."""
     length = 0.0254 / unit_m
     x, y, z = (skeleton.offsets[0] / unit_m).tolist()
     lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg"]
@@ -338,7 +388,7 @@ def _asf_text(skeleton: Skeleton, unit_m: float) -> str:
         size = float(np.linalg.norm(offset))
         x, y, z = (offset / size).tolist() if size else (0.0, 1.0, 0.0)
         lines += ["  begin", f"     id {number}", f"     name {name}", f"     direction {x:.10g} {y:.10g} {z:.10g}"]
-        lines += [f"     length {size:.10g}", "     axis 0 0 0 XYZ", "    dof rx ry rz", "  end"]
+        lines += [f"     length {size:.10g}", *_limits_text(skeleton.limits, number), "  end"]
     lines += [":hierarchy", "  begin"]
     for parent, name in enumerate(skeleton.names):
         children = [skeleton.names[j] for j, p in enumerate(skeleton.parents) if p == parent]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..motion import Motion, Skeleton
+from ..motion import Limits, Motion, Skeleton
 from ..pointcloud import PointClouds
 from . import replace_whole
 from .conventions import UNITS_M, guess_up
@@ -135,7 +135,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     if {"parents", "offsets"} <= arrays.names.keys():
         parents = arrays.load("parents").reshape(-1).astype(int).tolist()
         filled = names or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
-        skeleton = Skeleton(filled, tuple(parents), arrays.load("offsets").astype(np.float64))
+        skeleton = Skeleton(filled, tuple(parents), arrays.load("offsets").astype(np.float64), _limits(arrays))
         if "rotations" in arrays.names:
             rotations = arrays.load("rotations").astype(np.float64)
     if "source" in arrays.names:
@@ -143,6 +143,13 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
         if not isinstance(source, dict):
             raise BadInput(f"{path}: its 'source' is not a JSON object")
     return Motion(positions, rate, names, up, skeleton, rotations, source)
+
+
+def _limits(arrays: _Arrays) -> Limits | None:
+    if not {"limit_orders", "limit_axes", "limit_ranges"} <= arrays.names.keys():
+        return None
+    orders = tuple(str(order) for order in arrays.load("limit_orders").reshape(-1).tolist())
+    return Limits(orders, *(arrays.load(f"limit_{name}").astype(np.float64) for name in ("axes", "ranges")))
 
 
 def _clouds(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> PointClouds:
@@ -209,6 +216,12 @@ def write(path: str | Path, motion: Motion | PointClouds) -> None:
         arrays |= {"parents": np.array(motion.skeleton.parents), "offsets": motion.skeleton.offsets}
         if motion.rotations is not None:
             arrays["rotations"] = motion.rotations
+        if (limits := motion.skeleton.limits) is not None:
+            arrays |= {
+                "limit_orders": np.array(limits.orders),
+                "limit_axes": limits.axes,
+                "limit_ranges": limits.ranges,
+            }
     _save(path, arrays)
 
 
