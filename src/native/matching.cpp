@@ -78,6 +78,71 @@ void logarithm(const double *m, double *out) {
     for (int i = 0; i < 3; ++i) out[i] = q[1 + i] * factor;
 }
 
+double wrapped(double angle) { return angle - 2 * M_PI * std::nearbyint(angle / (2 * M_PI)); }
+
+double clamped(double angle, double middle, double half) {
+    return middle + std::clamp(wrapped(angle - middle), -half, half);
+}
+
+// Rotation about one of the axes.
+void about(int axis, double angle, double *out) {
+    const int i = (axis + 1) % 3, j = (axis + 2) % 3;
+    std::fill_n(out, 9, 0.0);
+    out[4 * axis] = 1;
+    out[4 * i] = out[4 * j] = std::cos(angle);
+    out[3 * j + i] = std::sin(angle);
+    out[3 * i + j] = -out[3 * j + i];
+}
+
+// Numbers that say which rotations of a link are allowed: those before and after it that make its angles about x, y and
+// z, the middle of each angle's range, and half its width.
+constexpr size_t LIMIT = 24;
+constexpr int SWEEPS = 4;
+constexpr double ROUNDING = 1e-9;
+
+// Whether a link's own rotation is beyond its limits; and then the nearest that is not (geometry/joint_limits.py).
+bool nearest_allowed(const double *limit, const double *own, double *allowed) {
+    const double *before = limit, *after = limit + 9, *middle = limit + 18, *half = limit + 21;
+    double m[9], part[9], best = -std::numeric_limits<double>::infinity(), made[9];
+    product(before, own, part);
+    product(part, after, m);
+    double angles[2][3] = {{std::atan2(-m[5], m[8]), std::atan2(m[2], std::hypot(m[0], m[1])), std::atan2(-m[1], m[0])}};
+    for (int d = 0; d < 3; ++d) angles[1][d] = M_PI + (d == 1 ? -1 : 1) * angles[0][d];
+    for (const auto &triple : angles) {
+        bool inside = true;
+        for (int d = 0; d < 3; ++d) inside &= std::abs(wrapped(triple[d] - middle[d])) <= half[d] + ROUNDING;
+        if (inside) return false;
+    }
+    for (auto &triple : angles) {
+        double turns[3][9];
+        for (int d = 0; d < 3; ++d) about(d, triple[d] = clamped(triple[d], middle[d], half[d]), turns[d]);
+        for (int sweep = 0; sweep < SWEEPS; ++sweep)
+            for (int d = 0; d < 3; ++d) {
+                // the trace of (rotation about d) n is greatest where the whole is nearest to m
+                double later[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, n[9];
+                for (int other = d + 1; other < 3; ++other) product(later, turns[other], part), std::copy_n(part, 9, later);
+                product(later, m, n, true);
+                for (int other = 0; other < d; ++other) product(n, turns[other], part), std::copy_n(part, 9, n);
+                const int i = (d + 1) % 3, j = (d + 2) % 3;
+                const double angle = std::atan2(n[3 * i + j] - n[3 * j + i], n[4 * i] + n[4 * j]);
+                about(d, triple[d] = clamped(angle, middle[d], half[d]), turns[d]);
+            }
+        double whole[9], likeness = 0;
+        product(turns[0], turns[1], part);
+        product(part, turns[2], whole);
+        for (int i = 0; i < 9; ++i) likeness += whole[i] * m[i];
+        if (likeness > best) best = likeness, std::copy_n(whole, 9, made);
+    }
+    // beforeᵀ · made · afterᵀ
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            part[3 * i + j] = 0;
+            for (int k = 0; k < 3; ++k) part[3 * i + j] += before[3 * k + i] * made[3 * k + j];
+        }
+    product(part, after, allowed, true);
+    return true;
+}
+
 // Points of a frame, with their colours as three more coordinates where they have them, in a k-d tree.
 class Cloud {
   public:
@@ -305,11 +370,16 @@ class Body {
     // left out until the width is down to `ease` times its own, if that is more than `fine`.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
-                    double loose, double pull, double noise, double reach, double calm, double ease, double fine) {
+                    Input<int64_t, 1> limited, Input<double, 2> limits, double beyond, double loose, double pull, double noise, double reach, double calm, double ease, double fine) {
         require(rotations, root, allowed, some);
         require(cloud);
         if (held.shape(0) != count || strengths.shape(0) != 2 || strengths.shape(1) != count || widths.shape(1) != 3)
             throw std::invalid_argument("BodyMatcher.solve: shapes differ");
+        if (limits.shape(0) != limited.shape(0) || limits.shape(1) != LIMIT)
+            throw std::invalid_argument("BodyMatcher.solve: shapes differ");
+        for (size_t k = 0; k < limited.shape(0); ++k)
+            if (limited.data()[k] < 0 || limited.data()[k] >= int64_t(count))
+                throw std::invalid_argument("BodyMatcher.solve: a link beyond the body");
         const Doubles expected(rotations.data(), rotations.data() + 9 * count);
         const double expected_root[3] = {root.data()[0], root.data()[1], root.data()[2]};
         turns = expected;
@@ -318,7 +388,7 @@ class Body {
         candidates.clear();
         std::vector<int64_t> found(some.shape(0), -1);
         const size_t unknowns = 3 + 3 * count;
-        Doubles h, g;
+        Doubles h, g, resisted(3 * limited.shape(0));
         size_t since = 0;  // steps since links were chosen anew
         double calm_at = std::numeric_limits<double>::infinity();  // the width of a calm step
         for (size_t step = 0; step < widths.shape(0); ++step) {
@@ -347,6 +417,8 @@ class Body {
                 if (pulls[row].weight > 0) add(int64_t(row), pulls[row], pull);
             equations(h, g);
             priors(expected, expected_root, held.data(), strengths.data(), loose, h, g);
+            for (size_t k = 0; k < limited.shape(0); ++k)
+                pull_back(size_t(limited.data()[k]), limits.data() + LIMIT * k, beyond, &resisted[3 * k], h, g);
             if (!solve_symmetric(h, g, unknowns)) throw std::runtime_error("BodyMatcher.solve: no solution");
             calm_at = move(g) < calm ? width : std::numeric_limits<double>::infinity();
         }
@@ -805,6 +877,31 @@ class Body {
                 }
             }
         }
+    }
+
+    // Towards the nearest rotation that is allowed, where a link is beyond its limits. resisted: the axis of the turn that
+    // led there, which later steps are to resist too.
+    void pull_back(size_t link, const double *limit, double strength, double *resisted, Doubles &h, Doubles &g) const {
+        double allowed[9], difference[9], off[3], world[3];
+        const double *own = &turns[9 * link];
+        const auto in_world = [&](const double *vector) {
+            if (parents[link] >= 0)
+                turn(&a[9 * parents[link]], vector, world);
+            else
+                std::copy_n(vector, 3, world);
+        };
+        if (nearest_allowed(limit, own, allowed)) {
+            product(own, allowed, difference, true);
+            logarithm(difference, off);
+            in_world(off);
+            const double length = std::max(std::sqrt(dot(off, off)), 1e-12);
+            for (int i = 0; i < 3; ++i) g[3 + 3 * link + i] -= strength * world[i], resisted[i] = off[i] / length;
+        }
+        if (dot(resisted, resisted) == 0) return;
+        in_world(resisted);
+        for (int i = 0; i < 3; ++i)
+            for (int j = 0; j < 3; ++j)
+                h[(3 + 3 * link + i) * (3 + 3 * count) + 3 + 3 * link + j] += strength * world[i] * world[j];
     }
 
     // g becomes the solution of h x = g, by Cholesky from the last unknown on: a joint then meets only those above it,

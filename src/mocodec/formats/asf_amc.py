@@ -32,7 +32,7 @@ FREE = ((-math.inf, math.inf),)
 
 @dataclass(frozen=True)
 class Bone:
-    """One bone as its ASF has it: the turn C of its axis frame, the order of its turns, and which of them move how far."""
+    """One bone as its ASF has it: the turn C of its axis frame, the order of its turns, and how far they go."""
 
     name: str
     offset: tuple[float, float, float]  # direction × length, in the file's units
@@ -377,7 +377,7 @@ def _limits_text(limits: Limits | None, joint: int) -> list[str]:
 
 
 def _asf_text(skeleton: Skeleton, unit_m: float) -> str:
-    """A skeleton file whose bones turn about x, y and z: of the axis frames that limits are counted in, if it has any."""
+    """A skeleton file whose bones turn about x, y and z, of their axis frames where there are limits."""
     length = 0.0254 / unit_m
     x, y, z = (skeleton.offsets[0] / unit_m).tolist()
     lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg"]

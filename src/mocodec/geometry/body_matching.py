@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import native
+from . import joint_limits
 from .articulation import Body, Floats, Pose, exp, joints_of, log, transforms
+from .joint_limits import NO_LIMITS, LinkLimits
 from .skinning import Skin
 
 Labels = NDArray[Any]
@@ -54,13 +56,16 @@ class Step(NamedTuple):
 
 class Prior(NamedTuple):
     """What a pose is held to. turn (links,): strength, one over radians squared, of the start; hold (links,): of the
-    rotations `held` (links, 3, 3); root: of the root's place at the start, one over square metres.
+    rotations `held` (links, 3, 3); root: of the root's place at the start, one over square metres; beyond: one over
+    radians squared, of the nearest rotation that is allowed, for links beyond their limits.
     """
 
     turn: Floats
     hold: Floats
     held: Floats
     root: float = 0.3**-2
+    limits: LinkLimits = NO_LIMITS
+    beyond: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,12 +245,14 @@ class Matcher:
             strengths = np.stack([prior.turn, prior.hold])
             rotations, root = self.compiled.solve(
                 data.tree, start.rotations, start.root, np.array(steps, float).reshape(-1, 3), some, allowed,
-                prior.held, strengths, prior.root, self.pull, self.noise, REACH, CALM, EASE, FINE,
+                prior.held, strengths, prior.limits.links, prior.limits.table, prior.beyond, prior.root, self.pull,
+                self.noise, REACH, CALM, EASE, FINE,
             )  # fmt: skip
             return Pose(rotations, root), SOLVED
         pose = start
         a, b = transforms(self.body, pose)
         candidates = NOBODY
+        resisted = np.zeros((len(prior.limits.links), 3))  # axes of turns that led beyond limits
         since, calm_at = 0, np.inf  # steps since links were chosen anew; the width of a calm step
         for step in steps:
             if step.width > max(FINE, EASE * calm_at):
@@ -263,7 +270,8 @@ class Matcher:
             distance, index = data.nearest(self.skin.posed(a, b, rows), shades, REACH * step.width)
             near = np.isfinite(distance)
             target = np.concatenate([points, data.points[index[near]]])
-            pose, moved = self._step(target, np.concatenate([row, rows[near]]), pose, start, a, b, step.width, prior)
+            row = np.concatenate([row, rows[near]])
+            pose, moved = self._step(target, row, pose, start, a, b, step.width, prior, resisted)
             calm_at = step.width if moved < CALM else np.inf
             a, b = transforms(self.body, pose)
         return pose, candidates
@@ -346,10 +354,20 @@ class Matcher:
         return row[rows, best], candidates[rows, best]
 
     def _step(
-        self, target: Floats, row: Labels, pose: Pose, start: Pose, a: Floats, b: Floats, width: float, prior: Prior
+        self,
+        target: Floats,
+        row: Labels,
+        pose: Pose,
+        start: Pose,
+        a: Floats,
+        b: Floats,
+        width: float,
+        prior: Prior,
+        resisted: Floats,
     ) -> tuple[Pose, float]:
         """One Gauss–Newton step: a turn of every joint, in the world, and a translation of the root; and how far it
-        moves the root, or the far end of a link by its own turn, at most.
+        moves the root, or the far end of a link by its own turn, at most. resisted (limited links, 3): see
+        `_pull_back`, which notes there what it resists.
 
         A template point that follows link l moves by v_l + ω_l × y; its distance across the surface changes by f ·
         (v, ω) with f = (n, y × n). Sums of f fᵀ by links give the normal equations of the links' motions, and the
@@ -369,7 +387,7 @@ class Matcher:
         s = motion.reshape(6 * links, 3 + 3 * links)
         h = s.T @ matrix @ s
         g = s.T @ vector
-        self._add_priors(h, g, pose, start, a, prior)
+        self._add_priors(h, g, pose, start, a, prior, resisted)
         step = np.linalg.solve(h, g)
         turns = step[3:].reshape(-1, 3)
         angle = np.linalg.norm(turns, axis=1, keepdims=True)
@@ -422,8 +440,10 @@ class Matcher:
         above[self.is_root] = np.eye(3)
         return above
 
-    def _add_priors(self, h: Floats, g: Floats, pose: Pose, start: Pose, a: Floats, prior: Prior) -> None:
-        """Towards the pose at the start, and towards the one that joints are held to."""
+    def _add_priors(
+        self, h: Floats, g: Floats, pose: Pose, start: Pose, a: Floats, prior: Prior, resisted: Floats
+    ) -> None:
+        """Towards the pose at the start, towards the one that joints are held to, and back within limits."""
         other = np.stack([start.rotations, prior.held])
         off = log(pose.rotations @ other.transpose(0, 1, 3, 2))
         strength = np.stack([prior.turn, prior.hold])
@@ -432,6 +452,24 @@ class Matcher:
         g[:3] -= (pose.root - start.root) * prior.root
         g[3:] -= world.ravel()
         h[np.diag_indices_from(h)] += diagonal
+        if len(prior.limits.links):
+            self._pull_back(h, g, pose, self._above(a), prior, resisted)
+
+    def _pull_back(self, h: Floats, g: Floats, pose: Pose, above: Floats, prior: Prior, resisted: Floats) -> None:
+        """Towards the nearest rotation that is allowed, where a link is beyond its limits; the distance changes with
+        the turn about one axis alone. That turn is resisted in later steps too, which else would go out again as far.
+        """
+        links = prior.limits.links
+        allowed, outside = joint_limits.nearest(prior.limits, pose.rotations[links])
+        off = log(pose.rotations[links] @ allowed.transpose(0, 2, 1))
+        for k, link in enumerate(links):
+            at = slice(3 + 3 * link, 6 + 3 * link)
+            if outside[k]:
+                g[at] -= prior.beyond * (above[link] @ off[k])
+                resisted[k] = off[k] / max(float(np.linalg.norm(off[k])), 1e-12)
+            if resisted[k].any():
+                axis = above[link] @ resisted[k]
+                h[at, at] += prior.beyond * np.outer(axis, axis)
 
 
 def _cross(u: Floats, v: Floats) -> Floats:

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import articulated_icp, normals, skinning, smoothing
+from . import articulated_icp, joint_limits, normals, skinning, smoothing
 from .articulation import Body, Floats, Labels, Pose, between, exp, log, transforms
 from .body_matching import Data, Fit, Matcher, Prior, Step
+from .joint_limits import NO_LIMITS, LinkLimits
 from .skinning import Skin
 
 
@@ -25,7 +26,7 @@ class Settings:
     looked at, at most. template: points that a template of few points grows to. pull: weight of the distance along the
     surface against that across it. turn, spine: how far a joint usually turns from where constant velocity puts it;
     `spine` for short bones, which are also held to `bend` of their first pose. velocity: the share of the last movement
-    that is expected again.
+    that is expected again. beyond: how far a joint usually is beyond its limits, where it has any.
     """
 
     widths: tuple[float, ...] = (0.2, 0.2, 0.2, 0.2, 0.16, 0.16, 0.11, 0.08, 0.055, 0.038, 0.027, 0.02)
@@ -37,6 +38,7 @@ class Settings:
     turn: float = 1.0
     spine: float = 0.12
     bend: float = 0.35
+    beyond: float = 0.03
     velocity: float = 0.8
     colour: float = 0.20
     search: bool = True
@@ -101,8 +103,9 @@ class Tracker:
         outward: Floats,
         colours: NDArray[np.uint8] | None = None,
         settings: Settings | None = None,
+        limits: LinkLimits = NO_LIMITS,
     ) -> None:
-        self.body = body
+        self.body, self.limits = body, limits
         self.settings = settings or Settings()
         self._wear(skin, outward, colours)
         self.is_sparse = len(skin.points) < self.settings.template / 2
@@ -168,7 +171,8 @@ class Tracker:
     def _prior(self) -> Prior:
         """Towards the expected pose; and stiff joints towards the canonical one, which keeps a spine from folding."""
         bend = np.where(self.stiffness < self.settings.turn, self.settings.bend**-2, 0.0)
-        return Prior(self.stiffness**-2.0, bend, Pose.canonical(len(self.body)).rotations)
+        held = Pose.canonical(len(self.body)).rotations
+        return Prior(self.stiffness**-2.0, bend, held, limits=self.limits, beyond=self.settings.beyond**-2)
 
     def _shades(self, colours: NDArray[np.uint8]) -> Floats:
         """(n, 3): colours as lengths, so that they can be added to distances."""
@@ -412,6 +416,14 @@ class Tracker:
         first = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
         return np.stack([first, np.swapaxes(turned, -1, -2) @ below], axis=-3)
 
+    def _within_limits(self, limb: Limb, rotations: Floats) -> Floats:
+        """Rotations (draws, links of the limb, 3, 3), those beyond limits exchanged for the nearest within."""
+        limits = self.limits.of(limb.links)
+        if len(limits.links):
+            column = np.searchsorted(limb.links, limits.links)
+            rotations[:, column] = joint_limits.nearest(limits, rotations[:, column])[0]
+        return rotations
+
     def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 3) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""
         free = np.flatnonzero((found.residuals > 0.5 * LOST) | np.isin(found.links, limb.links))
@@ -427,6 +439,7 @@ class Tracker:
             if len(wanted) and len(limb.links) > 1
             else self._shaken(limb, found.pose, rng, draws // 3, 0.9, 0.7),
         ])  # fmt: skip
+        rotations = self._within_limits(limb, rotations)
         places = Data.build(data.points[free], None, None)
         score = self.matcher.distances(places, wanted, found.pose, limb.links, rotations, limb.rows[::3])
         free = free[:: max(1, len(free) // 300)]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput, CannotEncode
-from ...geometry import articulated_icp, articulation, body_fit, body_tracking, skinning, smoothing
+from ...geometry import articulated_icp, articulation, body_fit, body_tracking, joint_limits, skinning, smoothing
 from ...geometry.articulation import Body, Floats, Pose
 from ...geometry.body_matching import Data, Step
 from .. import body_stream
@@ -49,6 +49,7 @@ def begin(
 
     Raises CannotEncode where nobody stands there, BadInput for a skeleton that does not fit.
     """
+    limits = joint_limits.NO_LIMITS
     if skeleton is None:
         body = body_fit.first_pose(points, up).body()
     else:
@@ -56,6 +57,7 @@ def begin(
         assert motion.skeleton is not None
         body = articulation.from_skeleton(motion.skeleton.names, motion.skeleton.parents, motion.positions[0])
         body_fit.require_near(body, points)
+        limits = joint_limits.of_links(body, motion)
     some = np.random.default_rng(0).permutation(len(points))[:8000]
     some = some[articulated_icp.is_near(body, points[some])][:6000]
     if len(some) < 2 * FEWEST:
@@ -68,7 +70,7 @@ def begin(
     few = slice(0, settings.template)
     skin = skinning.skin(body, model.points[few], model.links[few])
     shades = None if model.colours is None else model.colours[few]
-    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, settings)
+    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, settings, limits)
     if len(some) >= settings.template + OTHERS:
         others = some[settings.template :]
         tracker.expect(points[others], None if colours is None else colours[others])
@@ -114,7 +116,9 @@ class Follower:
         around = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ every)
         around[np.arange(len(points)), own] -= DECIDED**2
         better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
-        self.tracker = body_tracking.Tracker(self.body, better, tracker.normals, tracker.colours, tracker.settings)
+        self.tracker = body_tracking.Tracker(
+            self.body, better, tracker.normals, tracker.colours, tracker.settings, tracker.limits
+        )
         self.tracker.usual = tracker.usual
 
     def look_closely(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> Data:
