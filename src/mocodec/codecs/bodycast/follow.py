@@ -60,7 +60,7 @@ def begin(
         limits = joint_limits.of_links(body, motion)
     some = np.random.default_rng(0).permutation(len(points))[:8000]
     some = some[articulated_icp.is_near(body, points[some])][:6000]
-    if len(some) < 2 * FEWEST:
+    if len(some) < FEWEST:
         raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
     shades = None if colours is None else colours[some]
     surface = smoothing.smoothed(points[some], points)
