@@ -9,7 +9,7 @@ import pytest
 
 from mocodec.codecs import bodycast
 from mocodec.evaluation.cloud import actors, sequences, tracking
-from mocodec.geometry import articulated_icp, articulation, body_tracking, skinning
+from mocodec.geometry import articulated_icp, articulation, body_tracking, limbs, skinning
 from mocodec.pointcloud import PointClouds
 
 
@@ -186,7 +186,7 @@ def test_legs_that_are_taken_for_each_other_are_exchanged(performance, clouds):
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     assert len(tracker.twins) == 2  # arms and legs
     legs = max(tracker.twins, key=lambda pair: "Leg" in tracker.body.names[tracker.limbs[pair[0]].links[0]])
-    tracker.pose = tracker.before = tracker._exchanged(tracker.pose, *(tracker.limbs[i] for i in legs))
+    tracker.pose = tracker.before = limbs.exchanged(tracker.body, tracker.pose, *(tracker.limbs[i] for i in legs))
     for f in range(2, 8):
         fit = tracker.fit(clouds.positions[f], clouds.colours[f], f)
     assert errors(tracker, performance, fit, 7).max() < 0.06
@@ -196,11 +196,11 @@ def test_a_limb_reaches_where_it_is_told_to(performance, clouds):
     tracker = tracker_of(performance, clouds)
     limb = next(limb for limb in tracker.limbs if tracker.body.names[limb.links[0]] == "LeftArm")
     a, b = articulation.transforms(tracker.body, tracker.pose)
-    (upper, bend), (lower, end) = tracker._reach(limb)
+    (upper, bend), (lower, end) = limbs.reach(tracker.body, limb)
     start = a[upper] @ tracker.body.origins[upper] + b[upper]
     rng = np.random.default_rng(4)
     targets = start + rng.normal(size=(20, 3)) * 0.15
-    rotations = tracker._reaching(limb, tracker.pose, rng, targets)
+    rotations = limbs.reaching(tracker.body, limb, tracker.pose, rng, targets)
     length = np.linalg.norm(end - bend)
     for target, turned in zip(targets, rotations, strict=True):
         whole = tracker.pose.rotations.copy()

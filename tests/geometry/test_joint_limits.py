@@ -11,7 +11,7 @@ import pytest
 from mocodec import native
 from mocodec.codecs import bodycast
 from mocodec.evaluation.cloud import actors, sequences
-from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, rigid, skinning
+from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, limbs, rigid, skinning
 from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
 from mocodec.geometry.joint_limits import LinkLimits
 from mocodec.motion import Limits, Motion, Skeleton
@@ -253,7 +253,7 @@ def test_poses_that_are_drawn_keep_to_the_limits(scene):
     limb = next(limb for limb in tracker.limbs if body.names[limb.links[0]] == "LeftArm")
     draws = bent(scene, 1.5).rotations[limb.links][None].repeat(2, axis=0)
     fore = body.names.index("LeftForeArm")
-    within = tracker._within_limits(limb, draws.copy())
+    within = limbs.within(tracker.limits, limb, draws.copy())
     changed = np.array(limb.links) == fore
     assert not np.array_equal(within[:, changed], draws[:, changed])
     assert np.array_equal(within[:, ~changed], draws[:, ~changed])

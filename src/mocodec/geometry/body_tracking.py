@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import articulated_icp, joint_limits, normals, skinning, smoothing
-from .articulation import Body, Floats, Labels, Pose, between, exp, log, transforms
+from . import limbs, normals, skinning, smoothing
+from .articulation import Body, Floats, Labels, Pose, exp, log, transforms
 from .body_matching import Data, Fit, Matcher, Prior, Step
 from .joint_limits import NO_LIMITS, LinkLimits
+from .limbs import Limb
 from .skinning import Skin
 
 
@@ -52,17 +53,6 @@ class Sighting(NamedTuple):
     colours: NDArray[np.uint8] | None
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
-    """links of an arm or leg from its long bone on; rows of the template that follow them; and, of those that look for
-    data, which follow any of them, and which those beyond the long bone.
-    """
-
-    links: Labels
-    rows: Labels
-    looked_at: tuple[Labels, Labels]
-
-
 DOUBT, ASTRAY = 1.25, 1.6  # times the usual cost, above which a fit is not trusted at once, or not at all
 ROUGHLY = 1.3  # times the cost of the best pose, below which one that was solved of a few points is solved as a whole
 HOPE = 1.03  # times the cost of the best pose, below which one of which only a limb is solved is solved as a whole
@@ -81,11 +71,6 @@ def _unit(vector: Floats, otherwise: Floats) -> Floats:
     """The vector's direction; `otherwise` where it has none."""
     length = float(np.linalg.norm(vector))
     return vector / length if length > 1e-3 else otherwise
-
-
-def _units(vectors: Floats) -> Floats:
-    """(…, 3): directions of vectors (…, 3), nothing where they have none."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
 def _better(fit: Fit, other: Fit) -> Fit:
@@ -126,8 +111,8 @@ class Tracker:
         self.matcher = Matcher(self.body, skin, outward, self.shades, some, self.settings.pull, self.settings.noise)
         self.stiffness = self._stiffness()
         self.prior = self._prior()
-        self.limbs = self._limbs()
-        self.twins = self._twins()
+        self.limbs = limbs.find(self.body, skin, self.matcher.some)
+        self.twins = limbs.twins(self.body, self.limbs)
         self.patience = np.full(len(self.limbs), LOST_LIMB)  # shares of limbs without data that are put up with
 
     def _grow(self, fit: Fit) -> None:
@@ -253,33 +238,6 @@ class Tracker:
         """(n,): the template point that each data point is matched to."""
         return self.matcher.assess(data, pose).rows
 
-    def _limbs(self) -> list[Limb]:
-        """Arms and legs: chains of links without branches, of a quarter of the body's size or more, from their long
-        bone.
-        """
-        children = [[c for c, p in enumerate(self.body.parents) if p == link] for link in range(len(self.body))]
-        size = float(np.ptp(np.concatenate([self.body.origins, self.body.tips]), axis=0).max())
-        limbs = list[Limb]()
-        for link in range(1, len(self.body)):
-            chain = [link]
-            while len(children[chain[-1]]) == 1:
-                chain += children[chain[-1]]
-            is_path = not children[chain[-1]]
-            inside = any(link in limb.links for limb in limbs)
-            if (
-                inside
-                or not is_path
-                or self.body.lengths[link] < 0.12 * size
-                or self.body.lengths[chain].sum() < 0.25 * size
-            ):
-                continue
-            mine = np.flatnonzero(np.isin(self.skin.links[:, 0], chain))
-            if len(mine) >= 30:
-                owner = self.skin.links[self.matcher.some, 0]
-                every, beyond = (np.flatnonzero(np.isin(owner, links)) for links in (chain, chain[1:]))
-                limbs.append(Limb(np.array(chain), mine[:: max(1, len(mine) // 60)], (every, beyond)))
-        return limbs
-
     def _anew(self, data: Data, found: Fit) -> Fit:
         """A body that has lost its points altogether: it may have turned, or come back at another place.
 
@@ -340,7 +298,7 @@ class Tracker:
         for pair in self.twins:
             share = min(self._lost(self.limbs[number], best) for number in pair)
             if share >= LOST_TWINS or is_odd:
-                pose = self._exchanged(best.pose, *(self.limbs[i] for i in pair))
+                pose = limbs.exchanged(self.body, best.pose, *(self.limbs[i] for i in pair))
                 if self._roughly(some, pose).cost < ROUGHLY * best.cost:
                     best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
         is_vain = is_odd and best is found
@@ -348,81 +306,10 @@ class Tracker:
         self.doubt = put_up if is_vain else max(min(TRUST * self.doubt, put_up), DOUBT)
         return best
 
-    def _exchanged(self, pose: Pose, one: Limb, other: Limb) -> Pose:
-        """The pose with two limbs reaching for each other's middle and end."""
-        a, b = transforms(self.body, pose)
-        rotations = pose.rotations.copy()
-        for mine, theirs in ((one, other), (other, one)):
-            upper = mine.links[0]
-            bends, ends = (a[link] @ place + b[link] for link, place in self._reach(theirs))
-            start = a[upper] @ self.body.origins[upper] + b[upper]
-            rotations[mine.links[:2]] = self._pointed(mine, pose, a, start, bends - start, ends)
-        return Pose(rotations, pose.root)
-
-    def _reach(self, limb: Limb) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
-        """Where a limb bends, and where its second bone ends: links, and places in their canonical coordinates."""
-        upper, lower = (int(link) for link in limb.links[:2])
-        end = self.body.origins[limb.links[2]] if len(limb.links) > 2 else self.body.tips[lower]
-        return (upper, self.body.origins[lower]), (lower, end)
-
-    def _twins(self) -> list[tuple[int, int]]:
-        """Pairs of limbs that hang on mirrored links."""
-        number = {int(limb.links[0]): i for i, limb in enumerate(self.limbs) if len(limb.links) > 1}
-        pairs = articulated_icp.mirrored(self.body)
-        return [(number[one], number[other]) for one, other in pairs if one in number and other in number]
-
     def _lost(self, limb: Limb, fit: Fit) -> float:
         """The share of a limb's template that has no data near it, of all of it or of what is beyond its first bone."""
         parts = (fit.gaps[rows] > LOST for rows in limb.looked_at)
         return max((float(part.mean()) for part in parts if len(part)), default=0.0)
-
-    def _shaken(
-        self, limb: Limb, pose: Pose, rng: np.random.Generator, draws: int, first: float, second: float
-    ) -> Floats:
-        """(draws, links of the limb, 3, 3): its rotations with the first two of them turned at random, by so much."""
-        turns = np.zeros((draws, len(limb.links), 3))
-        for link, spread in enumerate((first, second)[: len(limb.links)]):
-            turns[:, link] = spread * rng.normal(size=(draws, 3))
-        return exp(turns) @ pose.rotations[limb.links]
-
-    def _reaching(self, limb: Limb, pose: Pose, rng: np.random.Generator, targets: Floats) -> Floats:
-        """(draws, links of the limb, 3, 3): its rotations where a place on its second bone or a little beyond is at one
-        of targets (draws, 3), and it bends to any side.
-        """
-        a, b = transforms(self.body, pose)
-        (upper, bend), (lower, end) = self._reach(limb)
-        start = a[upper] @ self.body.origins[upper] + b[upper]
-        first, second = bend - self.body.origins[upper], end - self.body.origins[lower]
-        one, two = np.linalg.norm(first), np.linalg.norm(second) * rng.uniform(0.5, 1.3, len(targets))
-        to, far = _units(targets - start), np.linalg.norm(targets - start, axis=1)
-        far = np.clip(far, np.abs(one - two) + 1e-3, one + two - 1e-3)
-        cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]
-        side = _units(np.cross(to, rng.normal(size=to.shape)))
-        along = cosine * to + np.sqrt(1 - cosine**2) * side
-        rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
-        rotations[:, :2] = self._pointed(limb, pose, a, start, along, start + far[:, None] * to)
-        return rotations
-
-    def _pointed(self, limb: Limb, pose: Pose, a: Floats, start: Floats, along: Floats, ends: Floats) -> Floats:
-        """(…, 2, 3, 3): rotations of a limb's first two bones where the first, from `start` (3,), points along (…, 3),
-        and the second from there to ends (…, 3). a: of the pose, as `transforms` gives it.
-        """
-        upper, lower = limb.links[:2]
-        axes, parent = self.body.axes, self.body.parents[upper]
-        turned = between(_units(np.broadcast_to(a[upper] @ axes[upper], along.shape)), _units(along)) @ a[upper]
-        elbow = start + turned @ (self.body.origins[lower] - self.body.origins[upper])
-        below = turned @ pose.rotations[lower]
-        below = between(_units(below @ axes[lower]), _units(ends - elbow)) @ below
-        first = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
-        return np.stack([first, np.swapaxes(turned, -1, -2) @ below], axis=-3)
-
-    def _within_limits(self, limb: Limb, rotations: Floats) -> Floats:
-        """Rotations (draws, links of the limb, 3, 3), those beyond limits exchanged for the nearest within."""
-        limits = self.limits.of(limb.links)
-        if len(limits.links):
-            column = np.searchsorted(limb.links, limits.links)
-            rotations[:, column] = joint_limits.nearest(limits, rotations[:, column])[0]
-        return rotations
 
     def _draw(self, limb: Limb, data: Data, found: Fit, seed: int, draws: int = 300, kept: int = 3) -> list[Pose]:
         """The best of random poses of a limb, each moved to where it fits best with all other links held still."""
@@ -433,13 +320,13 @@ class Tracker:
         wanted = wanted[:: max(1, len(wanted) // 50)]
         rng = np.random.default_rng([seed, int(limb.links[0])])
         rotations = np.concatenate([
-            self._shaken(limb, found.pose, rng, draws // 3, 0.15, 2.0),
-            self._shaken(limb, self.pose, rng, draws // 3, 0.9, 0.7),
-            self._reaching(limb, found.pose, rng, wanted[rng.integers(len(wanted), size=draws // 3)])
+            limbs.shaken(limb, found.pose, rng, draws // 3, 0.15, 2.0),
+            limbs.shaken(limb, self.pose, rng, draws // 3, 0.9, 0.7),
+            limbs.reaching(self.body, limb, found.pose, rng, wanted[rng.integers(len(wanted), size=draws // 3)])
             if len(wanted) and len(limb.links) > 1
-            else self._shaken(limb, found.pose, rng, draws // 3, 0.9, 0.7),
+            else limbs.shaken(limb, found.pose, rng, draws // 3, 0.9, 0.7),
         ])  # fmt: skip
-        rotations = self._within_limits(limb, rotations)
+        rotations = limbs.within(self.limits, limb, rotations)
         places = Data.build(data.points[free], None, None)
         score = self.matcher.distances(places, wanted, found.pose, limb.links, rotations, limb.rows[::3])
         free = free[:: max(1, len(free) // 300)]
