@@ -134,6 +134,16 @@ def test_limits_that_are_odd(tmp_path):
     assert formats.read(pair(tmp_path, asf=none)).skeleton.limits is None
 
 
+@pytest.mark.parametrize("odd", ["(-20 nan)", "(-20)", "(-20 20) (0 1)", "(-20 wide)", "(inf inf)"])
+def test_a_motion_is_read_though_limits_cannot_be(tmp_path, odd):
+    """The bone counts as free; what the others have stays."""
+    asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-10 20)")
+    odd_one = ASF.index("(-20 20)")
+    limits = limits_of(tmp_path, asf[:odd_one] + odd + asf[odd_one + len("(-20 20)") :])
+    assert np.isinf(limits.ranges[1]).all()
+    assert np.allclose(np.degrees(limits.ranges[4]), [[-10, 20], [0, 0], [-45, 90]])
+
+
 def test_limits_stay_with_a_part_of_a_motion_and_in_npz(tmp_path):
     limits = limits_of(tmp_path)
     motion = formats.read(tmp_path / "tiny_01.amc")
@@ -202,11 +212,6 @@ def test_damage_of_the_motion(tmp_path, old, new, says):
         ("direction 0 1 0", "direction 0 inf 0", "three numbers"),
         ("axis XYZ", "axis XXZ", "axis order"),
         ("order TX", "order TW", "root's order"),
-        ("(-20 20)", "(-20 nan)", "one pair of numbers for each of its 3 dof"),
-        ("(-20 20)", "(-20)", "limits .* one pair"),
-        ("limits (-20 20)", "limits (-20 20) (0 1)", "limits .* one pair"),
-        ("(-20 20)", "(-20 wide)", "pairs of numbers"),
-        ("(-20 20)", "(inf inf)", "pair of numbers"),
     ],
 )
 def test_damage_of_the_skeleton(tmp_path, old, new, says):

@@ -185,7 +185,7 @@ def _bones(lines: list[list[str]]) -> list[Bone]:
             axis = fields.get("axis", ["0", "0", "0", "XYZ"])
             order = _order(axis[3] if len(axis) > 3 else "XYZ")
             x, y, z = (along * length).tolist()
-            limits = _limits(fields["name"][0], dof, fields.get("limits", []))
+            limits = _limits(dof, fields.get("limits", []))
             bones.append(Bone(fields["name"][0], (x, y, z), _triple(axis), order, dof, limits))
             fields = None
         elif fields is not None and key not in fields:
@@ -193,20 +193,18 @@ def _bones(lines: list[list[str]]) -> list[Bone]:
     return bones
 
 
-def _limits(name: str, dof: tuple[str, ...], words: list[str]) -> tuple[tuple[float, float], ...]:
-    """A pair of each dof, the lesser first whichever the file has first. Raises BadInput."""
-    text = " ".join(words)
-    if not (words and dof):
-        return ()
+def _limits(dof: tuple[str, ...], words: list[str]) -> tuple[tuple[float, float], ...]:
+    """A pair of each dof, the lesser first whichever the file has first; none where it has something else: the motion
+    can be read all the same.
+    """
     try:
-        values = [float(word) for word in re.split(r"[\s(),]+", text) if word]
+        values = [float(word) for word in re.split(r"[\s(),]+", " ".join(words)) if word]
     except ValueError:
-        raise BadInput(f"bone {name}: its limits {text} are not pairs of numbers") from None
+        return ()
     pairs = tuple((min(pair), max(pair)) for pair in zip(values[::2], values[1::2], strict=False))
     is_between = all(low < math.inf and high > -math.inf for low, high in pairs)
-    if len(values) != 2 * len(dof) or any(map(math.isnan, values)) or not is_between:
-        raise BadInput(f"bone {name}: its limits {text} are not one pair of numbers for each of its {len(dof)} dof")
-    return pairs
+    are_numbers = not any(map(math.isnan, values))
+    return pairs if is_between and are_numbers and len(values) == 2 * len(dof) else ()
 
 
 def _hierarchy(lines: list[list[str]], bones: dict[str, Bone]) -> dict[str, str]:
