@@ -45,8 +45,8 @@ class Settings:
     search: bool = True
 
 
-class Sighting(NamedTuple):
-    """What was seen of the surface: canonical points (n, 3), links (n,), colours (n, 3)."""
+class Growth(NamedTuple):
+    """What a template is to take up: canonical points (n, 3), links (n,), colours (n, 3)."""
 
     points: Floats
     links: Labels
@@ -94,7 +94,7 @@ class Tracker:
         self.settings = settings or Settings()
         self._wear(skin, outward, colours)
         self.is_sparse = len(skin.points) < self.settings.template / 2
-        self.seen = list[Sighting]()
+        self.growth = list[Growth]()
         in_limbs = [int(limb.links[0]) for limb in self.limbs]
         self.above_hips = [link for link, parent in enumerate(body.parents) if parent == 0 and link not in in_limbs]
         self.upright = _unit(body.origins[self.above_hips or [0]].mean(axis=0) - body.origins[0], body.axes[0])
@@ -126,18 +126,18 @@ class Tracker:
         places = self.skin.unposed(a, b, fit.rows[good], fit.data.points[good])
         held = np.linalg.norm(places - self.skin.points[fit.rows[good]], axis=1) < LOST
         good = good[held]
-        self.seen.append(
-            Sighting(places[held], fit.links[good], None if fit.data.colours is None else fit.data.colours[good])
+        self.growth.append(
+            Growth(places[held], fit.links[good], None if fit.data.colours is None else fit.data.colours[good])
         )
         most, have = self.settings.template, len(self.skin.points)
-        if sum(len(sight.points) for sight in self.seen) < (have / 2 if have < most else 2 * most):
+        if sum(len(part.points) for part in self.growth) < (have / 2 if have < most else 2 * most):
             return
         self.is_sparse = have < most
-        seen = [Sighting(self.skin.points, self.skin.links[:, 0], self.colours), *self.seen]
-        self.seen.clear()
-        points, links = np.concatenate([s.points for s in seen]), np.concatenate([s.links for s in seen])
+        parts = [Growth(self.skin.points, self.skin.links[:, 0], self.colours), *self.growth]
+        self.growth.clear()
+        points, links = np.concatenate([p.points for p in parts]), np.concatenate([p.links for p in parts])
         some = np.sort(np.random.default_rng(0).permutation(len(points))[:most])
-        colours = None if self.colours is None else np.concatenate([s.colours for s in seen if s.colours is not None])
+        colours = None if self.colours is None else np.concatenate([p.colours for p in parts if p.colours is not None])
         surface = smoothing.smoothed(points[some], points)
         skin = skinning.skin(self.body, surface, links[some])
         self._wear(skin, normals.outward(surface, neighbours=10), None if colours is None else colours[some])
