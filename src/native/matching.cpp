@@ -78,7 +78,9 @@ void logarithm(const double *m, double *out) {
     for (int i = 0; i < 3; ++i) out[i] = q[1 + i] * factor;
 }
 
-double wrapped(double angle) { return angle - 2 * M_PI * std::nearbyint(angle / (2 * M_PI)); }
+constexpr double PI = 3.14159265358979323846;
+
+double wrapped(double angle) { return angle - 2 * PI * std::nearbyint(angle / (2 * PI)); }
 
 double clamped(double angle, double middle, double half) {
     return middle + std::clamp(wrapped(angle - middle), -half, half);
@@ -107,7 +109,7 @@ bool nearest_allowed(const double *limit, const double *own, double *allowed) {
     product(before, own, part);
     product(part, after, m);
     double angles[2][3] = {{std::atan2(-m[5], m[8]), std::atan2(m[2], std::hypot(m[0], m[1])), std::atan2(-m[1], m[0])}};
-    for (int d = 0; d < 3; ++d) angles[1][d] = M_PI + (d == 1 ? -1 : 1) * angles[0][d];
+    for (int d = 0; d < 3; ++d) angles[1][d] = PI + (d == 1 ? -1 : 1) * angles[0][d];
     for (const auto &triple : angles) {
         bool inside = true;
         for (int d = 0; d < 3; ++d) inside &= std::abs(wrapped(triple[d] - middle[d])) <= half[d] + ROUNDING;
@@ -370,7 +372,8 @@ class Body {
     // left out until the width is down to `ease` times its own, if that is more than `fine`.
     nb::tuple solve(const Cloud &cloud, Input<double, 3> rotations, Input<double, 1> root, Input<double, 2> widths,
                     Input<int64_t, 1> some, Input<bool, 1> allowed, Input<double, 3> held, Input<double, 2> strengths,
-                    Input<int64_t, 1> limited, Input<double, 2> limits, double beyond, double loose, double pull, double noise, double reach, double calm, double ease, double fine) {
+                    Input<int64_t, 1> limited, Input<double, 2> limits, double beyond, double loose, double pull,
+                    double noise, double reach, double calm, double ease, double fine) {
         require(rotations, root, allowed, some);
         require(cloud);
         if (held.shape(0) != count || strengths.shape(0) != 2 || strengths.shape(1) != count || widths.shape(1) != 3)

@@ -33,8 +33,7 @@ def tracker_of(performance, clouds) -> body_tracking.Tracker:
 
 
 def errors(tracker, performance, fit, frame) -> np.ndarray:
-    joints = articulation.joints_of(tracker.body, *articulation.transforms(tracker.body, fit.pose))
-    return np.linalg.norm(joints - performance.joints[frame][list(tracker.body.joints)], axis=1)
+    return tracking.joint_errors(performance, tracker.body, fit.pose, frame)
 
 
 def test_joints_are_followed(performance, clouds):
@@ -73,7 +72,7 @@ def test_a_template_of_few_points_grows_by_what_fits(performance):
     for frame in range(1, 14):
         for number, tracker in enumerate(trackers):
             fit = tracker.fit(few.positions[frame], few.colours[frame], frame)
-            closeness[number, frame] = tracking._errors(performance, tracker.body, fit.pose, frame).mean()
+            closeness[number, frame] = errors(tracker, performance, fit, frame).mean()
     assert len(bare.skin.points) <= 600
     assert len(grown.skin.points) > 1200
     assert len(grown.colours) == len(grown.normals) == len(grown.skin.points)

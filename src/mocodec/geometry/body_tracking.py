@@ -244,7 +244,7 @@ class Tracker:
         It is turned to every side, as a whole and at the hips alone, put where the points are, and the best of these
         poses after some steps is kept, if it is better than the one there was.
         """
-        some = data.some(np.arange(min(len(data.points), ROUGH)))
+        some = self._few(data)
         middle = np.median(data.points, axis=0)
         starts = list[Pose]()
         for pose in (found.pose, self.pose):
@@ -255,6 +255,10 @@ class Tracker:
                 starts += [self._turned(pose, turn, shift, whole) for whole in (True, False)]
         rough = sorted((self._roughly(some, start) for start in starts), key=lambda fit: fit.cost)
         return min([found, *(self.solve(data, fit.pose) for fit in rough[:2])], key=lambda fit: fit.cost)
+
+    def _few(self, data: Data) -> Data:
+        """As many of the points as a first look takes."""
+        return data.some(np.arange(min(len(data.points), ROUGH)))
 
     def _roughly(self, some: Data, start: Pose) -> Fit:
         """How well a pose fits some of the data after a few steps of a few points."""
@@ -282,7 +286,7 @@ class Tracker:
         """
         if np.mean(found.residuals > LOST) < LOST_POINTS:
             return found
-        best, some = found, data.some(np.arange(min(len(data.points), ROUGH)))
+        best = found
         is_odd = found.cost > self.doubt * self.usual  # though every limb has data near it: it may lie on another's
         for number, limb in enumerate(self.limbs):
             share = self._lost(limb, best)
@@ -299,7 +303,7 @@ class Tracker:
             share = min(self._lost(self.limbs[number], best) for number in pair)
             if share >= LOST_TWINS or is_odd:
                 pose = limbs.exchanged(self.body, best.pose, *(self.limbs[i] for i in pair))
-                if self._roughly(some, pose).cost < ROUGHLY * best.cost:
+                if self._roughly(self._few(data), pose).cost < ROUGHLY * best.cost:
                     best = _better(best, self.solve(data, pose, self.settings.widths[-6:]))
         is_vain = is_odd and best is found
         put_up = AGAIN * found.cost / self.usual

@@ -171,13 +171,7 @@ def _euler(turn: Floats) -> Floats:
 
 def _about(axis: int, angle: Floats) -> Floats:
     """(…, 3, 3): rotations about one of the axes by angles (…)."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.zeros((*angle.shape, 3, 3))
-    turn[..., axis, axis] = 1.0
-    turn[..., i, i] = turn[..., j, j] = np.cos(angle)
-    turn[..., j, i] = np.sin(angle)
-    turn[..., i, j] = -turn[..., j, i]
-    return turn
+    return rigid.to_matrix(rigid.about_axis("xyz"[axis], angle))
 
 
 def _wrapped(angles: Floats) -> Floats:

@@ -75,7 +75,7 @@ def measured(act: Performance, clouds: PointClouds) -> dict[str, Any]:
     started = time.process_time()
     poses = [tracker.fit(clouds.positions[f], colours[f], f).pose for f in range(1, len(clouds))]
     seconds = time.process_time() - started
-    error = np.array([_errors(act, body, pose, frame) for frame, pose in enumerate(poses, start=1)])
+    error = np.array([joint_errors(act, body, pose, frame) for frame, pose in enumerate(poses, start=1)])
     lost = error.max(axis=1) > LOST_M
     runs = np.diff(np.flatnonzero(np.concatenate([[True], ~lost, [True]]))) - 1
     return {
@@ -106,14 +106,14 @@ def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 2
             taken.append(most + 1)
             for f in range(start, min(start + most, len(clouds))):
                 pose = tracker.fit(clouds.positions[f], clouds.colours[f], f).pose
-                if _errors(act, body, pose, f).max() < LOST_M:
+                if joint_errors(act, body, pose, f).max() < LOST_M:
                     taken[-1] = f - start + 1
                     break
             tracker.pose, tracker.before = kept
     return taken
 
 
-def _errors(act: Performance, body: articulation.Body, pose: articulation.Pose, frame: int) -> NDArray[np.float64]:
+def joint_errors(act: Performance, body: articulation.Body, pose: articulation.Pose, frame: int) -> NDArray[np.float64]:
     """(links,): how far the joints of a pose are from the true ones, metres."""
     column = [act.actor.names.index(name) for name in body.names]
     joints = articulation.joints_of(body, *articulation.transforms(body, pose))
