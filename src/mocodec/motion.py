@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import BadInput
+from .typing import Floats
 
-Floats = NDArray[np.float64]
 
 UP_AXES = ("x", "y", "z")
 
