@@ -64,7 +64,8 @@ def test_a_template_of_few_points_grows_by_what_fits(performance):
     """600 points a frame are followed more closely once those of several frames stand for the surface."""
     few = sequences.record(performance, 600, seed=3)
     trackers = [
-        bodycast.begin(few.positions[0], few.colours[0], performance.skeleton()[:1], "y", 2500)[1] for _ in range(2)
+        bodycast.start_tracking(few.positions[0], few.colours[0], performance.skeleton()[:1], "y", 2500)[1]
+        for _ in range(2)
     ]
     grown, bare = trackers
     bare.is_sparse = False

@@ -262,6 +262,6 @@ def test_poses_that_are_drawn_keep_to_the_limits(scene):
 
 def test_a_skeleton_with_limits_is_followed_within_them(scene):
     clouds, _, _, _, motion, _ = scene
-    body, tracker = bodycast.begin(clouds.positions[0], clouds.colours[0], motion, "y", 2500)
+    body, tracker = bodycast.start_tracking(clouds.positions[0], clouds.colours[0], motion, "y", 2500)
     assert {body.names[link] for link in tracker.limits.links} >= {"LeftForeArm", "RightLeg"}
     assert tracker.prior.limits is tracker.limits

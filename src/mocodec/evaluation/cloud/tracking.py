@@ -71,7 +71,7 @@ def measure(act: Performance, *, coloured: bool = True, frames: int | None = Non
 def measured(act: Performance, clouds: PointClouds) -> dict[str, Any]:
     """One recording of a motion, its first pose and skeleton given."""
     colours = clouds.colours if clouds.colours is not None else [None] * len(clouds)
-    body, tracker = bodycast.begin(clouds.positions[0], colours[0], act.skeleton()[:1], "y", LOOKED_AT)
+    body, tracker = bodycast.start_tracking(clouds.positions[0], colours[0], act.skeleton()[:1], "y", LOOKED_AT)
     started = time.process_time()
     poses = [tracker.fit(clouds.positions[f], colours[f], f).pose for f in range(1, len(clouds))]
     seconds = time.process_time() - started
@@ -90,7 +90,7 @@ def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 2
     """
     clouds = sequences.record(act, POINTS, seed=1)
     assert clouds.colours is not None
-    body, tracker = bodycast.begin(clouds.positions[0], clouds.colours[0], act.skeleton()[:1], "y", LOOKED_AT)
+    body, tracker = bodycast.start_tracking(clouds.positions[0], clouds.colours[0], act.skeleton()[:1], "y", LOOKED_AT)
     taken, frame = list[int](), 0
     for start in at:
         while frame + 1 < min(start, len(clouds)):

@@ -1,0 +1,222 @@
+"""The method: bodies tracked through all frames, their surface in one image, and points that no body explains.
+
+encode   first frame ─► people ─► trackers: all joints at once ─► poses ─► spectra ─► entropy coder
+                                      │
+         points of all frames, moved back into the canonical pose ─► atlas: the mean surface, stored once
+                                      │                                └─ its changes from frame to frame ─► H.265
+         outliers ─► centimetre cells in an octree; or all points, exactly
+decode   atlas ─► points on the surface ──poses, skinning──► points in the world + outliers
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...encoded import Chunk, Encoded
+from ...errors import BadInput, CannotEncode
+from ...formats.gltf import Surface
+from ...geometry.articulation import Pose
+from ...motion import Motion
+from ...pointcloud import PointClouds
+from ...typing import Booleans, Bytes, Floats
+from .. import base
+from ..clouds.raw_frames import Cloud, pack_raw_frames, usable_points
+from ..clouds.tracked_motion import joints_of_links, tracked_motion
+from .body_model import MAX_POINTS, pack_model, unpack_models
+from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
+from .decoder import BodyDecoder, SceneDecoder
+from .encoder import BodyEncoder, CodingParameters
+from .exact_points import pack_exact
+from .outliers import find_outliers, pack_outliers
+from .people import MIN_FIRST_POINTS, assign_points, start_trackers
+from .pose_stream import PoseSequence, unpack_poses
+from .tracking import MIN_BODY_POINTS
+
+STATIC_PERCENT = 25  # residual up to which the surface does not change over time
+STATIC_CRF_GAIN, MOVING_CRF_LOSS, MAX_CRF = 8, 14, 51  # x265's rate factors
+MIN_OUTLIER_SHARE = 0.01  # of a single body's points, below which a frame has no outliers
+EXACT = "exact"
+
+
+@dataclass(frozen=True)
+class Bodycast:
+    """Settings.
+
+    residual: how closely surface and poses follow the data, in percent. From 0 to 25 the poses and the static surface
+    become finer; above 25 the surface also changes over time, in better and more frequent pictures the higher it is;
+    "exact" sends every point. precision: of exact points, metres; 0 keeps all bits of 32-bit floats. skeleton: a
+    Motion, or the path of one, whose first frame is the pose of the first frame; a list of them for several people;
+    without one, bodies are fitted. people: how many are tracked at most; points of others are outliers. pose_step:
+    metres that the surface moves for one step of a joint. points: of a decoded frame; by default as many as a frame of
+    the data has. cells: of the atlas. surface_quality: of the atlas, x265's rate factor, lower is better. The values of
+    pose_step, cells and surface_quality are those of residual 0. strangers: code outlier points. tracked_points: most
+    points of a frame that the tracker uses. chunk_frames: frames that decode together.
+    """
+
+    name: ClassVar[str] = "bodycast"
+    residual: float | str = 0
+    skeleton: Any = None
+    people: int = 4
+    precision: float = 0.0
+    pose_step: float = 0.003
+    points: int | None = None
+    cells: int = 10_000
+    surface_quality: int = 30
+    strangers: bool = True
+    tracked_points: int = 2500
+    chunk_frames: int = 150
+
+    def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
+        """Raises CannotEncode where no frame shows a body, BadInput for settings or a skeleton that cannot be used."""
+        if isinstance(clouds, Motion):
+            raise CannotEncode("bodycast codes point clouds, not motions")
+        self._require_settings()
+        frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
+        first = next((i for i, (points, _) in enumerate(frames) if len(points) >= MIN_FIRST_POINTS), None)
+        if first is None:
+            raise CannotEncode(f"no frame has {MIN_FIRST_POINTS} points or more: there is no body to code")
+        bodies = self._track(frames, first, clouds.up)
+        coloured = clouds.colours is not None
+        points_per_frame = int(np.mean([len(p) for p, _ in frames[first:] if len(p) >= MIN_BODY_POINTS]))
+        for body in bodies:
+            body.build_model(self.parameters, points_per_frame, coloured, is_only_body=len(bodies) == 1)
+        if self.residual == EXACT:
+            limit_m = float(np.finfo(np.float32).max)
+            frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
+        starts = range(0, len(frames), self.chunk_frames)
+        spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in starts]
+        chunks = [Chunk(s.start, s.stop - s.start, self._chunk(bodies, frames, s, coloured)) for s in spans]
+        colours = [] if coloured else None
+        about = PointClouds([], clouds.rate, colours, None, clouds.up, clouds.source, clouds.extras)
+        shared = tuple(pack_model(body.model) for body in bodies)
+        return Encoded(self.name, about, chunks, shared, settings=self._stored_settings())
+
+    @staticmethod
+    def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
+        """The point clouds, or a slice of their frames. Raises Corrupt."""
+        scene = SceneDecoder(unpack_models(encoded.shared))
+        positions, colours = list[Floats](), list[Bytes]()
+        start, stop = encoded.range(frames)
+        for chunk in encoded.covering(start, stop):
+            wanted = max(0, start - chunk.start), min(chunk.frames, stop - chunk.start)
+            for points, colour in scene.decode_chunk(chunk, *wanted):
+                positions.append(points)
+                colours.append(np.zeros((len(points), 3), np.uint8) if colour is None else colour)
+        like, coloured = encoded.about, scene.coloured
+        return PointClouds(positions, like.rate, colours if coloured else None, None, like.up, like.source, like.extras)
+
+    @staticmethod
+    def track(encoded: Encoded[PointClouds], frames: slice | None = None, body: int = 0) -> Motion:
+        """A tracked body, counted from 0: markerless motion capture, which can be written as BVH. Raises Corrupt."""
+        models = unpack_models(encoded.shared)
+        if not 0 <= body < len(models):
+            raise BadInput(f"there are {len(models)} bodies, counted from 0, and no number {body}")
+        model = models[body]
+        start, stop = encoded.range(frames)
+        poses = list[Pose]()
+        for chunk in encoded.covering(start, stop):
+            stream = unpack_chunk(chunk, len(models)).bodies[body].poses
+            sequence = unpack_poses(model.atlas.body, stream, chunk.frames, model.pose_steps)
+            poses += [sequence[i] for i in range(chunk.frames) if start <= chunk.start + i < stop]
+        return tracked_motion(encoded, model.atlas.body, poses)
+
+    @staticmethod
+    def surface(encoded: Encoded[PointClouds], body: int = 0) -> Surface:
+        """The static surface of a body, skinned to the joints of `track`: what a GLB shows. Raises Corrupt."""
+        decoder = BodyDecoder(unpack_models(encoded.shared)[body])
+        joints, rest = joints_of_links(decoder.body)
+        weights = np.stack([decoder.skin.weights, 1 - decoder.skin.weights], axis=1)
+        colours = decoder.colours if decoder.model.coloured else None
+        return Surface(decoder.skin.points, colours, joints[decoder.skin.links], weights, rest)
+
+    @property
+    def parameters(self) -> CodingParameters:
+        """What the residual asks for. Exact points need neither fine poses nor pictures."""
+        percent = 0.0 if isinstance(self.residual, str) else self.residual
+        static = min(percent / STATIC_PERCENT, 1.0)
+        moving = max(percent - STATIC_PERCENT, 0.0) / (100 - STATIC_PERCENT)
+        pose_step = self.pose_step * 4.0**-static
+        key_crf = max(self.surface_quality - round(STATIC_CRF_GAIN * static), 0)
+        return CodingParameters(
+            pose_step_m=pose_step,
+            refines_poses=pose_step < self.pose_step,
+            atlas_cells=round(self.cells * 2.0**static),
+            key_crf=key_crf,
+            moving_crf=min(key_crf + round(MOVING_CRF_LOSS * (1 - moving)), MAX_CRF),
+            picture_interval=max(1, round(1 / moving)) if moving else 0,
+            points=self.points,
+        )
+
+    def _require_settings(self) -> None:
+        percent = self.residual if isinstance(self.residual, int | float) else 0.0
+        if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= percent <= 100:
+            raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
+        if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= MAX_POINTS):
+            raise BadInput("cells is a number from 100 to a million, points one from 1 to a million")
+        if not 1e-4 <= self.pose_step <= 1 or not 0 <= self.precision <= 1 or self.chunk_frames < 1 or self.people < 1:
+            raise BadInput(
+                "pose_step is 0.1 mm to a metre, precision at most a metre; people, chunk_frames at least one"
+            )
+
+    @property
+    def _skeletons(self) -> list[Any]:
+        if self.skeleton is None:
+            return []
+        return self.skeleton if isinstance(self.skeleton, list) else [self.skeleton]
+
+    def _stored_settings(self) -> dict[str, Any]:
+        settings = base.settings(self)
+        if self.skeleton is not None:
+            settings["skeleton"] = [s if isinstance(s, str) else "given" for s in self._skeletons]
+        return settings
+
+    def _track(self, frames: Sequence[Cloud], first: int, up: str) -> list[BodyEncoder]:
+        """Every body through all frames. first: the frame that the bodies are taken from."""
+        trackers = start_trackers(frames[first], self._skeletons, up, self.tracked_points, self.people)
+        bodies = [BodyEncoder(tracker) for tracker in trackers]
+        for i, (points, colours) in enumerate(frames):
+            body_of = assign_points(points, trackers) if i >= first else np.full(len(points), -1)
+            for number, body in enumerate(bodies):
+                rows = np.flatnonzero(body_of == number)
+                own = points[rows], None if colours is None else colours[rows]
+                body.add_frame(i, own, is_tracked=i > first)
+        return bodies
+
+    def _chunk(self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool) -> bytes:
+        """The payload of a run of frames."""
+        is_absent = np.array([[not b.is_present[i] for b in bodies] for i in range(span.start, span.stop)], bool)
+        coded = [body.encode_chunk(span, self.parameters) for body in bodies]
+        streams = tuple(stream for stream, _ in coded)
+        if self.residual == EXACT:
+            exact = pack_exact(frames[span], self.precision, coloured)
+            return pack_chunk(ChunkStreams(is_absent, b"", b"", exact, streams))
+        outliers = self._outliers(bodies, [poses for _, poses in coded], frames, span, is_absent)
+        raw_frames = [frame for frame, absent in zip(frames[span], is_absent, strict=True) if absent.all()]
+        return pack_chunk(
+            ChunkStreams(is_absent, pack_raw_frames(raw_frames), pack_outliers(outliers, coloured), b"", streams)
+        )
+
+    def _outliers(
+        self,
+        bodies: Sequence[BodyEncoder],
+        decoded: Sequence[PoseSequence],
+        frames: Sequence[Cloud],
+        span: slice,
+        is_absent: Booleans,
+    ) -> list[Cloud]:
+        """The outliers of each frame of a run. decoded: the poses of each body as they are decoded."""
+        result = list[Cloud]()
+        for k, (points, colours) in enumerate(frames[span]):
+            i = span.start + k
+            present = [number for number in range(len(bodies)) if not is_absent[k, number]]
+            share = max((bodies[number].outlier_share[i] for number in present), default=0.0)
+            if self.strangers and present and (share >= MIN_OUTLIER_SHARE or len(bodies) > 1):
+                surfaces = [bodies[number].person.posed_template(decoded[number][k]) for number in present]
+                result.append(find_outliers((points, colours), np.concatenate(surfaces)))
+            else:
+                result.append((points[:0], None if colours is None else colours[:0]))
+        return result

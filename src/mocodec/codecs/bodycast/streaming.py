@@ -1,0 +1,229 @@
+"""Live use: a packet a frame with at most one frame of latency, over a channel that may lose packets.
+
+    points ──Sender.push──► packets ──any channel──► Receiver.push ──► points
+
+The first packet carries the model. It must arrive; `Sender.model` repeats it for receivers that join late. Poses are
+coded as differences from an earlier pose. Within a group of KEY_INTERVAL frames, counted from its key pose, frame n
+refers to n without its lowest one bit: 7 to 6, 6 to 4, 4 to the key pose. So no frame refers to the odd half of the
+packets. After a loss the receiver extrapolates the motion until the next pose that it can decode. Pictures of the
+changing surface refer to the model's key picture only.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...entropy import coder, varint
+from ...errors import Corrupt
+from ...geometry import articulation
+from ...geometry.articulation import Pose
+from ...typing import Bytes, Floats, Integers
+from ..clouds.raw_frames import Cloud, is_usable, no_points
+from . import video
+from .body_model import pack_model, unpack_model
+from .codec import Bodycast
+from .decoder import BodyDecoder
+from .encoder import BodyEncoder
+from .pose_stream import dequantise_pose, quantise_pose
+from .texture_atlas import CellSums, atlas_planes
+from .tracking import MIN_BODY_POINTS, PersonTracker
+
+MODEL, KEY_POSE, POSE, NO_BODY, PICTURE = range(5)  # kinds of packets
+KEY_INTERVAL = 16  # frames
+MAX_KNOWN_POSES = 4 * KEY_INTERVAL
+KEEP = 0.6  # factor on the old sums of a cell of the surface when new points fall into it
+FIRST_WEIGHT = 3.0  # points that the key picture counts for in each cell
+CHECKSUM_BYTES, MIN_PACKET_BYTES = 2, 3
+
+
+def with_checksum(content: bytes) -> bytes:
+    """The packet with this content: two bytes of its CRC-32 follow it."""
+    return content + (zlib.crc32(content) & 0xFFFF).to_bytes(CHECKSUM_BYTES, "little")
+
+
+@dataclass
+class Sender:
+    """Packets of frames of one person.
+
+    skeleton, pose_step, points, cells, surface_quality, tracked_points: as in `Bodycast`. up: the vertical axis.
+    picture_every: frames from one picture of the changing surface to the next; 0 sends none.
+    """
+
+    skeleton: Any = None
+    up: str = "y"
+    pose_step: float = 0.003
+    points: int | None = None
+    cells: int = 10_000
+    surface_quality: int = 30
+    tracked_points: int = 2500
+    picture_every: int = 0
+    model: bytes = b""
+    """The packet with the model; empty until a frame has shown a body."""
+    _body: BodyEncoder | None = None
+    _sums: CellSums | None = None
+    _next_frame: int = 0
+    _key_frame: int = 0
+    _sent: dict[int, Integers] = field(default_factory=dict)  # poses since the key pose, by frame
+
+    def push(self, points: Floats, colours: Bytes | None = None) -> list[bytes]:
+        """The packets of one frame: points (n, 3) metres, colours (n, 3).
+
+        One packet for the frame; before the first pose the model's too, and every `picture_every` frames a picture.
+        Raises CannotEncode if the first frame with points shows no body and no skeleton is given.
+        """
+        usable = is_usable(points)
+        cloud = points[usable], None if colours is None else colours[usable]
+        frame, self._next_frame = self._next_frame, self._next_frame + 1
+        if len(cloud[0]) < MIN_BODY_POINTS:
+            return [with_checksum(varint.write([NO_BODY, frame]))]
+        packets = list[bytes]()
+        if self._body is None:
+            self._body = self._start(cloud)
+            packets.append(self.model)
+        else:
+            self._body.person.fit(cloud, frame)
+        person, steps = self._body.person, self._body.model.pose_steps
+        latest = self._sent.get(frame - 1, next(reversed(self._sent.values()), None))
+        previous = np.zeros(3 + 3 * len(person.body), np.int64) if latest is None else latest
+        pose = quantise_pose(person.body, person.tracker.pose, steps, previous)
+        if self.picture_every:
+            packets += self._picture(self._body, cloud, frame, dequantise_pose(person.body, pose, steps))
+        return [*packets, self._pose_packet(frame, pose)]
+
+    def _pose_packet(self, frame: int, pose: Integers) -> bytes:
+        if not self._sent or frame - self._key_frame >= KEY_INTERVAL:
+            self._key_frame, self._sent = frame, {frame: pose}
+            return with_checksum(varint.write([KEY_POSE, frame]) + coder.pack(_rows(pose)))
+        back = _reference_distance(frame - self._key_frame)
+        while frame - back not in self._sent:  # that frame showed no body
+            back += _reference_distance(frame - back - self._key_frame)
+        difference = pose - self._sent[frame - back]
+        self._sent[frame] = pose
+        return with_checksum(varint.write([POSE, frame, back]) + coder.pack(_rows(difference)))
+
+    def _start(self, cloud: Cloud) -> BodyEncoder:
+        """The encoder of the first body, and its model."""
+        points, colours = cloud
+        body = BodyEncoder(PersonTracker(cloud, self.skeleton, self.up, self.tracked_points))
+        body.add_frame(0, cloud, is_tracked=False)
+        codec = Bodycast(
+            pose_step=self.pose_step, points=self.points, cells=self.cells, surface_quality=self.surface_quality
+        )
+        body.build_model(codec.parameters, len(points), colours is not None, is_only_body=True)
+        body.clouds.clear()
+        self._sums = CellSums.from_planes(body.model.atlas, body.planes, FIRST_WEIGHT)
+        self.model = with_checksum(varint.write([MODEL]) + pack_model(body.model))
+        return body
+
+    def _picture(self, body: BodyEncoder, cloud: Cloud, frame: int, pose: Pose) -> list[bytes]:
+        """Adds the frame to the changing surface; the packet of its picture if one is due."""
+        assert self._sums is not None
+        atlas, person = body.model.atlas, body.person
+        seen = person.to_canonical(person.dense_data(cloud, frame), pose)
+        self._sums.add(atlas, seen.points, seen.links, seen.colours, KEEP)
+        if frame % self.picture_every:
+            return []
+        pictures = [body.planes, atlas_planes(atlas, self._sums)]
+        packet = video.encode(pictures, self.surface_quality, self.surface_quality)[1]
+        return [with_checksum(varint.write([PICTURE, frame]) + packet)]
+
+
+def _reference_distance(offset: int) -> int:
+    """Frames from a pose back to its reference, for a pose `offset` frames after the key pose: the lowest one bit."""
+    return offset & -offset
+
+
+def _rows(pose: Integers) -> Integers:
+    """(1 + links, 3): the integers of a pose as they are coded."""
+    return pose.reshape(-1, 3)
+
+
+@dataclass
+class Receiver:
+    """Points of packets. pose, frame: of the last pose decoded; `conceal` extrapolates the pose."""
+
+    pose: Pose | None = None
+    frame: int = -1
+    _body: BodyDecoder | None = None
+    _surface: tuple[Floats, Bytes] | None = None
+    _picture_frame: int = -1
+    _known: dict[int, Integers] = field(default_factory=dict)  # poses since the key pose, by frame
+    _previous: Pose | None = None
+    _model: bytes = b""
+
+    def push(self, packet: bytes) -> Cloud | None:
+        """The frame of one packet; None for a model or a picture, and for any packet before the model.
+
+        A pose that comes late, twice, or whose reference was lost yields the extrapolated frame. Raises Corrupt for a
+        damaged packet; the next packet can still be decoded.
+        """
+        content = packet[:-CHECKSUM_BYTES]
+        if len(packet) < MIN_PACKET_BYTES or with_checksum(content) != packet:
+            raise Corrupt("bodycast: a packet is damaged: its checksum does not match")
+        (kind,), at = varint.read(content, 1)
+        if kind == MODEL:
+            self._take_model(content[at:])
+            return None
+        if kind not in (KEY_POSE, POSE, NO_BODY, PICTURE):
+            raise Corrupt(f"bodycast: a packet of unknown kind {kind}")
+        (frame,), at = varint.read(content, 1, at)
+        if self._body is None:
+            return None
+        if kind == PICTURE:
+            self._take_picture(self._body, frame, content[at:])
+            return None
+        if kind == NO_BODY:
+            self.frame = max(self.frame, frame)
+            return no_points(self._body.model.coloured)
+        (back,), at = varint.read(content, 1, at) if kind == POSE else ([0], at)
+        reference = self._known.get(frame - back) if kind == POSE else None
+        if frame <= self.frame or (kind == POSE and reference is None):
+            return self.conceal()
+        self._take_pose(self._body, frame, content[at:], kind == KEY_POSE, reference)
+        return self._posed(self._body, self.pose)
+
+    def conceal(self) -> Cloud | None:
+        """The extrapolated frame for a packet that is missing: each time the motion is half as fast."""
+        if self._body is None or self.pose is None:
+            return None
+        if self._previous is not None:
+            step = articulation.log(self._previous.rotations.transpose(0, 2, 1) @ self.pose.rotations) / 2
+            root = self.pose.root + (self.pose.root - self._previous.root) / 2
+            self._previous, self.pose = self.pose, Pose(self.pose.rotations @ articulation.exp(step), root)
+        return self._posed(self._body, self.pose)
+
+    def _take_model(self, data: bytes) -> None:
+        if data == self._model:
+            return
+        self._body, self._model = BodyDecoder(unpack_model(data)), data
+        self._known.clear()
+        self._surface = None
+
+    def _take_picture(self, body: BodyDecoder, frame: int, packet: bytes) -> None:
+        """A newer picture of the surface."""
+        if frame <= self._picture_frame:
+            return
+        *_, planes = video.decode([body.model.key_picture, packet], body.model.atlas.image_shape)
+        self._surface, self._picture_frame = body.samples.surface(planes), frame
+
+    def _take_pose(self, body: BodyDecoder, frame: int, data: bytes, is_key: bool, reference: Integers | None) -> None:
+        integers = coder.unpack(data, (1 + len(body.body), 3)).reshape(-1)
+        if reference is not None:
+            integers = integers + reference
+        self._known = {frame: integers} if is_key else {**self._known, frame: integers}
+        if len(self._known) > MAX_KNOWN_POSES:
+            raise Corrupt(f"bodycast: more than {MAX_KNOWN_POSES} poses without a key pose")
+        pose = dequantise_pose(body.body, integers, body.model.pose_steps)
+        self._previous = self.pose if frame == self.frame + 1 else None
+        self.pose, self.frame = pose, frame
+
+    def _posed(self, body: BodyDecoder, pose: Pose | None) -> Cloud:
+        assert pose is not None
+        colours = body.colours if self._surface is None else self._surface[1]
+        rig = body.rig if self._surface is None else body.rig.carrying(self._surface[0])
+        points = rig.posed(*articulation.transforms(body.body, pose))
+        return points, colours if body.model.coloured else None
