@@ -1,4 +1,4 @@
-"""What every codec of point clouds does alike."""
+"""Behaviour that all point cloud codecs share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytest.importorskip("PIL")
 
 @pytest.mark.parametrize("codec", [Bodycast(), Lien2006(residual=25)], ids=lambda codec: codec.name)
 @pytest.mark.parametrize("far", [1e6, 1e20, 1e200])
-def test_what_is_out_of_the_world_is_nobodys(codec, far):
+def test_points_far_from_the_origin_are_ignored(codec, far):
     performance = sequences.jumping_jacks(actors.capsules(), 8)
     clouds = sequences.record(performance, 2000, seed=1)
     codec = replace(codec, skeleton=performance.skeleton())

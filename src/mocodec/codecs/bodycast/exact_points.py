@@ -214,7 +214,7 @@ def _cells_and_bits(points: Floats, step_m: float, exponent: int) -> tuple[Integ
 
 
 def _float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
-    """For cells of floats: bits that select a float within each cell, and the bit pattern of the cell's lowest float."""
+    """(n, 3) each, for cells of floats: bits that select a float in its cell, and the pattern of the cell's lowest."""
     size = np.where(cells < 0, -cells - 1, cells)
     start = (size * 2.0**exponent).astype(np.float32).view(np.uint32).astype(np.int64)
     beyond = ((size + 1) * 2.0**exponent).astype(np.float32).view(np.uint32).astype(np.int64)

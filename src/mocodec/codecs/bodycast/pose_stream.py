@@ -177,7 +177,7 @@ def _channel_order(links: int) -> Integers:
 
 
 def quantise_pose(body: Body, pose: Pose, steps: PoseSteps, previous: Integers) -> Integers:
-    """(3 + 3 links,): one pose in steps. previous: the integers of the frame before, from which angles are unwrapped."""
+    """(3 + 3 links,): one pose in steps. previous: the integers of the frame before; angles continue from them."""
     axes, sizes = link_frames(body), steps.step_sizes()
     target, _ = articulation.transforms(body, pose)
     decoded, integers = np.empty_like(target), np.empty((len(body), 3), np.int64)

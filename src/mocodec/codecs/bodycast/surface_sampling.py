@@ -104,7 +104,7 @@ def subcell_areas(atlas: Atlas, tile: AtlasTile, displacement: Floats, is_surfac
         + row_length * row_length * slope_around * slope_around
     )
     kept = np.repeat(np.repeat(is_surface[t.region], SUBCELLS, axis=0), SUBCELLS, axis=1)
-    frame, angle = t.cylinder(atlas.body), columns * column_angle
+    frame, angle = t.cylinder(atlas.body), np.asarray(columns * column_angle, np.float64)
     outward, tangent = _outward(frame, angle), _tangent(frame, angle)
     normals = outward[None] - (slope_along / row_length)[..., None] * frame.axis
     normals = normals - (slope_around / np.maximum(arc, 1e-6))[..., None] * tangent[None]

@@ -1,6 +1,7 @@
 """A body's surface as one image: a map on every link's cylinder, side by side.
 
-    points on links ──CellSums.add──► means in cells ──atlas_planes──► planes ──video──► planes ──surface_sampling──► points
+    points on links ──CellSums.add──► means in cells ──atlas_planes──► planes ──video──► planes
+    planes ──surface_sampling──► points
 
 The upper half of the image is a texture atlas, the lower half a displacement map: distances from the links' axes. Cells
 refer to the canonical pose, so points of many frames fall into the same cells and are averaged there.
@@ -167,7 +168,7 @@ class CellSums:
         return CellSums(np.asarray(weight * layers.reshape(-1, 5).T, np.float64))
 
     def add(self, atlas: Atlas, points: Floats, links: AnyInteger, colours: Floats, keep: float = 1.0) -> None:
-        """Add canonical points (n, 3) with links (n,) and colours (n, 3). keep: factor on the old sums of their cells."""
+        """Add canonical points (n, 3) with links (n,) and colours (n, 3). keep: factor on their cells' old sums."""
         cell, distance = atlas.cells(points, links)
         mapped = cell >= 0
         cell, size = cell[mapped], self.values.shape[1]

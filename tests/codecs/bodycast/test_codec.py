@@ -1,6 +1,4 @@
-"""bodycast: a tracked, skinned body with its surface as video; whole sequences, layers, odd frames, strangers,
-damage.
-"""
+"""bodycast on whole recordings: quality levels, unusual frames, outliers, several people, exact points, damage."""
 
 from __future__ import annotations
 
@@ -9,7 +7,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import container
-from mocodec.codecs.bodycast import Bodycast, follow
+from mocodec.codecs.bodycast import Bodycast, tracking
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
 from mocodec.evaluation.cloud import actors, measures, sequences
@@ -37,7 +35,7 @@ def encoded(performance, clouds) -> dict[float, Encoded[PointClouds]]:
     return {r: Bodycast(residual=r, skeleton=skeleton, chunk_frames=3).encode(clouds) for r in (0, 100)}
 
 
-def test_near_the_resampling_floor(performance, clouds, encoded):
+def test_error_is_near_the_resampling_floor(performance, clouds, encoded):
     floor = measures.d1(clouds, sequences.record(performance, 2500, seed=9), 6)
     for e in encoded.values():
         assert measures.d1(clouds, Bodycast.decode(e), 6) < 1.6 * floor
@@ -45,7 +43,7 @@ def test_near_the_resampling_floor(performance, clouds, encoded):
     assert chunks[0] < chunks[100] < clouds.raw_bytes / 100
 
 
-def test_joints_come_out(performance, encoded):
+def test_tracked_joints_are_near_the_true_joints(performance, encoded):
     motion = Bodycast.track(encoded[0])
     column = motion.names.index("LeftForeArm")
     truth = performance.joints[:, performance.actor.names.index("LeftForeArm")]
@@ -67,14 +65,14 @@ def test_slice_of_decode_is_decode_of_slice(encoded, frames, residual):
         np.testing.assert_array_equal(part.positions[i], whole.positions[frame])
 
 
-def test_through_a_file(encoded, clouds):
+def test_round_trip_through_a_file(encoded, clouds):
     decoded = mc.decode(container.pack(encoded[100]))
     assert isinstance(decoded, PointClouds)
     assert len(decoded) == len(clouds)
     assert decoded.rate == clouds.rate
 
 
-def test_odd_frames(performance, clouds):
+def test_frames_with_few_points_or_gaps(performance, clouds):
     assert clouds.colours is not None
     positions, colours = list(clouds.positions), list(clouds.colours)
     for frame, few in ((2, 0), (4, 3)):
@@ -93,7 +91,7 @@ def test_without_colours_and_skeleton(clouds):
     assert measures.d1(grey, decoded, 2) < 0.05
 
 
-def test_strangers_are_kept(performance, clouds):
+def test_outliers_are_coded_unless_switched_off(performance, clouds):
     assert clouds.colours is not None
     rng = np.random.default_rng(3)
     box = rng.uniform([1.2, 0.0, 0.0], [1.5, 0.4, 0.005], (700, 3))
@@ -106,8 +104,8 @@ def test_strangers_are_kept(performance, clouds):
     assert (alone.positions[5][:, 0] > 1.15).sum() == 0
 
 
-def test_two_people_are_two_bodies(performance, clouds):
-    """The second one is found beside the first, and leaves; the others still decode."""
+def test_two_people_have_two_bodies(performance, clouds):
+    """The second person stands beside the first, then leaves; frames with either number of people decode."""
     assert clouds.colours is not None
     aside = np.array([1.6, 0.0, 0.3])
     positions = [np.concatenate([p, p[::2] + aside]) if i < 6 else p for i, p in enumerate(clouds.positions)]
@@ -126,7 +124,7 @@ def test_two_people_are_two_bodies(performance, clouds):
     with pytest.raises(BadInput, match="2 bodies"):
         Bodycast.track(encoded, body=2)
     alone = Bodycast.decode(Bodycast(skeleton=first, people=1).encode(both))
-    assert (alone.positions[4][:, 0] > 1.0).sum() > 300  # as strangers
+    assert (alone.positions[4][:, 0] > 1.0).sum() > 300  # as outliers
 
 
 def test_exact_points(clouds, performance):
@@ -146,44 +144,44 @@ def test_exact_points(clouds, performance):
     assert measures.d1(few, Bodycast.decode(rough), 2) < 0.002
 
 
-def test_what_a_point_moves_with_is_learned(performance, clouds):
+def test_links_of_template_points_are_learned_from_motion(performance, clouds):
     assert clouds.colours is not None
-    follower = follow.Follower(clouds.positions[0], clouds.colours[0], performance.skeleton(), "y", 1000)
+    person = tracking.PersonTracker((clouds.positions[0], clouds.colours[0]), performance.skeleton(), "y", 1000)
     frames = list(zip(clouds.positions, clouds.colours, strict=True))
-    poses = [follower.tracker.pose, *(follower.fit(p, c, i).pose for i, (p, c) in enumerate(frames) if i)]
-    tracker, body = follower.tracker, follower.body
+    poses = [person.tracker.pose, *(person.fit(cloud, i).pose for i, cloud in enumerate(frames) if i)]
+    tracker, body = person.tracker, person.body
     arm = [i for i, name in enumerate(body.names) if name.startswith("Left") and "Arm" in name]
     rows = np.flatnonzero(np.isin(tracker.skin.links[:, 0], arm))[::3]
     wrong = tracker.skin.links[:, 0].copy()
-    wrong[rows] = body.names.index("Spine")  # as if the sleeve had lain at the trunk
+    wrong[rows] = body.names.index("Spine")  # as if the sleeve had touched the trunk
     skin = skinning.skin(body, tracker.skin.points, wrong)
-    follower.tracker = body_tracking.Tracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
-    follower.learn(frames, poses)
-    found = follower.tracker.skin.links[rows, 0]
+    person.tracker = body_tracking.Tracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
+    person.learn_links(frames, poses)
+    found = person.tracker.skin.links[rows, 0]
     assert np.mean(found == body.names.index("Spine")) < 0.1
 
 
-def test_poses_are_refined_and_what_has_few_points_is_held(performance, clouds):
+def test_refined_poses_fit_and_small_links_stay_near_the_first_pose(performance, clouds):
     assert clouds.colours is not None
-    follower = follow.Follower(clouds.positions[0], clouds.colours[0], performance.skeleton(), "y", 1000)
-    body, data = follower.body, follower.look_closely(clouds.positions[0], clouds.colours[0], 0)
-    owners = np.bincount(follower.tracker.skin.links[:, 0], minlength=len(body))
+    person = tracking.PersonTracker((clouds.positions[0], clouds.colours[0]), performance.skeleton(), "y", 1000)
+    body, data = person.body, person.dense_data((clouds.positions[0], clouds.colours[0]), 0)
+    owners = np.bincount(person.tracker.skin.links[:, 0], minlength=len(body))
     end = min((link for link in range(len(body)) if link not in body.parents and owners[link]), key=lambda i: owners[i])
-    assert owners[end] < follow.SLIGHT * owners.sum()
+    assert owners[end] < tracking.SMALL_SHARE * owners.sum()
     forearm = body.names.index("LeftForeArm")
     for link, turn in ((forearm, 0.12 * np.cross(body.axes[forearm], [0, 0, 1.0])), (end, 0.5 * body.axes[end])):
         pose = articulation.Pose.canonical(len(body))
         pose.rotations[link] = articulation.exp(turn)
-        left = articulation.log(follower.refined(data, pose).rotations[link])
+        left = articulation.log(person.refine_pose(data, pose).rotations[link])
         assert np.linalg.norm(left) < 0.5 * np.linalg.norm(turn)
 
 
-def test_as_many_points_as_wanted(performance, clouds):
+def test_number_of_decoded_points(performance, clouds):
     encoded = Bodycast(points=700, skeleton=performance.skeleton()).encode(clouds[:3])
     assert [len(p) for p in Bodycast.decode(encoded).positions] == [700] * 3
 
 
-def test_a_surface_for_a_glb(encoded, tmp_path):
+def test_surface_is_written_as_glb(encoded, tmp_path):
     motion, surface = Bodycast.track(encoded[0]), Bodycast.surface(encoded[0])
     mc.write(tmp_path / "body.glb", motion, surface=surface)
     back = mc.read(tmp_path / "body.glb")
@@ -191,12 +189,12 @@ def test_a_surface_for_a_glb(encoded, tmp_path):
     assert np.abs(back.positions - motion.positions).max() < 1e-4
 
 
-def test_millimetres_are_noticed(clouds):
+def test_clouds_in_millimetres_are_refused(clouds):
     with pytest.raises(CannotEncode, match="metres"):
         Bodycast().encode(PointClouds([p * 1000 for p in clouds.positions[:2]], 15.0))
 
 
-def test_through_a_file_every_prefix_and_flip_is_noticed(performance, clouds):
+def test_every_prefix_and_flipped_byte_of_a_file_is_an_error(performance, clouds):
     small = PointClouds([p[::4] for p in clouds.positions[:3]], 15.0)
     blob = container.pack(Bodycast(cells=300, skeleton=performance.skeleton()).encode(small))
     for cut in corruption.prefixes(blob, every=1 + len(blob) // 400):
@@ -207,10 +205,10 @@ def test_through_a_file_every_prefix_and_flip_is_noticed(performance, clouds):
             mc.decode(broken)
         except MocodecError:
             continue
-        pytest.fail(f"byte {at} of {len(blob)} flipped, and nobody noticed")
+        pytest.fail(f"byte {at} of {len(blob)} flipped without an error")
 
 
-def test_what_cannot_be_coded(clouds):
+def test_unusable_input_is_refused(clouds):
     with pytest.raises(CannotEncode, match="no body"):
         Bodycast().encode(PointClouds([np.zeros((0, 3))] * 3, 15.0))
     with pytest.raises(CannotEncode, match="not motions"):
@@ -219,7 +217,7 @@ def test_what_cannot_be_coded(clouds):
         Bodycast(residual=-1).encode(clouds)
 
 
-def test_damage_raises_corrupt_or_decodes(encoded):
+def test_damaged_bytes_raise_corrupt_or_decode(encoded):
     rng = np.random.default_rng(4)
     original = encoded[100]
     for _ in range(50):

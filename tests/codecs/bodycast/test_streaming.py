@@ -1,11 +1,11 @@
-"""Bodycast live: packets out, points in, with losses on the way."""
+"""Live use of bodycast: packets out, points in, with losses on the way."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from mocodec.codecs.bodycast.live import Receiver, Sender
+from mocodec.codecs.bodycast.streaming import Receiver, Sender
 from mocodec.errors import Corrupt
 from mocodec.evaluation.cloud import actors, measures, sequences
 from mocodec.pointcloud import PointClouds
@@ -14,7 +14,7 @@ pytest.importorskip("av")
 
 
 @pytest.fixture(scope="module")
-def sent():
+def recording():
     performance = sequences.jumping_jacks(actors.capsules(), 20)
     clouds = sequences.record(performance, 2000, seed=1)
     assert clouds.colours is not None
@@ -22,60 +22,60 @@ def sent():
     return clouds, [sender.push(p, c) for p, c in zip(clouds.positions, clouds.colours, strict=True)]
 
 
-def off(clouds, frame, cloud) -> float:
+def distance(clouds, frame, cloud) -> float:
     return measures.d1(clouds[frame : frame + 1], PointClouds([cloud[0]], 15.0), 0)
 
 
-def test_a_packet_a_frame_and_small(sent):
-    clouds, packets = sent
+def test_one_small_packet_per_frame(recording):
+    clouds, packets = recording
     assert [len(p) for p in packets] == [2] + [1] * 19
     assert np.mean([len(p[0]) for p in packets[1:]]) < 45
     receiver = Receiver()
     for frame, group in enumerate(packets):
         shown = [cloud for packet in group if (cloud := receiver.push(packet)) is not None]
         assert len(shown) == 1
-        assert off(clouds, frame, shown[0]) < 0.05
+        assert distance(clouds, frame, shown[0]) < 0.05
 
 
-def test_losses_are_concealed_and_end_with_the_next_packet(sent):
-    clouds, packets = sent
+def test_losses_are_concealed_until_the_next_decodable_packet(recording):
+    clouds, packets = recording
     receiver = Receiver()
-    lost, need_them = (5, 6, 11), (7,)
+    lost, dependent = (5, 6, 11), (7,)
     for frame, group in enumerate(packets):
         cloud = receiver.conceal() if frame in lost else [receiver.push(packet) for packet in group][-1]
         assert cloud is not None
-        assert off(clouds, frame, cloud) < (0.25 if frame in lost + need_them else 0.05)
+        assert distance(clouds, frame, cloud) < (0.25 if frame in lost + dependent else 0.05)
 
 
-def test_a_lost_key_pose_is_waited_for(sent):
-    clouds, packets = sent
+def test_poses_after_a_lost_key_pose_are_concealed_until_it_arrives(recording):
+    clouds, packets = recording
     receiver = Receiver()
     for packet in packets[0]:
         receiver.push(packet)
-    before = receiver.number
+    before = receiver.frame
     assert receiver.push(packets[17][0]) is not None  # its key pose, frame 16, did not come
-    assert receiver.number == before
+    assert receiver.frame == before
     receiver.push(packets[16][0])
-    assert off(clouds, 18, receiver.push(packets[18][0])) < 0.05
+    assert distance(clouds, 18, receiver.push(packets[18][0])) < 0.05
 
 
-def test_late_joiners_twice_and_nobody(sent):
-    clouds, packets = sent
+def test_late_joining_repeated_packets_and_frames_without_a_body(recording):
+    clouds, packets = recording
     receiver = Receiver()
     assert receiver.push(packets[4][0]) is None
     for packet in packets[0]:
         receiver.push(packet)
-    assert off(clouds, 4, receiver.push(packets[4][0])) < 0.05
+    assert distance(clouds, 4, receiver.push(packets[4][0])) < 0.05
     assert receiver.push(packets[4][0]) is not None
     sender = Sender()
-    [nobody] = sender.push(np.full((30, 3), np.nan))
+    [no_body] = sender.push(np.full((30, 3), np.nan))
     assert sender.model == b""
-    cloud = receiver.push(nobody)
+    cloud = receiver.push(no_body)
     assert cloud is not None
     assert len(cloud[0]) == 0
 
 
-def test_pictures_change_the_surface_and_may_be_lost():
+def test_pictures_change_the_surface_and_do_not_depend_on_each_other():
     performance = sequences.jumping_jacks(actors.capsules(), 9)
     clouds = sequences.record(performance, 2000, seed=1)
     assert clouds.colours is not None
@@ -98,8 +98,8 @@ def test_pictures_change_the_surface_and_may_be_lost():
     assert bright[0, 8] > 1.5 * bright[0,]
 
 
-def test_damaged_packets_do_not_end_it(sent):
-    clouds, packets = sent
+def test_decoding_goes_on_after_damaged_packets(recording):
+    clouds, packets = recording
     receiver = Receiver()
     for packet in packets[0]:
         receiver.push(packet)
@@ -107,4 +107,4 @@ def test_damaged_packets_do_not_end_it(sent):
         receiver.push(b"\x09\x01")
     with pytest.raises(Corrupt):
         receiver.push(packets[1][0][:3])
-    assert off(clouds, 2, receiver.push(packets[2][0])) < 0.05
+    assert distance(clouds, 2, receiver.push(packets[2][0])) < 0.05

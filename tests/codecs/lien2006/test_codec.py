@@ -1,4 +1,4 @@
-"""lien2006: point clouds of a person through a model of cylinder links, from whole sequences to hopeless ones."""
+"""lien2006 on whole recordings: quality levels, unusual frames, files, unusable input, damage."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def encoded(performance, clouds) -> dict[float, Encoded[PointClouds]]:
     return {r: Lien2006(residual=r, skeleton=skeleton, chunk_frames=4).encode(clouds) for r in (0, 25, 100)}
 
 
-def test_more_residual_less_error(clouds, encoded):
+def test_more_residual_lowers_the_error(clouds, encoded):
     d1 = {r: np.mean([measures.d1(clouds, Lien2006.decode(e), f) for f in (3, 7)]) for r, e in encoded.items()}
     sizes = [encoded[r].payload_bytes for r in (0, 25, 100)]
     assert sizes == sorted(sizes)
@@ -56,7 +56,7 @@ def test_slice_of_decode_is_decode_of_slice(encoded, frames):
         np.testing.assert_array_equal(part.colours[i], whole.colours[frame])
 
 
-def test_through_a_file_and_as_motion(encoded, performance, tmp_path):
+def test_round_trip_through_a_file_and_tracked_motion(encoded, performance, tmp_path):
     from mocodec import container
 
     blob = container.pack(encoded[0])
@@ -77,7 +77,7 @@ def test_through_a_file_and_as_motion(encoded, performance, tmp_path):
     assert np.linalg.norm(found - truth, axis=1).mean() < 0.12
 
 
-def test_odd_frames(performance, clouds):
+def test_frames_with_few_points_or_gaps(performance, clouds):
     assert clouds.colours is not None
     positions, colours = list(clouds.positions), list(clouds.colours)
     for frame, few in ((2, 0), (4, 3)):
@@ -104,7 +104,7 @@ def test_without_a_skeleton(clouds):
     assert measures.d1(clouds[0:2], decoded, 1) < 0.06
 
 
-def test_what_cannot_be_coded(performance, clouds):
+def test_unusable_input_is_refused(performance, clouds):
     nothing = PointClouds([np.zeros((0, 3))] * 3, 15.0)
     with pytest.raises(CannotEncode, match="no body"):
         Lien2006().encode(nothing)
@@ -119,7 +119,7 @@ def test_what_cannot_be_coded(performance, clouds):
         Lien2006(residual=120).encode(clouds)
 
 
-def test_damage_raises_corrupt_or_decodes(encoded):
+def test_damaged_bytes_raise_corrupt_or_decode(encoded):
     rng = np.random.default_rng(4)
     original = encoded[25]
     for _ in range(40):
@@ -136,7 +136,7 @@ def test_damage_raises_corrupt_or_decodes(encoded):
             assert isinstance(error, Corrupt)  # noqa: PT017
 
 
-def test_a_second_person_is_no_part_of_the_body():
+def test_a_second_person_does_not_join_the_body():
     jumper, turner = sequences.pair(actors.capsules(), 4)
     both = sequences.record((jumper, turner), 2000)
     decoded = Lien2006.decode(Lien2006(residual=25, skeleton=jumper.skeleton()[:1]).encode(both))
