@@ -104,6 +104,12 @@ def test_without_a_skeleton(clouds):
     assert measures.d1(clouds[0:2], decoded, 1) < 0.06
 
 
+@pytest.mark.parametrize("residual", [33.3333, 0.001])
+def test_residuals_with_more_decimals_than_are_stored_decode(performance, clouds, residual):
+    encoded = Lien2006(residual=residual, skeleton=performance.skeleton()).encode(clouds[:2])
+    assert measures.d1(clouds, Lien2006.decode(encoded), 1) < 0.06
+
+
 def test_unusable_input_is_refused(performance, clouds):
     nothing = PointClouds([np.zeros((0, 3))] * 3, 15.0)
     with pytest.raises(CannotEncode, match="no body"):

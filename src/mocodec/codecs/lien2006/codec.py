@@ -29,7 +29,7 @@ from ..clouds.body_record import round_body
 from ..clouds.raw_frames import Cloud, is_usable, pack_raw_frames, unpack_raw_frames, usable_points
 from ..clouds.tracked_motion import skeleton_motion, tracked_motion
 from .chunk_payload import ChunkParts, pack_chunk, unpack_chunk
-from .cylinder_model import CylinderModel, ResidualFormat, pack_model, round_model, unpack_model
+from .cylinder_model import CylinderModel, ResidualFormat, pack_model, round_model, stored_share, unpack_model
 from .map_images import pack_images, unpack_images
 from .pose_stream import dequantise, pose_width, quantise
 from .residual_maps import MapTile, frame_maps, map_layout, reconstruct, residual_of, sheet_size
@@ -74,7 +74,8 @@ class Lien2006:
         first = first_body_frame(frames)
         model, tracker = self._fit_model(frames[first], frame_normals(clouds, first), clouds.up)
         tracked = self._track(tracker, clouds, frames, first)
-        tiles = map_layout(model, self.residual / 100) if self.residual else []
+        share = stored_share(self.residual)
+        tiles = map_layout(model, share) if share else []
         spans = [slice(s, min(s + self.chunk_frames, len(frames))) for s in range(0, len(frames), self.chunk_frames)]
         chunks = [
             Chunk(span.start, span.stop - span.start, self._chunk(model, tiles, frames, tracked, span))

@@ -19,6 +19,7 @@ from ..clouds.body_record import pack_body, unpack_body
 POINT_STEP_M, COLOUR_STEP = 0.002, 4  # of stored points; of stored colours, levels of 256
 COLOURED, DEPTH_BY_CELL = 1, 2  # flags
 MAX_POINTS = 1 << 19
+RESIDUAL_SCALE = 100  # stored share of the residual: hundredths of a percent
 MAX_STEPS = 10**7  # of a stored coordinate
 MORTON_BITS = 14  # of each coordinate
 DEPTH_STEP_M, OLD_DEPTH_STEP_M = 0.016, 0.008  # of residual maps; eight bits of DEPTH_STEP_M reach 2 m either way
@@ -73,6 +74,11 @@ def _morton_codes(grid: Integers) -> Integers:
     return code
 
 
+def stored_share(residual_percent: float) -> float:
+    """The share of the full residual maps that a decoder reads: the percentage rounded to two decimals."""
+    return round(residual_percent * RESIDUAL_SCALE) / (100 * RESIDUAL_SCALE)
+
+
 def pack_model(model: CylinderModel, residual_percent: float) -> bytes:
     """A rounded model, and the share of the full residual maps that the chunks hold."""
     grid = _grid(model.points)
@@ -82,7 +88,7 @@ def pack_model(model: CylinderModel, residual_percent: float) -> bytes:
     counts = np.bincount(model.links, minlength=len(model.body))
     points = coder.pack(np.diff(np.concatenate(columns, axis=1), axis=0, prepend=0))
     flags = DEPTH_BY_CELL + COLOURED * (model.colours is not None)
-    head = varint.write([round(residual_percent * 100), flags, len(grid), *counts.tolist()])
+    head = varint.write([round(residual_percent * RESIDUAL_SCALE), flags, len(grid), *counts.tolist()])
     return pack_body(model.body) + head + points
 
 
@@ -93,7 +99,7 @@ def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderModel, ResidualFormat
     data = shared[0]
     body, at = unpack_body(data)
     (residual, flags, count, *counts), at = varint.read(data, 3 + len(body), at)
-    if residual > 10000 or flags > COLOURED + DEPTH_BY_CELL:
+    if residual > 100 * RESIDUAL_SCALE or flags > COLOURED + DEPTH_BY_CELL:
         raise Corrupt("lien2006: the model is damaged: wrong share of residuals or unknown flags")
     if not 0 < count <= MAX_POINTS or sum(counts) != count:
         raise Corrupt("lien2006: the model is damaged: wrong number of points")
@@ -103,4 +109,4 @@ def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderModel, ResidualFormat
     colours = np.clip(values[:, 3:] * COLOUR_STEP, 0, 255).astype(np.uint8) if coloured else None
     points = np.clip(values[:, :3], -MAX_STEPS, MAX_STEPS).astype(np.float64) * POINT_STEP_M
     model = CylinderModel(body, points, colours, np.repeat(np.arange(len(body)), counts))
-    return model, ResidualFormat(residual / 10000, bool(flags & DEPTH_BY_CELL))
+    return model, ResidualFormat(residual / (100 * RESIDUAL_SCALE), bool(flags & DEPTH_BY_CELL))
