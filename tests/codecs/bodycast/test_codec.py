@@ -157,8 +157,8 @@ def test_links_of_template_points_are_learned_from_motion(performance, clouds):
     skin = skinning.skin(body, tracker.skin.points, wrong)
     person.tracker = body_tracking.Tracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
     person.learn_links(frames, poses)
-    found = person.tracker.skin.links[rows, 0]
-    assert np.mean(found == body.names.index("Spine")) < 0.1
+    learned = person.tracker.skin.links[rows, 0]
+    assert np.mean(learned == body.names.index("Spine")) < 0.1
 
 
 def test_refined_poses_fit_and_small_links_stay_near_the_first_pose(performance, clouds):

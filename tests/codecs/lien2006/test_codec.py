@@ -73,8 +73,8 @@ def test_round_trip_through_a_file_and_tracked_motion(encoded, performance, tmp_
     joints = mc.read(tmp_path / "motion.bvh")
     assert isinstance(joints, Motion)
     truth = performance.joints[2:6, performance.actor.names.index("LeftForeArm")]
-    found = joints.positions[:, joints.names.index("LeftForeArm")]
-    assert np.linalg.norm(found - truth, axis=1).mean() < 0.12
+    tracked = joints.positions[:, joints.names.index("LeftForeArm")]
+    assert np.linalg.norm(tracked - truth, axis=1).mean() < 0.12
 
 
 def test_frames_with_few_points_or_gaps(performance, clouds):

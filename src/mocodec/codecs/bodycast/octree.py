@@ -106,13 +106,13 @@ def decode_octree(decoder: BinaryDecoder, contexts: OctreeContexts, points: int,
         if not 0 < len(parent) <= points:
             raise Corrupt(f"bodycast: an octree of {points} points has {len(parent)} cubes in level {level + 1}")
         cubes = cubes[parent] << 3 | octant
-    count, multiple, found = np.ones(len(cubes), np.int64), np.arange(len(cubes)), 0
+    count, multiple, rounds = np.ones(len(cubes), np.int64), np.arange(len(cubes)), 0
     while len(multiple):
-        context = np.full(len(multiple), min(found, MAX_MULTIPLICITY_CONTEXT))
+        context = np.full(len(multiple), min(rounds, MAX_MULTIPLICITY_CONTEXT))
         multiple = multiple[decoder.decode(contexts.multiplicity, context) > 0]
         count[multiple] += 1
-        found += 1
-        if found > points:
+        rounds += 1
+        if rounds > points:
             break
     if int(count.sum()) != points:
         raise Corrupt(f"bodycast: the cubes of an octree hold {int(count.sum())} points instead of {points}")

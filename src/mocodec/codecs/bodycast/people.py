@@ -52,7 +52,7 @@ def start_trackers(
 ) -> list[PersonTracker]:
     """Trackers of the people in a frame: one for each skeleton given, then one for every other person found.
 
-    Raises CannotEncode if there is nobody, BadInput for a skeleton that fits nobody.
+    Raises CannotEncode if there is no body, BadInput for a skeleton that does not fit.
     """
     points, colours = first
     groups = segment_people(points, up, max(limit, len(skeletons)))

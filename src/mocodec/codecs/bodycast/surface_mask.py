@@ -1,4 +1,4 @@
-"""Which cells of the atlas are surface: found from where points fell, and stored as a coded mask."""
+"""Which cells of the atlas are surface: computed from the density of points, and stored as a coded mask."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Points on the surface that the atlas shows: evenly spread by area, whatever the size of the cells.
 
-    displacement map ─► areas of subcells ─► a point every so many square metres ─► its place in the atlas
+    displacement map ─► areas of subcells ─► points at equal steps of area ─► its place in the atlas
     image, places ─► distance and colour, interpolated between cell centres ─► points
 
 So the number of decoded points does not depend on the number of cells. Everything that decides where a point lies is
@@ -64,16 +64,16 @@ def sample_surface(atlas: Atlas, planes: Bytes, is_surface: Booleans, points: in
     number = np.arange(points, dtype=np.int64)
     target = (2 * number + 1) * (total // (2 * points)) + total % (2 * points) // 2
     across_strip = (number * GOLDEN) & 0xFFFF
-    found = [
+    tiles = [
         _samples_of_tile(atlas, tile, strips[i], fine[i][1], target[inside] - start[i], across_strip[inside])
         for i, tile in enumerate(atlas.tiles)
         if (inside := (target >= start[i]) & (target < start[i + 1])).any()
     ]
     return SurfaceSamples(
-        np.concatenate([s.cells for s in found], axis=1), np.concatenate([s.weights for s in found], axis=1),
-        np.concatenate([s.axis_points for s in found]), np.concatenate([s.directions for s in found]),
-        np.concatenate([s.max_displacements for s in found]), np.concatenate([s.links for s in found]),
-        np.concatenate([s.normals for s in found]), atlas.height * atlas.width,
+        np.concatenate([s.cells for s in tiles], axis=1), np.concatenate([s.weights for s in tiles], axis=1),
+        np.concatenate([s.axis_points for s in tiles]), np.concatenate([s.directions for s in tiles]),
+        np.concatenate([s.max_displacements for s in tiles]), np.concatenate([s.links for s in tiles]),
+        np.concatenate([s.normals for s in tiles]), atlas.height * atlas.width,
     )  # fmt: skip
 
 

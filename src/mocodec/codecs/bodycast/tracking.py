@@ -105,9 +105,9 @@ class PersonTracker:
         matcher, prior = self.tracker.matcher, self.tracker.prior
         owned = np.bincount(self.tracker.skin.links[:, 0], minlength=len(self.body))
         is_small = self.body.ancestors @ owned < SMALL_SHARE * len(self.tracker.skin.points)
-        held = prior._replace(hold=np.where(is_small, np.maximum(prior.hold, SMALL_SPREAD_RAD**-2), prior.hold))
+        strong_prior = prior._replace(hold=np.where(is_small, np.maximum(prior.hold, SMALL_SPREAD_RAD**-2), prior.hold))
         steps = [Step(width, len(data.points), len(matcher.some)) for width in REFINE_WIDTHS_M]
-        return matcher.solve(data, pose, steps, held)
+        return matcher.solve(data, pose, steps, strong_prior)
 
     def posed_template(self, pose: Pose) -> Floats:
         """(n, 3): the template's points in a pose."""

@@ -131,14 +131,14 @@ def residual_of(tiles: Sequence[MapTile | None], maps: Sequence[Map | None]) -> 
     """The difference of a frame's maps from the model's."""
     depth = np.zeros(sheet_size(tiles), np.uint8)
     colour = np.full((*depth.shape, 3), ZERO, np.uint8)
-    for tile, found in zip(tiles, maps, strict=True):
-        if tile is None or found is None:
+    for tile, frame_map in zip(tiles, maps, strict=True):
+        if tile is None or frame_map is None:
             continue
-        occupied = np.isfinite(found.distance)
-        steps = np.where(occupied, found.distance - tile.expected.distance, 0) / DEPTH_STEP_M
+        occupied = np.isfinite(frame_map.distance)
+        steps = np.where(occupied, frame_map.distance - tile.expected.distance, 0) / DEPTH_STEP_M
         steps = np.where(np.abs(steps) < DEAD_ZONE_STEPS, 0, np.round(steps))
         depth[tile.region] = np.where(occupied, np.clip(steps + ZERO, 1, 255), 0)
-        difference = np.where(occupied[..., None], found.colour - tile.expected.colour, 0)
+        difference = np.where(occupied[..., None], frame_map.colour - tile.expected.colour, 0)
         colour[tile.region] = np.clip(np.round(difference / COLOUR_STEP) + ZERO, 0, 255)
     return ResidualMap(depth, colour)
 
