@@ -262,7 +262,7 @@ def reconstruct(clips: Clips, head: Head) -> Floats:
         n, l = run.stop - run.start, int(kept[run.start])  # noqa: E741
         spectra = clips.coefficients[at : at + n * l].reshape(n, l, head.components)
         at += n * l
-        curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length)
+        curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length, axis=1)
         if len(head.transforms) == 1:
             rows.append(curves.reshape(n * length, head.components) @ head.transforms[0].matrix.T)
         else:
