@@ -276,4 +276,4 @@ def test_random_headers_and_extras():
         with contextlib.suppress(MocodecError):
             values.unpack_extras(bytes(broken), 5000)
         with contextlib.suppress(MocodecError):
-            records.read(records.INDEX, Cursor(random.bytes(12), "test"))
+            records.INDEX.read(Cursor(random.bytes(12), "test"))

@@ -84,6 +84,29 @@ def test_differences_pay_where_points_move_alike():
     assert len(basis.pack(found, precision, before(24))) < len(basis.pack(found, precision))
 
 
+@pytest.mark.parametrize("components", [0, 1, 5, 24])
+def test_completed_to_all_dimensions(components: int):
+    found = basis.fit(covariance(), components)[0]
+    whole = basis.completed(found)
+    assert np.array_equal(whole[:, :components], found)
+    assert np.abs(whole.T @ whole - np.eye(24)).max() < 1e-13
+    assert basis.completed(found, 12).shape == (24, 12)
+
+
+def test_completed_without_excluded_directions():
+    whole = basis.fit(covariance())[0]
+    found, excluded = whole[:, :6], whole[:, 20:23]
+    more = basis.completed(found, 21, excluded)
+    assert more.shape == (24, 21)
+    assert np.abs(more.T @ more - np.eye(21)).max() < 1e-13
+    assert np.abs(more.T @ excluded).max() < 1e-13
+
+
+def test_completed_from_axes():
+    whole = basis.completed(np.eye(5)[:, [2, 0]])
+    assert np.abs(whole.T @ whole - np.eye(5)).max() < 1e-15
+
+
 def test_nothing_to_store():
     empty = np.zeros((6, 0))
     none = np.zeros(0, np.int64)

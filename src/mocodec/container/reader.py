@@ -15,13 +15,14 @@ from typing import Any, NamedTuple, Self, cast, overload
 import numpy as np
 
 from ..encoded import Chunk, Encoded
+from ..entropy.varint import MAX_BYTES as MAX_VARINT_BYTES
 from ..errors import BadInput, Corrupt, MocodecError, TooNew, Truncated
 from ..motion import Deferred, Motion, require_events
 from ..pointcloud import PointClouds
 from . import records, values
 from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
 from .sources import BLOCK_BYTES, Source, source
-from .wire import MAX_VARINT_BYTES, Cursor, checksum, varint
+from .wire import Cursor, checksum, varint
 
 FRAME_BYTES = 2 * MAX_VARINT_BYTES
 
@@ -90,7 +91,7 @@ class StoredChunks(Sequence[Chunk]):
     def tested(self, number: int) -> bytes:
         """As `payload`; its errors do not say which file."""
         data = self.source.read(self.offsets[number], self.offsets[number + 1] - self.offsets[number])
-        frame = records.write(CHUNK, {"frames": self.frames[number], "length": self.lengths[number]})
+        frame = CHUNK.pack({"frames": self.frames[number], "length": self.lengths[number]})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
         if checksum(body) != crc or not body.startswith(frame):
             start = self.starts[number]
@@ -272,7 +273,7 @@ class Reader:
 
     def fields(self) -> list[dict[str, Any]]:
         """The header field by field: name, bytes, meaning."""
-        return records.describe(HEADER, self.header)
+        return HEADER.describe(self.header)
 
     def close(self) -> None:
         self.source.close()
@@ -315,7 +316,7 @@ def _read_header(where: Source) -> tuple[dict[str, Any], int]:
         raise Corrupt("format version 0, which is reserved")
     cursor = Cursor(head, "the header", at=cursor.at)
     try:
-        header = records.read(HEADER, cursor)
+        header = records.with_flags(HEADER.read(cursor))
     except Truncated as error:
         raise Corrupt(f"the header contradicts itself: {error}") from None
     except BadInput as error:
@@ -371,10 +372,10 @@ def _read_index(where: Source, chunks_at: int, index: int, end: int) -> tuple[li
     cursor = Cursor(body, "the index", at=1)
     try:
         if cursor.left:
-            record = records.read(INDEX, cursor)
+            record = INDEX.read(cursor)
         else:
             frame = Cursor(where.read(chunks_at, min(FRAME_BYTES, index - chunks_at)), "the only chunk")
-            chunk = records.read(CHUNK, frame)
+            chunk = CHUNK.read(frame)
             record = {"frames": [chunk["frames"]], "lengths": [chunk["length"]]}
         cursor.done()
     except Truncated as error:
@@ -395,7 +396,7 @@ def _walk(where: Source, chunks_at: int) -> tuple[list[int], list[int], int]:
     while at < where.size:
         cursor = Cursor(where.read(at, min(FRAME_BYTES, where.size - at)), "a chunk")
         try:
-            chunk = records.read(CHUNK, cursor)
+            chunk = CHUNK.read(cursor)
         except (Truncated, Corrupt):
             break
         size = int(chunk_bytes([chunk["frames"]], [chunk["length"]])[0])

@@ -54,7 +54,7 @@ class Writer:
         self.frames: list[int] = []
         self.lengths: list[int] = []
         header, extras = header_record(about, codec, settings or {}, margin, shared)
-        body = records.write(HEADER, header)
+        body = HEADER.pack(header)
         if len(body) > records.MAX_HEADER_BYTES:
             raise CannotEncode(f"a header of {len(body)} bytes; a file holds {records.MAX_HEADER_BYTES}")
         head = MAGIC + bytes([VERSION]) + varint(len(body)) + body
@@ -69,7 +69,7 @@ class Writer:
             raise CannotEncode(f"the next chunk starts at frame {chunk.start}, not where the last one stopped")
         if not 0 < chunk.frames <= records.MAX_CHUNK_FRAMES or len(payload) > records.MAX_PAYLOAD_BYTES:
             raise CannotEncode(f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range")
-        frame = records.write(CHUNK, {"frames": chunk.frames, "length": len(payload)})
+        frame = CHUNK.pack({"frames": chunk.frames, "length": len(payload)})
         self.file.write(frame + payload + checksum(frame, payload))
         self.stop += chunk.frames
         self.frames.append(chunk.frames)
@@ -79,7 +79,7 @@ class Writer:
         """Writes the index. The file object stays open: it is the caller's."""
         body = b"\0"
         if len(self.frames) != 1:
-            body += records.write(INDEX, {"frames": self.frames, "lengths": self.lengths})
+            body += INDEX.pack({"frames": self.frames, "lengths": self.lengths})
         index = body + checksum(body)
         self.file.write(index + varint(len(index))[::-1] + END_MAGIC)
 

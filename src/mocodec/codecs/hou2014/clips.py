@@ -77,7 +77,7 @@ def bits(curves: Floats, lengths: Integers, step: float) -> float:
     start = 0
     for length, run in stream.runs(lengths):
         stop = start + length * (run.stop - run.start)
-        spectra = dct.forward(curves[start:stop].reshape(run.stop - run.start, length, curves.shape[1])) / step
+        spectra = dct.forward(curves[start:stop].reshape(run.stop - run.start, length, curves.shape[1]), axis=1) / step
         total += 0.5 * float(np.log2(1 + spectra**2).sum())
         start = stop
     return total

@@ -98,7 +98,7 @@ class Hou2014Database:
         for length, run in stream.runs(stream.equal_lengths(len(motion), self.clip_frames)):
             stop = start + length * (run.stop - run.start)
             kept = self.frequencies or parameters.frequencies(parameters.COMPONENTS, length)
-            group.add(dct.forward(rows[start:stop].reshape(-1, length, rows.shape[1]), min(kept, length)))
+            group.add(dct.forward(rows[start:stop].reshape(-1, length, rows.shape[1]), min(kept, length), axis=1))
             start = stop
 
     def _anneal(self, spectra: _Spectra, progress: Progress | None) -> tuple[list[transform.Transform], Annealing]:

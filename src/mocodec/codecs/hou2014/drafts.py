@@ -76,7 +76,9 @@ def fitted(material: Material) -> Material:
     spectra: list[Floats] = []
     for length, run, frames in clip_runs(material.lengths):
         kept = int(material.frequencies[run.start])
-        spectra.append(dct.forward(rows[frames].reshape(-1, length, rows.shape[1]), kept).reshape(-1, rows.shape[1]))
+        spectra.append(
+            dct.forward(rows[frames].reshape(-1, length, rows.shape[1]), kept, axis=1).reshape(-1, rows.shape[1])
+        )
     return replace(material, fitted=transform.fit_rows(np.concatenate(spectra)))
 
 
@@ -106,7 +108,7 @@ def draft(material: Material, rung: int) -> Draft:
     for length, run, frames in clip_runs(material.lengths):
         curves = _project(rows[frames], length, transforms, choice[run])
         limit = None if material.frequencies is None else int(material.frequencies[run.start])
-        scaled = dct.forward(curves, limit) / head.step(material.offsets[run])[:, None, None]
+        scaled = dct.forward(curves, limit, axis=1) / head.step(material.offsets[run])[:, None, None]
         rounding = _economical(scaled, material.economy) if material.economy else 0.5
         spectra.extend(quantise.forward(scaled, 1.0, rounding))
     return _trimmed(head, material, spectra, choice)

@@ -8,16 +8,17 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...entropy import coder, varint
 from ...errors import Corrupt
+from ...fields import Record, array, positive_float, raw, signed, sized, unsigned
 from ...motion import Floats
 from ...stages import bounded, dct, gaps, quantise
 from . import parameters, transform
@@ -80,69 +81,67 @@ class Head:
             | ADAPTIVE * (self.clip_frames == 0)
             | SHARED * self.shared
         )
-        parts = [varint.write([flags, self.components, varint.signed(self.rung)])]
-        if self.clip_frames:
-            parts.append(varint.write([self.clip_frames]))
-        if self.unit != parameters.UNIT_M:
-            parts.append(struct.pack("<d", self.unit))
-        if self.max_error is not None:
-            parts.append(struct.pack("<d", self.max_error))
-        if self.weight_rungs is not None:
-            parts.append(_sized(coder.pack(self.weight_rungs[:, None])))
-        if self.mean is not None:
-            parts.append(varint.write([varint.signed(self.mean_rung)]) + _sized(_pack_pose(self.mean)))
-        if not self.shared:
-            parts.append(self.transforms[0].pack(parents))
-        return b"".join(parts)
+        values = {
+            "flags": flags,
+            "components": self.components,
+            "rung": self.rung,
+            "clip_frames": self.clip_frames,
+            "unit": self.unit,
+            "max_error": self.max_error,
+            "weight_rungs": self.weight_rungs,
+            "mean_rung": self.mean_rung,
+            "mean": None if self.mean is None else self.mean.reshape(-1, 3),
+            "transform": b"" if self.shared else self.transforms[0].pack(parents),
+        }
+        return HEAD.pack(values)
+
+
+def _with_flag(flag: int) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: bool(known["flags"] & flag)
+
+
+def _without_flag(flag: int) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: not known["flags"] & flag
+
+
+HEAD = Record(
+    "hou2014: the shared bytes",
+    unsigned("flags"),
+    unsigned("components"),
+    signed("rung", most=LARGEST_RUNG),
+    unsigned("clip_frames", least=1, when=_without_flag(ADAPTIVE)),
+    positive_float("unit", when=_with_flag(OTHER_UNIT)),
+    positive_float("max_error", when=_with_flag(BOUNDED)),
+    *sized(array("weight_rungs", ("points",), most=LARGEST_RUNG, when=_with_flag(WEIGHTED))),
+    signed("mean_rung", most=LARGEST_RUNG, when=_with_flag(CENTRED)),
+    *sized(array("mean", ("points", 3), when=_with_flag(CENTRED))),
+    raw("transform", when=_without_flag(SHARED)),
+)
 
 
 def unpack_head(blobs: Sequence[bytes], points: int, parents: Sequence[int] | None) -> Head:
     """The head from the shared bytes of a file. Raises Corrupt."""
     if not blobs:
         raise Corrupt("hou2014: the shared bytes are missing")
-    data = blobs[0]
-    (flags, components, rung), at = varint.read(data, 3)
-    clip_frames, unit, max_error, mean_rung = 0, parameters.UNIT_M, None, 0
-    weight_rungs = mean = None
-    if not flags & ADAPTIVE:
-        (clip_frames,), at = varint.read(data, 1, at)
-        if clip_frames == 0:
-            raise Corrupt("hou2014: clips of no frames")
-    if flags & OTHER_UNIT:
-        unit, at = _double(data, at)
-    if flags & BOUNDED:
-        max_error, at = _double(data, at)
-    if flags & WEIGHTED:
-        part, at = _part(data, at)
-        weight_rungs = coder.unpack(part, (points, 1))[:, 0]
-    if flags & CENTRED:
-        (mean_rung,), at = varint.read(data, 1, at)
-        part, at = _part(data, at)
-        mean = _unpack_pose(part, points)
-    if flags & SHARED:
-        if at != len(data):
-            raise Corrupt("hou2014: a head of the wrong size")
-        own: Sequence[bytes] = blobs[1:]
-    else:
-        own = [data[at:]]
-    transforms = tuple(transform.unpack(blob, 3 * points, parents) for blob in own)
-    rung, mean_rung = varint.unsigned(rung), varint.unsigned(mean_rung)
-    rungs = [rung, mean_rung, *([] if weight_rungs is None else weight_rungs.tolist())]
-    if not transforms or components > min(map(len, transforms)) or max(map(abs, rungs)) > LARGEST_RUNG:
-        raise Corrupt("hou2014: a head that cannot be")
+    values = HEAD.unpack(blobs[0], points=points)
+    packed = blobs[1:] if values["transform"] is None else [values["transform"]]
+    transforms = tuple(transform.unpack(blob, 3 * points, parents) for blob in packed)
+    components = values["components"]
+    if not transforms or components > min(map(len, transforms)):
+        raise Corrupt("hou2014: the shared bytes hold fewer components than they announce")
     return Head(
         points,
         tuple(one.leading(components) for one in transforms),
         components,
-        rung,
-        clip_frames,
-        unit,
-        mean,
-        mean_rung,
-        weight_rungs,
-        max_error,
-        bool(flags & ALLOCATED),
-        bool(flags & SHARED),
+        values["rung"],
+        values["clip_frames"] or 0,
+        parameters.UNIT_M if values["unit"] is None else values["unit"],
+        None if values["mean"] is None else values["mean"].ravel(),
+        values["mean_rung"] or 0,
+        values["weight_rungs"],
+        values["max_error"],
+        bool(values["flags"] & ALLOCATED),
+        bool(values["flags"] & SHARED),
     )
 
 
@@ -263,7 +262,7 @@ def reconstruct(clips: Clips, head: Head) -> Floats:
         n, l = run.stop - run.start, int(kept[run.start])  # noqa: E741
         spectra = clips.coefficients[at : at + n * l].reshape(n, l, head.components)
         at += n * l
-        curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length)
+        curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length, axis=1)
         if len(head.transforms) == 1:
             rows.append(curves.reshape(n * length, head.components) @ head.transforms[0].matrix.T)
         else:
@@ -299,14 +298,6 @@ def runs(lengths: Integers) -> list[tuple[int, slice]]:
     return [(int(lengths[a]), slice(a, b)) for a, b in pairwise(edges)]
 
 
-def _pack_pose(pose: Integers) -> bytes:
-    return coder.pack(pose.reshape(-1, 3))
-
-
-def _unpack_pose(data: bytes, points: int) -> Integers:
-    return coder.unpack(data, (points, 3)).ravel()
-
-
 def _sized(data: bytes) -> bytes:
     return varint.write([len(data)]) + data
 
@@ -316,12 +307,3 @@ def _part(data: bytes, at: int) -> tuple[bytes, int]:
     if at + size > len(data):
         raise Corrupt("hou2014: a part that runs past its end")
     return data[at : at + size], at + size
-
-
-def _double(data: bytes, at: int) -> tuple[float, int]:
-    if at + 8 > len(data):
-        raise Corrupt("hou2014: a head that ends too early")
-    (value,) = struct.unpack_from("<d", data, at)
-    if not (0 < value < float("inf")):
-        raise Corrupt("hou2014: a length that is not positive")
-    return value, at + 8
