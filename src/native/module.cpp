@@ -1,7 +1,7 @@
 // mocodec._native: loops that NumPy cannot do side by side. One file for each user, beside this one:
 //
 //   entropy.cpp     serial steps of the coders of codecs/tempo and entropy/
-//   limbs.cpp       poses from turns of codecs/tempo/limbs.py
+//   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   matching.cpp    a body matched to points, for geometry/body_matching.py
 //
 // Each file defines `void bind_NAME(nb::module_ &)`, and is named in PARTS. Python asks for a kernel by name
@@ -12,7 +12,7 @@
 
 namespace nb = nanobind;
 
-#define PARTS(PART) PART(entropy) PART(matching) PART(limbs)
+#define PARTS(PART) PART(entropy) PART(matching) PART(bone_directions)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,7 +35,7 @@ class Choice:
 
     header: Header
     model: Model
-    spectra: Mapping[int, Floats] = MappingProxyType({})
+    spectra: Mapping[int, Floats] = field(default_factory=dict)
 
 
 def choose(recording: Recording, model: str = AUTO, mean_error: float | None = None) -> Choice:

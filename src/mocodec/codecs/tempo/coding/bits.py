@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import native
+from .... import native
 
 Integers = NDArray[np.int64]
 Bits = NDArray[np.uint8]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .... import native
-from ....entropy import bits, lanes, symbols, varint
+from ....entropy import varint
 from ....errors import Corrupt
 from ....typing import AnyInteger, Integers
-from . import contexts
+from . import bits, contexts, lanes, symbols
 from .plan import LANES, ChunkPlan, Expectations, plan
 
 MAX_STEP = 2048

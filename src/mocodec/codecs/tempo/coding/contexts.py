@@ -16,14 +16,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Integers = NDArray[np.int64]
-Array = NDArray[Any]
-"""Whole numbers of any width."""
+from ....typing import AnyInteger, Integers
+
 
 OCTAVE = 32
 BANDS_MHZ = (0, 200, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000, 11000, 16000, 22000, 32000, 45000, 60000)
@@ -118,7 +116,7 @@ def groups(frequencies: int) -> tuple[Integers, Integers]:
     return np.array(starts, np.int64), np.cumsum(number) - 1
 
 
-def bordered(magnitudes: Array) -> Array:
+def bordered(magnitudes: AnyInteger) -> AnyInteger:
     """Magnitudes (frequencies, …, rows) with zeros below, 4 to either side, and one more at the left."""
     shape = (magnitudes.shape[0] + DEPTH, *magnitudes.shape[1:-1], magnitudes.shape[-1] + 2 * BORDER + 1)
     out = np.zeros(shape, magnitudes.dtype)
@@ -136,7 +134,7 @@ def neighbourhood(magnitudes: Integers) -> Integers:
     return around(magnitudes[starts + 6], magnitudes[starts + 5], inner[starts + 4], older)
 
 
-def around(below: Array, below_2: Array, below_3: Array, older: Array) -> Integers:
+def around(below: AnyInteger, below_2: AnyInteger, below_3: AnyInteger, older: AnyInteger) -> Integers:
     """Σ w |neighbour| from bordered magnitudes (…, rows + 9) one and two frequencies below, and plain ones (…, rows)
     three below and summed over four to seven below."""
     left, right = np.cumsum(below, axis=-1), np.cumsum(below_2, axis=-1)
@@ -166,7 +164,7 @@ def weights(rows: int) -> NDArray[np.float32]:
     return out.reshape(DEPTH * rows, rows)
 
 
-def tables(base_here: Array, neighbours: Integers, shape: int) -> Integers:
+def tables(base_here: AnyInteger, neighbours: Integers, shape: int) -> Integers:
     """The table for each coefficient, from `base` and the sum over its neighbours there."""
     logs = _NUMERATOR_LOGS.take(neighbours, mode="clip")
     logs = logs + base_here

@@ -12,13 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...errors import CannotEncode, Corrupt
-from ...motion import Floats
+from ....errors import CannotEncode, Corrupt
+from ....typing import Booleans, Floats, Integers
 from .direct import LARGEST
-
-Integers = NDArray[np.int64]
 
 FIELDS = 5
 """Numbers of a correction: x, y, z of its vector, samples between it and the one before, and its frames less one."""
@@ -65,7 +62,7 @@ def find(error: Floats, bound: float, step: float) -> Corrections:
     )
 
 
-def _runs(beyond: NDArray[np.bool_]) -> tuple[Integers, Integers]:
+def _runs(beyond: Booleans) -> tuple[Integers, Integers]:
     """Starts and lengths of the runs of True in each row of (points, frames), as places in the flat array."""
     frames = beyond.shape[1]
     edges = np.diff(np.pad(beyond.astype(np.int8), ((0, 0), (1, 1))), axis=1)

@@ -11,13 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...entropy import coder
-from ...errors import CannotEncode
-from ...motion import Floats
-
-Integers = NDArray[np.int64]
+from ....entropy import coder
+from ....errors import CannotEncode
+from ....typing import Floats, Integers
 
 LARGEST = 1 << 50
 

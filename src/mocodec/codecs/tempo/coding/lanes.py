@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import Corrupt
+from ....errors import Corrupt
 
 Integers = NDArray[np.int64]
 
@@ -53,6 +53,10 @@ class Tables:
         at = np.arange(rows.size // rows.shape[1] * TOTAL) // TOTAL
         within = np.tile(np.arange(TOTAL), len(rows)) - starts[at, symbols]
         return cls(rows, starts, within << 16 | rows[at, symbols], symbols)
+
+    @classmethod
+    def empty(cls) -> Tables:
+        return cls.of(np.zeros((0, 1), np.int64))
 
     @cached_property
     def within(self) -> Integers:
@@ -155,7 +159,7 @@ class Lanes:
         return (self.next - self.first)[:, 0].tolist(), list(self.state)
 
 
-def riding(states: Integers, used: int, length: int) -> Integers:
+def bits_from_final_states(states: Integers, used: int, length: int) -> Integers:
     """The raw bits that rode in a chunk's lanes, (lanes,), after so many of its words were used. Raises Corrupt."""
     if used > length or (states >> 17).any() or (states < LOWEST).any():
         raise Corrupt("tempo: the coded numbers do not end where they should")

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .... import native
-from ....entropy import symbols
 from ....typing import Floats, Integers
-from . import contexts
+from . import contexts, symbols
 from .plan import THRESHOLD_UNIT, Expectations
 from .rows import HEADING, POSE
 

@@ -81,20 +81,20 @@ void frames_of(const double *rest, const double *x, const double *y, const doubl
 
 // bones (2, bones, frames) and hubs (3, hubs, frames): turns; sine, cosine, versed of both (bones + hubs, frames);
 // program, rests, homes, of_hubs: limbs.Plan.program. Directions (3, bones and those of hubs, frames).
-Output<double> tempo_limbs(Input<double, 3> bones, Input<double, 3> hubs, Input<double, 2> sines,
+Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hubs, Input<double, 2> sines,
                            Input<double, 2> cosines, Input<double, 2> verseds, Input<int64_t, 2> program,
                            Input<double, 3> rests, Input<double, 3> homes, Input<double, 2> ends) {
     const size_t of_bones = bones.shape(1), of_hubs = hubs.shape(1), frames = bones.shape(2);
     const size_t directions = of_bones + ends.shape(0), steps = program.shape(0);
     for (const auto *each : {&sines, &cosines, &verseds})
         if (each->shape(0) != of_bones + of_hubs || each->shape(1) != frames)
-            throw std::invalid_argument("tempo_limbs: shapes differ");
+            throw std::invalid_argument("tempo_bone_directions: shapes differ");
     for (const auto *each : {&rests, &homes})
         if (each->shape(0) != (each == &rests ? of_bones : of_hubs) || each->shape(1) != 3 || each->shape(2) != 3)
-            throw std::invalid_argument("tempo_limbs: shapes differ");
+            throw std::invalid_argument("tempo_bone_directions: shapes differ");
     if (bones.shape(0) != 2 || hubs.shape(0) != 3 || hubs.shape(2) != frames || program.shape(1) != 6 ||
         ends.shape(1) != 3)
-        throw std::invalid_argument("tempo_limbs: shapes differ");
+        throw std::invalid_argument("tempo_bone_directions: shapes differ");
     int64_t slots = 0;
     for (size_t i = 0; i < steps; ++i) slots = std::max(slots, program.data()[6 * i + 3] + 1);
     for (size_t i = 0; i < steps; ++i) {
@@ -102,7 +102,7 @@ Output<double> tempo_limbs(Input<double, 3> bones, Input<double, 3> hubs, Input<
         const int64_t first = p[0] ? int64_t(of_bones) : 0, past = int64_t(p[0] ? directions : of_bones);
         if (p[1] < 0 || size_t(p[1]) >= (p[0] ? of_hubs : of_bones) || p[2] >= slots || p[4] < first || p[5] > past ||
             p[p[0] ? 3 : 5] <= (p[0] ? -1 : p[4]))
-            throw std::invalid_argument("tempo_limbs: a program that does not fit");
+            throw std::invalid_argument("tempo_bone_directions: a program that does not fit");
     }
     Fresh<double> out(3 * directions * frames);
     std::fill_n(out.data.get(), 3 * directions * frames, 0.0);
@@ -154,4 +154,4 @@ Output<double> tempo_limbs(Input<double, 3> bones, Input<double, 3> hubs, Input<
 
 }  // namespace
 
-void bind_limbs(nb::module_ &m) { m.def("tempo_limbs", &tempo_limbs); }
+void bind_bone_directions(nb::module_ &m) { m.def("tempo_bone_directions", &tempo_bone_directions); }
