@@ -7,7 +7,7 @@ import contextlib
 import numpy as np
 import pytest
 
-from mocodec.entropy import models
+from mocodec.entropy import models, rans
 from mocodec.entropy.coder import Decoder, Encoder, Tables
 from mocodec.errors import Corrupt
 from mocodec.testing import corruption
@@ -62,7 +62,7 @@ def test_frequencies_are_whole():
     for _ in range(50):
         weights = random.integers(0, 10 ** random.integers(1, 12), random.integers(2, 300)).tolist()
         weights[0] += 1
-        frequency = models.normalised(weights)
+        frequency = rans.normalised(weights, models.PRECISION)
         assert sum(frequency) == models.TOTAL
         assert max(frequency) < models.TOTAL
         assert all(f > 0 for f, w in zip(frequency, weights, strict=True) if w)

@@ -9,8 +9,8 @@ coefficients with a quantisation step Δ over T samples, the best step of the en
 the same error in entries and coefficients. A weak component takes one or two bits an entry instead of the usual 16.
 
 Orthogonality is not stored but follows: each component is written in the coordinates that the Householder reflections
-of the components before it leave free. Each takes one number fewer than the one before, and any rounded basis is exactly
-orthonormal. Encoder and decoder must both use the basis that `unpack` returns.
+of the components before it leave free. Each takes one number fewer than the one before, and any rounded basis is
+exactly orthonormal. Encoder and decoder must both use the basis that `unpack` returns.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | 
 
 
 def _decompose(basis: Floats, precision: Integers) -> Integers:
-    """Rounded entries, (n, k), zero above the diagonal: column i is in the coordinates that i reflections leave free."""
+    """Rounded entries, (n, k), zero above the diagonal; column i is in the coordinates that i reflections leave."""
     n, k = basis.shape
     rest = np.array(basis, np.float64)
     entries = np.zeros((n, k), np.int64)
