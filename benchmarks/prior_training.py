@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from mocodec import formats
-from mocodec.codecs.tempo.coding import contexts, lanes, rows, symbols
+from mocodec.codecs.tempo.coding import contexts, rows
 from mocodec.codecs.tempo.coding.rows import POSE
 from mocodec.codecs.tempo.models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
 from mocodec.codecs.tempo.models.markers_on_bones import ARM_M
 from mocodec.codecs.tempo.models.model import BANDS, Model, Statistics, smooth_heading
 from mocodec.codecs.tempo.models.prior import BoneMotion, JointSet
 from mocodec.codecs.tempo.pose import bone_directions, heading, tree_fitting
+from mocodec.entropy import lanes, symbols
 from mocodec.geometry import kinematics, rigid
 from mocodec.motion import Motion
 from mocodec.stages import dct
@@ -189,7 +190,7 @@ def model_of(joints: JointSet, motion: Motion) -> Model:
     if isinstance(coordinates, DirectionCoordinates):
         assert motion.skeleton is not None
         coordinates = replace(coordinates, tree=coordinates.tree.with_offsets(motion.skeleton.offsets))
-    return Model(joints.names, coordinates, joints.statistics, lanes.Tables.empty(), motion.rate)
+    return Model(joints.names, coordinates, joints.statistics, lanes.StaticTables.of(np.zeros((0, 1), np.int64)), motion.rate)
 
 
 def direction_coordinates(motions: Sequence[Motion], pose: Floats) -> DirectionCoordinates:
@@ -272,8 +273,8 @@ def coder_tables(joints: JointSet, motions: Sequence[Motion], steps: Sequence[in
                 values = _rounded(s, rows.sizes(model.rows, len(s), step))
                 expected = model.expected(len(s), step)
                 known = (expected > UNLIKELY).any(axis=1).sum()
-                symbol = symbols.of(np.abs(values[:known]))
-                tables = contexts.all_tables(contexts.base(expected[:known]), symbols.FIRSTS[symbol])
+                symbol = symbols.of_magnitudes(np.abs(values[:known]))
+                tables = contexts.all_tables(contexts.base(expected[:known]), symbols.SMALLEST[symbol])
                 np.add.at(counts, (tables.ravel(), symbol.ravel()), 1)
     return _frequencies(_smoothed(counts))
 

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from ....entropy.lanes import StaticTables
 from ....typing import Booleans, Integers
 from . import contexts
-from .lanes import Tables
 
 THRESHOLD_UNIT = 16
 """Thresholds are stored in half octaves."""
@@ -27,7 +27,7 @@ class Expectations(Protocol):
     def points(self) -> int: ...
 
     @property
-    def tables(self) -> Tables: ...
+    def tables(self) -> StaticTables: ...
 
     def expected(self, frames: int, step: int) -> Integers:
         """log₂ of magnitudes, in steps, 1/32 octave: (frames, rows)."""

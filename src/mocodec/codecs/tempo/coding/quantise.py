@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .... import native
+from ....entropy import symbols
 from ....typing import Floats, Integers
-from . import contexts, symbols
+from . import contexts
 from .plan import THRESHOLD_UNIT, Expectations
 from .rows import HEADING, POSE
 
@@ -63,17 +64,17 @@ def _quantise(
     size, high = np.abs(signed), nearest.ravel().take(there)
     free = there % scaled.shape[1] > HEADING
     low = high - (free & (size < high))
-    high_symbol, low_symbol = symbols.of(high), symbols.of(low)
+    high_symbol, low_symbol = symbols.of_magnitudes(high), symbols.of_magnitudes(low)
     high_error, low_error = (size - _reconstructed(high)) ** 2, (size - _reconstructed(low)) ** 2
     magnitude = nearest
-    magnitude.ravel()[there] = symbols.FIRSTS.take(high_symbol)
+    magnitude.ravel()[there] = symbols.SMALLEST.take(high_symbol)
     for last in (False, True):
         tables = contexts.all_tables(base, magnitude)
         of_there = tables.ravel().take(there) * symbols.SYMBOLS
         high_bits, low_bits = price.take(of_there + high_symbol), price.take(of_there + low_symbol)
         lower = low_error + slope * low_bits < high_error + slope * high_bits
         if not last:
-            magnitude.ravel()[there] = symbols.FIRSTS.take(np.where(lower, low_symbol, high_symbol))
+            magnitude.ravel()[there] = symbols.SMALLEST.take(np.where(lower, low_symbol, high_symbol))
     chosen, error = np.where(lower, low, high), np.where(lower, low_error, high_error)
     bits_each = price.take(tables * symbols.SYMBOLS)
     bits_each.ravel()[there] = np.where(lower, low_bits, high_bits)
@@ -122,4 +123,4 @@ def _prediction(model: Expectations, frames: int, step: int) -> _Prediction:
 @lru_cache(maxsize=4)
 def prices(model: Expectations) -> Floats:
     """Bits of each symbol in each table, with its raw bits, (tables · symbols,)."""
-    return (model.tables.cost() + symbols.WIDTHS + (np.arange(symbols.SYMBOLS) > 0)).ravel()
+    return (model.tables.cost() + symbols.RAW_BITS + (np.arange(symbols.SYMBOLS) > 0)).ravel()

@@ -11,10 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from ....entropy.lanes import StaticTables
 from ....stages import dct
 from ....typing import Floats, Integers
 from ..coding import contexts
-from ..coding.lanes import Tables
 from ..coding.rows import HEADING, PLACE, POSE, heading_step, step_size
 from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
@@ -52,7 +52,7 @@ class Model:
     names: tuple[str, ...]
     coordinates: Coordinates
     statistics: Statistics
-    tables: Tables
+    tables: StaticTables
     rate: float
     weights: Floats | None = None
     _expected: dict[int, Integers] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class Model:
         """For points that are coded directly only."""
         nothing = np.zeros((0, 0), np.int64)
         coordinates = PointCoordinates(np.zeros((len(names), 3)))
-        return cls(names, coordinates, Statistics((), nothing, nothing), Tables.empty(), rate)
+        return cls(names, coordinates, Statistics((), nothing, nothing), StaticTables.of(np.zeros((0, 1), np.int64)), rate)
 
     @property
     def points(self) -> int:

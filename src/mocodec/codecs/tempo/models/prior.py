@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....entropy.lanes import StaticTables
 from ....errors import UnknownCodec
 from ....geometry.body_frame import plain as plain_label
 from ....typing import Floats, Integers
-from ..coding.lanes import Tables
 from ..pose.bone_tree import BoneTree
 from .coordinates import Coordinates, DirectionCoordinates, PointCoordinates
 from .model import Statistics
@@ -82,7 +82,7 @@ class Prior:
 
     id: bytes
     joints: JointSet
-    tables: Tables
+    tables: StaticTables
     bones: BoneMotion | None = None
 
     @property
@@ -117,7 +117,7 @@ def read(data: bytes) -> Prior:
             motion,
         )
     id_ = hashlib.blake2b(data, digest_size=ID_BYTES).digest()
-    return Prior(id_, JointSet(names, coordinates, statistics), Tables.of(arrays["tables"]), bones)
+    return Prior(id_, JointSet(names, coordinates, statistics), StaticTables.of(arrays["tables"]), bones)
 
 
 def _joints(arrays: Mapping[str, NDArray[Any]], prefix: str) -> tuple[tuple[str, ...], Floats, Statistics]:
