@@ -129,9 +129,7 @@ def bone_motion(motions: Sequence[Motion]) -> BoneMotion:
         parents.append(columns.index(above) if above >= 0 else len(parents))
     points = joint_set([rotating_points(m, columns) for m in motions], directions=False)
     kept, count = points.statistics, POSE + BONE_COMPONENTS
-    statistics = Statistics(
-        tuple(b[:BONE_COMPONENTS] for b in kept.bases), kept.spreads[:count], kept.means[:count]
-    )
+    statistics = Statistics(tuple(b[:BONE_COMPONENTS] for b in kept.bases), kept.spreads[:count], kept.means[:count])
     median = np.median(statistics.spreads[POSE:], axis=0).astype(int)
     names = tuple(skeleton.names[i] for i in columns)
     return BoneMotion(names, np.array(parents), median, points.coordinates.pose, statistics)
@@ -190,7 +188,9 @@ def model_of(joints: JointSet, motion: Motion) -> Model:
     if isinstance(coordinates, DirectionCoordinates):
         assert motion.skeleton is not None
         coordinates = replace(coordinates, tree=coordinates.tree.with_offsets(motion.skeleton.offsets))
-    return Model(joints.names, coordinates, joints.statistics, lanes.StaticTables.of(np.zeros((0, 1), np.int64)), motion.rate)
+    return Model(
+        joints.names, coordinates, joints.statistics, lanes.StaticTables.of(np.zeros((0, 1), np.int64)), motion.rate
+    )
 
 
 def direction_coordinates(motions: Sequence[Motion], pose: Floats) -> DirectionCoordinates:

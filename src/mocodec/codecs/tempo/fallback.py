@@ -3,8 +3,9 @@
     tempo's stream ─► its bytes ────────────────────┐
     one coding by hou2014 (one basis, one step) ────┴─► promising? ── yes ─► coded to the target ─► the smaller is kept
 
-Calm, long or unusual motion pays for a basis of its own across points, with clips of up to ten seconds. The search costs
-several codings of the whole motion, so one coding is tried first, and before it one of a stretch of a long recording.
+Calm, long or unusual motion pays for a basis of its own across points, with clips of up to ten seconds. The search
+costs several codings of the whole motion, so one coding is tried first, and before it one of a stretch of a long
+recording.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ PROMISING = 1.06
 """A first coding up to this much larger than tempo's may still be smaller at its best step."""
 
 STRETCH_FRAMES = 1000
-"""Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis is
-counted once; if it is larger all the same, the whole is not promising."""
+"""Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
+is counted once; if it is larger all the same, the whole is not promising."""
 
 BYTES_SLOPE = 0.7
 """Octaves of bytes an octave of mean error."""

@@ -1,9 +1,9 @@
 """The shared bytes of a tempo stream: which model, and flags for what is orthogonal to it.
 
-    byte of flags · [rate of the distinct frames] · the rest of one of three forms
-        model       [weights] · prior · the fitted model
-        direct      [weights]                              every chunk is coded directly
-        fallback    the shared bytes of hou2014, which codes the chunks
+byte of flags · [rate of the distinct frames] · the rest of one of three forms
+    model       [weights] · prior · the fitted model
+    direct      [weights]                              every chunk is coded directly
+    fallback    the shared bytes of hou2014, which codes the chunks
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ class Header:
         """The model for a motion with these names, rate and skeleton. Raises Corrupt, UnknownCodec."""
         tree = like.skeleton
         key = b"" if tree is None else np.array(tree.parents).tobytes() + tree.offsets.tobytes()
-        return _read_model(self.model, self.fitted, self.weights, like.names, like.rate, like.up, _SkeletonKey(key, tree))
+        return _read_model(
+            self.model, self.fitted, self.weights, like.names, like.rate, like.up, _SkeletonKey(key, tree)
+        )
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Which model makes a recording smallest.
 
-    recording ─fit─► models of each type ─price on a few chunks─► the cheapest, with the coefficients of these chunks
+recording ─fit─► models of each type ─price on a few chunks─► the cheapest, with the coefficients of these chunks
 """
 
 from __future__ import annotations

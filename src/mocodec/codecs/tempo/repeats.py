@@ -47,9 +47,7 @@ def encode(motion: Motion, distinct: Booleans, encode_distinct: Callable[[Motion
     starts = np.flatnonzero(distinct)
     lengths = np.diff(starts, append=len(motion))
     millihertz = max(1, round(1000 * motion.rate * len(starts) / len(motion)))
-    inner = encode_distinct(
-        replace(motion, positions=motion.positions[starts], rotations=None, rate=millihertz / 1000)
-    )
+    inner = encode_distinct(replace(motion, positions=motion.positions[starts], rotations=None, rate=millihertz / 1000))
     edges = np.append(starts, len(motion)).tolist()
     chunks = [
         Chunk(edges[c.start], edges[c.stop] - edges[c.start], _pack(lengths[c.start : c.stop]) + c.payload)

@@ -1,8 +1,8 @@
 """Steps for a target: the payloads of all chunks within a bound, at a mean error, or of a size.
 
-    to_bound    a step for each chunk; every chunk is decoded and checked
-    to_mean     one step for all chunks, whose mean error is nearest to the target
-    to_size     one step for all chunks, the smallest whose bytes fit
+to_bound    a step for each chunk; every chunk is decoded and checked
+to_mean     one step for all chunks, whose mean error is nearest to the target
+to_size     one step for all chunks, the smallest whose bytes fit
 """
 
 from __future__ import annotations

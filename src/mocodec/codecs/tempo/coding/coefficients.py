@@ -104,18 +104,17 @@ class _Head(NamedTuple):
     rest: bytes
 
 
-def unpack(
-    model: Expectations, frames: Sequence[int], payloads: Sequence[bytes], fields: int
-) -> list[DecodedNumbers]:
+def unpack(model: Expectations, frames: Sequence[int], payloads: Sequence[bytes], fields: int) -> list[DecodedNumbers]:
     """The integers of chunks that are decoded side by side. Raises Corrupt.
 
     frames: of each chunk. fields: how many the lists have.
     """
     heads = [_read_head(model, count, payload, fields) for count, payload in zip(frames, payloads, strict=True)]
     words = [np.frombuffer(h.rest, "<u2", len(h.rest) // 2) for h in heads]
-    plans, states, list_tables = ([h[i] for h in heads] for i in (0, 2, 1))
+    streams = symbol_streams.decode(
+        model, [h.plan for h in heads], [h.states for h in heads], words, [h.list_tables for h in heads]
+    )
     result = []
-    streams = symbol_streams.decode(model, plans, states, words, list_tables)
     for head, word, stream in zip(heads, words, streams, strict=True):
         initial = lanes.bits_from_final_states(stream.states, stream.used, len(word))
         known, listed = stream.symbols.take(head.plan.places), stream.listed

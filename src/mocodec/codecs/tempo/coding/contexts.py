@@ -1,15 +1,15 @@
-"""How large each coefficient will probably be, from the prior and from what is decoded already: the coder's contexts.
+"""Context modelling: the table that codes each coefficient, from expected magnitudes and decoded neighbours.
 
-    spreads of the prior, rate, chunk length, step ─expect─► log₂ of the expected magnitude of every coefficient
-    expected magnitudes ─zone─► which coefficients are coded at all
-    expected magnitudes, coded neighbours ─tables─► the table for each coefficient, frequency by frequency
+    spreads, rate, chunk length, step ─expect─► log₂ of the expected magnitude of every coefficient
+    expected magnitudes ─zone─► which coefficients are coded
+    expected magnitudes, decoded neighbours ─tables─► the table of each coefficient, frequency by frequency
 
-The coefficients of a chunk are (frequencies, rows). A row's magnitude at one frequency is expected to be its prior's
-spread, times how much larger its neighbours at the frequencies below came out than the prior expected of them:
+The coefficients of a chunk are (frequencies, rows). The magnitude of a row at one frequency is predicted as its spread,
+times the ratio of its neighbours at lower frequencies to what was expected of them:
 
     expected · (α + Σ w |neighbour|) / (α + Σ w · expected neighbour)
 
-All arithmetic is on integers: logarithms in 1/32 of an octave, magnitudes in 1/16.
+All arithmetic is on integers: logarithms in 1/32 octave, magnitudes in 1/16.
 """
 
 from __future__ import annotations
@@ -22,54 +22,53 @@ from numpy.typing import NDArray
 
 from ....typing import AnyInteger, Integers
 
-
 OCTAVE = 32
 BANDS_MHZ = (0, 200, 350, 500, 700, 1000, 1400, 2000, 2800, 4000, 5600, 8000, 11000, 16000, 22000, 32000, 45000, 60000)
-"""Frequencies (mHz) at which the prior knows the spread of each row. Its DC is known apart."""
+"""Frequencies (mHz) at which the spread of each row is given; that of frequency 0 is given as its mean."""
 
 CLASS_WIDTH, CLASS_LOWEST, CLASSES = 10, -260, 56
-"""Tables are chosen by the expected magnitude, in classes of 10/32 octave from 2⁻⁸ on."""
+"""Tables are selected by the predicted magnitude, in classes of 10/32 octave from 2⁻⁸ on."""
 SHAPES = 3
-"""Each class has a table for the mean (frequency 0), for the next three frequencies, and for the rest."""
+"""Each class has a table for frequency 0, one for the next three frequencies, and one for the rest."""
 
 ALPHA = 10
 """α and the weights of neighbours, below, are sixteenths."""
 NEAR, BELOW_3, OLDER, BESIDE, BLOCK = 13, 8, 6, 6, 3
-"""The same row one and two frequencies below; three below; four to seven below; one row aside, one below; and all of
-the four rows to either side one below and the three rows to either side two below."""
+"""Weights: the same row one and two frequencies below; three below; four to seven below; one row to either side, one
+frequency below; and all of four rows to either side one below and of three rows to either side two below."""
 DEPTH, BORDER = 7, 4
-"""How many frequencies below, and rows to either side, a neighbour may be."""
+"""Farthest neighbour, in frequencies below and in rows to either side."""
 
 SHAPE_STARTS = (0, 1, 4)
 """The first frequency of each shape."""
 GROUPS = ((0, 1), (16, 2), (64, 4), (128, 8))
-"""From each of these frequencies on, so many are coded at a time, with the neighbours that the first of them has: fewer
-steps, for less than a hundredth of the bytes."""
+"""(first frequency, size): frequencies are coded in groups of this size, with the neighbours of the first of the group:
+fewer steps, for less than 1 % of the bytes."""
 
 _LOG = np.array([round(OCTAVE * math.log2(1 + i / 256)) for i in range(256)], np.int64)
 _EXP = np.array([min(1 << 20, round(16 * 2 ** (i / OCTAVE))) for i in range(-512, 1024)], np.int64)
 
 
 def log2(numbers: NDArray[np.integer]) -> Integers:
-    """log₂ of whole numbers ≥ 1 in 1/32 octave, the same on every machine."""
+    """log₂ of integers ≥ 1 in 1/32 octave, the same on every machine."""
     return log2_of(numbers.astype(np.float64))
 
 
 def log2_of(values: NDArray[np.float64]) -> Integers:
     """The same of positive floats."""
-    mantissa, exponent = np.frexp(values)  # exact: takes a float apart
+    mantissa, exponent = np.frexp(values)  # exact
     return (exponent.astype(np.int64) - 1) * OCTAVE + _LOG[((mantissa - 0.5) * 512).astype(np.int64)]
 
 
 def exp2(logs: Integers) -> Integers:
-    """Sixteen times 2^(log/32), as a whole number."""
+    """Sixteen times 2^(log / 32), as an integer."""
     return _EXP[np.clip(logs, -512, 1023) + 512]
 
 
 _BAND_LOGS = log2(np.array(BANDS_MHZ[1:]))
 _NUMERATOR_LOGS = log2(np.arange(ALPHA, 1 << 16))
 _CEILING = 300
-"""Magnitudes beyond this count as this in a context."""
+"""Contexts clip magnitudes to this."""
 
 
 def expect(spreads: Integers, means: Integers, frames: int, rate: float, step: int | Integers) -> Integers:
@@ -100,7 +99,7 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 
 def base(expected: Integers) -> Integers:
-    """The prior's share in each context: log(expected) − log(α + Σ w · expected neighbour), (frequencies, rows)."""
+    """What of each context is known in advance, (frequencies, rows): log(expected) − log(α + Σ w · expected neighbour)."""
     near = neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING)))
     return expected - log2(near // 16 + ALPHA)[groups(len(expected))[1]]
 
@@ -151,9 +150,9 @@ def around(below: AnyInteger, below_2: AnyInteger, below_3: AnyInteger, older: A
 
 @lru_cache(maxsize=8)
 def weights(rows: int) -> NDArray[np.float32]:
-    """What a neighbour counts, (frequencies below it, lowest first, · rows, rows): `neighbourhood` as one product.
+    """`neighbourhood` as one matrix product, (frequencies below, lowest first, · rows, rows).
 
-    Its sums are whole numbers so small that floats are exact, in whatever order a machine adds them.
+    Its sums are small integers, which floats represent exactly in any order of summation.
     """
     out = np.zeros((DEPTH, rows, rows), np.float32)
     apart = np.abs(np.arange(rows)[:, None] - np.arange(rows))
@@ -165,7 +164,7 @@ def weights(rows: int) -> NDArray[np.float32]:
 
 
 def tables(base_here: AnyInteger, neighbours: Integers, shape: int) -> Integers:
-    """The table for each coefficient, from `base` and the sum over its neighbours there."""
+    """The table of each coefficient, from its `base` and the weighted sum of its neighbours."""
     logs = _NUMERATOR_LOGS.take(neighbours, mode="clip")
     logs = logs + base_here
     logs -= _FIRST_CLASS
@@ -176,7 +175,7 @@ def tables(base_here: AnyInteger, neighbours: Integers, shape: int) -> Integers:
 
 _FIRST_CLASS = CLASS_LOWEST - CLASS_WIDTH
 _CLASS_OF = (np.arange(CLASS_WIDTH * (CLASSES + 2)) // CLASS_WIDTH - 1).clip(0, CLASSES - 1)
-"""The class of a logarithm, from `_FIRST_CLASS` on; those beyond are as the nearest."""
+"""The class of a logarithm, from `_FIRST_CLASS` on, clipped to the first and last class."""
 
 
 def ceiling(magnitudes: Integers) -> Integers:
@@ -184,7 +183,7 @@ def ceiling(magnitudes: Integers) -> Integers:
 
 
 def all_tables(base_: Integers, magnitudes: Integers) -> Integers:
-    """The tables for all coefficients of a chunk at once, (frequencies, rows), from its `base`: for the encoder."""
+    """The tables of all coefficients of a chunk, (frequencies, rows), given all magnitudes: for the encoder."""
     logs = _NUMERATOR_LOGS.take(neighbourhood(bordered(ceiling(magnitudes))), mode="clip")
     logs = logs[groups(len(base_))[1]]
     logs += base_
@@ -196,7 +195,7 @@ def all_tables(base_: Integers, magnitudes: Integers) -> Integers:
 
 @lru_cache(maxsize=64)
 def lookup(frequencies: int) -> tuple[Integers, Integers, int, Integers, Integers]:
-    """What the compiled module needs to know of this module, for so many frequencies."""
+    """Constants of this module for the compiled one, for a number of frequencies."""
     starts = groups(frequencies)[0]
     return _NUMERATOR_LOGS, _CLASS_OF, _FIRST_CLASS, starts, shapes(frequencies) * CLASSES
 

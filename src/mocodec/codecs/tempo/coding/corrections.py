@@ -1,10 +1,10 @@
-"""What keeps the promise: samples that the transform leaves too far off are moved back, a few numbers each.
+"""Corrections keep the bound: samples that the transform leaves too far off are moved back, a few integers each.
 
-    positions − decoded, bound ─find─► corrections ─numbers─► whole numbers for the coder
-    whole numbers ─from_numbers─► corrections ─apply─► positions within the bound
+    positions − decoded, bound ─find─► corrections ─numbers─► integers for the coder
+    integers ─from_numbers─► corrections ─apply─► positions within the bound
 
-An error grows beyond the bound and shrinks back over some frames, so one correction moves a point over a run of frames,
-by a vector times half a wave. Where that does not do, each frame gets a correction of its own, which always can.
+An error exceeds the bound for some frames in a row, so one correction moves a point over a run of frames, by a vector
+times half a sine wave. Where that does not suffice, each frame gets a correction of its own, which always suffices.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ....typing import Booleans, Floats, Integers
 from .direct import LARGEST
 
 FIELDS = 5
-"""Numbers of a correction: x, y, z of its vector, samples between it and the one before, and its frames less one."""
+"""Integers of a correction: x, y, z of its vector, samples between it and the one before, and its frames less one."""
 
 
 class Corrections(NamedTuple):
-    """start (n,): point · frames + frame, rising; length (n,): frames; by (n, 3): the vector in whole steps."""
+    """start (n,): point · frames + frame, rising; length (n,): frames; by (n, 3): the vector, in steps."""
 
     start: Integers
     length: Integers
@@ -30,9 +30,9 @@ class Corrections(NamedTuple):
 
 
 def find(error: Floats, bound: float, step: float) -> Corrections:
-    """Corrections for errors (frames, points, 3) beyond the bound, in steps that bring any single error within it.
+    """Corrections of errors (frames, points, 3) beyond the bound, in steps small enough to bring any error within it.
 
-    Raises CannotEncode for errors beyond counting.
+    Raises CannotEncode for errors too large to count in steps.
     """
     by_axis = np.ascontiguousarray(error.T)
     beyond = (by_axis * by_axis).sum(axis=0) > bound * bound
@@ -63,7 +63,7 @@ def find(error: Floats, bound: float, step: float) -> Corrections:
 
 
 def _runs(beyond: Booleans) -> tuple[Integers, Integers]:
-    """Starts and lengths of the runs of True in each row of (points, frames), as places in the flat array."""
+    """Starts and lengths of the runs of True in each row of (points, frames), as indices into the flat array."""
     frames = beyond.shape[1]
     edges = np.diff(np.pad(beyond.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     point, first = np.nonzero(edges == 1)
@@ -72,14 +72,14 @@ def _runs(beyond: Booleans) -> tuple[Integers, Integers]:
 
 
 def _samples(start: Integers, length: Integers) -> tuple[Integers, Integers, Floats]:
-    """The samples of all corrections in turn: place in the flat array, number of the correction, weight."""
+    """Samples of all corrections in turn: index in the flat array, number of the correction, weight."""
     of = np.repeat(np.arange(len(start)), length)
     within = np.arange(len(of)) - np.repeat(np.cumsum(length) - length, length)
     return start[of] + within, of, np.sin(np.pi * (within + 1) / (length[of] + 1))
 
 
 def apply(positions: Floats, corrections: Corrections, step: float, weights: Floats | None = None) -> None:
-    """Add the corrections to positions (frames, points, 3), in place. weights (points,): how much smaller a step is."""
+    """Add the corrections to positions (frames, points, 3), in place. weights (points,): by which a step is divided."""
     samples, of, weight = _samples(corrections.start, corrections.length)
     frames = len(positions)
     point = samples // frames
@@ -89,7 +89,7 @@ def apply(positions: Floats, corrections: Corrections, step: float, weights: Flo
 
 
 def numbers(corrections: Corrections) -> Integers:
-    """The corrections as whole numbers, (5, n): the first three rows of either sign, the others never negative."""
+    """The corrections as integers, (5, n): the first three rows of either sign, the others never negative."""
     ends = np.concatenate([[0], corrections.start + corrections.length])
     return np.stack([*corrections.by.T, corrections.start - ends[:-1], corrections.length - 1])
 

@@ -1,9 +1,9 @@
-"""The engine for what no transform suits: samples on a grid, each predicted from its neighbours in time.
+"""Direct coding, for what no transform suits: samples on a grid, each predicted from its neighbours in time.
 
-    positions ──round to a grid──► whole numbers ──interpolate, coarse to fine──► residuals ──► bytes
+    positions ──round to a grid──► integers ──interpolate, coarse to fine──► residuals ──► bytes
 
 The grid's cells lie within the bound, so the bound holds without search, whatever the motion. A frame between two known
-ones is predicted by the cubic through the four nearest, as in SZ3 (Zhao et al. 2021), but in whole numbers.
+ones is predicted by the cubic through the four nearest, as in SZ3 (Zhao et al. 2021), but in integers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def cell(bound: float) -> float:
 
 
 def quantise(positions: Floats, step: float) -> Integers:
-    """Whole numbers of steps, (frames, points, 3). Raises CannotEncode where they are too large to hold."""
+    """Positions in steps, (frames, points, 3), rounded. Raises CannotEncode where they are too large."""
     scaled = positions / step
     if not (np.abs(scaled) < LARGEST).all():
         raise CannotEncode(
@@ -35,13 +35,13 @@ def quantise(positions: Floats, step: float) -> Integers:
 
 
 def pack(values: Integers) -> bytes:
-    """Whole numbers (frames, lanes) as bytes."""
+    """Integers (frames, coordinates) as bytes."""
     order, level = _order(len(values))
     return coder.pack(_residuals(values)[order], contexts=np.repeat(level[:, None], values.shape[1], axis=1))
 
 
 def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
-    """The whole numbers (frames, lanes) of `pack`. Raises Corrupt."""
+    """The integers (frames, coordinates) of `pack`. Raises Corrupt."""
     order, level = _order(shape[0])
     residuals = np.empty(shape, np.int64)
     residuals[order] = coder.unpack(data, shape, contexts=np.repeat(level[:, None], shape[1], axis=1))
@@ -52,7 +52,7 @@ def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
 
 
 def estimate(values: Integers) -> float:
-    """About how many bytes `pack` takes, from the sizes of the residuals of each lane."""
+    """Estimate of the bytes of `pack`, from the mean residual of each coordinate."""
     size = np.abs(_residuals(values)[1:]).mean(axis=0) if len(values) > 1 else np.zeros(values.shape[1])
     return float(len(values) * np.log2(1 + 2.5 * size).sum() / 8 + 4 * values.shape[1])
 
@@ -65,13 +65,13 @@ def _residuals(values: Integers) -> Integers:
 
 
 def _order(frames: int) -> tuple[Integers, Integers]:
-    """The frames in the order in which they are predicted, and the level of each."""
+    """Frames in the order of prediction, and the level of each."""
     parts = [(level, middle) for level, middle, _ in _levels(frames)]
     return np.concatenate([m for _, m in parts]), np.concatenate([np.full(len(m), level) for level, m in parts])
 
 
 def _levels(frames: int) -> Iterator[tuple[int, Integers, int]]:
-    """Level, the frames that it adds, and how far away their known neighbours are (0: the frame before, or none)."""
+    """Level, the frames that it adds, and the distance of their known neighbours (0: none)."""
     stride = 1
     while stride < frames - 1:
         stride *= 2
@@ -90,7 +90,7 @@ def _levels(frames: int) -> Iterator[tuple[int, Integers, int]]:
 
 
 def _predict(values: Integers, middle: Integers, around: int) -> Integers:
-    """What the known frames `around` and 3 · `around` away from the middle ones make of them."""
+    """Prediction of the `middle` frames from the known ones that are `around` and 3 · `around` frames away."""
     if around == 0:
         return np.zeros((1, values.shape[1]), np.int64)
     if len(middle) == 1 and middle[0] + around >= len(values) and middle[0] in (len(values) - 1,):

@@ -1,4 +1,4 @@
-"""What encoder and decoder know of a chunk before its first symbol: which coefficients are coded, and in which order."""
+"""What encoder and decoder know of a chunk in advance: which coefficients are coded, and in which order."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Integers for coefficients, chosen by error and bits together (rate–distortion optimisation).
 
-    coefficients in steps ─quantise─► integers, threshold of the coded zone, bits ─dequantise─► coefficients
+coefficients in steps ─quantise─► integers, threshold of the coded zone, bits ─dequantise─► coefficients
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def quantise(model: Expectations, scaled: Floats, step: int, slope: float = SLOP
         some = np.ascontiguousarray(some)
         values[:frequencies], *rest = kernel(some, base, highest, prices(model), slope, INWARD, HEADING + 1, *lookup)
         return Quantised(values, *rest)
-    values[:frequencies], *rest = _quantise(some, nearest[:frequencies], base, highest, prices(model), slope)
-    return Quantised(values, *rest)
+    values[:frequencies], threshold, bits = _quantise(some, nearest[:frequencies], base, highest, prices(model), slope)
+    return Quantised(values, threshold, bits)
 
 
 def _quantise(

@@ -1,7 +1,7 @@
 """Models of bone directions.
 
-    with the prior      joints that it knows by name, or a skeleton of other names matched to its own
-    with a stored basis tree and basis of the recording
+with the prior      joints that it knows by name, or a skeleton of other names matched to its own
+with a stored basis tree and basis of the recording
 """
 
 from __future__ import annotations
@@ -162,14 +162,16 @@ class StoredDirections:
 
     def pack(self) -> bytes:
         assert self.basis is not None
-        return TREE.pack({
-            "fine": self.fine,
-            "has_tree": bool(self.parents),
-            "parents": np.array(self.parents, np.int64) - np.arange(len(self.parents)),
-            "vectors": self.vectors,
-            "marks": self.marks,
-            "basis": self.basis.pack(),
-        })
+        return TREE.pack(
+            {
+                "fine": self.fine,
+                "has_tree": bool(self.parents),
+                "parents": np.array(self.parents, np.int64) - np.arange(len(self.parents)),
+                "vectors": self.vectors,
+                "marks": self.marks,
+                "basis": self.basis.pack(),
+            }
+        )
 
     def coordinates(self, skeleton: Skeleton | None) -> DirectionCoordinates:
         """Raises Corrupt."""

@@ -155,9 +155,7 @@ def _components(bones: BoneMotion) -> Floats:
     return bones.statistics.bases[0][: len(strength)] * strength[:, None]
 
 
-def _likeliest(
-    moved: Floats, guesses: Sequence[tuple[float, Guess]], bones: BoneMotion
-) -> list[tuple[float, Guess]]:
+def _likeliest(moved: Floats, guesses: Sequence[tuple[float, Guess]], bones: BoneMotion) -> list[tuple[float, Guess]]:
     """The guesses that explain movement (frames, points, 3) best."""
 
     def cost(guess: tuple[float, Guess]) -> float:

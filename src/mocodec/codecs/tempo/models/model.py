@@ -1,6 +1,6 @@
 """What encoder and decoder share about one recording: its coordinates, and how large their coefficients should be.
 
-    positions ─► heading · place (3) · pose ─coordinates─► ─DCT over the chunk─► ─bases─► coefficients (frames, rows)
+positions ─► heading · place (3) · pose ─coordinates─► ─DCT over the chunk─► ─bases─► coefficients (frames, rows)
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ class Model:
         """For points that are coded directly only."""
         nothing = np.zeros((0, 0), np.int64)
         coordinates = PointCoordinates(np.zeros((len(names), 3)))
-        return cls(names, coordinates, Statistics((), nothing, nothing), StaticTables.of(np.zeros((0, 1), np.int64)), rate)
+        return cls(
+            names, coordinates, Statistics((), nothing, nothing), StaticTables.of(np.zeros((0, 1), np.int64)), rate
+        )
 
     @property
     def points(self) -> int:

@@ -76,9 +76,7 @@ def orthonormal(rows: Floats, most: int, shortest: float = 1e-30) -> Floats:
         if size[longest] < floor:
             return out[:, :count].T.copy()
         direction = left[:, longest] / np.sqrt(size[longest])
-        direction = direction - sum_first_axis(
-            (out[:, :count] * sum_first_axis(out[:, :count] * direction[:, None])).T
-        )
+        direction = direction - sum_first_axis((out[:, :count] * sum_first_axis(out[:, :count] * direction[:, None])).T)
         unit_ = direction / np.sqrt(sum_first_axis(direction**2))
         out[:, count] = unit_
         left -= unit_[:, None] * sum_first_axis(left * unit_[:, None])

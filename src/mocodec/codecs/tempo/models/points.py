@@ -1,7 +1,7 @@
 """Models of positions.
 
-    with the prior      joints that it knows by name, or any points as markers on its bones
-    with a stored basis mean pose and basis of the recording
+with the prior      joints that it knows by name, or any points as markers on its bones
+with a stored basis mean pose and basis of the recording
 """
 
 from __future__ import annotations
@@ -138,9 +138,7 @@ def stored_points(recording: Recording, step: int) -> StoredPoints:
     mean = heading.mean_pose(centred[:: max(1, recording.frames // POSE_FRAMES)])
     pose = np.rint(mean / step_size(noise + POSE_COARSER)).astype(np.int64)
     coordinates = PointCoordinates(_metres(pose, noise))
-    fitted = stored_basis.fit(
-        recording.chunks, coordinates, known, recording.like.rate, step, _nearest_before(pose)
-    )
+    fitted = stored_basis.fit(recording.chunks, coordinates, known, recording.like.rate, step, _nearest_before(pose))
     return StoredPoints(known, noise, pose, fitted)
 
 

@@ -103,9 +103,7 @@ def read(data: bytes) -> Prior:
             arrays["hub"],
             arrays["relative"],
         )
-        coordinates = DirectionCoordinates(
-            pose, tree, arrays["metric_root"].astype(np.float64), np.arange(len(names))
-        )
+        coordinates = DirectionCoordinates(pose, tree, arrays["metric_root"].astype(np.float64), np.arange(len(names)))
     bones = None
     if "bones.parents" in arrays:
         of_points, mean, motion = _joints(arrays, "bones.")

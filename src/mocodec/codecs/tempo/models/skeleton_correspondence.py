@@ -89,15 +89,21 @@ class Correspondence:
         """like: the prior's tree."""
         expected = expected_parents(self.joint, like)
         parents = np.array(self.parents, np.int64) if self.parents else expected
-        columns = (np.diff(self.joint, prepend=-1) - 1, self.marks - expected_marks(self.joint, like), parents - expected)
+        columns = (
+            np.diff(self.joint, prepend=-1) - 1,
+            self.marks - expected_marks(self.joint, like),
+            parents - expected,
+        )
         levels = dict(zip(ALL_LEVELS, self.levels - np.array(USUAL_LEVELS), strict=True))
-        return CORRESPONDENCE.pack({
-            "digits": self.digits,
-            **levels,
-            "has_tree": bool(self.parents),
-            "joints": np.stack(columns, axis=1),
-            "vectors": coder.pack(self.vectors[self.stored][:, None]),
-        })
+        return CORRESPONDENCE.pack(
+            {
+                "digits": self.digits,
+                **levels,
+                "has_tree": bool(self.parents),
+                "joints": np.stack(columns, axis=1),
+                "vectors": coder.pack(self.vectors[self.stored][:, None]),
+            }
+        )
 
     @classmethod
     def unpack(cls, data: bytes, points: int, like: BoneTree) -> Correspondence:

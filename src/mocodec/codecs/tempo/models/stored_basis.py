@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ....errors import Corrupt
-from ....fields import Record, array, count, raw, signed, sized
+from ....fields import Record, array, count, raw, sized
 from ....stages import basis
 from ....typing import Floats, Integers
 from ..coding import contexts
@@ -62,11 +62,13 @@ class StoredBasis:
     vectors: bytes
 
     def pack(self) -> bytes:
-        return BASIS.pack({
-            "gains": np.diff(self.gains, prepend=0),
-            "precision": np.diff(self.precision, prepend=0),
-            "vectors": self.vectors,
-        })
+        return BASIS.pack(
+            {
+                "gains": np.diff(self.gains, prepend=0),
+                "precision": np.diff(self.precision, prepend=0),
+                "vectors": self.vectors,
+            }
+        )
 
     @classmethod
     def unpack(cls, data: bytes, dimensions: int) -> StoredBasis:

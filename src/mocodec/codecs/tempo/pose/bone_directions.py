@@ -71,7 +71,7 @@ def frames_and_coordinates(tree: BoneTree, pose: Floats, tilts: Floats, hubs: Fl
 
 
 def _directions(schedule: BoneSchedule, coordinates: Floats) -> Floats:
-    """Unit directions (3, bones, frames) in the body's frame, in schedule order, of coordinates (dimensions, frames)."""
+    """Unit directions (3, bones, frames), body's frame, schedule order, of coordinates (dimensions, frames)."""
     tilts, hubs = schedule.split(coordinates)
     tilts, hubs = tilts[:, schedule.order], np.ascontiguousarray(hubs)
     trig = SinCos.of(np.concatenate([rotations.squared_length(tilts), rotations.squared_length(hubs)]))

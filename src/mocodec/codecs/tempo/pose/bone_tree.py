@@ -210,9 +210,7 @@ def _schedule(tree: BoneTree) -> BoneSchedule:
         pair_frame = rotations.frame_of_pair(tree.vectors[pair].T[..., None])[0]
         at = slot[reference[own[0]]]
         home = axes[reference[own[0]]][..., None, None]
-        return Hub(
-            hubs.index(joint), slot[-2 - joint], None if at < 0 else slice(at, at + 1), home, pair, pair_frame
-        )
+        return Hub(hubs.index(joint), slot[-2 - joint], None if at < 0 else slice(at, at + 1), home, pair, pair_frame)
 
     def level(at: int) -> Level:
         here = [b for b in framed if level_of[b] == at]

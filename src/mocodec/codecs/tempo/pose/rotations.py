@@ -136,7 +136,7 @@ def unwrapped(vectors: Floats) -> Floats:
 
 
 def frame_of_pair(pair: Floats) -> Floats:
-    """Rotation matrices (frames, 3, 3), axes as columns, of two vectors (3, 2, frames): bisector, difference, normal."""
+    """Matrices (frames, 3, 3), axes as columns, of two vectors (3, 2, frames): bisector, difference, normal."""
     a, b = unit(pair[:, 0]), unit(pair[:, 1])
     first, second = a + b, a - b
     third = np.cross(first, second, axis=0)

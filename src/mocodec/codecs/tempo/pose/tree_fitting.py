@@ -1,6 +1,6 @@
 """A bone tree found in poses: which points are linked, which bones rotate together, and where each points at rest.
 
-    poses ─trees─► parents ─fit─► hubs · rest directions · which bones are relative ──► BoneTree
+poses ─trees─► parents ─fit─► hubs · rest directions · which bones are relative ──► BoneTree
 """
 
 from __future__ import annotations
@@ -89,9 +89,7 @@ def fit(poses: Sequence[Floats], parents: Sequence[int], builds: Sequence[Floats
     vectors = _mean_directions(offsets)
     hub = _hubs(offsets, parents, vectors, builds)
     relative = _relative(parents, vectors)
-    tree = BoneTree(
-        tuple(parents), _with_rigid_hubs(vectors, offsets, parents, hub), hub, np.zeros(len(parents), bool)
-    )
+    tree = BoneTree(tuple(parents), _with_rigid_hubs(vectors, offsets, parents, hub), hub, np.zeros(len(parents), bool))
     for j in np.flatnonzero(relative):
         tree = with_relative(tree, poses, int(j))
     return tree
@@ -123,9 +121,7 @@ def _mean_directions(runs: Sequence[Floats]) -> Floats:
     return safe * length[:, None]
 
 
-def _hubs(
-    runs: Sequence[Floats], parents: Sequence[int], vectors: Floats, builds: Sequence[Floats] | None
-) -> Booleans:
+def _hubs(runs: Sequence[Floats], parents: Sequence[int], vectors: Floats, builds: Sequence[Floats] | None) -> Booleans:
     """Mask of the bones that form a hub: same joint, constant angles, not all collinear.
 
     builds: offsets (points, 3) of each run's skeleton, whose angles they must have; else the median angle of all runs.
