@@ -8,6 +8,7 @@ Links out of docs/, which lead somewhere in a checkout but not on the site, beco
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -49,9 +50,9 @@ def help_text(command: str) -> str:
 
     from mocodec import cli
 
-    context = click.Context(cli.main, info_name="mocodec", terminal_width=100, max_content_width=100)
+    context = click.Context(cli.mocodec, info_name="mocodec", terminal_width=100, max_content_width=100)
     if command:
-        chosen = cli.main.get_command(context, command)
+        chosen = cli.mocodec.get_command(context, command)
         assert chosen is not None, f"no command {command!r}"
         context = click.Context(chosen, context, info_name=command, terminal_width=100, max_content_width=100)
     return f"```text\n{context.get_help()}\n```"
@@ -68,4 +69,4 @@ def link(match: re.Match[str], folder: Path) -> str:
 
 def relative(target: Path, folder: Path) -> str:
     """A path from `folder` to `target`, with forward slashes."""
-    return Path(*[".."] * len(folder.relative_to(ROOT).parts), target.relative_to(ROOT)).as_posix()
+    return Path(os.path.relpath(target, folder)).as_posix()
