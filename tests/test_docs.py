@@ -1,7 +1,7 @@
-"""What the tutorial and the how-to pages show is run, each page in a folder of its own; links of all pages lead somewhere.
+"""What the tutorial and the how-to pages show is run, each page in a folder of its own; pages and navigation agree.
 
-A ```console block holds commands after "$ "; `# exit code N` behind one says that it ends so. A ```python block goes on
-with the names of the blocks before it. Blocks of other languages (```text, ```sh) are not run.
+A ```console block holds commands after "$ "; `# exit code N` behind one says how it ends. A ```python block has the
+names of the blocks before it. Blocks of other languages (```text, ```sh) are not run.
 """
 
 from __future__ import annotations
