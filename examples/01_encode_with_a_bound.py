@@ -7,11 +7,13 @@ motion = mc.read(data.RECORDING)  # or your own: .c3d .trc .bvh .amc .npz .glb
 print(f"{len(motion):,} frames of {motion.points} joints at {motion.rate:g} Hz")
 
 blob = mc.encode(motion, max_error=0.002)  # metres
-print(f"{motion.raw_bytes:,} bytes as float32 become {len(blob):,}: {motion.raw_bytes / len(blob):.0f} to 1")
+ratio = motion.raw_bytes / len(blob)
+print(f"{motion.raw_bytes:,} bytes as float32 become {len(blob):,}: {ratio:.0f} to 1")
 
 decoded = mc.decode(blob)
 error = mc.compare(motion, decoded)
-print(f"mean error {1000 * error.mean_error:.2f} mm, largest {1000 * error.max_error:.2f} mm")
+print(f"mean error {1000 * error.mean_error:.2f} mm")
+print(f"largest error {1000 * error.max_error:.2f} mm")
 assert error.max_error <= 0.002
 
 mc.write("jumps.trc", decoded)  # the suffix chooses the format

@@ -5,7 +5,8 @@ from mocodec import data
 
 mc.write("jumps.mocz", mc.read(data.RECORDING), max_error=0.002)
 
-with mc.open("jumps.mocz") as f:  # a path, an http(s) URL, bytes or a file object; only header and index are read
+# A path, an http(s) URL, bytes or a file object; only header and index are read.
+with mc.open("jumps.mocz") as f:
     print("frames, points, axes:", f.shape)
     print("coded with:", f.info["codec"], f.info["settings"])
 
@@ -18,5 +19,6 @@ with mc.open("jumps.mocz") as f:  # a path, an http(s) URL, bytes or a file obje
     turn = f.at(seconds=slice(12.5, 14.0))
     print("from 12.5 s to 14 s:", len(turn), "frames")
 
-    for number, chunk in enumerate(f):  # chunk after chunk: a long recording never has to fit into memory
+    # Chunk after chunk: a long recording never has to fit into memory.
+    for number, chunk in enumerate(f):
         print(f"chunk {number}: {len(chunk)} frames")

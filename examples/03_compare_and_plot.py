@@ -1,4 +1,7 @@
-"""Measure what coding cost, point by point, and draw it. Needs matplotlib: pip install 'mocodec[plot]'."""
+"""Measure the error of coding, point by point, and draw it.
+
+Needs matplotlib: pip install 'mocodec[plot]'.
+"""
 
 import mocodec as mc
 from mocodec import data, plots

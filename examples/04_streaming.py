@@ -1,4 +1,7 @@
-"""Send motion while it is being recorded: frames go in as they come, chunks go out after a quarter of a second."""
+"""Send motion while it is being recorded.
+
+Frames go in as they come; a chunk comes out every quarter of a second.
+"""
 
 import numpy as np
 
@@ -6,8 +9,11 @@ import mocodec as mc
 from mocodec.codecs import tempo
 from mocodec.testing import synthetic
 
-camera = synthetic.markers(frames=360, seed=1)  # stands for a motion capture system: three seconds of 41 markers
-about = camera[:0]  # names, rate and vertical axis, without frames; sender and receiver both have it
+# Stands for a motion capture system: three seconds of 41 markers.
+camera = synthetic.markers(frames=360, seed=1)
+
+# Names, rate and vertical axis, without frames; sender and receiver both have it.
+about = camera[:0]
 
 encoder = tempo.Encoder(about, max_error=0.005, latency_seconds=0.25)
 decoder = tempo.Decoder(encoder.shared, about)

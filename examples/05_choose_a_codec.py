@@ -18,5 +18,5 @@ for codec, target in RUNS:
     blob = mc.encode(motion, codec=codec, **target)
     error = mc.compare(motion, mc.decode(blob))
     asked = ", ".join(f"{name} = {value:g}" for name, value in target.items()) or "no loss"
-    print(f"{codec:8}  {asked:18}  {len(blob):8,} bytes  mean {1000 * error.mean_error:.2f} mm", end="  ")
-    print(f"largest {1000 * error.max_error:.2f} mm")
+    errors = f"mean {1000 * error.mean_error:.2f} mm, largest {1000 * error.max_error:.2f} mm"
+    print(f"{codec:8}  {asked:18}  {len(blob):8,} bytes  {errors}")

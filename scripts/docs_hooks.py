@@ -18,6 +18,9 @@ DOCS = ROOT / "docs"
 PAGES_OF_ROOT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "README.md": "index.md"}
 """Files of the repository root that have a page of their own."""
 
+WIDTH = 80
+"""Columns of a help text: what a page shows without scrolling."""
+
 INCLUDE = re.compile(r"<!-- include (\S+) -->")
 HELP = re.compile(r"<!-- help ?(\S*) -->")
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!https?://|#)([^)#\s]+)(#[^)]*)?\)")
@@ -50,11 +53,11 @@ def help_text(command: str) -> str:
 
     from mocodec import cli
 
-    context = click.Context(cli.mocodec, info_name="mocodec", terminal_width=100, max_content_width=100)
+    context = click.Context(cli.mocodec, info_name="mocodec", terminal_width=WIDTH, max_content_width=WIDTH)
     if command:
         chosen = cli.mocodec.get_command(context, command)
         assert chosen is not None, f"no command {command!r}"
-        context = click.Context(chosen, context, info_name=command, terminal_width=100, max_content_width=100)
+        context = click.Context(chosen, context, info_name=command, terminal_width=WIDTH, max_content_width=WIDTH)
     return f"```text\n{context.get_help()}\n```"
 
 
