@@ -72,7 +72,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
             if codec.max_error and target == "mean_error":
                 rival = to_mean(codec, motion, near, wanted)
             else:
-                rival = codec.encode_near(motion, near)
+                rival = codec.encode_smoothed(motion, near)
         except CannotEncode:
             continue
         if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
@@ -149,7 +149,7 @@ def to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> En
     """Coded under the bound whose mean error is the one wanted; none where the search does not arrive."""
     bound = codec.max_error or wanted
     for _ in range(MEAN_TRIES):
-        encoded = replace(codec, max_error=bound).encode_near(motion, smooth)
+        encoded = replace(codec, max_error=bound).encode_smoothed(motion, smooth)
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
         if abs(mean / wanted - 1) <= MEAN_WITHIN:
             return encoded
