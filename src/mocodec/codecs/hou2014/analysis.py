@@ -43,7 +43,7 @@ def random_clips(m: Floats, length: int, count: int, seed: int = 0) -> list[Floa
 
 
 def unfold(m: Floats, length: int) -> Floats:
-    """Clips as rows, (J, 3n · length): the unfolded tensor of section III-C. Frames after the last full clip are left out."""
+    """Clips as rows, (J, 3n · length): the unfolded tensor of section III-C. The last incomplete clip is left out."""
     count = m.shape[1] // length
     return m[:, : count * length].reshape(len(m), count, length).transpose(1, 0, 2).reshape(count, len(m) * length)
 
