@@ -204,7 +204,7 @@ def curves(motion: Motion) -> dict[str, list[Point]]:
         ],
         "hard bound": [measured(Hou2014(max_error=t), motion, target_m=t) for t in (0.003, 0.01)],
     }
-    for rival in baselines.ALL:
+    for rival in baselines.BASELINES:
         found[rival.name] = [rival_point(rival, motion, step) for step in RIVAL_STEPS_M]
     return found
 
