@@ -1,6 +1,6 @@
-"""Searches over the ladder of steps: few tries, each a coding of the whole motion.
+"""Searches over the ladder of quantisation steps, with few evaluations: each one encodes the whole motion.
 
-Every function takes `of(rung)`, which rises with the rung or nearly so, and the rung to begin at.
+Every function takes `of(rung)`, a function of the rung that is nearly monotonic, and the rung to begin at.
 """
 
 from __future__ import annotations
@@ -11,25 +11,27 @@ from collections.abc import Callable
 from ...stages import quantise
 
 NEAR = 0.985
-"""A value is near enough to its limit from this share of it on."""
+"""The search ends at a value between this fraction of the limit and the limit."""
 
 TRIES = 24
+"""Evaluations at most."""
+
 WIDEST = 30 * quantise.LADDER
-"""No rung is farther than this from the first: 30 octaves."""
+"""Rungs between the first and any other rung at most: 30 octaves."""
 
 
 def largest_within(of: Callable[[int], float], limit: float, start: int) -> int | None:
-    """The largest rung, near enough, at which `of` is at most the limit; none where there is none."""
+    """About the largest rung where a rising `of` is at most the limit; None if no rung in reach meets it."""
     return _bracketed(of, limit, start, rising=True)
 
 
 def smallest_within(of: Callable[[int], float], limit: float, start: int) -> int | None:
-    """The smallest rung, near enough, at which a falling `of` is at most the limit; none where there is none."""
+    """About the smallest rung where a falling `of` is at most the limit; None if no rung in reach meets it."""
     return _bracketed(of, limit, start, rising=False)
 
 
 def _bracketed(of: Callable[[int], float], limit: float, start: int, rising: bool) -> int | None:
-    """Secants in logarithms, kept between the best rung that holds and the nearest that does not."""
+    """Secant steps in logarithms, bracketed by the last rung within the limit and the last beyond it."""
     sign = 1 if rising else -1
     good: tuple[int, float] | None = None
     bad: tuple[int, float] | None = None
@@ -65,7 +67,7 @@ def _next(good: tuple[int, float] | None, bad: tuple[int, float] | None, limit: 
 
 
 def smallest(of: Callable[[int], float], start: int) -> int:
-    """The rung of the least `of`, near enough: a walk in half octaves, then in fifths about the best."""
+    """About the rung with the smallest `of`: a descent in steps of half an octave, then of a fifth."""
     values = {start: of(start)}
     best = start
     for stride in (quantise.LADDER // 2, quantise.LADDER // 5):
