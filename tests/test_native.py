@@ -11,6 +11,7 @@ import pytest
 
 import mocodec
 from mocodec import Motion, native
+from mocodec.codecs.tempo.coding import contexts
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.entropy import coder
