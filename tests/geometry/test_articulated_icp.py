@@ -49,7 +49,7 @@ def test_neighbourhoods_hold_only_like_normals_and_colours():
     p, n, c = blob()
     label = icp.labels(n, c, len(p))
     tree = icp.ClusteredTree.build(p, n, c, label)
-    row, distance = tree.closest(tree.placed(p, label))
+    row, distance = tree.closest(tree.queries(p, label))
     full = tree.filled[label]
     assert (distance[full] < 1e-9).all()  # every point is in its own neighbourhood
     assert icp.NEAR_NORMALS[icp.normal_cluster(n), icp.normal_cluster(n[row])][full].all()
@@ -84,7 +84,7 @@ def test_grid_is_that_of_the_paper():
 
 
 def test_cylinder_map_and_back():
-    cylinder = cylinder_map.frame(np.array([1.0, 2, 3]), np.array([1.0, 2.4, 3.3]), 0.0, 0.5)
+    cylinder = cylinder_map.cylinder(np.array([1.0, 2, 3]), np.array([1.0, 2.4, 3.3]), 0.0, 0.5)
     along, angle = RNG.uniform(0, 0.5, 5000), RNG.uniform(0, 2 * np.pi, 5000)
     out = np.cos(angle)[:, None] * cylinder.side + np.sin(angle)[:, None] * cylinder.across
     points = cylinder.origin + along[:, None] * cylinder.axis + 0.1 * out
@@ -143,10 +143,10 @@ def test_tracks_a_body_that_is_known():
     actor = performance.actor
     body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0], one_trunk=True, shortest=0.1)
     body, model = articulated_icp.make_model(body, clouds.positions[0], clouds.colours[0])
-    tracker = articulated_icp.Tracker(body, model)
+    tracker = articulated_icp.ArticpTracker(body, model)
     for frame in range(1, 9):
         pose = tracker.fit(clouds.positions[frame], clouds.colours[frame])
-        joints = articulation.joints_of(body, *articulation.transforms(body, pose))
+        joints = articulation.joint_positions(body, *articulation.transforms(body, pose))
         error = np.linalg.norm(joints - performance.joints[frame][list(body.joints)], axis=1)
         assert error.mean() < 0.08
     still = tracker.fit(np.zeros((3, 3)), None)

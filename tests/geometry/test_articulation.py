@@ -23,7 +23,7 @@ def test_exp_and_log_are_inverse_up_to_half_a_turn():
 def test_between_carries_directions_even_to_their_opposite():
     a = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
     b = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 1, 0]])
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", art.between(a, b), a), b, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", art.rotation_between(a, b), a), b, atol=1e-12)
 
 
 def human() -> tuple[list[str], list[int], np.ndarray]:
@@ -80,14 +80,14 @@ def test_pose_turns_what_hangs_below_and_comes_back_from_world():
     vectors = RNG.normal(scale=0.4, size=(len(body), 3))
     pose = art.Pose(art.exp(vectors), np.array([1.0, 2, 3]))
     a, b = art.transforms(body, pose)
-    joints = art.joints_of(body, a, b)
+    joints = art.joint_positions(body, a, b)
     bones = [i for i, p in enumerate(body.parents) if p >= 0]
     above = [body.parents[i] for i in bones]
     np.testing.assert_allclose(
         np.linalg.norm(joints[bones] - joints[above], axis=1),
         np.linalg.norm(body.origins[bones] - body.origins[above], axis=1),
     )
-    again = art.from_world(body, a, joints[0])
+    again = art.pose_from_world(body, a, joints[0])
     np.testing.assert_allclose(again.rotations, pose.rotations, atol=1e-12)
     np.testing.assert_allclose(again.root, pose.root, atol=1e-12)
 

@@ -12,8 +12,8 @@ from mocodec.testing import synthetic
 @pytest.mark.parametrize("up", ["x", "y", "z"])
 def test_into_and_out_of_undo_each_other(up: str) -> None:
     positions = np.random.default_rng(1).normal(size=(20, 7, 3))
-    frame = body_frame.of(positions[:, :3], up)
-    assert body_frame.out_of(body_frame.into(positions, frame), frame) == pytest.approx(positions)
+    frame = body_frame.from_markers(positions[:, :3], up)
+    assert body_frame.to_world(body_frame.to_body(positions, frame), frame) == pytest.approx(positions)
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z"])
@@ -28,7 +28,7 @@ def test_a_turn_about_the_vertical_and_a_walk_are_taken_out(up: str) -> None:
         moved[:, b] = np.sin(turn) * pose[:, a] + np.cos(turn) * pose[:, b] - turn
         poses.append(moved + np.eye(3)[vertical] * turn)
     world = np.array(poses)
-    body = body_frame.into(world, body_frame.of(world[:, :3], up))
+    body = body_frame.to_body(world, body_frame.from_markers(world[:, :3], up))
     assert np.ptp(body, axis=0).max() < 1e-12
 
 
@@ -36,13 +36,13 @@ def test_the_papers_axes() -> None:
     """Section 3.1: C7 is the origin, x from the left shoulder to the right on the ground, z as it was, y = z × x."""
     markers = np.array([[[1.0, 1.0, 1.5], [1.0, 1.2, 1.4], [1.0, 0.8, 1.6]]])
     points = np.array([[[1.0, 0.0, 0.0], [2.0, 1.0, 1.5]]])
-    body = body_frame.into(points, body_frame.of(markers, "z"))
+    body = body_frame.to_body(points, body_frame.from_markers(markers, "z"))
     assert body[0] == pytest.approx(np.array([[1.0, 0.0, -1.5], [0.0, 1.0, 0.0]]))
 
 
 def test_shoulders_above_each_other_keep_the_heading_of_the_world() -> None:
     markers = np.array([[[0.0, 0, 0], [1, 1, 0], [1, 1, 2]]])
-    assert body_frame.of(markers, "z").heading.tolist() == [[1, 0]]
+    assert body_frame.from_markers(markers, "z").heading.tolist() == [[1, 0]]
 
 
 @pytest.mark.parametrize(

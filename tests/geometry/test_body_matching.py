@@ -7,8 +7,9 @@ import pytest
 
 from mocodec import native
 from mocodec.evaluation.cloud import actors, sequences
-from mocodec.geometry import articulated_icp, articulation, body_matching, skinning
-from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
+from mocodec.geometry import articulated_icp, articulation, link_grids, skinning
+from mocodec.geometry.body_matching import FramePoints, Matcher, Step
+from mocodec.geometry.gauss_newton import Prior
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 
@@ -24,11 +25,11 @@ def scene():
     return clouds, body, model, skinning.skin(body, model.points, model.links)
 
 
-def matcher_of(scene, coloured: bool) -> tuple[Matcher, Data]:
+def matcher_of(scene, coloured: bool) -> tuple[Matcher, FramePoints]:
     clouds, body, model, skin = scene
     shades = model.colours * (0.2 / 255) if coloured else None
     some = np.random.default_rng(0).permutation(len(skin.points))[:300]
-    data = Data.build(clouds.positions[2], clouds.colours[2] * (0.2 / 255) if coloured else None, None)
+    data = FramePoints.build(clouds.positions[2], clouds.colours[2] * (0.2 / 255) if coloured else None, None)
     return Matcher(body, skin, model.normals, shades, some, 0.1, 0.01), data
 
 
@@ -85,7 +86,7 @@ def test_a_limb_alone_is_solved_alike(scene):
     turn[limb] = 1.0
     allowed = np.isin(np.arange(len(body)), limb)
     rows = np.flatnonzero(np.isin(fast.skin.links[:, 0], limb))[::2]
-    prior = prior_of(body)._replace(turn=turn, root=1e8)
+    prior = prior_of(body)._replace(start_strength=turn, root_strength=1e8)
     steps = [Step(0.1, 1500, 100), Step(0.05, 1500, 100)]
     start = near(body)
     found = fast.solve(data, start, steps, prior, rows, allowed)
@@ -98,10 +99,10 @@ def test_a_limb_alone_is_solved_alike(scene):
 
     draws = articulation.exp(np.random.default_rng(2).normal(size=(9, 2, 3)))
     wanted = data.points[:40]
-    scores = fast.distances(data, wanted, start, limb, draws, rows)
+    scores = fast.score_limb_poses(data, wanted, start, limb, draws, rows)
     with native.without():
         np.testing.assert_allclose(
-            scores, plain.distances(plain_data, wanted, start, limb, draws, rows), rtol=1e-9
+            scores, plain.score_limb_poses(plain_data, wanted, start, limb, draws, rows), rtol=1e-9
         )  # fmt: skip
 
 
@@ -109,10 +110,10 @@ def test_a_limb_alone_is_solved_alike(scene):
 def test_compiled_tables_and_queries_are_those_of_numpy(scene):
     (fast, data), (plain, plain_data) = both(scene, True)
     points = fast.skin.points
-    grid = fast.tables.nearest != plain.tables.nearest
+    grid = fast.grids.nearest != plain.grids.nearest
     assert grid.mean() < 1e-3  # cells as far from one point as from another
-    assert (fast.tables.size == plain.tables.size).all()
-    shades = fast.shades
+    assert (fast.grids.size == plain.grids.size).all()
+    shades = fast.scaled_colours
     for within in (0.01, 0.3):
         found, expected = data.nearest(points, shades, within), plain_data.nearest(points, shades, within)
         np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
@@ -128,7 +129,7 @@ def test_kernels_refuse_what_does_not_fit(scene):
     with pytest.raises(ValueError, match="beyond the template"):
         fast.solve(data, pose, [Step(0.1, 10, 10)], prior, np.array([10**9]))
     with pytest.raises(ValueError, match="shapes differ"):
-        native.kernel("BodyPoints")(np.zeros((4, 2)), np.zeros((0, 3)))  # type: ignore[misc]
+        native.kernel("KdTree")(np.zeros((4, 2)), np.zeros((0, 3)))  # type: ignore[misc]
 
 
 def test_tables_find_the_nearest_point_of_a_link(scene):
@@ -136,7 +137,7 @@ def test_tables_find_the_nearest_point_of_a_link(scene):
     link = matcher.body.names.index("LeftForeArm")
     own = np.flatnonzero(matcher.skin.shares(len(matcher.body))[:, link] > 0.34)
     places = matcher.skin.points[own] + 0.004
-    rows = matcher.tables.look_up(np.full(len(own), link), places)
+    rows = matcher.grids.look_up(np.full(len(own), link), places)
     away = np.linalg.norm(matcher.skin.points[rows] - places, axis=1)
     assert np.isin(rows, own).all()
-    assert away.max() < 0.0075 + body_matching.CELL * np.sqrt(3)
+    assert away.max() < 0.0075 + link_grids.CELL_M * np.sqrt(3)

@@ -9,7 +9,7 @@ import pytest
 
 from mocodec.codecs import bodycast
 from mocodec.evaluation.cloud import actors, sequences, tracking
-from mocodec.geometry import articulated_icp, articulation, body_tracking, limbs, skinning
+from mocodec.geometry import articulated_icp, articulation, body_tracking, limb_chains, skinning
 from mocodec.pointcloud import PointClouds
 
 
@@ -23,13 +23,13 @@ def clouds(performance) -> PointClouds:
     return sequences.record(performance, 3000, seed=2)
 
 
-def tracker_of(performance, clouds) -> body_tracking.Tracker:
+def tracker_of(performance, clouds) -> body_tracking.BodyTracker:
     actor = performance.actor
     body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
     colours = None if clouds.colours is None else clouds.colours[0]
     body, model = articulated_icp.make_model(body, clouds.positions[0], colours)
     skin = skinning.skin(body, model.points, model.links)
-    return body_tracking.Tracker(body, skin, model.normals, model.colours)
+    return body_tracking.BodyTracker(body, skin, model.normals, model.colours)
 
 
 def errors(tracker, performance, fit, frame) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_a_lost_limb_is_found_again_within_ten_frames(performance, clouds):
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     lost = tracker.pose.rotations.copy()
     lost[arm] = articulation.exp(np.array([0.4, 0.6, 1.9])) @ lost[arm]
-    tracker.pose = tracker.before = articulation.Pose(lost, tracker.pose.root)
+    tracker.pose = tracker.previous_pose = articulation.Pose(lost, tracker.pose.root)
     found = [
         errors(tracker, performance, tracker.fit(clouds.positions[f], clouds.colours[f], f), f).max()
         for f in range(2, 12)
@@ -131,7 +131,7 @@ def test_any_limb_that_was_lost_is_found_within_ten_frames(performance, clouds, 
     link = tracker.body.names.index(limb)
     lost[link] = articulation.exp(np.array([-1.2, 0.3, 0.7])) @ lost[link]
     lost[link + 1] = articulation.exp(np.array([0.9, 0.9, -0.9])) @ lost[link + 1]
-    tracker.pose = tracker.before = articulation.Pose(lost, tracker.pose.root)
+    tracker.pose = tracker.previous_pose = articulation.Pose(lost, tracker.pose.root)
     found = [
         errors(tracker, performance, tracker.fit(clouds.positions[f], clouds.colours[f], f), f).max()
         for f in range(2, 12)
@@ -148,7 +148,7 @@ def test_someone_who_leaves_and_comes_back_elsewhere_is_followed_again(performan
         tracker.fit(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), f)
     for f in range(6, 12):
         fit = tracker.fit(clouds.positions[f] @ turn.T + shift, clouds.colours[f], f)
-    joints = articulation.joints_of(tracker.body, *articulation.transforms(tracker.body, fit.pose))
+    joints = articulation.joint_positions(tracker.body, *articulation.transforms(tracker.body, fit.pose))
     true = performance.joints[11][list(tracker.body.joints)] @ turn.T + shift
     assert np.linalg.norm(joints - true, axis=1).max() < 0.06
 
@@ -183,9 +183,11 @@ def test_a_body_is_followed_without_colours(performance, clouds):
 def test_legs_that_are_taken_for_each_other_are_exchanged(performance, clouds):
     tracker = tracker_of(performance, clouds)
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
-    assert len(tracker.twins) == 2  # arms and legs
-    legs = max(tracker.twins, key=lambda pair: "Leg" in tracker.body.names[tracker.limbs[pair[0]].links[0]])
-    tracker.pose = tracker.before = limbs.exchanged(tracker.body, tracker.pose, *(tracker.limbs[i] for i in legs))
+    assert len(tracker.limb_pairs) == 2  # arms and legs
+    legs = max(tracker.limb_pairs, key=lambda pair: "Leg" in tracker.body.names[tracker.limbs[pair[0]].links[0]])
+    tracker.pose = tracker.previous_pose = limb_chains.swapped(
+        tracker.body, tracker.pose, *(tracker.limbs[i] for i in legs)
+    )
     for f in range(2, 8):
         fit = tracker.fit(clouds.positions[f], clouds.colours[f], f)
     assert errors(tracker, performance, fit, 7).max() < 0.06
@@ -195,11 +197,11 @@ def test_a_limb_reaches_where_it_is_told_to(performance, clouds):
     tracker = tracker_of(performance, clouds)
     limb = next(limb for limb in tracker.limbs if tracker.body.names[limb.links[0]] == "LeftArm")
     a, b = articulation.transforms(tracker.body, tracker.pose)
-    (upper, bend), (lower, end) = limbs.reach(tracker.body, limb)
+    (upper, bend), (lower, end) = limb_chains.bend_and_end(tracker.body, limb)
     start = a[upper] @ tracker.body.origins[upper] + b[upper]
     rng = np.random.default_rng(4)
     targets = start + rng.normal(size=(20, 3)) * 0.15
-    rotations = limbs.reaching(tracker.body, limb, tracker.pose, rng, targets)
+    rotations = limb_chains.reaching(tracker.body, limb, tracker.pose, rng, targets)
     length = np.linalg.norm(end - bend)
     for target, turned in zip(targets, rotations, strict=True):
         whole = tracker.pose.rotations.copy()
@@ -216,7 +218,7 @@ def test_what_fits_well_is_known_from_points_of_the_first_frame(performance):
     first = slice(0, 3000), slice(3000, None)
     some, others = (PointClouds([clouds.positions[0][s]], 15.0, [clouds.colours[0][s]]) for s in first)
     tracker = tracker_of(performance, some)
-    tracker.expect(others.positions[0], others.colours[0])
-    expected = tracker.usual
+    tracker.calibrate_cost(others.positions[0], others.colours[0])
+    expected = tracker.typical_cost
     fit = tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     assert 0.5 < fit.cost / expected < 2

@@ -11,8 +11,9 @@ import pytest
 from mocodec import native
 from mocodec.codecs import bodycast
 from mocodec.evaluation.cloud import actors, sequences
-from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, limbs, rigid, skinning
-from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
+from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, limb_chains, rigid, skinning
+from mocodec.geometry.body_matching import FramePoints, Matcher, Step
+from mocodec.geometry.gauss_newton import Prior
 from mocodec.geometry.joint_limits import LinkLimits
 from mocodec.motion import Limits, Motion, Skeleton
 
@@ -35,7 +36,7 @@ def limits_of(ranges, order: str = "xyz", frame=FRAME, stand=STAND) -> LinkLimit
 
 def distance(limits: LinkLimits, rotations) -> np.ndarray:
     """(…, k): radians from the nearest rotation that is allowed."""
-    allowed, _ = joint_limits.nearest(limits, rotations)
+    allowed, _ = joint_limits.nearest_allowed(limits, rotations)
     return np.linalg.norm(articulation.log(rotations @ np.swapaxes(allowed, -1, -2)), axis=-1)
 
 
@@ -43,13 +44,13 @@ def distance(limits: LinkLimits, rotations) -> np.ndarray:
 def test_angles_are_those_of_the_axis_frame_whatever_the_order(order):
     low, high = np.array([[-30, 40], [-20, 50], [-60, 10]]).T
     limits = limits_of(np.stack([low, high], axis=1), order)
-    give, rng = np.degrees(joint_limits.GIVE), np.random.default_rng(1)
+    give, rng = np.degrees(joint_limits.TOLERANCE_RAD), np.random.default_rng(1)
     seen = set[bool]()
     for _ in range(40):
         angles = rng.uniform(low - 2 * give, high + 2 * give)
         turn = FRAME @ rigid.to_matrix(rigid.from_euler(order, np.radians(angles))) @ FRAME.T
         is_inside = bool(((angles >= low - give) & (angles <= high + give)).all())
-        assert joint_limits.nearest(limits, (STAND @ turn @ STAND.T)[None])[1].item() != is_inside
+        assert joint_limits.nearest_allowed(limits, (STAND @ turn @ STAND.T)[None])[1].item() != is_inside
         seen.add(is_inside)
     assert len(seen) == 2
 
@@ -58,12 +59,12 @@ def test_the_nearest_allowed_rotation_is_nearer_than_all_others():
     limits = limits_of([[-20, 100], [-50, 80], [-10, 30]])
     rng = np.random.default_rng(2)
     wild = articulation.exp(rng.normal(size=(60, 1, 3)))
-    allowed, outside = joint_limits.nearest(limits, wild)
+    allowed, outside = joint_limits.nearest_allowed(limits, wild)
     assert outside.any()
     assert not outside.all()
     assert np.array_equal(allowed[~outside], wild[~outside])
     assert distance(limits, allowed).max() < 1e-6
-    angles = limits.middle + rng.uniform(-1, 1, size=(4000, 3)) * limits.half
+    angles = limits.centre + rng.uniform(-1, 1, size=(4000, 3)) * limits.half_width
     some = rigid.to_matrix(rigid.from_euler("xyz", angles))
     some = limits.before.transpose(0, 2, 1) @ some @ limits.after.transpose(0, 2, 1)
     likeness = np.einsum("nij,mij->nm", wild[:, 0], some)
@@ -81,19 +82,19 @@ def test_nothing_jumps_where_two_angles_turn_about_one_axis():
 def test_whole_turns_and_ranges_without_an_end_are_free():
     assert not len(limits_of([FREE, FREE, FREE]).links)
     limits = limits_of([[-np.inf, 20], [-180, 180], [-5, 5]], frame=np.eye(3), stand=np.eye(3))
-    assert np.isinf(limits.half[0, :2]).all()
+    assert np.isinf(limits.half_width[0, :2]).all()
     angles = np.stack([np.linspace(-7, 7, 9), np.linspace(-4, 4, 9), np.zeros(9)], axis=1)
     turns = rigid.to_matrix(rigid.from_euler("xyz", angles))
-    assert not joint_limits.nearest(limits, turns[:, None])[1].any()
+    assert not joint_limits.nearest_allowed(limits, turns[:, None])[1].any()
 
 
 def test_a_range_is_widened_to_the_first_pose():
     for range_x in ([20, 60], [-60, -20], [170, 260]):
         limits = limits_of([range_x, [-5, 5], [0, 0]], frame=np.eye(3), stand=np.eye(3))
         still = np.eye(3)[None]
-        assert not joint_limits.nearest(limits, still)[1].any()
+        assert not joint_limits.nearest_allowed(limits, still)[1].any()
         here = articulation.exp(np.radians([[np.mean(range_x), 0, 0]]))
-        assert not joint_limits.nearest(limits, here)[1].any()
+        assert not joint_limits.nearest_allowed(limits, here)[1].any()
 
 
 @pytest.mark.parametrize(("merged", "expected"), [((), ("thigh", "shin")), (("toe",), ("thigh", "shin", "foot"))])
@@ -148,10 +149,10 @@ def scene():
     return clouds, body, model, skinning.skin(body, model.points, model.links), motion, limits
 
 
-def matcher_of(scene) -> tuple[Matcher, Data]:
+def matcher_of(scene) -> tuple[Matcher, FramePoints]:
     clouds, body, model, skin, _, _ = scene
     some = np.random.default_rng(0).permutation(len(skin.points))[:300]
-    return Matcher(body, skin, model.normals, None, some, 0.1, 0.01), Data.build(clouds.positions[2], None, None)
+    return Matcher(body, skin, model.normals, None, some, 0.1, 0.01), FramePoints.build(clouds.positions[2], None, None)
 
 
 def bent(scene, by: float = 1.2) -> articulation.Pose:
@@ -173,7 +174,7 @@ def test_the_pull_is_the_gradient_of_the_squared_distance(scene):
     prior, size = prior_of(scene, 0.0, 100.0), 3 + 3 * len(body)
     a, _ = articulation.transforms(body, pose)
     h, g = np.zeros((size, size)), np.zeros(size)
-    matcher._add_priors(h, g, pose, pose, a, prior, np.zeros((len(limits.links), 3)))
+    matcher.equations.add_priors(h, g, pose, pose, a, prior, np.zeros((len(limits.links), 3)))
 
     def cost(turns) -> float:
         above = np.stack([np.eye(3) if p < 0 else a[p] for p in body.parents])
@@ -198,12 +199,12 @@ def test_the_pull_is_the_gradient_of_the_squared_distance(scene):
 def test_a_joint_beyond_its_limits_comes_back(scene, plain):
     with native.without() if plain else nullcontext():
         matcher, _ = matcher_of(scene)
-        nothing = Data.build(np.zeros((0, 3)), None, None)
+        nothing = FramePoints.build(np.zeros((0, 3)), None, None)
         start, limits = bent(scene, 0.5), scene[5]
         assert distance(limits, start.rotations[limits.links]).max() > 0.4
         for steps in (4, 5):  # and stays there
             pose = matcher.solve(
-                nothing, start, [Step(0.05, 1, 0)] * steps, prior_of(scene, 1.0, 1e3)._replace(root=1.0)
+                nothing, start, [Step(0.05, 1, 0)] * steps, prior_of(scene, 1.0, 1e3)._replace(root_strength=1.0)
             )
             assert distance(limits, pose.rotations[limits.links]).max() < 0.05
     others = np.setdiff1d(np.arange(len(scene[1])), limits.links)
@@ -213,7 +214,7 @@ def test_a_joint_beyond_its_limits_comes_back(scene, plain):
 def test_within_limits_nothing_changes(scene):
     matcher, data = matcher_of(scene)
     limits = scene[5]
-    wide = limits._replace(half=np.maximum(limits.half, 3.0))
+    wide = limits._replace(half_width=np.maximum(limits.half_width, 3.0))
     prior = prior_of(scene, 1.0, 100.0)
     start = articulation.Pose.canonical(len(scene[1]))
     steps = [Step(width, 1500, 300) for width in (0.1, 0.05, 0.02)]
@@ -222,7 +223,7 @@ def test_within_limits_nothing_changes(scene):
     assert np.array_equal(found.rotations, expected.rotations)
     assert np.array_equal(found.root, expected.root)
     pulled = matcher.solve(
-        data, start, steps, prior._replace(limits=limits._replace(half=np.full_like(limits.half, 1e-3)))
+        data, start, steps, prior._replace(limits=limits._replace(half_width=np.full_like(limits.half_width, 1e-3)))
     )
     assert not np.array_equal(pulled.rotations, expected.rotations)
 
@@ -249,15 +250,15 @@ def test_compiled_limits_are_those_of_numpy(scene):
 
 def test_poses_that_are_drawn_keep_to_the_limits(scene):
     _, body, model, skin, _, limits = scene
-    tracker = body_tracking.Tracker(body, skin, model.normals, limits=limits)
+    tracker = body_tracking.BodyTracker(body, skin, model.normals, limits=limits)
     limb = next(limb for limb in tracker.limbs if body.names[limb.links[0]] == "LeftArm")
     draws = bent(scene, 1.5).rotations[limb.links][None].repeat(2, axis=0)
     fore = body.names.index("LeftForeArm")
-    within = limbs.within(tracker.limits, limb, draws.copy())
+    within = limb_chains.clamp_to_limits(tracker.limits, limb, draws.copy())
     changed = np.array(limb.links) == fore
     assert not np.array_equal(within[:, changed], draws[:, changed])
     assert np.array_equal(within[:, ~changed], draws[:, ~changed])
-    assert distance(limits.of(np.array([fore])), within[:, changed]).max() < 1e-6
+    assert distance(limits.subset(np.array([fore])), within[:, changed]).max() < 1e-6
 
 
 def test_a_skeleton_with_limits_is_followed_within_them(scene):

@@ -120,8 +120,8 @@ class Liu2006:
         rest = np.concatenate([*played.groups, np.zeros(0, np.int64)])
         if not len(rest):
             return segment.Segmentation([slice(0, len(positions))], [])
-        frame = body_frame.of(positions[:, played.normalisation], up)
-        poses = body_frame.into(positions[:, rest], frame).reshape(len(positions), -1)
+        frame = body_frame.from_markers(positions[:, played.normalisation], up)
+        poses = body_frame.to_body(positions[:, rest], frame).reshape(len(positions), -1)
         return segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
@@ -140,9 +140,9 @@ class Liu2006:
         decoded = np.concatenate([s.normalisation(s.start, s.stop) for s in bare])
         if not played.groups:
             return bare
-        frame = body_frame.of(decoded, up)
+        frame = body_frame.from_markers(decoded, up)
         groups = [
-            body_frame.into(positions[:, columns], frame).reshape(len(positions), -1) for columns in played.groups
+            body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1) for columns in played.groups
         ]
 
         def with_models(cut: Segment) -> Segment:
@@ -222,10 +222,10 @@ def reconstruct(
         here[:, played.normalisation] = markers
         if not played.groups:
             continue
-        frame = body_frame.of(markers, up)
+        frame = body_frame.from_markers(markers, up)
         for group, columns in enumerate(played.groups):
             poses = blended(segments, i, group, first, last, blend_frames)
-            here[:, columns] = body_frame.out_of(poses.reshape(len(poses), -1, 3), frame)
+            here[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
     return positions
 
 

@@ -90,8 +90,8 @@ def piecewise_pca(motion: Motion, played: Roles, cuts: Sequence[slice], toleranc
     All other markers go through one PCA, which leaves tolerance × √markers, metres (root mean square over frames).
     """
     rest = np.concatenate(played.groups)
-    frame = body_frame.of(motion.positions[:, played.normalisation], motion.up)
-    poses = body_frame.into(motion.positions[:, rest], frame).reshape(len(motion), -1)
+    frame = body_frame.from_markers(motion.positions[:, played.normalisation], motion.up)
+    poses = body_frame.to_body(motion.positions[:, rest], frame).reshape(len(motion), -1)
     decoded = np.empty_like(poses)
     components: list[int] = []
     scalars = len(motion) * 3 * len(played.normalisation)
@@ -105,7 +105,7 @@ def piecewise_pca(motion: Motion, played: Roles, cuts: Sequence[slice], toleranc
         components.append(k)
         scalars += projections.size + directions[:, :k].size + mean.size
     positions = motion.positions.copy()
-    positions[:, rest] = body_frame.out_of(decoded.reshape(len(motion), -1, 3), frame)
+    positions[:, rest] = body_frame.to_world(decoded.reshape(len(motion), -1, 3), frame)
     return Rival(
         components=tuple(components),
         scalar_ratio=motion.positions.size / scalars,
@@ -117,7 +117,7 @@ def piecewise_pca(motion: Motion, played: Roles, cuts: Sequence[slice], toleranc
 def d_normalised(motion: Motion, decoded: Floats, played: Roles) -> float:
     """d in percent, of all points, with the original and the decoded (frames, points, 3) each in its own body frame."""
     original, ours = (
-        body_frame.into(positions, body_frame.of(positions[:, played.normalisation], motion.up))
+        body_frame.to_body(positions, body_frame.from_markers(positions[:, played.normalisation], motion.up))
         for positions in (motion.positions, decoded)
     )
     return metrics.distortion_percent(original, ours)

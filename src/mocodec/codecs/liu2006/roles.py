@@ -68,7 +68,10 @@ def of(motion: Motion, normalisation: Sequence[str], feet: Sequence[str]) -> Rol
 
 def find(names: Sequence[str], wanted: str) -> int | None:
     """The column of a name as it stands, or else as a plain label, without prefix, case and separators."""
-    for same in (lambda name: name == wanted, lambda name: body_frame.plain(name) == body_frame.plain(wanted)):
+    for same in (
+        lambda name: name == wanted,
+        lambda name: body_frame.normalised_label(name) == body_frame.normalised_label(wanted),
+    ):
         for column, name in enumerate(names):
             if same(name):
                 return column

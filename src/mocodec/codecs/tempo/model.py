@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.body_frame import plain as plain_label
+from ...geometry.body_frame import normalised_label as plain_label
 from ...motion import Floats
 from . import body, contexts, cosine
 from .prior import PointSet, Prior

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...entropy import coder, varint
 from ...errors import Corrupt
-from ...geometry.body_frame import plain as plain_label
+from ...geometry.body_frame import normalised_label as plain_label
 from ...motion import Floats, Skeleton
 from . import body
 from .limbs import Limbs, fit
