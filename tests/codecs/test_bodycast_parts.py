@@ -123,7 +123,7 @@ def swinging(frames: int, noise: float = 0.0) -> poses.Track:
 def test_poses_come_back_within_their_step(arm, frames):
     body, skin = arm
     track, before = swinging(frames), None
-    rig = skinning.Rig.build(skin, len(body))
+    rig = skinning.SkinMatrix.build(skin, len(body))
     truth = rig.posed(*track.transforms(body))
     for step in (0.02, 0.005, 0.001):
         scale = poses.Scale.of(body, skin, step)
@@ -177,7 +177,7 @@ def test_a_rig_is_its_skin(arm):
     body, skin = arm
     track = swinging(4)
     a, b = track.transforms(body)
-    rig = skinning.Rig.build(skin, len(body))
+    rig = skinning.SkinMatrix.build(skin, len(body))
     both = rig.posed(a, b)
     for frame in range(4):
         np.testing.assert_allclose(both[frame], skin.posed(a[frame], b[frame]), atol=1e-12)

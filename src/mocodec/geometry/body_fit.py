@@ -1,6 +1,6 @@
 """A first pose without a skeleton: the stock body fitted to one frame of points, in pose and proportions.
 
-    points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► Figure
+    points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► FittedSkeleton
 
 Works for any standing pose and any heading, and takes some seconds.
 """
@@ -57,7 +57,7 @@ UPRIGHT = {
 """The rotation that turns each vertical axis to y."""
 
 
-class Figure(NamedTuple):
+class FittedSkeleton(NamedTuple):
     """A skeleton in the pose of a frame: names, parents and positions (joints, 3) of its joints, metres; error_m: the
     points' mean distance from the fitted body.
     """
@@ -74,7 +74,7 @@ class Figure(NamedTuple):
         )
 
 
-def first_pose(points: Floats, up: str = "y") -> Figure:
+def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
     """The figure of the standing person in points (n, 3), metres. Raises CannotEncode if there is none."""
     turn = UPRIGHT[up]
     upright = largest_group(points @ turn.T)
@@ -334,7 +334,7 @@ class StockBodyFitter:
         cost += PROPORTION_COST * np.sum(((log_build - log_build.mean()) / PROPORTION_SPREAD) ** 2)
         return float(cost + pose_search.hinge_penalty(self.body, estimate.rotations[None])[0])
 
-    def figure(self, estimate: BodyEstimate, turn: Floats) -> Figure:
+    def figure(self, estimate: BodyEstimate, turn: Floats) -> FittedSkeleton:
         """The skeleton in the file's axes. turn (3, 3): the rotation from these to y up."""
         posed, body = self._posed(estimate.rotations, estimate.root, estimate.build), self.body
         leaves = [link for link in range(len(body)) if link not in body.parents]
@@ -345,7 +345,9 @@ class StockBodyFitter:
             tips.append(posed.a[link] @ (positions[stop] - positions[body.joints[link]]) + posed.joints[link])
         names = (*body.names, *(f"{body.names[link]}Tip" for link in leaves))
         error = float(np.minimum(self._point_distances(posed), 0.3).mean())
-        return Figure(names, (*body.parents, *leaves), np.concatenate([posed.joints, np.array(tips)]) @ turn, error)
+        return FittedSkeleton(
+            names, (*body.parents, *leaves), np.concatenate([posed.joints, np.array(tips)]) @ turn, error
+        )
 
 
 def require_near(body: Body, points: Floats) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from .. import native
 from ..typing import AnyInteger, Booleans, Bytes, Floats
 from .articulation import Body, Pose, transforms
-from .gauss_newton import NormalEquations, Prior
+from .gauss_newton import NormalEquations, PosePrior
 from .link_grids import CELL_M, MARGIN_M, NO_COLOURS, LinkGrids
 from .skinning import Skin
 
@@ -163,7 +163,7 @@ class Matcher:
         data: FramePoints,
         start: Pose,
         steps: Sequence[Step],
-        prior: Prior,
+        prior: PosePrior,
         sample: AnyInteger | None = None,
         allowed: Booleans | None = None,
     ) -> Pose:
@@ -172,7 +172,7 @@ class Matcher:
         """
         return self._solve(data, start, steps, prior, sample, allowed)[0]
 
-    def fit(self, data: FramePoints, start: Pose, steps: Sequence[Step], prior: Prior) -> Fit:
+    def fit(self, data: FramePoints, start: Pose, steps: Sequence[Step], prior: PosePrior) -> Fit:
         """`solve`, then `assess`."""
         return self.assess(data, *self._solve(data, start, steps, prior, None, None))
 
@@ -181,7 +181,7 @@ class Matcher:
         data: FramePoints,
         start: Pose,
         steps: Sequence[Step],
-        prior: Prior,
+        prior: PosePrior,
         sample: AnyInteger | None,
         allowed: Booleans | None,
     ) -> tuple[Pose, AnyInteger]:

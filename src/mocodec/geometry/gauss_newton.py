@@ -29,7 +29,7 @@ CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
 CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
 
 
-class Prior(NamedTuple):
+class PosePrior(NamedTuple):
     """Quadratic penalties on a pose; strengths are one over radians squared, or one over square metres.
 
     start_strength (links,): towards the pose at the start. rest_strength (links,): towards the rotations `rest`
@@ -68,7 +68,7 @@ class NormalEquations:
         a: Floats,
         b: Floats,
         width: float,
-        prior: Prior,
+        prior: PosePrior,
         limited_axes: Floats,
     ) -> tuple[Pose, float]:
         """The pose after one step, and how far the step moves the root, or the far end of a link by its own rotation,
@@ -155,7 +155,7 @@ class NormalEquations:
         return rotations
 
     def add_priors(
-        self, h: Floats, g: Floats, pose: Pose, start: Pose, a: Floats, prior: Prior, limited_axes: Floats
+        self, h: Floats, g: Floats, pose: Pose, start: Pose, a: Floats, prior: PosePrior, limited_axes: Floats
     ) -> None:
         """Add the penalties of `prior` at `pose` to h and g, in place. start: the pose before the first step."""
         towards = np.stack([start.rotations, prior.rest])
@@ -170,7 +170,7 @@ class NormalEquations:
             self._add_limits(h, g, pose, self._parent_rotations(a), prior, limited_axes)
 
     def _add_limits(
-        self, h: Floats, g: Floats, pose: Pose, parents: Floats, prior: Prior, limited_axes: Floats
+        self, h: Floats, g: Floats, pose: Pose, parents: Floats, prior: PosePrior, limited_axes: Floats
     ) -> None:
         """Towards the nearest allowed rotation, for links beyond their limits.
 

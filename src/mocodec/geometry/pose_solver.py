@@ -10,7 +10,7 @@ from ..typing import Bytes, Floats
 from . import limb_chains
 from .articulation import Body, Pose
 from .body_matching import Fit, FramePoints, Matcher, Step
-from .gauss_newton import Prior
+from .gauss_newton import PosePrior
 from .joint_limits import NO_LIMITS, LinkLimits
 from .skinning import Skin
 
@@ -99,12 +99,12 @@ class PoseSolver:
         is_stiff[0] = False
         return np.where(is_stiff, self.settings.spine, self.settings.turn)
 
-    def _prior(self) -> Prior:
+    def _prior(self) -> PosePrior:
         """Towards the predicted pose; and stiff joints towards the canonical one, which keeps a spine from folding."""
         rest_strength = np.where(self.stiffness < self.settings.turn, self.settings.bend**-2, 0.0)
         rest = Pose.canonical(len(self.body)).rotations
         strength = self.settings.limit**-2
-        return Prior(self.stiffness**-2.0, rest_strength, rest, limits=self.limits, limit_strength=strength)
+        return PosePrior(self.stiffness**-2.0, rest_strength, rest, limits=self.limits, limit_strength=strength)
 
     def _scaled(self, colours: Bytes) -> Floats:
         """(n, 3): colours in metres, so that they can be added to distances."""

@@ -118,7 +118,7 @@ def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class SkinMatrix:
     """A skin as one sparse matrix (n, 4 links) of weighted points: posing is a product with the links' transforms.
     Faster than `Skin.posed` for many points in many poses.
     """
@@ -127,13 +127,15 @@ class Rig:
     matrix: Any
 
     @staticmethod
-    def build(skin: Skin, links: int) -> Rig:
+    def build(skin: Skin, links: int) -> SkinMatrix:
         from scipy.sparse import csr_array
 
         count = len(skin.points)
         columns = (4 * skin.links[:, :, None] + np.arange(4)).reshape(-1)
-        matrix = csr_array((Rig._values(skin), columns, np.arange(0, 8 * count + 1, 8)), shape=(count, 4 * links))
-        return Rig(skin, matrix)
+        matrix = csr_array(
+            (SkinMatrix._values(skin), columns, np.arange(0, 8 * count + 1, 8)), shape=(count, 4 * links)
+        )
+        return SkinMatrix(skin, matrix)
 
     @staticmethod
     def _values(skin: Skin) -> Floats:
@@ -141,12 +143,12 @@ class Rig:
         ones = np.ones((len(skin.points), 1))
         return (weights[:, :, None] * np.concatenate([skin.points, ones], axis=1)[:, None]).reshape(-1)
 
-    def with_points(self, points: Floats) -> Rig:
-        """The rig of other canonical points (n, 3) with the same weights."""
+    def with_points(self, points: Floats) -> SkinMatrix:
+        """The matrix of other canonical points (n, 3) with the same weights."""
         matrix = self.matrix.copy()
         skin = Skin(points, self.skin.links, self.skin.weights)
-        matrix.data = Rig._values(skin)
-        return Rig(skin, matrix)
+        matrix.data = SkinMatrix._values(skin)
+        return SkinMatrix(skin, matrix)
 
     def posed(self, a: Floats, b: Floats) -> Floats:
         """(…, n, 3): the points under transforms a (…, links, 3, 3), b (…, links, 3)."""

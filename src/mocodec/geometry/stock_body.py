@@ -18,7 +18,7 @@ from .articulation import Body
 from .capsules import surface_distances
 
 
-class Joint(NamedTuple):
+class StockJoint(NamedTuple):
     """A joint's parent ("" for the root), its position in metres, and the body's radius at it, metres; 0 for none."""
 
     parent: str
@@ -26,38 +26,38 @@ class Joint(NamedTuple):
     radius: float
 
 
-LEFT_AND_MIDDLE: dict[str, Joint] = {
-    "Hips": Joint("", (0, 0.96, 0), 0.13),
-    "LowerBack": Joint("Hips", (0, 1.03, 0), 0.125),
-    "Spine": Joint("LowerBack", (0, 1.16, 0), 0.12),
-    "Spine1": Joint("Spine", (0, 1.30, 0), 0.125),
-    "Neck": Joint("Spine1", (0, 1.46, -0.01), 0.07),
-    "Neck1": Joint("Neck", (0, 1.51, 0), 0.06),
-    "Head": Joint("Neck1", (0, 1.56, 0.01), 0.085),
-    "HeadTip": Joint("Head", (0, 1.68, 0.02), 0.095),
-    "LeftShoulder": Joint("Spine1", (0.03, 1.40, 0), 0.09),
-    "LeftArm": Joint("LeftShoulder", (0.17, 1.40, -0.01), 0.055),
-    "LeftForeArm": Joint("LeftArm", (0.36, 1.21, -0.02), 0.042),
-    "LeftHand": Joint("LeftForeArm", (0.53, 1.04, 0.01), 0.03),
-    "LeftHandTip": Joint("LeftHand", (0.63, 0.93, 0.04), 0.035),
-    "LHipJoint": Joint("Hips", (0, 0.96, 0), 0.0),
-    "LeftUpLeg": Joint("LHipJoint", (0.10, 0.94, 0), 0.10),
-    "LeftLeg": Joint("LeftUpLeg", (0.12, 0.50, 0.0), 0.06),
-    "LeftFoot": Joint("LeftLeg", (0.13, 0.09, -0.02), 0.045),
-    "LeftToeBase": Joint("LeftFoot", (0.14, 0.04, 0.10), 0.038),
-    "LeftToeTip": Joint("LeftToeBase", (0.15, 0.03, 0.16), 0.03),
+LEFT_AND_MIDDLE: dict[str, StockJoint] = {
+    "Hips": StockJoint("", (0, 0.96, 0), 0.13),
+    "LowerBack": StockJoint("Hips", (0, 1.03, 0), 0.125),
+    "Spine": StockJoint("LowerBack", (0, 1.16, 0), 0.12),
+    "Spine1": StockJoint("Spine", (0, 1.30, 0), 0.125),
+    "Neck": StockJoint("Spine1", (0, 1.46, -0.01), 0.07),
+    "Neck1": StockJoint("Neck", (0, 1.51, 0), 0.06),
+    "Head": StockJoint("Neck1", (0, 1.56, 0.01), 0.085),
+    "HeadTip": StockJoint("Head", (0, 1.68, 0.02), 0.095),
+    "LeftShoulder": StockJoint("Spine1", (0.03, 1.40, 0), 0.09),
+    "LeftArm": StockJoint("LeftShoulder", (0.17, 1.40, -0.01), 0.055),
+    "LeftForeArm": StockJoint("LeftArm", (0.36, 1.21, -0.02), 0.042),
+    "LeftHand": StockJoint("LeftForeArm", (0.53, 1.04, 0.01), 0.03),
+    "LeftHandTip": StockJoint("LeftHand", (0.63, 0.93, 0.04), 0.035),
+    "LHipJoint": StockJoint("Hips", (0, 0.96, 0), 0.0),
+    "LeftUpLeg": StockJoint("LHipJoint", (0.10, 0.94, 0), 0.10),
+    "LeftLeg": StockJoint("LeftUpLeg", (0.12, 0.50, 0.0), 0.06),
+    "LeftFoot": StockJoint("LeftLeg", (0.13, 0.09, -0.02), 0.045),
+    "LeftToeBase": StockJoint("LeftFoot", (0.14, 0.04, 0.10), 0.038),
+    "LeftToeTip": StockJoint("LeftToeBase", (0.15, 0.03, 0.16), 0.03),
 }
 # capsules across shoulders and hips, not from parent to child: (from, to, radius, the joint that carries the capsule)
 CROSS_CAPSULES = (("LeftArm", "RightArm", 0.085, "Spine1"), ("LeftUpLeg", "RightUpLeg", 0.115, "Hips"))
 
 
-def joints() -> dict[str, Joint]:
+def joints() -> dict[str, StockJoint]:
     """All joints by name: those of LEFT_AND_MIDDLE, and the left ones mirrored to the right."""
     both = dict(LEFT_AND_MIDDLE)
     for name, (parent, (x, y, z), radius) in LEFT_AND_MIDDLE.items():
         if name.startswith(("Left", "LHip")):
             name, parent = (n.replace("Left", "Right").replace("LHip", "RHip") for n in (name, parent))
-            both[name] = Joint(parent, (-x, y, z), radius)
+            both[name] = StockJoint(parent, (-x, y, z), radius)
     return both
 
 

@@ -35,7 +35,7 @@ class Actor:
         self.weave: Weave = weave(model.atlas, planes, model.valid, model.points)
         points, self.colours = self.weave.surface(planes)
         self.skin = skinning.blended(self.body, points, self.weave.links, self.weave.normals)
-        self.rig = skinning.Rig.build(self.skin, len(self.body))
+        self.rig = skinning.SkinMatrix.build(self.skin, len(self.body))
 
     def posed(self, pose: Pose) -> Floats:
         """(…, n, 3): the surface as it was first, in the poses of (…) frames."""
