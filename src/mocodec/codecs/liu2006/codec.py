@@ -126,8 +126,8 @@ class Liu2006:
         rest = np.concatenate([*markers.pca_groups, np.zeros(0, np.int64)])
         if not len(rest):
             return segment.Segmentation([slice(0, len(positions))], [])
-        frame = body_frame.of(positions[:, markers.normalisation], up)
-        poses = body_frame.into(positions[:, rest], frame).reshape(len(positions), -1)
+        frame = body_frame.from_markers(positions[:, markers.normalisation], up)
+        poses = body_frame.to_body(positions[:, rest], frame).reshape(len(positions), -1)
         return segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
@@ -157,9 +157,10 @@ class Liu2006:
         if not markers.pca_groups:
             return models
         decoded = np.concatenate([model.normalisation(model.start, model.stop) for model in models])
-        frame = body_frame.of(decoded, up)
+        frame = body_frame.from_markers(decoded, up)
         group_poses = [
-            body_frame.into(positions[:, columns], frame).reshape(len(positions), -1) for columns in markers.pca_groups
+            body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1)
+            for columns in markers.pca_groups
         ]
         return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in models]
 
@@ -256,10 +257,10 @@ def reconstruct(
         decoded[:, markers.normalisation] = normalisation
         if not markers.pca_groups:
             continue
-        frame = body_frame.of(normalisation, up)
+        frame = body_frame.from_markers(normalisation, up)
         for group, columns in enumerate(markers.pca_groups):
             poses = blended_poses(models, i, group, first, last, blend_frames)
-            decoded[:, columns] = body_frame.out_of(poses.reshape(len(poses), -1, 3), frame)
+            decoded[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
     return positions
 
 

@@ -82,7 +82,10 @@ def _column(motion: Motion, name: str, kind: str) -> int:
 
 def find_marker(names: Sequence[str], wanted: str) -> int | None:
     """The column of the exact name, or else of a name that differs only in prefix, case and separators."""
-    for matches in (lambda name: name == wanted, lambda name: body_frame.plain(name) == body_frame.plain(wanted)):
+    for matches in (
+        lambda name: name == wanted,
+        lambda name: body_frame.normalised_label(name) == body_frame.normalised_label(wanted),
+    ):
         for column, name in enumerate(names):
             if matches(name):
                 return column

@@ -103,8 +103,8 @@ def piecewise_pca(
     most `tolerance` metres, root mean square over frames and markers.
     """
     rest = np.concatenate(markers.pca_groups)
-    frame = body_frame.of(motion.positions[:, markers.normalisation], motion.up)
-    poses = body_frame.into(motion.positions[:, rest], frame).reshape(len(motion), -1)
+    frame = body_frame.from_markers(motion.positions[:, markers.normalisation], motion.up)
+    poses = body_frame.to_body(motion.positions[:, rest], frame).reshape(len(motion), -1)
     decoded = np.empty_like(poses)
     component_counts: list[int] = []
     scalars = len(motion) * 3 * len(markers.normalisation)
@@ -118,7 +118,7 @@ def piecewise_pca(
         component_counts.append(k)
         scalars += projections.size + components[:, :k].size + mean.size
     positions = motion.positions.copy()
-    positions[:, rest] = body_frame.out_of(decoded.reshape(len(motion), -1, 3), frame)
+    positions[:, rest] = body_frame.to_world(decoded.reshape(len(motion), -1, 3), frame)
     return PcaResult(
         components=tuple(component_counts),
         scalar_ratio=motion.positions.size / scalars,
@@ -130,7 +130,7 @@ def piecewise_pca(
 def d_normalised(motion: Motion, decoded: Floats, markers: MarkerGroups) -> float:
     """Distortion rate d in percent over all points. Original and decoded poses are each in their own body frame."""
     original_poses, decoded_poses = (
-        body_frame.into(positions, body_frame.of(positions[:, markers.normalisation], motion.up))
+        body_frame.to_body(positions, body_frame.from_markers(positions[:, markers.normalisation], motion.up))
         for positions in (motion.positions, decoded)
     )
     return metrics.distortion_percent(original_poses, decoded_poses)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ....entropy.lanes import StaticTables
 from ....errors import UnknownCodec
-from ....geometry.body_frame import plain as plain_label
+from ....geometry.body_frame import normalised_label
 from ....typing import Floats, Integers
 from ..pose.bone_tree import BoneTree
 from .coordinates import Coordinates, DirectionCoordinates, PointCoordinates
@@ -44,7 +44,7 @@ class JointSet:
 
     def columns(self, names: tuple[str, ...]) -> Integers | None:
         """For each joint of the set, which of these names is its, whatever prefix and spelling; None if they differ."""
-        labels, known = ([plain_label(n) for n in some] for some in (names, self.names))
+        labels, known = ([normalised_label(n) for n in some] for some in (names, self.names))
         if len(set(labels)) != len(labels) or sorted(labels) != sorted(known):
             return None
         return np.array([labels.index(label) for label in known])
