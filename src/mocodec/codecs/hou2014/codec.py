@@ -24,10 +24,10 @@ from ... import metrics
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion
-from ...stages import bounded, gaps, quantise
+from ...stages import bounded, gaps, quantise, search
 from .. import base
 from . import clips as clipping
-from . import drafts, parameters, search, stream, transform
+from . import drafts, parameters, stream, transform
 from .drafts import Draft, Material
 
 Integers = NDArray[np.int64]
@@ -37,6 +37,12 @@ SAMPLED_CHUNKS = 3
 
 STEP_OF_MEAN, STEP_OF_BOUND = 5.0, 2.6
 """Where searches begin: the steps for a mean error and for a bound, in these lengths, that are usual."""
+
+FARTHEST_RUNGS = 30 * quantise.LADDER
+"""No rung that is tried is farther than this from the first: 30 octaves."""
+
+STRIDES = (quantise.LADDER // 2, quantise.LADDER // 5)
+"""Under a bound the step is searched in half octaves, then in fifths of an octave around the best."""
 
 
 @dataclass(frozen=True)
@@ -260,27 +266,43 @@ class _Coding:
 
     def for_mean_error(self, target: float) -> Encoded[Motion]:
         """The coarsest step whose mean error is within the target."""
-        rung = search.largest_within(self.mean_error, target, self.first_rung)
-        if rung is None:
+        found = self._closest_within(lambda rung: self.mean_error(rung) / target, rising=True)
+        if found is None:
             raise CannotEncode(f"hou2014 does not reach a mean error of {target:g} m on this motion")
-        return self.encoded(rung)
+        return self.encoded(found)
 
     def for_ratio(self, target: float) -> Encoded[Motion]:
         """The finest step whose ratio is not below the target."""
-        raw = self.motion.raw_bytes
-        rung = search.smallest_within(lambda rung: self.encoded(rung).payload_bytes, raw / target, self.first_rung)
-        if rung is None:
+        allowed = self.motion.raw_bytes / target
+        found = self._closest_within(lambda rung: self.encoded(rung).payload_bytes / allowed, rising=False)
+        if found is None:
             raise CannotEncode(f"hou2014 does not reach a ratio of {target:g} on this motion")
-        return self.encoded(rung)
+        return self.encoded(found)
+
+    def _closest_within(self, share: Callable[[int], float], rising: bool) -> int | None:
+        """The rung at which a share of what is allowed comes nearest to 1 from below."""
+        found = search.closest_within(
+            lambda rung: (share(int(rung)), None),
+            self.first_rung,
+            rising=rising,
+            stride=_stride,
+            farthest=FARTHEST_RUNGS,
+        )
+        return None if found is None else int(found.setting)
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """The step at which coefficients and corrections together are smallest; decoded and checked."""
-        encoded = self.encoded(search.smallest(self.sampled_size, self.first_rung))
+        encoded = self.encoded(search.minimum(self.sampled_size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
         decoded = Hou2014.decode(encoded).positions
         furthest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not furthest <= bound:
             raise CannotEncode(f"hou2014 does not keep {bound:g} m on this motion, but {furthest:g} m")
         return encoded
+
+
+def _stride(log: float) -> int:
+    """Rungs to the next trial of a search, from the logarithm of value over limit; at most six octaves."""
+    return max(1, min(round(abs(log) / math.log(2) * 1.4 * quantise.LADDER), 6 * quantise.LADDER))
 
 
 def _head(encoded: Encoded[Motion]) -> stream.Head:

@@ -24,7 +24,7 @@ from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
 from ...motion import Floats, Motion
-from ...stages import bounded, gaps, segment
+from ...stages import bounded, gaps, search, segment
 from .. import base
 from . import models, roles
 from .models import Segment
@@ -40,7 +40,7 @@ error in all, STEERED takes the fewest bytes."""
 
 ATTEMPTS = 10
 NEAR_ENOUGH = 0.98
-AIM = float(np.log(0.99))
+AIM = 0.99
 FARTHEST = 25.0
 """How a target is searched for: how often, when to stop, what to aim at, and the largest logarithm of a scale."""
 
@@ -258,30 +258,26 @@ def steer(
 
     Raises CannotEncode where no scale that was tried comes below.
     """
-    best: tuple[float, list[Segment]] | None = None
-    inside: tuple[float, float] | None = None  # logarithms of scale and measure, on either side of the aim
-    outside: tuple[float, float] | None = None
-    scale = 0.0
-    for _ in range(ATTEMPTS):
-        fitted = fit(float(np.exp(scale)))
-        measured = measure(fitted)
-        at = (scale, float(np.log(max(measured, 1e-6))))
-        if measured <= 1 and (best is None or measured > best[0]):
-            best = (measured, fitted)
-        if NEAR_ENOUGH <= measured <= 1:
-            break
-        inside, outside = (at, outside) if at[1] <= AIM else (inside, at)
-        if inside and outside:
-            share = (AIM - inside[1]) / (outside[1] - inside[1])
-            scale = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
-        else:
-            step = min(max(AIM - at[1], -3.0), 3.0) * (1 if grows else -2)
-            if not -FARTHEST <= scale + step <= FARTHEST:
-                break
-            scale += step
-    if best is None:
+
+    def tried(log_scale: float) -> tuple[float, list[Segment]]:
+        fitted = fit(float(np.exp(log_scale)))
+        return max(measure(fitted), 1e-6), fitted
+
+    found = search.closest_within(
+        tried,
+        0.0,
+        rising=grows,
+        stride=lambda log: min(abs(np.log(AIM) - log), 3.0) * (1 if grows else 2),
+        farthest=FARTHEST,
+        aim=AIM,
+        near=NEAR_ENOUGH,
+        margin=0.05,
+        tries=ATTEMPTS,
+        whole=False,
+    )
+    if found is None:
         raise CannotEncode("liu2006 does not come down to what was asked: ask for more error or a lower ratio")
-    return best[1]
+    return found.result
 
 
 def read_shared(encoded: Encoded[Motion]) -> tuple[int, Roles, float]:
