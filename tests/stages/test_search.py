@@ -1,4 +1,4 @@
-"""Searches find what they say, in few trials, on rough functions too, and never try a setting twice."""
+"""Searches reach their targets in few trials, on rough functions too, and never try a setting twice."""
 
 from __future__ import annotations
 
