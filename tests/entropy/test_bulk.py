@@ -1,4 +1,4 @@
-"""Many states: the layout of segments, raw bits, laws for the inner loops, damage."""
+"""Many states: diagonals of segments, laws for the inner loops, damage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHAPES = [(1, 1), (1, 9), (9, 1), (200, 1), (3, 700), (120, 93), (93, 120), (300
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_diagonals_are_all_places_once_and_in_order(shape: tuple[int, int]):
+def test_diagonals_visit_every_place_once(shape: tuple[int, int]):
     layout = Layout(shape)
     plain = np.arange(1, 1 + shape[0] * shape[1]).reshape(shape)
     flat = layout.skewed(plain, np.int64)
@@ -58,7 +58,7 @@ def test_slots_and_codes_agree(count: int, shape: int):
 
 
 def test_laws_are_the_same_for_ever():
-    """Literal numbers, so that no change of the arithmetic slips by: files depend on them."""
+    """Literal numbers, which no change of the arithmetic may alter: files depend on them."""
     code = bulk.laws(models.LAWS, 0).code.reshape(-1, 256) & bulk.ESCAPE_FLAG - np.uint32(1)
     assert (code[12, :4] >> bulk.PRECISION).tolist() == [3853, 237, 4, 2]
     assert (code[30, :6] >> bulk.PRECISION).tolist() == [198, 367, 329, 296, 267, 241]
@@ -70,7 +70,7 @@ def loud(steps: int, lanes: int) -> np.ndarray:
 
 
 def test_the_stream_is_the_same_for_ever():
-    """The digest of one stream, so that no change of layout or arithmetic slips by: files depend on them."""
+    """The digest of one stream, which no change of layout or arithmetic may alter: files depend on it."""
     mixed = np.arange(200 * 70, dtype=np.int64).reshape(200, 70) * 2_654_435_761 % (1 << 32)
     values = ((mixed >> 20) % 61 - 30) >> (mixed & 7)
     values[::37, ::11] <<= 40
@@ -81,7 +81,7 @@ def test_the_stream_is_the_same_for_ever():
     assert hashlib.sha256(data).hexdigest()[:16] == "0af7ba39b03c18e0"
 
 
-def test_what_no_sample_shows_comes_back():
+def test_values_that_the_counted_sample_misses_come_back():
     for at in (0, 777, 12_345, 59_999):
         values = np.zeros((60_000, 4), np.int64)
         values[at - 700 if at else 0 : at + 3000] = loud(60_000, 4)[at - 700 if at else 0 : at + 3000]

@@ -23,10 +23,10 @@ from ... import metrics
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
-from ...stages import bounded, gaps, quantise
+from ...stages import bounded, gaps, quantise, search
 from ...typing import Floats, Integers
 from .. import base
-from . import clip_segmentation, left_transform, parameters, quantised_motion, search, stream
+from . import clip_segmentation, left_transform, parameters, quantised_motion, stream
 from .quantised_motion import PreparedMotion, QuantisedMotion
 
 SAMPLED_CHUNKS = 3
@@ -37,6 +37,12 @@ STEP_OF_MEAN, STEP_OF_BOUND = 5.0, 2.6
 
 FIRST_MEAN_ERROR_M = 0.003
 """The mean error that a search for a ratio begins at."""
+
+FARTHEST_RUNGS = 30 * quantise.LADDER
+"""No rung that is tried is farther than this from the first: 30 octaves."""
+
+STRIDES = (quantise.LADDER // 2, quantise.LADDER // 5)
+"""Under a bound the step is searched in half octaves, then in fifths of an octave around the best."""
 
 
 @dataclass(frozen=True)
@@ -269,22 +275,33 @@ class _MotionEncoder:
 
     def for_mean_error(self, target: float) -> Encoded[Motion]:
         """At the largest step whose mean error is within the target."""
-        rung = search.largest_within(self.mean_error, target, self.first_rung)
-        if rung is None:
+        found = self._closest_within(lambda rung: self.mean_error(rung) / target, rising=True)
+        if found is None:
             raise CannotEncode(f"hou2014 cannot reach mean_error={target:g} m on this motion: ask for a larger error")
-        return self.encoded(rung)
+        return self.encoded(found)
 
     def for_ratio(self, target: float) -> Encoded[Motion]:
         """At the smallest step whose ratio is at least the target."""
-        raw = self.motion.raw_bytes
-        rung = search.smallest_within(lambda rung: self.encoded(rung).payload_bytes, raw / target, self.first_rung)
-        if rung is None:
+        allowed = self.motion.raw_bytes / target
+        found = self._closest_within(lambda rung: self.encoded(rung).payload_bytes / allowed, rising=False)
+        if found is None:
             raise CannotEncode(f"hou2014 cannot reach ratio={target:g} on this motion: ask for a lower ratio")
-        return self.encoded(rung)
+        return self.encoded(found)
+
+    def _closest_within(self, share: Callable[[int], float], rising: bool) -> int | None:
+        """The rung at which a share of what is allowed comes nearest to 1 from below."""
+        found = search.closest_within(
+            lambda rung: (share(int(rung)), None),
+            self.first_rung,
+            rising=rising,
+            stride=_stride,
+            farthest=FARTHEST_RUNGS,
+        )
+        return None if found is None else int(found.setting)
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """At the step where coefficients and corrections together are smallest. Checks the bound by decoding."""
-        encoded = self.encoded(search.smallest(self.sampled_size, self.first_rung))
+        encoded = self.encoded(search.minimum(self.sampled_size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
         decoded = Hou2014.decode(encoded).positions
         largest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not largest <= bound:
@@ -292,6 +309,11 @@ class _MotionEncoder:
                 f"hou2014 cannot keep max_error={bound:g} m on this motion, only {largest:g} m: ask for a larger bound"
             )
         return encoded
+
+
+def _stride(log: float) -> int:
+    """Rungs to the next trial of a search, from the logarithm of value over limit; at most six octaves."""
+    return max(1, min(round(abs(log) / math.log(2) * 1.4 * quantise.LADDER), 6 * quantise.LADDER))
 
 
 def _read_header(encoded: Encoded[Motion]) -> stream.SharedHeader:

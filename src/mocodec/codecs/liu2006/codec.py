@@ -24,7 +24,7 @@ from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
 from ...motion import Motion
-from ...stages import bounded, gaps, segment
+from ...stages import bounded, gaps, search, segment
 from ...typing import Booleans, Floats
 from .. import base
 from . import marker_groups, segment_model
@@ -44,10 +44,10 @@ total error.
 
 ATTEMPTS = 10
 NEAR_ENOUGH = 0.98
-AIM = float(np.log(0.99))
+AIM = 0.99
 FARTHEST = 25.0
-"""The search for a target: most attempts, the measure that ends it, the logarithm of the measure that it aims at, and
-the largest logarithm of a scale."""
+"""The search for a target: most attempts, the measure that ends it, the measure that it aims at, and the largest
+logarithm of a scale."""
 
 
 @dataclass(frozen=True)
@@ -296,30 +296,26 @@ def steer(
 
     grows: the measure grows with the scale; False: it falls. Raises CannotEncode if it exceeds 1 at every scale tried.
     """
-    best: tuple[float, list[SegmentModel]] | None = None
-    inside: tuple[float, float] | None = None  # logarithms of scale and measure, at most AIM and above it
-    outside: tuple[float, float] | None = None
-    scale = 0.0
-    for _ in range(ATTEMPTS):
-        fitted = fit(float(np.exp(scale)))
-        measured = measure(fitted)
-        at = (scale, float(np.log(max(measured, 1e-6))))
-        if measured <= 1 and (best is None or measured > best[0]):
-            best = (measured, fitted)
-        if NEAR_ENOUGH <= measured <= 1:
-            break
-        inside, outside = (at, outside) if at[1] <= AIM else (inside, at)
-        if inside and outside:
-            share = (AIM - inside[1]) / (outside[1] - inside[1])
-            scale = inside[0] + min(max(share, 0.05), 0.95) * (outside[0] - inside[0])
-        else:
-            step = min(max(AIM - at[1], -3.0), 3.0) * (1 if grows else -2)
-            if not -FARTHEST <= scale + step <= FARTHEST:
-                break
-            scale += step
-    if best is None:
+
+    def tried(log_scale: float) -> tuple[float, list[SegmentModel]]:
+        fitted = fit(float(np.exp(log_scale)))
+        return max(measure(fitted), 1e-6), fitted
+
+    found = search.closest_within(
+        tried,
+        0.0,
+        rising=grows,
+        stride=lambda log: min(abs(np.log(AIM) - log), 3.0) * (1 if grows else 2),
+        farthest=FARTHEST,
+        aim=AIM,
+        near=NEAR_ENOUGH,
+        margin=0.05,
+        tries=ATTEMPTS,
+        whole=False,
+    )
+    if found is None:
         raise CannotEncode("liu2006 cannot reach the target: ask for a larger error or a lower ratio")
-    return best[1]
+    return found.result
 
 
 def read_shared(encoded: Encoded[Motion]) -> tuple[int, MarkerGroups, float]:

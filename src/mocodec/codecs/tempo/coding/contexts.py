@@ -99,7 +99,7 @@ def zone(expected: Integers, threshold: int) -> Integers:
 
 
 def base(expected: Integers) -> Integers:
-    """What is known of each context in advance, (frequencies, rows): log expected − log(α + Σ w · expected neighbour)."""
+    """What is known of a context in advance: log expected − log(α + Σ w · expected neighbour), (frequencies, rows)."""
     near = neighbourhood(bordered(np.minimum(exp2(expected), 16 * _CEILING)))
     return expected - log2(near // 16 + ALPHA)[groups(len(expected))[1]]
 

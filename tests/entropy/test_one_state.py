@@ -1,4 +1,4 @@
-"""The coder alone: tables chosen symbol by symbol, exact ends."""
+"""One state: a table for each symbol, exact ends; and the tables of `models`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_comes_back_call_for_call(raw: int):
     assert np.array_equal(decoder.raw(bits), values)
 
 
-def test_costs_what_the_tables_say():
+def test_the_size_follows_from_the_tables():
     random = np.random.default_rng(8)
     weights = [600, 300, 90, 10]
     symbols = random.choice(4, 20_000, p=np.array(weights) / 1000)
@@ -57,7 +57,7 @@ def test_a_symbol_of_weight_zero_is_refused():
         Encoder().put(TABLES, np.array([0]), np.array([3]))
 
 
-def test_frequencies_are_whole():
+def test_normalised_frequencies_sum_to_a_power_of_two():
     random = np.random.default_rng(9)
     for _ in range(50):
         weights = random.integers(0, 10 ** random.integers(1, 12), random.integers(2, 300)).tolist()
@@ -87,7 +87,7 @@ def test_laws_get_wider(shape: int):
 
 
 def test_laws_are_the_same_for_ever():
-    """Literal numbers, so that no change of the arithmetic slips by: files depend on them."""
+    """Literal numbers, which no change of the arithmetic may alter: files depend on them."""
     family = models.family(models.LAWS, 0).frequency.reshape(models.LAWS + 1, -1)
     assert family[12, :6].tolist() == [15420, 947, 15, 2, 0, 0]
     assert models.family(models.LAWS, 1).frequency.reshape(models.LAWS + 1, -1)[30, :6].tolist() == [
@@ -101,7 +101,7 @@ def test_laws_are_the_same_for_ever():
     assert models.law_of_expectation(models.LAWS, 5, 0)[:160:16].tolist() == [5, 20, 23, 25, 26, 27, 28, 28, 29, 29]
 
 
-def test_damage_is_noticed_or_decodes():
+def test_damaged_bytes_are_corrupt_or_decode():
     data, calls, (_, bits) = coded()
     for broken in corruption.damaged(data, 150):
         with contextlib.suppress(Corrupt):
