@@ -85,7 +85,7 @@ def test_a_damaged_chunk_costs_no_other():
                     _ = reader.encoded.chunks[k].payload
             else:
                 assert reader.encoded.chunks[k].payload == bytes(range(k, k + 20))
-        assert sum(stop - start for start, stop in reader.whole()) == 20
+        assert sum(stop - start for start, stop in reader.intact_runs()) == 20
         assert len(dict(reader.encoded.about.extras)) == 3
 
 
@@ -106,7 +106,7 @@ def test_damaged_extras_cost_no_chunk():
     reader = container.Reader(bytes(data))
     data[reader.layout.extras + 5] ^= 1
     reader = container.Reader(bytes(data))
-    assert reader.whole() == [(0, 30)]
+    assert reader.intact_runs() == [(0, 30)]
     with pytest.raises(Corrupt, match="extras"):
         len(reader.encoded.about.extras)
 
@@ -122,7 +122,7 @@ def test_a_stream_cut_anywhere_is_salvaged():
             continue
         chunks = sum(offset <= end for offset in offsets[1:])
         assert len(reader.encoded.chunks) == chunks
-        assert reader.whole() == ([(0, 10 * chunks)] if chunks else [])
+        assert reader.intact_runs() == ([(0, 10 * chunks)] if chunks else [])
         assert reader.problems
         with pytest.raises(Corrupt):
             reader.verify()
@@ -133,7 +133,7 @@ def test_a_margin_is_minded_when_salvaging():
     made = [Chunk(i * 10, 10, bytes(20)) for i in range(6)]
     data = bytearray(container.pack(Encoded("liu2006", about, made, margin=1)))
     data[container.Reader(bytes(data)).chunks.offsets[2] + 5] ^= 1
-    assert container.Reader(bytes(data)).whole() == [(0, 10), (40, 60)]
+    assert container.Reader(bytes(data)).intact_runs() == [(0, 10), (40, 60)]
 
 
 def framed(header: bytes, rest: bytes = b"") -> bytes:

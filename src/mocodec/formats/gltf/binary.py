@@ -48,7 +48,7 @@ def unpack(data: bytes) -> tuple[dict[str, Any], bytes]:
     if version != VERSION:
         raise BadInput(f"glTF version {version} is not supported; export it as glTF 2.0")
     if length > len(data):
-        raise BadInput(f"truncated: {len(data)} bytes of {length}")
+        raise BadInput(f"cut off: {len(data)} bytes of {length}")
     chunks, at = dict[int, bytes](), 12
     while at + 8 <= length:
         size, kind = struct.unpack_from("<II", data, at)
