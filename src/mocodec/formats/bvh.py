@@ -1,10 +1,10 @@
-"""BVH: a skeleton with its channels, then a line of numbers a frame (Biovision; the de-facto standard of animation).
+"""BVH: a joint hierarchy with channels, then one line of numbers per frame (Biovision).
 
     HIERARCHY   joints: OFFSET, CHANNELS in any order; End Sites ─┐
     MOTION      frames × channels, parsed as one block ───────────┴─► quaternions ─► forward kinematics ─► joints
 
-Points are the joints and, as "<parent>_end", the End Sites: without these the last joints' turns would leave no trace
-in the positions. Where a joint has position channels they stand in the place of its OFFSET. y is up.
+Points are the joints and, as "<parent>_end", the End Sites: without these the rotations of the last joints would not
+show in the positions. Position channels of a joint replace its OFFSET.
 """
 
 from __future__ import annotations
@@ -18,22 +18,24 @@ import numpy as np
 
 from ..errors import BadInput
 from ..geometry import kinematics, rigid
-from ..motion import Floats, Motion, Skeleton
+from ..motion import Motion, Skeleton
+from ..typing import Floats
 from . import replace_whole
 from .conventions import unit_of
-from .text import decoded, numbers
+from .text import numbers, read_text
 
-HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
+HOLDS = frozenset({"skeleton", "joint rotations"})
+"""What a BVH stores beside the positions."""
 UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # tried in this order
 PLAUSIBLE_HEIGHT_M = (0.8, 2.4)
 CHANNELS = {f"{axis}position": axis for axis in "XYZ"} | {f"{axis}rotation": axis.lower() for axis in "XYZ"}
 
-RUN_OF_CHANNELS = re.compile(r"(?:([XYZxyz])(?!.*\1)){0,6}(?:\*\d{1,4})?")
+CHANNEL_RUN = re.compile(r"(?:([XYZxyz])(?!.*\1)){0,6}(?:\*\d{1,4})?")
 
 
 @dataclass
 class Joint:
-    """One joint of the hierarchy. channels: a letter each, in the file's order: "XYZ" positions, "xyz" rotations."""
+    """One joint of the hierarchy. channels: one letter each, in file order; "XYZ" positions, "xyz" rotations."""
 
     name: str
     parent: int
@@ -51,7 +53,7 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
     unit: "cm", "m", "mm", "in", "ASF" (CMU's) or metres in one unit; None takes the first of cm, m, mm, ASF and inch in
     which the skeleton at rest extends 0.8 to 2.4 m, and cm where none does. Raises BadInput.
     """
-    text = decoded(path)
+    text = read_text(path)
     head, motion, body = text.partition("MOTION")
     if not head.lstrip().upper().startswith("HIERARCHY"):
         raise BadInput(f"{path}: not a BVH: it does not begin with HIERARCHY")
@@ -60,13 +62,13 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
     try:
         joints = _hierarchy(head)
     except (ValueError, IndexError) as error:
-        what = error if isinstance(error, BadInput) else f"its hierarchy cannot be read ({error})"
-        raise BadInput(f"{path}: {what}") from None
-    found = re.match(r"\s*Frames:\s*(\d{1,12})\s+Frame\s+Time:\s*(\S+)", body, re.IGNORECASE)
-    if found is None:
+        message = error if isinstance(error, BadInput) else f"its hierarchy cannot be read ({error})"
+        raise BadInput(f"{path}: {message}") from None
+    timing = re.match(r"\s*Frames:\s*(\d{1,12})\s+Frame\s+Time:\s*(\S+)", body, re.IGNORECASE)
+    if timing is None:
         raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
-    frames, rate = int(found[1]), _rate(found[2], path)
-    table = numbers(body[found.end() :], path)
+    frames, rate = int(timing[1]), _rate(timing[2], path)
+    table = numbers(body[timing.end() :], path)
     width = sum(len(joint.channels) for joint in joints)
     if table.size != frames * width or not width:
         what = "cut off: " if table.size < frames * width else ""
@@ -74,20 +76,20 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
             f"{path}: {what}{frames} frames of {width} channels are {frames * width} numbers, it has {table.size}"
         )
     if len(joints) > 4 * width + 4:
-        raise BadInput(f"{path}: {len(joints)} joints with {width} channels between them are not a body")
+        raise BadInput(f"{path}: {len(joints)} joints share {width} channels, too few for a body")
     offsets = np.array([joint.offset for joint in joints])
     names = _names([joint.name for joint in joints])
     skeleton = Skeleton(names, tuple(joint.parent for joint in joints), offsets)
     units, unit_m = _unit(unit, skeleton, path)
     skeleton = Skeleton(skeleton.names, skeleton.parents, offsets * unit_m)
-    rotations, translations = _turns(joints, table.reshape(frames, width), unit_m)
+    rotations, translations = _transforms(joints, table.reshape(frames, width), unit_m)
     positions = kinematics.forward(skeleton, rotations, np.zeros((frames, 3)), translations=translations)
     source = {"format": "bvh", "units": units, "unit_m": unit_m, "channels": _channels(joints)}
     return Motion(positions, rate, names, "y", skeleton, rotations, source)
 
 
 def _hierarchy(text: str) -> list[Joint]:
-    """The joints, each after its parent. A line may hold a brace beside other words."""
+    """The joints, parents first. A brace may share a line with other words."""
     joints: list[Joint] = []
     stack: list[int] = []
     latest = -1
@@ -124,7 +126,7 @@ def _hierarchy(text: str) -> list[Joint]:
 
 
 def _names(names: list[str]) -> tuple[str, ...]:
-    """Each name once: the second end of a joint is "<name>_end2"."""
+    """Unique names: the second End Site of a joint is "<name>_end2"."""
     seen: dict[str, int] = {}
     result = []
     for name in names:
@@ -171,8 +173,8 @@ def _unit(unit: str | float | None, rest: Skeleton, path: str | Path) -> tuple[s
     return name, UNITS_M[name]
 
 
-def _turns(joints: list[Joint], table: Floats, unit_m: float) -> tuple[Floats, dict[int, Floats]]:
-    """Rotations (frames, joints, 4) and, where joints have position channels, their places against their parents."""
+def _transforms(joints: list[Joint], table: Floats, unit_m: float) -> tuple[Floats, dict[int, Floats]]:
+    """Rotations (frames, joints, 4), and by joint with position channels its translations (frames, 3) in metres."""
     rotations = np.zeros((len(table), len(joints), 4))
     rotations[..., 0] = 1.0
     translations: dict[int, Floats] = {}
@@ -180,24 +182,24 @@ def _turns(joints: list[Joint], table: Floats, unit_m: float) -> tuple[Floats, d
     for index, joint in enumerate(joints):
         values = table[:, at : at + len(joint.channels)]
         at += len(joint.channels)
-        turning = [i for i, letter in enumerate(joint.channels) if letter.islower()]
-        if turning:
-            rotations[:, index] = rigid.from_euler(joint.rotation_order, np.radians(values[:, turning]))
-        if len(turning) < len(joint.channels):
-            place = np.tile(np.array(joint.offset), (len(table), 1))
+        rotating = [i for i, letter in enumerate(joint.channels) if letter.islower()]
+        if rotating:
+            rotations[:, index] = rigid.from_euler(joint.rotation_order, np.radians(values[:, rotating]))
+        if len(rotating) < len(joint.channels):
+            translation = np.tile(np.array(joint.offset), (len(table), 1))
             for i, letter in enumerate(joint.channels):
                 if letter.isupper():
-                    place[:, "XYZ".index(letter)] = values[:, i]
-            translations[index] = place * unit_m
+                    translation[:, "XYZ".index(letter)] = values[:, i]
+            translations[index] = translation * unit_m
     return rotations, translations
 
 
 def _channels(joints: list[Joint]) -> list[str]:
-    """Channels by joint, End Sites (leaves without channels) left out; runs of equal ones as one entry "zyx*17"."""
+    """Channels of the joints without End Sites (leaves without channels); a run of equal entries is one, "zyx*17"."""
     runs: list[list[Any]] = []
-    with_child = {joint.parent for joint in joints}
+    has_child = {joint.parent for joint in joints}
     for index, joint in enumerate(joints):
-        if not joint.channels and index not in with_child:
+        if not joint.channels and index not in has_child:
             continue
         if runs and runs[-1][0] == joint.channels:
             runs[-1][1] += 1
@@ -209,91 +211,91 @@ def _channels(joints: list[Joint]) -> list[str]:
 def write(path: str | Path, motion: Motion) -> None:
     """Write a BVH in the source's unit and channel order (cm, z x y, for other sources).
 
-    Numbers have seven decimals; angles are the ones within ±180° (the middle one ±90°) that make the same turns. Raises
-    BadInput for a motion without a skeleton or rotations, and for gaps.
+    Numbers have seven decimals; angles are within ±180° (the middle one ±90°). Raises BadInput for a motion without
+    skeleton or rotations, and for gaps.
     """
     skeleton, rotations = motion.skeleton, motion.rotations
     if skeleton is None or rotations is None:
         raise BadInput(
-            f"{path}: a BVH needs a skeleton and rotations, which this motion does not have; "
+            f"{path}: a BVH needs a skeleton and rotations, which this motion lacks; "
             "a .mocz does not store rotations yet: write a .c3d, .trc or .npz"
         )
     if motion.source.get("format") == "amc":
-        raise BadInput(f"{path}: bones of an ASF turn about their own start, which a BVH cannot say; write an .amc")
+        raise BadInput(f"{path}: bones of an ASF rotate about their own start, unlike joints of a BVH; write an .amc")
     if motion.gaps.any():
         raise BadInput(f"{path}: a BVH cannot hold gaps")
-    own = motion.source.get("format") == "bvh"
-    unit_m = unit_of(motion.source) if own else 0.01
+    is_bvh = motion.source.get("format") == "bvh"
+    unit_m = unit_of(motion.source) if is_bvh else 0.01
     has_child = set(skeleton.parents)
-    if own:
-        specs = _spread(motion.source.get("channels"), skeleton, has_child)
+    if is_bvh:
+        channels = _channels_of(motion.source.get("channels"), skeleton, has_child)
     else:
-        specs = ["XYZzxy" if p < 0 else "zxy" if j in has_child else "" for j, p in enumerate(skeleton.parents)]
-    turns = kinematics.world_rotations(skeleton, rotations)
+        channels = ["XYZzxy" if p < 0 else "zxy" if j in has_child else "" for j, p in enumerate(skeleton.parents)]
+    world = kinematics.world_rotations(skeleton, rotations)
     columns: list[Floats] = []
-    for joint, (spec, parent) in enumerate(zip(specs, skeleton.parents, strict=True)):
-        columns.append(_values(motion, turns, joint, parent, spec, unit_m))
+    for joint, (letters, parent) in enumerate(zip(channels, skeleton.parents, strict=True)):
+        columns.append(_channel_values(motion, world, joint, parent, letters, unit_m))
     table = np.concatenate(columns, axis=1)
-    lines = ["HIERARCHY", *_tree(skeleton, specs, has_child, unit_m), "MOTION", f"Frames: {len(motion)}"]
+    lines = ["HIERARCHY", *_hierarchy_lines(skeleton, channels, has_child, unit_m), "MOTION", f"Frames: {len(motion)}"]
     lines.append(f"Frame Time: {1.0 / motion.rate:.10g}")
     form = " ".join(["%.7f"] * table.shape[1])
     lines += [form % tuple(row) for row in table.tolist()]
     replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
-def _spread(runs: Any, skeleton: Skeleton, has_child: set[int]) -> list[str]:
-    """The inverse of `_channels`. Leaves are End Sites where there are channels for the other joints only."""
-    if not isinstance(runs, list) or not all(isinstance(r, str) and RUN_OF_CHANNELS.fullmatch(r) for r in runs):
-        raise BadInput(f"the motion's source does not say its channels as a BVH has them: {runs!r:.80}")
-    specs: list[str] = []
+def _channels_of(runs: Any, skeleton: Skeleton, has_child: set[int]) -> list[str]:
+    """The inverse of `_channels`. Leaves named "…_end" are End Sites if only the other joints have channels."""
+    if not isinstance(runs, list) or not all(isinstance(r, str) and CHANNEL_RUN.fullmatch(r) for r in runs):
+        raise BadInput(f"source['channels'] is not a list of BVH channels: {runs!r:.80}")
+    channels: list[str] = []
     for run in runs:
-        spec, _, count = run.partition("*")
-        specs += [spec] * int(count or 1)
-    if len(specs) == len(skeleton):
-        return specs
-    named_end = [name.rstrip("0123456789").endswith("_end") for name in skeleton.names]
-    ends = [named and joint not in has_child for joint, named in enumerate(named_end)]
-    if len(specs) + sum(ends) != len(skeleton):
-        raise BadInput(f"channels of {len(specs)} joints do not fit a skeleton of {len(skeleton)}")
-    given = iter(specs)
-    return ["" if end else next(given) for end in ends]
+        letters, _, count = run.partition("*")
+        channels += [letters] * int(count or 1)
+    if len(channels) == len(skeleton):
+        return channels
+    is_named_end = [name.rstrip("0123456789").endswith("_end") for name in skeleton.names]
+    is_end = [named and joint not in has_child for joint, named in enumerate(is_named_end)]
+    if len(channels) + sum(is_end) != len(skeleton):
+        raise BadInput(f"channels of {len(channels)} joints do not match a skeleton of {len(skeleton)} joints")
+    rest = iter(channels)
+    return ["" if end else next(rest) for end in is_end]
 
 
-def _values(motion: Motion, turns: Floats, joint: int, parent: int, spec: str, unit_m: float) -> Floats:
-    """The channels (frames, len(spec)) of one joint, from its rotation and its place against its parent."""
+def _channel_values(motion: Motion, world: Floats, joint: int, parent: int, letters: str, unit_m: float) -> Floats:
+    """The channels (frames, len(letters)) of one joint, from its rotation and its position relative to its parent."""
     assert motion.rotations is not None
-    values = np.empty((len(motion), len(spec)))
-    place = motion.positions[:, joint]
+    values = np.empty((len(motion), len(letters)))
+    translation = motion.positions[:, joint]
     if parent >= 0:
-        place = rigid.rotate(rigid.inverse(turns[:, parent]), place - motion.positions[:, parent])
-    order = "".join(letter for letter in spec if letter.islower())
+        translation = rigid.rotate(rigid.inverse(world[:, parent]), translation - motion.positions[:, parent])
+    order = "".join(letter for letter in letters if letter.islower())
     angles = np.degrees(rigid.to_euler(order, motion.rotations[:, joint])) if order else None
-    for i, letter in enumerate(spec):
+    for i, letter in enumerate(letters):
         if letter.isupper():
-            values[:, i] = place[:, "XYZ".index(letter)] / unit_m
+            values[:, i] = translation[:, "XYZ".index(letter)] / unit_m
         elif angles is not None:
             values[:, i] = angles[:, order.index(letter)]
     return values
 
 
-def _tree(skeleton: Skeleton, specs: list[str], has_child: set[int], unit_m: float) -> list[str]:
-    """The HIERARCHY's lines; joints stand in the file's order, so each closes what it is not inside of."""
+def _hierarchy_lines(skeleton: Skeleton, channels: list[str], has_child: set[int], unit_m: float) -> list[str]:
+    """The lines of the HIERARCHY. Joints are in file order, so each one closes the joints that do not contain it."""
     names = {"X": "Xposition", "Y": "Yposition", "Z": "Zposition", "x": "Xrotation", "y": "Yrotation", "z": "Zrotation"}
     lines: list[str] = []
     open_joints: list[int] = []
-    for joint, (name, parent, spec) in enumerate(zip(skeleton.names, skeleton.parents, specs, strict=True)):
+    for joint, (name, parent, letters) in enumerate(zip(skeleton.names, skeleton.parents, channels, strict=True)):
         while open_joints and open_joints[-1] != parent:
             open_joints.pop()
             lines.append("\t" * len(open_joints) + "}")
         if parent >= 0 and not open_joints:
-            raise BadInput(f"joint {name} does not follow its parent as a BVH needs it")
+            raise BadInput(f"joint {name} is not in depth-first order, which a BVH needs")
         indent = "\t" * len(open_joints)
-        end = not spec and joint not in has_child and parent >= 0
-        lines += [indent + ("End Site" if end else f"ROOT {name}" if parent < 0 else f"JOINT {name}"), indent + "{"]
+        is_end = not letters and joint not in has_child and parent >= 0
+        lines += [indent + ("End Site" if is_end else f"ROOT {name}" if parent < 0 else f"JOINT {name}"), indent + "{"]
         x, y, z = (skeleton.offsets[joint] / unit_m).tolist()
         lines.append(f"{indent}\tOFFSET {x:.7f} {y:.7f} {z:.7f}")
-        if not end:
-            lines.append(f"{indent}\tCHANNELS {' '.join([str(len(spec)), *(names[letter] for letter in spec)])}")
+        if not is_end:
+            lines.append(f"{indent}\tCHANNELS {' '.join([str(len(letters)), *(names[letter] for letter in letters)])}")
         open_joints.append(joint)
     while open_joints:
         open_joints.pop()

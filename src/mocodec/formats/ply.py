@@ -1,9 +1,9 @@
-"""PLY: frames of coloured points, one file a frame, in a folder, a glob or a single file.
+"""PLY: frames of coloured points, one file per frame, in a folder, a glob or a single file.
 
     folder | glob | file.ply ──read──► PointClouds ──write──► folder of frame_000000.ply | one file.ply
 
-PLY carries neither time nor unit: `fps` and `unit` are given to the reader, or stand in the comments that `write`
-leaves (`comment rate 15`, `comment units m`).
+PLY stores neither rate nor unit: they are options of the reader, or comments that `write` adds (`comment rate 15`,
+`comment units m`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import BadInput, Truncated
 from ..pointcloud import PointClouds
+from ..typing import Bytes, Floats
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -28,12 +29,12 @@ TYPES = {
 }  # fmt: skip
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-HEADER_LIMIT = 1 << 16
+MAX_HEADER_BYTES = 1 << 16
 UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 
 class Element(NamedTuple):
-    """One element of a PLY header: its fields as NumPy types; of lists, that of the count and that of the items."""
+    """One element of a PLY header. fields: (name, NumPy type); lists: (name, type of the count, type of the items)."""
 
     name: str
     size: int
@@ -42,6 +43,8 @@ class Element(NamedTuple):
 
 
 class Header(NamedTuple):
+    """A PLY header; size: its bytes."""
+
     encoding: str
     elements: list[Element]
     comments: dict[str, str]
@@ -53,17 +56,17 @@ def read(
 ) -> PointClouds:
     """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
 
-    fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
-    three may stand in the files' comments. Points whose coordinates are NaN are kept; properties that are neither
-    position, colour nor normal are listed in `source["ignored"]`, and `source["missing_numbers"]` counts the gaps in
-    the numbers of the files, which are taken as one frame after another. Raises BadInput, Truncated.
+    fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, by default "y". All
+    three may be comments of the files instead. Points with NaN coordinates are kept; properties other than position, colour
+    and normal are listed in `source["ignored"]`; `source["missing_numbers"]` counts missing file numbers, whose frames
+    are skipped. Raises BadInput, Truncated.
     """
     files = frame_files(path)
     frames = [read_frame(file) for file in files]
     comments = frames[0][1].comments
     rate = fps if fps is not None else comments.get("rate")
     if rate is None:
-        raise BadInput(f"{path}: PLY files carry no frame rate; say it, for instance fps=15 (--fps 15)")
+        raise BadInput(f"{path}: PLY files store no frame rate; give it, for instance fps=15 (--fps 15)")
     units = unit or comments.get("units", "m")
     if units not in UNITS_M:
         raise BadInput(f"{path}: unknown unit {units!r}; known are {', '.join(UNITS_M)}")
@@ -72,11 +75,11 @@ def read(
     colour = next((c for c in COLOURS if set(c) <= set(names)), None)
     normal = NORMAL if set(NORMAL) <= set(names) else None
     for file, (values, _) in zip(files, frames, strict=True):
-        for what in filter(None, (POSITION, colour, normal)):
-            if not set(what) <= set(values.dtype.names or ()):
-                raise BadInput(f"{file}: has no {', '.join(what)}, which the first frame has")
-            if not all(np.isfinite(values[name]).all() for name in what if what is colour):
-                raise BadInput(f"{file}: has colours that are not numbers")
+        for properties in filter(None, (POSITION, colour, normal)):
+            if not set(properties) <= set(values.dtype.names or ()):
+                raise BadInput(f"{file}: has no {', '.join(properties)}, which the first frame has")
+            if not all(np.isfinite(values[name]).all() for name in properties if properties is colour):
+                raise BadInput(f"{file}: has colours that are not finite")
     positions = [columns(values, POSITION) * UNITS_M[units] for values, _ in frames]
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
@@ -105,9 +108,8 @@ def write(
 ) -> None:
     """Write frames as `frame_000000.ply` … into a folder, or a single frame as one .ply file.
 
-    encoding: "ascii", "binary_little_endian" or "binary_big_endian"; as the source was, unless given. Coordinates go
-    back to the source's unit. Raises BadInput where the folder already holds .ply files, unless `overwrite`, which
-    removes them.
+    encoding: "ascii", "binary_little_endian" or "binary_big_endian"; by default the source's. Coordinates are in the
+    source's unit. overwrite: remove .ply files that are in the folder; otherwise they raise BadInput.
     """
     from . import replace_whole
 
@@ -125,7 +127,7 @@ def write(
     target.mkdir(parents=True, exist_ok=True)
     if old := sorted(target.glob("*.ply")):
         if not overwrite:
-            raise BadInput(f"{target}: already holds {len(old)} .ply files; name an empty folder or say overwrite")
+            raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
         for file in old:
             file.unlink()
     for frame in range(len(clouds)):
@@ -133,7 +135,7 @@ def write(
 
 
 def frame_files(path: str | PathLike[str]) -> list[Path]:
-    """The .ply files that a folder, glob or single path names, in natural order: frame_2 before frame_10."""
+    """The .ply files of a folder, glob or single path, in natural order: frame_2 before frame_10."""
     text = os.fspath(path)
     if Path(text).is_dir():
         files = [p for p in Path(text).iterdir() if p.suffix.lower() == ".ply" and p.is_file()]
@@ -147,13 +149,13 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
 
 
 def missing_numbers(files: list[Path]) -> int:
-    """How many numbers are missing between the first and the last of files that are numbered one by one."""
+    """How many numbers are missing between the first and the last file of a numbered sequence."""
     numbers = [re.findall(r"\d+", file.stem)[-1:] for file in files]
     if len(files) < 3 or not all(numbers):
         return 0
     steps = np.diff([int(number[0]) for number in numbers])
-    usual = int(np.median(steps))
-    return int((steps // usual - 1).sum()) if usual > 0 and (steps > 0).all() else 0
+    step = int(np.median(steps))
+    return int((steps // step - 1).sum()) if step > 0 and (steps > 0).all() else 0
 
 
 def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
@@ -185,11 +187,11 @@ def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
 
 
 def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
-    """How many bytes an element that starts `body` takes; of lists, those of one length only: triangles, or quads."""
+    """Bytes of an element at the start of `body`; lists must all have one length (triangles, or quads)."""
     if not element.lists or not element.size:
         return element.size * record(element, order).itemsize
     if element.fields or len(element.lists) > 1:
-        raise BadInput(f"{path}: {element.name} with lists stands before the vertices; save the vertices first")
+        raise BadInput(f"{path}: {element.name} with lists comes before the vertices; save vertices first")
     _, count, kind = element.lists[0]
     width = np.dtype(count).itemsize
     items = int(np.frombuffer(body, order + count, 1)[0]) if len(body) >= width else 0
@@ -198,12 +200,12 @@ def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
         raise Truncated(f"{path}: ends before its {element.size} {element.name} elements")
     counts = np.frombuffer(body, np.dtype([("count", order + count), ("rest", f"V{row - width}")]), element.size)
     if (counts["count"] != items).any():
-        raise BadInput(f"{path}: {element.name} of different sizes stand before the vertices; save the vertices first")
+        raise BadInput(f"{path}: {element.name} of different sizes come before the vertices; save vertices first")
     return element.size * row
 
 
 def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) -> np.ndarray[Any, np.dtype[Any]]:
-    """Vertices of an ASCII file, all numbers parsed at once."""
+    """Vertices of an ASCII file, all numbers parsed in one call."""
     width = len(vertex.fields)
     if vertex.size * width * 2 > len(body) + 1:
         raise Truncated(f"{path}: ends before its {vertex.size} vertices")
@@ -221,7 +223,7 @@ def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) ->
         if kind[0] in "iu":
             limits = np.iinfo(kind)
             if not ((column >= limits.min) & (column <= limits.max)).all():
-                raise BadInput(f"{path}: {name} outside what its type holds")
+                raise BadInput(f"{path}: {name} is outside the range of its type")
         values[name] = column.astype(kind)
     return values
 
@@ -232,7 +234,7 @@ def parse_header(data: bytes, path: Path) -> Header:
         raise Truncated(f"{path}: is empty")
     if data[:3] != b"ply":
         raise BadInput(f"{path}: not a PLY file")
-    end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:HEADER_LIMIT])
+    end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:MAX_HEADER_BYTES])
     if not end:
         raise Truncated(f"{path}: the header does not end")
     encoding, elements, comments = "", list[Element](), dict[str, str]()
@@ -266,23 +268,24 @@ def parse_header(data: bytes, path: Path) -> Header:
 
 
 def record(element: Element, order: str) -> np.dtype[Any]:
+    """The dtype of one item of an element; order: "<" or ">"."""
     return np.dtype([(name, order + kind) for name, kind in element.fields])
 
 
-def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(n, 3) float64 of three named fields; colours in their own type's range become 0 to 255."""
-    out = np.empty((len(values), len(names)))
+def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...]) -> Floats:
+    """(n, 3) float64 of three named fields; colours are scaled from the range of their type to 0 … 255."""
+    result = np.empty((len(values), len(names)))
     for i, name in enumerate(names):
-        with np.errstate(invalid="ignore"):  # a signalling NaN is still a NaN
-            out[:, i] = values[name]
+        with np.errstate(invalid="ignore"):  # of signalling NaNs
+            result[:, i] = values[name]
         if values.dtype[name].kind == "f" and name not in POSITION + NORMAL:
-            out[:, i] *= 255.0
+            result[:, i] *= 255.0
         elif values.dtype[name].kind == "u" and values.dtype[name].itemsize == 2:
-            out[:, i] /= 257.0
-    return out
+            result[:, i] /= 257.0
+    return result
 
 
-def as_bytes(colours: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def as_bytes(colours: Floats) -> Bytes:
     """Colours 0 to 255 as uint8; NaN becomes black."""
     return np.clip(np.rint(np.nan_to_num(colours)), 0, 255).astype(np.uint8)
 

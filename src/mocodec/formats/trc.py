@@ -17,7 +17,7 @@ from ..errors import BadInput
 from ..motion import Floats, Motion
 from . import replace_whole
 from .conventions import UNITS_M, first_frame, guess_up
-from .text import decoded, numbers
+from .text import numbers, read_text
 
 HOLDS: frozenset[str] = frozenset()  # of what is beside the positions
 
@@ -33,7 +33,7 @@ def read(path: str | Path, up: str | None = None) -> Motion:
     P35, …; NumMarkers of those programs counts something else, so the columns decide. up: the vertical axis, which a
     TRC does not say; guessed from the motion unless told. Raises BadInput.
     """
-    lines = decoded(path).split("\n")
+    lines = read_text(path).split("\n")
     if not lines[0].startswith("PathFileType"):
         raise BadInput(f"{path}: not a TRC: it does not begin with PathFileType")
     names_at = next((i for i, line in enumerate(lines[:20]) if line.startswith("Frame#")), None)
