@@ -243,7 +243,7 @@ def test_what_an_amc_cannot_hold_is_refused(tmp_path):
     with pytest.raises(BadInput, match=r"write an \.amc"):
         formats.write(tmp_path / "x.bvh", motion)
     (tmp_path / "long.asf").write_text(ASF.replace("length 7", "length 7.5"))
-    with pytest.raises(BadInput, match="differs from this motion.s skeleton"):
+    with pytest.raises(BadInput, match="differs from this"):
         formats.write(tmp_path / "x.amc", motion, asf=tmp_path / "long.asf")
     (tmp_path / "stiff.asf").write_text(ASF.replace("dof rx rz", "dof rx"))
     with pytest.raises(BadInput, match="bone foot"):

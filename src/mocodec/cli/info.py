@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .. import api
+from .. import api, formats
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities
@@ -44,6 +44,8 @@ def about(recording: Motion | PointClouds) -> dict[str, Any]:
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
+    if notes := formats.notes(recording):
+        facts["notes"] = notes
     return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
 
 

@@ -6,6 +6,7 @@ docs/formats.md lists what each format stores, what is kept and what is not.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -14,6 +15,10 @@ from typing import Any
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
+from .conventions import with_start
+from .decisions import notes
+
+__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "replace_whole", "write"]
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -34,15 +39,33 @@ MAX_MESSAGE_CHARACTERS = 400
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
 
+    Every format takes `up` (vertical axis), `unit` (of its lengths: a name, or metres) and `rate` (hertz) in place of
+    what the file says; motions take `start`, the time of the first frame in seconds.
     Raises BadInput if there is no such file, format or option, or if the content does not match the suffix.
     """
     path = Path(path)
     if path.is_dir() or (path.suffix.lower() == ".ply" and any(wildcard in str(path) for wildcard in "*?[")):
-        return _call(FORMATS[".ply"], "read", path, **options)
+        return _read(FORMATS[".ply"], path, options)
     module = _module(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
-    return _call(module, "read", path, **options)
+    return _read(module, path, options)
+
+
+def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClouds:
+    """Read, with the overrides that need nothing of the format: `up` and `start`."""
+    names = _parameters(import_module(module).read)
+    up = options.pop("up") if "up" in options and "up" not in names else None
+    start = options.pop("start", None)
+    recording = _call(module, "read", path, **options)
+    if up is not None:
+        source = {key: value for key, value in recording.source.items() if key != "up_guessed"}
+        recording = replace(recording, up=up, source=source)
+    if start is not None:
+        if not isinstance(recording, Motion):
+            raise BadInput(f"{path}: point clouds have no start time")
+        recording = replace(recording, source=with_start(recording.source, recording.rate, float(start)))
+    return recording
 
 
 def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: Any) -> None:
@@ -60,11 +83,17 @@ def _module(path: Path) -> str:
     return FORMATS[suffix]
 
 
+def _parameters(function: Any) -> tuple[str, ...]:
+    """The names of a function's parameters after the first."""
+    code = function.__code__
+    return code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount]
+
+
 def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any:
     function = getattr(import_module(module), verb)
-    names = function.__code__.co_varnames[: function.__code__.co_argcount + function.__code__.co_kwonlyargcount]
+    names = _parameters(function)
     for name in options:
-        if name not in names[1:]:
+        if name not in names:
             raise BadInput(f"{path}: {verb} of {path.suffix.lower() or 'this format'} has no option {name!r}")
     try:
         return function(path, *args, **options)

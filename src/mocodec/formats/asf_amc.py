@@ -10,7 +10,9 @@ them; `asf.py` reads and writes the skeleton.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole
 from .asf import Acclaim, Bone, asf_text, axis_frame, read_asf
-from .conventions import first_frame, unit_of
+from .conventions import first_frame, unit_of, unit_option
 from .text import numbers, read_text
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
@@ -29,14 +31,18 @@ CMU_RATE = 120.0
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
-def read(path: str | Path, asf: str | Path | None = None, rate: float = CMU_RATE) -> Motion:
+def read(
+    path: str | Path, asf: str | Path | None = None, rate: float | None = None, unit: str | float | None = None
+) -> Motion:
     """An AMC with its ASF as a motion, metres, y up, with skeleton and rotations.
 
     asf: the skeleton file; by default the ASF in the same folder whose name the AMC's name begins with, or the only one
-    there. rate: hertz; an AMC does not store it. Raises BadInput.
+    there. rate: hertz; by default 120, CMU's, as an AMC does not store it. unit: by default the ASF's. Raises BadInput.
     """
     path = Path(path)
     acclaim = read_asf(find_asf(path) if asf is None else asf)
+    if unit is not None:
+        acclaim = replace(acclaim, length=0.0254 / unit_option(unit)[1])
     first, values = _channels(path, acclaim)
     frames = len(values[0])
     rotations = np.empty((frames, len(acclaim.bones), 4))
@@ -48,9 +54,11 @@ def read(path: str | Path, asf: str | Path | None = None, rate: float = CMU_RATE
         if name[0] == "t":
             translation[:, "xyz".index(name[1])] = values[0][:, channel]
     positions = kinematics.forward(acclaim.skeleton, rotations, translation * acclaim.unit_m, own_frame=True)
-    source = {"format": "amc", "units": "ASF", "unit_m": acclaim.unit_m, "first_frame": first}
+    source: dict[str, Any] = {"format": "amc", "units": "ASF", "unit_m": acclaim.unit_m, "first_frame": first}
+    if rate is not None:
+        source["rate_given"] = True
     skeleton = acclaim.skeleton
-    return Motion(positions, rate, skeleton.names, "y", skeleton, rotations, source)
+    return Motion(positions, rate or CMU_RATE, skeleton.names, "y", skeleton, rotations, source)
 
 
 def find_asf(amc: Path) -> Path:
@@ -107,7 +115,7 @@ def _channels(path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
 
 
 def _rotation(bone: Bone, channels: Floats, acclaim: Acclaim) -> Floats:
-    """C · M · C⁻¹ (frames, 4). The first letter of an order is the first rotation, the rightmost factor of a product."""
+    """C · M · C⁻¹ (frames, 4). The first letter of an order is the first rotation, the rightmost factor."""
     angles = np.zeros((len(channels), 3))
     for channel, name in enumerate(bone.dof):
         if name[0] == "r":

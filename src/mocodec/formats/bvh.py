@@ -21,7 +21,7 @@ from ..geometry import kinematics, rigid
 from ..motion import Motion, Skeleton
 from ..typing import Floats
 from . import replace_whole
-from .conventions import unit_of
+from .conventions import unit_of, unit_option
 from .text import numbers, read_text
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
@@ -47,11 +47,11 @@ class Joint:
         return "".join(letter for letter in self.channels if letter.islower())
 
 
-def read(path: str | Path, unit: str | float | None = None) -> Motion:
+def read(path: str | Path, unit: str | float | None = None, rate: float | None = None) -> Motion:
     """A BVH as a motion, metres, y up, with skeleton and rotations.
 
     unit: "cm", "m", "mm", "in", "ASF" (CMU's) or metres in one unit; None takes the first of cm, m, mm, ASF and inch in
-    which the skeleton at rest extends 0.8 to 2.4 m, and cm where none does. Raises BadInput.
+    which the skeleton at rest extends 0.8 to 2.4 m, else cm. rate: hertz, by default 1 / Frame Time. Raises BadInput.
     """
     text = read_text(path)
     head, motion, body = text.partition("MOTION")
@@ -67,7 +67,7 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
     timing = re.match(r"\s*Frames:\s*(\d{1,12})\s+Frame\s+Time:\s*(\S+)", body, re.IGNORECASE)
     if timing is None:
         raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
-    frames, rate = int(timing[1]), _rate(timing[2], path)
+    frames, file_rate = int(timing[1]), _rate(timing[2], path)
     table = numbers(body[timing.end() :], path)
     width = sum(len(joint.channels) for joint in joints)
     if table.size != frames * width or not width:
@@ -84,8 +84,10 @@ def read(path: str | Path, unit: str | float | None = None) -> Motion:
     skeleton = Skeleton(skeleton.names, skeleton.parents, offsets * unit_m)
     rotations, translations = _transforms(joints, table.reshape(frames, width), unit_m)
     positions = kinematics.forward(skeleton, rotations, np.zeros((frames, 3)), translations=translations)
-    source = {"format": "bvh", "units": units, "unit_m": unit_m, "channels": _channels(joints)}
-    return Motion(positions, rate, names, "y", skeleton, rotations, source)
+    source: dict[str, Any] = {"format": "bvh", "units": units, "unit_m": unit_m, "channels": _channels(joints)}
+    if unit is not None:
+        source["unit_given"] = True
+    return Motion(positions, rate or file_rate, names, "y", skeleton, rotations, source)
 
 
 def _hierarchy(text: str) -> list[Joint]:
@@ -150,20 +152,12 @@ def _rate(frame_time: str, path: str | Path) -> float:
 
 
 def _unit(unit: str | float | None, rest: Skeleton, path: str | Path) -> tuple[str, float]:
-    """The unit's name and metres in it: as told, or as the size of the skeleton at rest says."""
-    if isinstance(unit, str):
-        named = {name.lower(): name for name in UNITS_M}
-        if unit.lower() in named:
-            return named[unit.lower()], UNITS_M[named[unit.lower()]]
-        try:
-            unit = float(unit)
-        except ValueError:
-            known = ", ".join(UNITS_M)
-            raise BadInput(f"{path}: unit {unit!r} is neither a number of metres nor one of {known}") from None
+    """The unit's name and its metres: as given, or guessed from the size of the skeleton at rest."""
     if unit is not None:
-        if not 0 < unit < float("inf"):
-            raise BadInput(f"{path}: a unit is a positive number of metres, not {unit}")
-        return f"{unit:g} m", float(unit)
+        try:
+            return unit_option(unit, UNITS_M)
+        except BadInput as error:
+            raise BadInput(f"{path}: {error}") from None
     places = np.array(rest.offsets)
     for joint, parent in enumerate(rest.parents):
         places[joint] += places[parent] if parent >= 0 else -places[joint]

@@ -27,7 +27,7 @@ from ..motion import Limits, Motion, Skeleton
 from ..pointcloud import PointClouds
 from ..typing import Floats
 from . import replace_whole
-from .conventions import UNITS_M, guess_up
+from .conventions import guess_up, unit_option
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an NPZ stores beside the positions."""
@@ -41,7 +41,7 @@ MAX_DEFLATE_RATIO = 1100
 
 
 def read(
-    path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None
+    path: str | Path, rate: float | None = None, unit: str | float | None = None, up: str | None = None
 ) -> Motion | PointClouds:
     """Positions of an NPZ as a motion, or its points and counts as point clouds.
 
@@ -58,7 +58,7 @@ def read(
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
             OverflowError, SyntaxError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
         if isinstance(error, BadInput):
-            raise
+            raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
         raise BadInput(f"{path}: cannot be read as an NPZ ({error})") from None
 
 
@@ -97,7 +97,7 @@ class _Archive:
         return values[0]
 
 
-def _motion(arrays: _Archive, rate: float | None, unit: str | None, up: str | None) -> Motion:
+def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:
     path = arrays.path
     key = arrays.first(POSITIONS)
     if key is None:
@@ -156,7 +156,7 @@ def _limits(arrays: _Archive) -> Limits | None:
     return Limits(orders, *(arrays.load(f"limit_{name}").astype(np.float64) for name in ("axes", "ranges")))
 
 
-def _clouds(arrays: _Archive, rate: float | None, unit: str | None, up: str | None) -> PointClouds:
+def _clouds(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> PointClouds:
     """Point clouds of the arrays points (all, 3), counts (frames,) and optionally colours and normals (all, 3)."""
     points, counts = arrays.load("points"), arrays.load("counts").reshape(-1)
     if counts.dtype.kind not in "iu" or (counts < 0).any() or int(counts.sum()) != len(points):
@@ -180,24 +180,20 @@ def _clouds(arrays: _Archive, rate: float | None, unit: str | None, up: str | No
         rate = float(arrays.single(rate_key))
     if unit is None:
         unit = str(arrays.single("unit")) if "unit" in arrays.names else "m"
-    if unit.lower() not in UNITS_M:
-        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
-    unit_m = UNITS_M[unit.lower()]
+    units, unit_m = unit_option(unit)
     positions = np.split(points.astype(np.float64) * unit_m, ends)
     up = up or (str(arrays.single("up")) if "up" in arrays.names else "y")
-    source = {"format": "npz", "units": unit, "unit_m": unit_m}
+    source = {"format": "npz", "units": units, "unit_m": unit_m}
     return PointClouds(positions, rate, split("colours", np.uint8), split("normals", np.float64), up, source)
 
 
-def _unit(arrays: _Archive, key: str, positions: Floats, unit: str | None) -> tuple[str, float]:
+def _unit(arrays: _Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
         unit = str(arrays.single("unit"))
     if unit is None:
         finite = positions[~np.isnan(positions[:, :, 0])]
         unit = "mm" if key == "markers" and finite.size and np.ptp(finite, axis=0).max() > 100 else "m"
-    if unit.lower() not in UNITS_M:
-        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
-    return unit, UNITS_M[unit.lower()]
+    return unit_option(unit)
 
 
 def write(path: str | Path, motion: Motion | PointClouds) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from ..errors import BadInput, Truncated
 from ..pointcloud import PointClouds
 from ..typing import Bytes, Floats
+from .conventions import unit_option
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -30,7 +31,6 @@ TYPES = {
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 MAX_HEADER_BYTES = 1 << 16
-UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 
 class Element(NamedTuple):
@@ -52,24 +52,30 @@ class Header(NamedTuple):
 
 
 def read(
-    path: str | PathLike[str], *, fps: float | None = None, unit: str | None = None, up: str | None = None
+    path: str | PathLike[str],
+    *,
+    fps: float | None = None,
+    rate: float | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
 ) -> PointClouds:
     """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
 
-    fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, by default "y". All
-    three may be comments of the files instead. Points with NaN coordinates are kept; properties other than position, colour
-    and normal are listed in `source["ignored"]`; `source["missing_numbers"]` counts missing file numbers, whose frames
-    are skipped. Raises BadInput, Truncated.
+    fps or rate: hertz. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, by default "y". All
+    three may be comments of the files instead. Points with NaN coordinates are kept; properties other than position,
+    colour and normal are listed in `source["ignored"]`; `source["missing_numbers"]` counts missing file numbers, whose
+    frames are skipped. Raises BadInput, Truncated.
     """
     files = frame_files(path)
     frames = [read_frame(file) for file in files]
     comments = frames[0][1].comments
-    rate = fps if fps is not None else comments.get("rate")
-    if rate is None:
+    hertz = next((given for given in (fps, rate, comments.get("rate")) if given is not None), None)
+    if hertz is None:
         raise BadInput(f"{path}: PLY files store no frame rate; give it, for instance fps=15 (--fps 15)")
-    units = unit or comments.get("units", "m")
-    if units not in UNITS_M:
-        raise BadInput(f"{path}: unknown unit {units!r}; known are {', '.join(UNITS_M)}")
+    try:
+        units, unit_m = unit_option(unit or comments.get("units", "m"))
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
     first = frames[0][0].dtype
     names = first.names or ()
     colour = next((c for c in COLOURS if set(c) <= set(names)), None)
@@ -80,10 +86,10 @@ def read(
                 raise BadInput(f"{file}: has no {', '.join(properties)}, which the first frame has")
             if not all(np.isfinite(values[name]).all() for name in properties if properties is colour):
                 raise BadInput(f"{file}: has colours that are not finite")
-    positions = [columns(values, POSITION) * UNITS_M[units] for values, _ in frames]
+    positions = [columns(values, POSITION) * unit_m for values, _ in frames]
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
-        "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": UNITS_M[units],
+        "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": unit_m,
         "double": bool(first["x"].itemsize == 8),
     }  # fmt: skip
     if missing := missing_numbers(files):
@@ -93,7 +99,7 @@ def read(
     try:
         return PointClouds(
             positions=positions,
-            rate=float(rate),
+            rate=float(hertz),
             colours=[as_bytes(columns(values, colour)) for values, _ in frames] if colour else None,
             normals=[columns(values, normal) for values, _ in frames] if normal else None,
             up=up or comments.get("up", "y"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from ...errors import BadInput
 from ...geometry import articulation, rigid
 from ...motion import Motion, Skeleton
 from ...typing import Floats
+from ..conventions import unit_option
 from .binary import TO_Y_UP, unpack
 from .tracks import Track, rate_of
 
@@ -19,21 +21,23 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 MAX_FRAMES = 1 << 24
 
 
-def read(path: str | Path, rate: float | None = None) -> Motion:
+def read(path: str | Path, rate: float | None = None, unit: str | float | None = None) -> Motion:
     """The first animation of a GLB as a motion of its joints.
 
     The joints are those of the first skin; without a skin, all animated nodes and the nodes below them.
-    rate: sampling rate in hertz; by default that of the key times. Raises BadInput.
+    rate: sampling rate in hertz; by default that of the key times. unit: of the
+    lengths, by default metres as glTF demands. Raises BadInput.
     """
     try:
-        return _Reader(path).motion(rate)
+        motion = _GlbReader(path).motion(rate)
+        return motion if unit is None else _scaled(motion, *unit_option(unit))
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: cannot be read as a GLB ({type(error).__name__}: {error})") from None
 
 
-class _Reader:
+class _GlbReader:
     """A GLB's JSON and binary part."""
 
     def __init__(self, path: str | Path) -> None:
@@ -234,6 +238,14 @@ def _compose(
         return translation, rotation, scale
     position = parent[0] + rigid.rotate(parent[1], parent[2] * translation)
     return position, rigid.multiply(parent[1], rotation), parent[2] * scale
+
+
+def _scaled(motion: Motion, units: str, unit_m: float) -> Motion:
+    """The motion with its lengths in another unit than metres."""
+    assert motion.skeleton is not None
+    skeleton = replace(motion.skeleton, offsets=motion.skeleton.offsets * unit_m)
+    source = {**motion.source, "units": units, "unit_m": unit_m}
+    return replace(motion, positions=motion.positions * unit_m, skeleton=skeleton, source=source)
 
 
 def _unique(names: list[str]) -> tuple[str, ...]:

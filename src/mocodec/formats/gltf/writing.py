@@ -27,10 +27,10 @@ def write(path: str | Path, motion: Motion, surface: Surface | None = None) -> N
         raise BadInput(f"{path}: a GLB cannot hold gaps; write a .c3d, .trc or .npz")
     if not len(motion) or not motion.points:
         raise BadInput(f"{path}: a GLB needs at least one frame and one point")
-    replace_whole(path, _Writer(motion).bytes(surface))
+    replace_whole(path, _GlbWriter(motion).bytes(surface))
 
 
-class _Writer:
+class _GlbWriter:
     """Collects accessors and the JSON around them."""
 
     def __init__(self, motion: Motion) -> None:
