@@ -127,6 +127,7 @@ DESCRIPTIONS = {
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",
     "rotations": "segment poses",
+    "zero_samples": "marks of zeros",
 }
 """Keys of `Motion.extras` as users read them; other keys are shown as they are."""
 
