@@ -92,6 +92,34 @@ def test_radians_and_other_orders(tmp_path):
     assert np.allclose(formats.read(tmp_path / "tiny_02.amc").positions, motion.positions, atol=1e-7)
 
 
+def test_the_rate_of_the_header(tmp_path):
+    plain = formats.read(pair(tmp_path))
+    assert formats.notes(plain) == ["guessed: rate 120 Hz (--rate)"]
+    for text, rate in (("60", 60.0), ("120", 120.0)):
+        motion = formats.read(pair(tmp_path, AMC.replace(":FULLY", f":SAMPLES-PER-SECOND {text}\n:FULLY")))
+        assert (motion.rate, formats.notes(motion)) == (rate, [])
+    assert formats.read(tmp_path / "tiny_01.amc", rate=50.0).rate == 50.0
+
+
+def test_angles_of_skeleton_and_motion_in_different_units(tmp_path):
+    expected = formats.read(pair(tmp_path)).positions
+    radians = ASF.replace("angle deg", "angle rad").replace("axis 0 0 20", f"axis 0 0 {np.radians(20)}")
+    radians = radians.replace("axis -90 0 20", f"axis {np.radians(-90)} 0 {np.radians(20)}")
+    assert np.allclose(formats.read(pair(tmp_path, asf=radians)).positions, expected)
+    lines = []
+    for line in AMC.replace(":DEGREES", ":RADIANS").split("\n"):
+        words = line.split()
+        first = 4 if words[:1] == ["root"] else 1 if words and words[0].isalpha() else len(words)
+        lines.append(" ".join(words[:first] + [f"{np.radians(float(w)):.12g}" for w in words[first:]]))
+    assert np.allclose(formats.read(pair(tmp_path, "\n".join(lines))).positions, expected)
+
+
+def test_blank_lines_take_no_time(tmp_path):
+    expected = formats.read(pair(tmp_path)).positions
+    amc = AMC.replace(":FULLY", "\n" * 300_000 + ":FULLY").replace("8\n", "8\n" + "\n" * 300_000)
+    assert np.array_equal(formats.read(pair(tmp_path, amc)).positions, expected)
+
+
 def limits_of(tmp_path, asf: str = ASF):
     limits = formats.read(pair(tmp_path, asf=asf)).skeleton.limits
     assert limits is not None

@@ -84,10 +84,84 @@ def test_the_unit_as_told(tmp_path, unit, unit_m):
 
 @pytest.mark.parametrize(
     ("frame_time", "rate"),
-    [("0.0083333", 120.0), (".0166667", 60.0), ("0.033333", 30.0), ("0.04", 25.0), ("0.0333667", 1 / 0.0333667)],
+    [
+        ("0.0083333", 120.0),
+        (".0166667", 60.0),
+        ("0.033333", 30.0),
+        ("0.04", 25.0),
+        ("0.0333667", 30000 / 1001),
+        ("0.017", 60.0),
+        ("0.0333", 30.0),
+        ("1.6667e-02", 60.0),
+        ("0.008342", 120000 / 1001),
+        ("0.016683", 60000 / 1001),
+        ("0.041708", 24000 / 1001),
+        ("0.0123", 81.0),
+        ("0.1", 10.0),
+        ("0.012345678", 1 / 0.012345678),
+    ],
 )
 def test_rates_that_were_rounded(tmp_path, frame_time, rate):
     assert read(tmp_path, BVH.replace("0.0083333", frame_time)).rate == rate
+
+
+def test_motion_may_be_part_of_a_name(tmp_path):
+    expected = read(tmp_path)
+    for name in ("LOCOMOTION", "MOTION", "MOTION Frames", "a MOTION"):
+        motion = read(tmp_path, BVH.replace("ROOT Hips", f"ROOT {name}"))
+        assert motion.names[0] == name
+        assert np.array_equal(motion.positions, expected.positions)
+
+
+@pytest.mark.parametrize(("declared", "frames"), [(4, 3), (2, 3)])
+def test_one_frame_more_or_fewer_than_declared_is_noted(tmp_path, declared, frames):
+    motion = read(tmp_path, BVH.replace("Frames: 3", f"Frames: {declared}"))
+    assert len(motion) == frames
+    assert any(f"declares {declared} frames, the file has {frames}" in note for note in formats.notes(motion))
+
+
+def standing(up: str, rest_up: str, unit: float) -> str:
+    """A body 1.7 m tall that walks; the rest pose stands along `rest_up`, the motion along `up`."""
+    bones = {"Hips": (0, 0, 0), "Head": (0, 0.75, 0.05), "LeftFoot": (0.1, -0.95, 0), "RightFoot": (-0.1, -0.95, 0)}
+    bones |= {"LeftHand": (0.8, 0.5, 0), "RightHand": (-0.8, 0.5, 0)}
+
+    def text(vector, axis) -> str:
+        x, y, z = (v / unit for v in vector)
+        return f"{x:.4f} {y:.4f} {z:.4f}" if axis == "y" else f"{x:.4f} {-z:.4f} {y:.4f}"
+
+    lines = ["HIERARCHY", "ROOT Hips", "{", "OFFSET 0 0 0", "CHANNELS 6 Xposition Yposition Zposition"]
+    lines[-1] += " Xrotation Yrotation Zrotation"
+    for name, offset in list(bones.items())[1:]:
+        lines += [f"JOINT {name}", "{", f"OFFSET {text(offset, rest_up)}", "CHANNELS 1 Xrotation", "End Site", "{"]
+        lines += [f"OFFSET {text((0, 0.02, 0), rest_up)}", "}", "}"]
+    lines += ["}", "MOTION", "Frames: 40", "Frame Time: 0.0333333"]
+    turn = {"yy": 0, "zz": 0, "zy": 90, "yz": -90}[up + rest_up]
+    for i in range(40):
+        lines.append(f"{text((0, 0.95, i * 0.1), up)} {turn} 0 0 {np.sin(i)} 0 0 0 0")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("unit", [0.01, 1.0, 0.001, 0.0254 / 0.45])
+@pytest.mark.parametrize(("up", "rest_up"), [("y", "y"), ("z", "z"), ("z", "y")])
+def test_up_and_unit_are_guessed_from_the_motion_and_said(tmp_path, up, rest_up, unit):
+    text = standing(up, rest_up, unit)
+    motion = read(tmp_path, text)
+    assert (motion.up, motion.source["unit_m"]) == (up, unit)
+    assert formats.notes(motion) == [f"guessed: up {up} (--up), unit {motion.source['units']} (--unit)"]
+    given = read(tmp_path, text, up="x", unit=0.5)
+    assert (given.up, formats.notes(given)) == ("x", [])
+
+
+def test_nesting_is_bounded(tmp_path):
+    ends = "End Site {\nOFFSET 0 1 0\n" * 2
+    with pytest.raises(BadInput, match="End Site"):
+        read(tmp_path, BVH.replace("End Site\n      {\n        OFFSET 60.0 0.0 0.0\n", ends + "}\n", 1))
+    deep = "".join(f"JOINT j{i} {{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for i in range(100_000))
+    with pytest.raises(BadInput, match="1000 deep"):
+        read(
+            tmp_path,
+            f"HIERARCHY\nROOT r {{\nOFFSET 0 0 0\n{deep}\nMOTION\nFrames: 0\n",
+        )
 
 
 def test_a_skeleton_from_elsewhere(tmp_path):
@@ -115,8 +189,8 @@ def test_a_skeleton_from_elsewhere(tmp_path):
         ("JOINT Head", "ROOT Head", "inside"),
         ("0.0083333", "0", "Frame Time"),
         ("0.0083333", "-1", "Frame Time"),
-        ("Frames: 3", "Frames: 4", "cut off"),
-        ("Frames: 3", "Frames: 2", "2 frames of"),
+        ("Frames: 3", "Frames: 5", "cut off"),
+        ("Frames: 3", "Frames: 1", "1 frames of"),
         ("Frames: 3", "Frames: many", "Frames:"),
         ("9 92", "9 inf", "'inf'"),
         ("9 92", "9 x", "'x'"),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import BadInput
-from ..motion import Motion
+from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
 from .conventions import with_start
 from .decisions import notes
@@ -54,6 +54,8 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
 
 def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClouds:
     """Read, with the overrides that need nothing of the format: `up` and `start`."""
+    if options.get("up") is not None and options["up"] not in UP_AXES:
+        raise BadInput(f"{path}: up is one of {', '.join(UP_AXES)}, not {options['up']!r:.40}")
     names = _parameters(import_module(module).read)
     up = options.pop("up") if "up" in options and "up" not in names else None
     start = options.pop("start", None)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from .text import numbers, read_text
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an AMC stores beside the positions."""
 CMU_RATE = 120.0
+MAX_RADIANS = 50.0
+"""Angles of continuous rotation, eight turns."""
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
@@ -37,17 +39,21 @@ def read(
     """An AMC with its ASF as a motion, metres, y up, with skeleton and rotations.
 
     asf: the skeleton file; by default the ASF in the same folder whose name the AMC's name begins with, or the only one
-    there. rate: hertz; by default 120, CMU's, as an AMC does not store it. unit: by default the ASF's. Raises BadInput.
+    there. rate: hertz, by default that of the header, else 120, CMU's. unit: by default the ASF's. Raises BadInput.
     """
     path = Path(path)
     acclaim = read_asf(find_asf(path) if asf is None else asf)
     if unit is not None:
         acclaim = replace(acclaim, length=0.0254 / unit_option(unit)[1])
-    first, values = _channels(path, acclaim)
+    text = read_text(path)
+    header = _header(text, path)
+    is_degrees = acclaim.degrees if header.is_degrees is None else header.is_degrees
+    first, values = _channels(text[header.size :], path, acclaim)
+    _require_angles(path, acclaim, values, is_degrees)
     frames = len(values[0])
     rotations = np.empty((frames, len(acclaim.bones), 4))
     for joint, (bone, channels) in enumerate(zip(acclaim.bones, values, strict=True)):
-        rotations[:, joint] = _rotation(bone, channels, acclaim)
+        rotations[:, joint] = _rotation(bone, channels, acclaim, is_degrees)
     root = acclaim.bones[0]
     translation = np.zeros((frames, 3))
     for channel, name in enumerate(root.dof):
@@ -57,8 +63,46 @@ def read(
     source: dict[str, Any] = {"format": "amc", "units": "ASF", "unit_m": acclaim.unit_m, "first_frame": first}
     if rate is not None:
         source["rate_given"] = True
+    elif header.rate is not None:
+        source |= {"rate_given": True} if header.rate == CMU_RATE else {}
+        rate = header.rate
     skeleton = acclaim.skeleton
     return Motion(positions, rate or CMU_RATE, skeleton.names, "y", skeleton, rotations, source)
+
+
+class _Header(NamedTuple):
+    """What stands before the first frame. size: its characters; is_degrees, rate: None if it does not say."""
+
+    size: int
+    is_degrees: bool | None
+    rate: float | None
+
+
+def _header(text: str, path: Path) -> _Header:
+    start = re.search(r"^[ \t]*\d+[ \t]*$", text, re.MULTILINE)
+    if start is None or "root" not in text:
+        raise BadInput(f"{path}: not an AMC: it has no line with a frame's number")
+    head = text[: start.start()]
+    words = {line.split()[0].upper(): line.split()[1:] for line in head.split("\n") if line.lstrip().startswith(":")}
+    is_degrees = True if ":DEGREES" in words else False if ":RADIANS" in words else None
+    try:
+        rate = float(words[":SAMPLES-PER-SECOND"][0])
+    except (KeyError, IndexError, ValueError):
+        rate = None
+    return _Header(start.start(), is_degrees, rate if rate is not None and 0 < rate < 1e6 else None)
+
+
+def _require_angles(path: Path, acclaim: Acclaim, values: list[Floats], is_degrees: bool) -> None:
+    """Raises BadInput for radians of many turns: those are degrees under the wrong keyword."""
+    if is_degrees:
+        return
+    for bone, channels in zip(acclaim.bones, values, strict=True):
+        angles = channels[:, [i for i, name in enumerate(bone.dof) if name[0] == "r"]]
+        if angles.size and np.abs(angles).max() > MAX_RADIANS:
+            raise BadInput(
+                f"{path}: bone {bone.name} has an angle of {np.abs(angles).max():g}, and the file says radians: "
+                "write :DEGREES in its header if these are degrees"
+            )
 
 
 def find_asf(amc: Path) -> Path:
@@ -73,15 +117,8 @@ def find_asf(amc: Path) -> Path:
     return candidates[0]
 
 
-def _channels(path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
+def _channels(body: str, path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
     """The number of the first frame, and for each bone its channels (frames, dof) in the file's units."""
-    text = read_text(path)
-    start = re.search(r"^[ \t]*\d+[ \t]*$", text, re.MULTILINE)
-    if start is None or "root" not in text:
-        raise BadInput(f"{path}: not an AMC: it has no line with a frame's number")
-    if re.search(r"^\s*:RADIANS", text[: start.start()], re.MULTILINE | re.IGNORECASE) and acclaim.degrees:
-        raise BadInput(f"{path}: its angles are radians, its skeleton's degrees")
-    body = text[start.start() :]
     names = BONE_NAMES.findall(body)
     frames = names.count(names[0]) if names else 0
     if frames == 0:
@@ -114,14 +151,14 @@ def _channels(path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
     return int(table[0, 0]), values
 
 
-def _rotation(bone: Bone, channels: Floats, acclaim: Acclaim) -> Floats:
+def _rotation(bone: Bone, channels: Floats, acclaim: Acclaim, is_degrees: bool) -> Floats:
     """C · M · C⁻¹ (frames, 4). The first letter of an order is the first rotation, the rightmost factor."""
     angles = np.zeros((len(channels), 3))
     for channel, name in enumerate(bone.dof):
         if name[0] == "r":
             angles[:, bone.order[::-1].index(name[1])] = channels[:, channel]
     frame = axis_frame(bone, acclaim)
-    m = rigid.from_euler(bone.order[::-1], acclaim.radians(angles))
+    m = rigid.from_euler(bone.order[::-1], np.radians(angles) if is_degrees else angles)
     return rigid.multiply(rigid.multiply(frame, m), rigid.inverse(frame))
 
 

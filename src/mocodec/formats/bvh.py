@@ -21,14 +21,22 @@ from ..geometry import kinematics, rigid
 from ..motion import Motion, Skeleton
 from ..typing import Floats
 from . import replace_whole
-from .conventions import unit_of, unit_option
+from .conventions import USUAL_RATES, guess_up, unit_of, unit_option
 from .text import numbers, read_text
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What a BVH stores beside the positions."""
 UNITS_M = {"cm": 0.01, "m": 1.0, "mm": 0.001, "ASF": 0.0254 / 0.45, "in": 0.0254}  # tried in this order
-PLAUSIBLE_HEIGHT_M = (0.8, 2.4)
+PLAUSIBLE_REST_M = (0.8, 2.4)
+"""Extent of a skeleton at rest."""
+PLAUSIBLE_HEIGHT_M = (1.0, 2.3)
+"""Height that a body reaches over the frames."""
 CHANNELS = {f"{axis}position": axis for axis in "XYZ"} | {f"{axis}rotation": axis.lower() for axis in "XYZ"}
+
+MAX_FRAME_MISMATCH = 1
+"""Frames that may be there beyond or below the declared number."""
+MAX_DEPTH = 1000
+"""Nested joints; more are taken for damage."""
 
 CHANNEL_RUN = re.compile(r"(?:([XYZxyz])(?!.*\1)){0,6}(?:\*\d{1,4})?")
 
@@ -47,18 +55,15 @@ class Joint:
         return "".join(letter for letter in self.channels if letter.islower())
 
 
-def read(path: str | Path, unit: str | float | None = None, rate: float | None = None) -> Motion:
-    """A BVH as a motion, metres, y up, with skeleton and rotations.
+def read(path: str | Path, unit: str | float | None = None, rate: float | None = None, up: str | None = None) -> Motion:
+    """A BVH as a motion, metres, with skeleton and rotations.
 
-    unit: "cm", "m", "mm", "in", "ASF" (CMU's) or metres in one unit; None takes the first of cm, m, mm, ASF and inch in
-    which the skeleton at rest extends 0.8 to 2.4 m, else cm. rate: hertz, by default 1 / Frame Time. Raises BadInput.
+    unit: "cm", "m", "mm", "in", "ASF" (CMU's) or metres in one unit; by default the first of cm, m, mm, ASF and inch in
+    which the body is as tall as a person, else cm. rate: hertz, by default 1 / Frame Time. up: the vertical axis, by
+    default y unless body and motion say z. Raises BadInput.
     """
     text = read_text(path)
-    head, motion, body = text.partition("MOTION")
-    if not head.lstrip().upper().startswith("HIERARCHY"):
-        raise BadInput(f"{path}: not a BVH: it does not begin with HIERARCHY")
-    if not motion:
-        raise BadInput(f"{path}: cut off or not a BVH: it has no MOTION")
+    head, body = _split(text, path)
     try:
         joints = _hierarchy(head)
     except (ValueError, IndexError) as error:
@@ -67,27 +72,50 @@ def read(path: str | Path, unit: str | float | None = None, rate: float | None =
     timing = re.match(r"\s*Frames:\s*(\d{1,12})\s+Frame\s+Time:\s*(\S+)", body, re.IGNORECASE)
     if timing is None:
         raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
-    frames, file_rate = int(timing[1]), _rate(timing[2], path)
-    table = numbers(body[timing.end() :], path)
-    width = sum(len(joint.channels) for joint in joints)
-    if table.size != frames * width or not width:
-        what = "cut off: " if table.size < frames * width else ""
-        raise BadInput(
-            f"{path}: {what}{frames} frames of {width} channels are {frames * width} numbers, it has {table.size}"
-        )
-    if len(joints) > 4 * width + 4:
-        raise BadInput(f"{path}: {len(joints)} joints share {width} channels, too few for a body")
+    file_rate = _rate(timing[2], path)
+    notes: list[str] = []
+    table = _channel_table(numbers(body[timing.end() :], path), int(timing[1]), joints, path, notes)
     offsets = np.array([joint.offset for joint in joints])
     names = _names([joint.name for joint in joints])
     skeleton = Skeleton(names, tuple(joint.parent for joint in joints), offsets)
-    units, unit_m = _unit(unit, skeleton, path)
+    rotations, translations = _transforms(joints, table)
+    root = np.zeros((len(table), 3))
+    places = kinematics.forward(skeleton, rotations, root, translations=translations)
+    chosen_up = up or _guess_up(places, skeleton)
+    units, unit_m = _unit(unit, kinematics.forward(skeleton, rotations, root), skeleton, chosen_up, path)
     skeleton = Skeleton(skeleton.names, skeleton.parents, offsets * unit_m)
-    rotations, translations = _transforms(joints, table.reshape(frames, width), unit_m)
-    positions = kinematics.forward(skeleton, rotations, np.zeros((frames, 3)), translations=translations)
     source: dict[str, Any] = {"format": "bvh", "units": units, "unit_m": unit_m, "channels": _channels(joints)}
-    if unit is not None:
-        source["unit_given"] = True
-    return Motion(positions, rate or file_rate, names, "y", skeleton, rotations, source)
+    source |= {"unit_given": True} if unit is not None else {}
+    source |= {"up_given": True} if up is not None else {}
+    source |= {"notes": notes} if notes else {}
+    return Motion(places * unit_m, rate or file_rate, names, chosen_up, skeleton, rotations, source)
+
+
+def _split(text: str, path: str | Path) -> tuple[str, str]:
+    """The text before and after the word MOTION, which may also be part of a joint's name. Raises BadInput."""
+    if not text.lstrip().upper().startswith("HIERARCHY"):
+        raise BadInput(f"{path}: not a BVH: it does not begin with HIERARCHY")
+    patterns = (r"^[ \t]*MOTION[ \t]*$", r"\}[ \t]*MOTION\b", r"^[ \t]*MOTION\b")
+    motion = next(filter(None, (re.search(pattern, text, re.MULTILINE) for pattern in patterns)), None)
+    if motion is None:
+        raise BadInput(f"{path}: cut off or not a BVH: it has no MOTION")
+    return text[: motion.end()].removesuffix(motion[0].lstrip("}")), text[motion.end() :]
+
+
+def _channel_table(values: Floats, declared: int, joints: list[Joint], path: str | Path, notes: list[str]) -> Floats:
+    """The channels (frames, channels). A frame more or fewer than declared is noted; other numbers raise BadInput."""
+    width = sum(len(joint.channels) for joint in joints)
+    frames, rest = divmod(values.size, width) if width else (0, 0)
+    if not width or rest or abs(frames - declared) > MAX_FRAME_MISMATCH:
+        problem = "cut off: " if values.size < declared * width else ""
+        raise BadInput(
+            f"{path}: {problem}{declared} frames of {width} channels need {declared * width} numbers, not {values.size}"
+        )
+    if len(joints) > 4 * width + 4:
+        raise BadInput(f"{path}: {len(joints)} joints share {width} channels, too few for a body")
+    if frames != declared:
+        notes.append(f"the header declares {declared} frames, the file has {frames}: these are read")
+    return values.reshape(frames, width)
 
 
 def _hierarchy(text: str) -> list[Joint]:
@@ -95,6 +123,7 @@ def _hierarchy(text: str) -> list[Joint]:
     joints: list[Joint] = []
     stack: list[int] = []
     latest = -1
+    end_sites: set[int] = set()
     lines = text.replace("{", "\n{\n").replace("}", "\n}\n").split("\n")
     for words in filter(None, (line.split() for line in lines)):
         key = words[0].upper()
@@ -102,12 +131,18 @@ def _hierarchy(text: str) -> list[Joint]:
             parent = stack[-1] if stack else -1
             if (key == "ROOT") != (parent < 0):
                 raise BadInput(f"its hierarchy has a {key} {'inside' if stack else 'outside'} a ROOT")
+            if parent in end_sites:
+                raise BadInput(f"its hierarchy has a {key} inside the End Site of {joints[joints[parent].parent].name}")
             name = f"{joints[parent].name}_end" if key == "END" else " ".join(words[1:])
             joints.append(Joint(name or f"joint{len(joints) + 1}", parent))
             latest = len(joints) - 1
+            if key == "END":
+                end_sites.add(latest)
         elif key == "{":
             if latest < 0:
                 raise BadInput("its hierarchy has a { without a joint")
+            if len(stack) >= MAX_DEPTH:
+                raise BadInput(f"its joints are nested more than {MAX_DEPTH} deep")
             stack.append(latest)
         elif key == "}":
             stack.pop()
@@ -138,7 +173,7 @@ def _names(names: list[str]) -> tuple[str, ...]:
 
 
 def _rate(frame_time: str, path: str | Path) -> float:
-    """1 / frame time; a whole number of hertz where the digits of the file are that number's, rounded (0.0083333)."""
+    """1 / frame time; a usual rate or a whole number of hertz whose frame time has the same digits (0.0083333)."""
     try:
         seconds = float(frame_time)
         rate = 1.0 / seconds
@@ -146,29 +181,62 @@ def _rate(frame_time: str, path: str | Path) -> float:
         seconds = rate = -1.0
     if not 0 < seconds < float("inf") or rate == float("inf"):
         raise BadInput(f"{path}: Frame Time must be a positive number of seconds, not {frame_time[:40]!r}")
-    half_digit = 0.5 * 10.0 ** -len(frame_time.partition(".")[2]) if "e" not in frame_time.lower() else 0.0
-    whole = round(rate)
-    return float(whole) if whole > 0 and abs(1.0 / whole - seconds) <= 1.2 * half_digit < seconds / 4 else rate
+    digits, _, exponent = frame_time.lower().partition("e")
+    half_digit = 0.5 * 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
+    if not half_digit < seconds / 4:
+        return rate
+    whole = [float(usual) for usual in USUAL_RATES if usual == round(usual)]
+    for candidates in (whole, USUAL_RATES, [float(max(1, round(rate)))]):
+        nearest = min(candidates, key=lambda candidate: abs(candidate - rate))
+        if abs(1.0 / nearest - seconds) <= 1.0001 * half_digit:
+            return float(nearest)
+    return rate
 
 
-def _unit(unit: str | float | None, rest: Skeleton, path: str | Path) -> tuple[str, float]:
-    """The unit's name and its metres: as given, or guessed from the size of the skeleton at rest."""
+def _guess_up(places: Floats, skeleton: Skeleton) -> str:
+    """The vertical axis, "y" or "z", from the motion; places (frames, joints, 3) in the file's unit.
+
+    y is the convention. z needs a motion that keeps its lowest point along z, and either a skeleton at rest that is
+    tall along z and flat along y, or a root that travels along y more than along z.
+    """
+    rest = np.ptp(_rest_positions(skeleton), axis=0)
+    size = float(rest.max())
+    if not size or not len(places) or guess_up(places * (1.7 / size)) == "y":
+        return "y"
+    travel = np.ptp(places[:, 0], axis=0)
+    return "z" if rest[2] > 2 * rest[1] or (travel[1] > size and travel[1] > 3 * travel[2]) else "y"
+
+
+def _rest_positions(skeleton: Skeleton) -> Floats:
+    """Joint positions (joints, 3) at rest, the root at the origin."""
+    positions = np.array(skeleton.offsets)
+    for joint, parent in enumerate(skeleton.parents):
+        positions[joint] += positions[parent] if parent >= 0 else -positions[joint]
+    return positions
+
+
+def _unit(unit: str | float | None, poses: Floats, skeleton: Skeleton, up: str, path: str | Path) -> tuple[str, float]:
+    """The unit's name and its metres: as given, or guessed from the height that the body reaches over the frames.
+
+    poses (frames, joints, 3): the body without its position channels, in the file's unit.
+    """
     if unit is not None:
         try:
             return unit_option(unit, UNITS_M)
         except BadInput as error:
             raise BadInput(f"{path}: {error}") from None
-    places = np.array(rest.offsets)
-    for joint, parent in enumerate(rest.parents):
-        places[joint] += places[parent] if parent >= 0 else -places[joint]
-    height = np.ptp(places, axis=0).max()
-    low, high = PLAUSIBLE_HEIGHT_M
-    name = next((name for name, unit_m in UNITS_M.items() if low <= height * unit_m <= high), "cm")
-    return name, UNITS_M[name]
+    rest = float(np.ptp(_rest_positions(skeleton), axis=0).max())
+    heights = np.ptp(poses[:, :, "xyz".index(up)], axis=1)
+    reached = float(np.quantile(heights, 0.9, method="higher")) if len(poses) else rest
+    for size, (low, high) in ((reached, PLAUSIBLE_HEIGHT_M), (rest, PLAUSIBLE_REST_M)):
+        name = next((name for name, unit_m in UNITS_M.items() if low <= size * unit_m <= high), None)
+        if name is not None:
+            return name, UNITS_M[name]
+    return "cm", UNITS_M["cm"]
 
 
-def _transforms(joints: list[Joint], table: Floats, unit_m: float) -> tuple[Floats, dict[int, Floats]]:
-    """Rotations (frames, joints, 4), and by joint with position channels its translations (frames, 3) in metres."""
+def _transforms(joints: list[Joint], table: Floats) -> tuple[Floats, dict[int, Floats]]:
+    """Rotations (frames, joints, 4), and by joint with position channels its translations (frames, 3)."""
     rotations = np.zeros((len(table), len(joints), 4))
     rotations[..., 0] = 1.0
     translations: dict[int, Floats] = {}
@@ -184,7 +252,7 @@ def _transforms(joints: list[Joint], table: Floats, unit_m: float) -> tuple[Floa
             for i, letter in enumerate(joint.channels):
                 if letter.isupper():
                     translation[:, "XYZ".index(letter)] = values[:, i]
-            translations[index] = translation * unit_m
+            translations[index] = translation
     return rotations, translations
 
 
