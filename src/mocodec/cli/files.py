@@ -146,7 +146,7 @@ def note_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> None
     if quiet or suffix.lower() == MAGIC_SUFFIX:
         return
     if left_out := formats.dropped(f"motion{suffix}", motion):
-        click.echo(f"note: {suffix.lower()} holds no {', '.join(left_out)}", err=True)
+        click.echo(f"note: {suffix.lower()} holds no {printable(', '.join(left_out))}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:

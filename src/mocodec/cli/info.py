@@ -53,7 +53,7 @@ def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
     """Facts as aligned lines for people; nested ones are indented."""
     width = max((len(key) for key in facts), default=0) + 2
     for key, value in facts.items():
-        label = " " * indent + f"{key.replace('_', ' '):{width}}"
+        label = " " * indent + f"{files.printable(key).replace('_', ' '):{width}}"
         if key.endswith("_error") and isinstance(value, float):
             yield label + quantities.bound(value)
         elif isinstance(value, Mapping) and value:
@@ -79,6 +79,7 @@ def shown(value: Any) -> str:
         case Mapping():
             return "none"
         case list() | tuple():
-            return ", ".join(shown(item) if isinstance(item, float) else str(item) for item in value) or "none"
+            texts = (shown(item) if isinstance(item, float) else files.printable(str(item)) for item in value)
+            return ", ".join(texts) or "none"
         case _:
-            return str(value)
+            return files.printable(str(value))

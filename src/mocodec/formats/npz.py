@@ -17,6 +17,7 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def read(
                 return _clouds(arrays, rate, unit, up)
             return _motion(arrays, rate, unit, up)
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
-            OverflowError, SyntaxError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
+            OverflowError, SyntaxError, TokenError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
         if isinstance(error, BadInput):
             raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
         raise BadInput(f"{path}: cannot be read as an NPZ ({error})") from None
@@ -76,9 +77,14 @@ class _Archive:
     def load(self, name: str) -> NDArray[Any]:
         """One array. Raises BadInput for arrays of objects and for declared sizes that the archive cannot hold."""
         info = self.names[name]
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise BadInput(f"{self.path}: array {name!r} is compressed by a method that NumPy does not write")
         if info.file_size > min(MAX_ARRAY_BYTES, MAX_DEFLATE_RATIO * info.compress_size + 4096):
             raise BadInput(f"{self.path}: array {name!r} declares {info.file_size} bytes, too many for its archive")
-        data = io.BytesIO(self.archive.read(info))
+        with self.archive.open(info) as member:
+            data = io.BytesIO(member.read(info.file_size + 1))
+        if len(data.getbuffer()) != info.file_size:
+            raise BadInput(f"{self.path}: array {name!r} does not have the {info.file_size} bytes that it declares")
         version = np.lib.format.read_magic(data)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(data)
@@ -146,7 +152,20 @@ def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: 
         source = json.loads(str(arrays.single("source")))
         if not isinstance(source, dict):
             raise BadInput(f"{path}: its 'source' is not a JSON object")
+        source = _checked_source(source)
     return Motion(positions, rate, names, up, skeleton, rotations, source)
+
+
+def _checked_source(source: dict[str, Any]) -> dict[str, Any]:
+    """The source without entries of types that mocodec never writes; a note names them."""
+    types: dict[str, Any] = {"format": str, "units": str, "unit_m": int | float, "first_frame": int}
+    types |= {"time_of_frame_1": int | float, "notes": list, "labels": dict}
+    invalid = [key for key, type_ in types.items() if key in source and not isinstance(source[key], type_)]
+    result = {key: value for key, value in source.items() if key not in invalid}
+    if invalid:
+        notes = result.get("notes", [])
+        result["notes"] = [*notes, f"entries of its source that are not usable are left out: {', '.join(invalid)}"]
+    return result
 
 
 def _limits(arrays: _Archive) -> Limits | None:

@@ -31,6 +31,9 @@ TYPES = {
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 MAX_HEADER_BYTES = 1 << 16
+MAX_ELEMENTS = 1 << 40
+MAX_UNIT_COLOUR = 1.01
+"""The largest float colour of files whose colours are 0 … 1; rounding may exceed 1."""
 
 
 class Element(NamedTuple):
@@ -87,6 +90,13 @@ def read(
             if not all(np.isfinite(values[name]).all() for name in properties if properties is colour):
                 raise BadInput(f"{file}: has colours that are not finite")
     positions = [columns(values, POSITION) * unit_m for values, _ in frames]
+    normals = [columns(values, normal) for values, _ in frames] if normal else None
+    notes: list[str] = []
+    colours = _colours([values for values, _ in frames], colour, notes) if colour else None
+    if missing := sum(int(np.isnan(p).any(axis=1).sum()) for p in positions):
+        notes.append(f"{missing} points have NaN coordinates; codecs of point clouds may leave them out")
+    if missing := sum(int(np.isnan(n).any(axis=1).sum()) for n in normals or ()):
+        notes.append(f"{missing} normals are NaN; codecs of point clouds may leave them out")
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
         "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": unit_m,
@@ -96,17 +106,30 @@ def read(
         source["missing_numbers"] = missing
     if ignored := [n for n in names if n not in used]:
         source["ignored"] = ignored
+    if notes:
+        source["notes"] = notes
     try:
         return PointClouds(
             positions=positions,
             rate=float(hertz),
-            colours=[as_bytes(columns(values, colour)) for values, _ in frames] if colour else None,
-            normals=[columns(values, normal) for values, _ in frames] if normal else None,
+            colours=colours,
+            normals=normals,
             up=up or comments.get("up", "y"),
             source=source,
         )
     except ValueError as error:
         raise BadInput(f"{path}: {error}") from None
+
+
+def _colours(frames: list[np.ndarray[Any, np.dtype[Any]]], names: tuple[str, ...], notes: list[str]) -> list[Bytes]:
+    """Colours of all frames as bytes. Floats are 0 … 1 by custom; if any is larger, all are taken as 0 … 255."""
+    is_float = any(frame.dtype[name].kind == "f" for frame in frames for name in names)
+    largest = max((float(frame[name].max(initial=0)) for frame in frames for name in names), default=0.0)
+    full_scale = 255.0
+    if is_float and largest > MAX_UNIT_COLOUR:
+        full_scale = 1.0
+        notes.append(f"its colours are floats up to {largest:g}: they are taken as 0 to 255, not as 0 to 1")
+    return [as_bytes(columns(frame, names, full_scale)) for frame in frames]
 
 
 def write(
@@ -151,12 +174,12 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
         files = [Path(p) for p in glob.glob(text) if p.lower().endswith(".ply")]
     if not files:
         raise BadInput(f"{text}: no .ply file there")
-    return sorted(files, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+    return sorted(files, key=lambda p: [int(s) if i % 2 else s for i, s in enumerate(re.split(r"([0-9]+)", p.name))])
 
 
 def missing_numbers(files: list[Path]) -> int:
     """How many numbers are missing between the first and the last file of a numbered sequence."""
-    numbers = [re.findall(r"\d+", file.stem)[-1:] for file in files]
+    numbers = [re.findall(r"[0-9]+", file.stem)[-1:] for file in files]
     if len(files) < 3 or not all(numbers):
         return 0
     steps = np.diff([int(number[0]) for number in numbers])
@@ -254,7 +277,7 @@ def parse_header(data: bytes, path: Path) -> Header:
                     comments.setdefault(key, value)
                 case ["element", name, count]:
                     elements.append(Element(name, int(count), [], []))
-                    if int(count) < 0:
+                    if not 0 <= int(count) <= MAX_ELEMENTS:
                         raise ValueError
                 case ["property", "list", count, kind, name]:
                     if TYPES[count][0] == "f":
@@ -278,14 +301,17 @@ def record(element: Element, order: str) -> np.dtype[Any]:
     return np.dtype([(name, order + kind) for name, kind in element.fields])
 
 
-def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...]) -> Floats:
-    """(n, 3) float64 of three named fields; colours are scaled from the range of their type to 0 … 255."""
+def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...], full_scale: float = 255.0) -> Floats:
+    """(n, 3) float64 of three named fields; colours are scaled from the range of their type to 0 … 255.
+
+    full_scale: what a colour of 1.0 becomes.
+    """
     result = np.empty((len(values), len(names)))
     for i, name in enumerate(names):
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             result[:, i] = values[name]
         if values.dtype[name].kind == "f" and name not in POSITION + NORMAL:
-            result[:, i] *= 255.0
+            result[:, i] *= full_scale
         elif values.dtype[name].kind == "u" and values.dtype[name].itemsize == 2:
             result[:, i] /= 257.0
     return result
