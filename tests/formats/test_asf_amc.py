@@ -1,4 +1,4 @@
-"""ASF/AMC: ends of bones where the Acclaim arithmetic puts them; the same text from the motion just read."""
+"""ASF/AMC: positions of the ends of bones, rates, units of angle, limits, and writing."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ def test_a_moving_pose_against_plain_matrices(tmp_path):
     assert np.allclose(positions, expected)
 
 
-def test_written_back_as_it_came(tmp_path):
+def test_writing_restores_the_file(tmp_path):
     path = pair(tmp_path)
     motion = formats.read(path)
     formats.write(tmp_path / "tiny_02.amc", motion)
     assert np.abs(angles(tmp_path / "tiny_02.amc") - angles(path)).max() < 1e-6
 
 
-def test_a_skeleton_is_written_where_there_is_none(tmp_path):
+def test_a_missing_skeleton_is_written(tmp_path):
     motion = formats.read(pair(tmp_path))
     (tmp_path / "new").mkdir()
     formats.write(tmp_path / "new" / "walk.amc", motion)
@@ -140,7 +140,7 @@ def test_limits_stand_in_the_order_of_the_turns_and_in_the_axis_frame(tmp_path):
         assert np.allclose(rigid.to_matrix(limits.axes[joint]), frame)
 
 
-def test_limits_are_kept_where_a_skeleton_is_written(tmp_path):
+def test_a_written_skeleton_keeps_its_limits(tmp_path):
     asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-inf 20)").replace("-90 0 20 XYZ", "-90 7 20 ZYX")
     limits = limits_of(tmp_path, asf)
     motion = formats.read(tmp_path / "tiny_01.amc")
@@ -163,8 +163,8 @@ def test_limits_that_are_odd(tmp_path):
 
 
 @pytest.mark.parametrize("odd", ["(-20 nan)", "(-20)", "(-20 20) (0 1)", "(-20 wide)", "(inf inf)"])
-def test_a_motion_is_read_though_limits_cannot_be(tmp_path, odd):
-    """The bone counts as free; what the others have stays."""
+def test_limits_that_cannot_be_read_are_ignored(tmp_path, odd):
+    """The bone is unlimited; the other bones keep their limits."""
     asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-10 20)")
     odd_one = ASF.index("(-20 20)")
     limits = limits_of(tmp_path, asf[:odd_one] + odd + asf[odd_one + len("(-20 20)") :])
@@ -192,7 +192,7 @@ def test_a_mocz_keeps_no_limits_as_it_keeps_no_rotations(tmp_path):
         assert again.skeleton.names == motion.skeleton.names
 
 
-def test_which_skeleton(tmp_path):
+def test_choice_of_the_skeleton(tmp_path):
     path = pair(tmp_path, name="other")
     assert formats.read(path).points == 5  # the only one there
     (tmp_path / "third.asf").write_text(ASF)
@@ -259,7 +259,7 @@ def test_gaps_are_refused_before_anything_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_an_amc_cannot_hold_is_refused(tmp_path):
+def test_motions_that_an_amc_cannot_hold_are_refused(tmp_path):
     motion = formats.read(pair(tmp_path))
     assert isinstance(motion, Motion)
     with pytest.raises(BadInput, match="does not store rotations yet"):

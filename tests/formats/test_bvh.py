@@ -1,4 +1,4 @@
-"""BVH: joints where the hierarchy and its channels put them; the file again from the motion just read."""
+"""BVH: positions of joints, guesses of unit and up, rates, and writing."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_turns_and_slides(tmp_path):
     assert np.allclose(head - chest, [-31, 2, 1])  # positions z y x in the place of the OFFSET: (2, 31, 1)
 
 
-def test_written_back_as_it_came(tmp_path):
+def test_writing_restores_the_file(tmp_path):
     motion = read(tmp_path)
     formats.write(tmp_path / "y.bvh", motion)
     assert np.abs(channels(tmp_path / "y.bvh") - channels(tmp_path / "x.bvh")).max() < 1e-6
@@ -78,7 +78,7 @@ def test_the_unit_is_the_one_that_makes_a_person(tmp_path, height, units):
 
 
 @pytest.mark.parametrize(("unit", "unit_m"), [("in", 0.0254), ("0.02", 0.02), (0.5, 0.5)])
-def test_the_unit_as_told(tmp_path, unit, unit_m):
+def test_the_unit_option(tmp_path, unit, unit_m):
     assert read(tmp_path, unit=unit).source["unit_m"] == unit_m
 
 
@@ -196,7 +196,7 @@ def test_a_skeleton_from_elsewhere(tmp_path):
         ("9 92", "9 x", "'x'"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, old, new, says):
+def test_damage_raises_one_line(tmp_path, old, new, says):
     with pytest.raises(BadInput, match=says):
         read(tmp_path, BVH.replace(old, new, 1))
 
@@ -207,7 +207,7 @@ def test_an_unknown_unit(tmp_path):
             read(tmp_path, unit=unit)
 
 
-def test_what_a_bvh_cannot_hold_is_refused(tmp_path):
+def test_motions_that_a_bvh_cannot_hold_are_refused(tmp_path):
     motion = read(tmp_path)
     with pytest.raises(BadInput, match="does not store rotations yet"):
         formats.write(tmp_path / "y.bvh", mc.decode(mc.encode(motion, codec="lossless")))

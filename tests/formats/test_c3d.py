@@ -1,4 +1,4 @@
-"""C3D: what goes in comes out, here and as an independent reader (ezc3d) sees it; damage is one clear line."""
+"""C3D: round trips, also as an independent reader (ezc3d) sees them; contradictions, unusual and damaged files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_everything_survives(tmp_path):
         assert same_tree(again.extras[what], motion.extras[what])
 
 
-def test_reading_and_writing_settle(tmp_path):
+def test_the_second_round_trip_changes_no_byte(tmp_path):
     first = back(back(capture(), tmp_path), tmp_path)
     data = (tmp_path / "x.c3d").read_bytes()
     second = back(first, tmp_path)
@@ -147,7 +147,7 @@ def test_other_units_and_axes(tmp_path):
     assert back(standing, tmp_path).up == "y"
 
 
-def test_residuals_are_kept_where_they_say_little_or_when_asked(tmp_path):
+def test_residuals_are_kept_if_small_or_requested(tmp_path):
     motion = markers(300, 5)
     word = np.where(motion.gaps, -1, np.random.default_rng(3).integers(1, 2**15, (300, 5))).astype(np.int16)
     noisy = replace(motion, extras={"residuals": Signal(word, 120.0)})
@@ -223,7 +223,7 @@ def test_survives_a_mocz(tmp_path):
         (lambda d: b"\xff" + d[1:], "cut off"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, spoil, says):
+def test_damage_raises_one_line(tmp_path, spoil, says):
     formats.write(tmp_path / "x.c3d", markers(200))
     (tmp_path / "x.c3d").write_bytes(spoil((tmp_path / "x.c3d").read_bytes()))
     with pytest.raises(BadInput, match=says) as error:
@@ -231,7 +231,7 @@ def test_damage_is_one_clear_line(tmp_path, spoil, says):
     assert "\n" not in str(error.value)
 
 
-def test_what_a_c3d_cannot_hold_is_refused(tmp_path):
+def test_motions_that_a_c3d_cannot_hold_are_refused(tmp_path):
     with pytest.raises(BadInput, match="at least one frame"):
         back(markers()[:0], tmp_path)
     with pytest.raises(BadInput, match="points"):

@@ -41,7 +41,7 @@ def test_skeleton_and_rotations_go_along(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["joints", "jtr", "positions"])
-def test_keys_of_learning_people(tmp_path, key):
+def test_keys_of_machine_learning_data_sets(tmp_path, key):
     positions = np.random.default_rng(1).normal(size=(6, 22, 3)).astype(np.float32)
     motion = formats.read(save(tmp_path, **{key: positions}, mocap_framerate=30.0, poses=np.zeros((6, 66))))
     assert np.array_equal(motion.positions, positions.astype(float))
@@ -76,13 +76,13 @@ def test_marker_files(tmp_path):
         ({"positions": np.zeros((0, 2, 3)), "rate": np.zeros(0)}, "'rate' is empty"),
     ],
 )
-def test_what_is_wrong_is_one_clear_line(tmp_path, arrays, says):
+def test_invalid_arrays_raise_one_line(tmp_path, arrays, says):
     with pytest.raises(BadInput, match=says):
         formats.read(save(tmp_path, **arrays))
 
 
 @pytest.mark.parametrize("claimed", [(1000000000, 100, 3), (2, 2, 3), (1, 0, 3)])
-def test_an_array_that_claims_another_size(tmp_path, claimed):
+def test_an_array_with_a_false_declared_size(tmp_path, claimed):
     raw = io.BytesIO()
     np.lib.format.write_array_header_1_0(raw, {"descr": "<f8", "fortran_order": False, "shape": claimed})
     with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:

@@ -1,4 +1,4 @@
-"""PLY: what is written comes back, files of other programs are understood, and broken ones raise."""
+"""PLY: round trips, files of other programs, damage."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_nan_points_and_doubles_survive(tmp_path, encoding):
     np.testing.assert_array_equal(back.positions[0], points)
 
 
-def test_units_and_rate_are_asked_for(tmp_path):
+def test_missing_rates_and_unknown_units_raise(tmp_path):
     file = tmp_path / "x.ply"
     head = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     file.write_bytes(head + b"end_header\n1000 0 5\n")
@@ -121,7 +121,7 @@ def test_folders_are_not_overwritten_by_accident(tmp_path):
         ply.read(tmp_path / "nothing", fps=1)
 
 
-def test_globs_and_folders_through_the_front_door(tmp_path):
+def test_globs_and_folders_through_formats_read(tmp_path):
     for i in (1, 2, 11):
         ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
     for path, count in ((tmp_path, 3), (tmp_path / "f1*.ply", 2), (tmp_path / "f2.ply", 1)):

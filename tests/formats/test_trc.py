@@ -1,4 +1,4 @@
-"""TRC: markers, gaps, units and rate come back; cut and odd files are told apart."""
+"""TRC: markers, gaps, units, clock and rate survive a round trip; damaged and unusual files."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_columns_without_names_are_points(tmp_path):
         (file("1\t0\t1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n", rate="0"), "rate must be positive"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, text, says):
+def test_damage_raises_one_line(tmp_path, text, says):
     with pytest.raises(BadInput, match=says):
         read(tmp_path, text)
 
