@@ -84,19 +84,14 @@ def read(
     colour = next((c for c in COLOURS if set(c) <= set(names)), None)
     normal = NORMAL if set(NORMAL) <= set(names) else None
     for file, (values, _) in zip(files, frames, strict=True):
-        for properties in filter(None, (POSITION, colour, normal)):
-            if not set(properties) <= set(values.dtype.names or ()):
-                raise BadInput(f"{file}: has no {', '.join(properties)}, which the first frame has")
-            if not all(np.isfinite(values[name]).all() for name in properties if properties is colour):
-                raise BadInput(f"{file}: has colours that are not finite")
+        _require_properties(file, values, colour, normal)
     positions = [columns(values, POSITION) * unit_m for values, _ in frames]
     normals = [columns(values, normal) for values, _ in frames] if normal else None
     notes: list[str] = []
     colours = _colours([values for values, _ in frames], colour, notes) if colour else None
-    if missing := sum(int(np.isnan(p).any(axis=1).sum()) for p in positions):
-        notes.append(f"{missing} points have NaN coordinates; codecs of point clouds may leave them out")
-    if missing := sum(int(np.isnan(n).any(axis=1).sum()) for n in normals or ()):
-        notes.append(f"{missing} normals are NaN; codecs of point clouds may leave them out")
+    for name, frames_of_vectors in (("points", positions), ("normals", normals or [])):
+        if missing := sum(int(np.isnan(vectors).any(axis=1).sum()) for vectors in frames_of_vectors):
+            notes.append(f"{missing} {name} are NaN; codecs of point clouds may leave them out")
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
         "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": unit_m,
@@ -121,12 +116,23 @@ def read(
         raise BadInput(f"{path}: {error}") from None
 
 
+def _require_properties(
+    file: Path, values: np.ndarray[Any, np.dtype[Any]], colour: tuple[str, ...] | None, normal: tuple[str, ...] | None
+) -> None:
+    """Raises BadInput for a frame without properties of the first frame, and for colours that are not finite."""
+    for properties in filter(None, (POSITION, colour, normal)):
+        if not set(properties) <= set(values.dtype.names or ()):
+            raise BadInput(f"{file}: has no {', '.join(properties)}, which the first frame has")
+    if not all(np.isfinite(values[name]).all() for name in colour or ()):
+        raise BadInput(f"{file}: has colours that are not finite")
+
+
 def _colours(frames: list[np.ndarray[Any, np.dtype[Any]]], names: tuple[str, ...], notes: list[str]) -> list[Bytes]:
     """Colours of all frames as bytes. Floats are 0 … 1 by custom; if any is larger, all are taken as 0 … 255."""
-    is_float = any(frame.dtype[name].kind == "f" for frame in frames for name in names)
-    largest = max((float(frame[name].max(initial=0)) for frame in frames for name in names), default=0.0)
+    floats = (frame[name] for frame in frames for name in names if frame.dtype[name].kind == "f")
+    largest = max((float(values.max(initial=0)) for values in floats), default=0.0)
     full_scale = 255.0
-    if is_float and largest > MAX_UNIT_COLOUR:
+    if largest > MAX_UNIT_COLOUR:
         full_scale = 1.0
         notes.append(f"its colours are floats up to {largest:g}: they are taken as 0 to 255, not as 0 to 1")
     return [as_bytes(columns(frame, names, full_scale)) for frame in frames]
