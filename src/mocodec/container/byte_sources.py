@@ -1,4 +1,4 @@
-"""Where a `.mocz` is read from: bytes, a path, a file object, a URL; each can give any stretch of bytes."""
+"""Random access to the bytes of a file: in memory, by path, by file object, or by URL."""
 
 from __future__ import annotations
 
@@ -13,52 +13,55 @@ BLOCK_BYTES = 1 << 14
 TIMEOUT_S = 30.0
 
 
-class Source(Protocol):
-    """name: for messages, "" where there is none. size: bytes in all. read(start, count): exactly these; Truncated
-    where they are not there."""
+class ByteSource(Protocol):
+    """Bytes that can be read at any offset. name: for messages, or "". size: bytes in total."""
 
     name: str
     size: int
 
-    def read(self, start: int, count: int) -> bytes: ...
+    def read(self, start: int, count: int) -> bytes:
+        """Exactly `count` bytes from byte `start` on. Raises Truncated if the file ends before."""
+        ...
 
     def close(self) -> None: ...
 
 
-def source(where: Any) -> Source:
-    """A source for bytes, a path, a URL (http, https) or a binary file object. Raises BadInput."""
+def byte_source(where: Any) -> ByteSource:
+    """Random access to bytes, a path, a URL (http, https) or a binary file object. Raises BadInput."""
     if isinstance(where, (bytes, bytearray, memoryview)):
-        return Bytes(bytes(where))
+        return InMemory(bytes(where))
     if isinstance(where, str) and re.match(r"[a-z][a-z0-9+.-]+://", where, re.IGNORECASE):
         return Url(where)
     if isinstance(where, (str, os.PathLike)):
-        return PathFile(cast("str | os.PathLike[str]", where))
+        return LocalFile(cast("str | os.PathLike[str]", where))
     if hasattr(where, "read"):
         return _file_object(where)
     raise BadInput(f"open a .mocz from a path, URL, bytes or a binary file object, not from {type(where).__name__}")
 
 
-class Bytes:
+class InMemory:
+    """Bytes in memory."""
+
     def __init__(self, data: bytes) -> None:
         self.name = ""
         self.data = data
         self.size = len(data)
 
     def read(self, start: int, count: int) -> bytes:
-        return _whole(self.data[start : start + count], count)
+        return _exactly(self.data[start : start + count], count)
 
     def close(self) -> None:
         pass
 
 
-class PathFile:
-    """A file by path. Once closed it opens for a moment where something (extras) is asked for later."""
+class LocalFile:
+    """A file by path. After `close` each read opens it again for a moment: extras may be read late."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = os.fspath(path)
         self.path = os.path.abspath(path)
         try:
-            self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (held until close)
+            self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (open until close)
             self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
             raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
@@ -79,11 +82,11 @@ class PathFile:
 
 
 class FileObject:
-    """A seekable binary file that belongs to the caller, who closes it."""
+    """A seekable binary file object; the caller closes it."""
 
     def __init__(self, file: BinaryIO) -> None:
-        named = getattr(file, "name", "")
-        self.name = named if isinstance(named, str) else ""
+        name = getattr(file, "name", "")
+        self.name = name if isinstance(name, str) else ""
         self.file = file
         self.size = file.seek(0, io.SEEK_END)
 
@@ -91,20 +94,20 @@ class FileObject:
         try:
             return _read(self.file, start, count)
         except ValueError as error:
-            raise BadInput(f"the file object was closed before all was read: {error}") from error
+            raise BadInput(f"the file object was closed before everything was read: {error}") from error
 
     def close(self) -> None:
         pass
 
 
-def _file_object(file: Any) -> Source:
+def _file_object(file: Any) -> ByteSource:
     seekable = getattr(file, "seekable", None)
     if seekable is not None and seekable() and isinstance(file.read(0), bytes):
         return FileObject(file)
     data = file.read()
     if not isinstance(data, bytes):
-        raise BadInput("the file object gives text; open it in binary mode")
-    return Bytes(data)
+        raise BadInput("the file object returns text; open it in binary mode")
+    return InMemory(data)
 
 
 def _read(file: BinaryIO, start: int, count: int) -> bytes:
@@ -115,21 +118,21 @@ def _read(file: BinaryIO, start: int, count: int) -> bytes:
         if not part:
             break
         data += part
-    return _whole(bytes(data), count)
+    return _exactly(bytes(data), count)
 
 
-def _whole(data: bytes, count: int) -> bytes:
+def _exactly(data: bytes, count: int) -> bytes:
     if len(data) != count:
         raise Truncated(f"the file ends {count - len(data)} bytes before it should")
     return data
 
 
 class Url:
-    """A file on a web server, by range requests (RFC 9110, 14). From a server without them all is fetched at once."""
+    """A file on a web server, by range requests (RFC 9110, 14); fetched whole from a server without them."""
 
     def __init__(self, url: str) -> None:
         if not re.match(r"https?://", url, re.IGNORECASE):
-            raise BadInput(f"{url}: a .mocz is opened over http or https; fetch others first")
+            raise BadInput(f"{url}: a .mocz is opened over http or https; download it first")
         self.url = self.name = url
         self.start = 0
         self.block = b""
@@ -145,10 +148,10 @@ class Url:
             if at <= start and start + count <= at + len(block):
                 return block[start - at : start - at + count]
         self._fetch(start, max(count, BLOCK_BYTES))
-        return _whole(self.block[start - self.start : start - self.start + count], count)
+        return _exactly(self.block[start - self.start : start - self.start + count], count)
 
     def _fetch(self, start: int, count: int, first: bool = False) -> None:
-        """Bytes from `start` on into `block`; the first time, the size of the whole."""
+        """Fetch bytes from `start` on into `block`; the first request also sets `size`."""
         from http.client import HTTPException
         from urllib.request import Request, urlopen
 
@@ -156,17 +159,17 @@ class Url:
         request = Request(self.url, headers={"Range": f"bytes={start}-{stop - 1}", "Accept-Encoding": "identity"})
         self.requests += 1
         try:
-            with urlopen(request, timeout=TIMEOUT_S) as answer:
-                said = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", answer.headers.get("Content-Range", ""))
-                if answer.status == 206 and said is not None and int(said[1]) == start:
-                    self.start, self.block = start, answer.read(stop - start)
-                    size = int(said[3])
-                elif answer.status == 200:
-                    self.start, self.block = 0, answer.read()
+            with urlopen(request, timeout=TIMEOUT_S) as response:
+                content_range = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", response.headers.get("Content-Range", ""))
+                if response.status == 206 and content_range is not None and int(content_range[1]) == start:
+                    self.start, self.block = start, response.read(stop - start)
+                    size = int(content_range[3])
+                elif response.status == 200:
+                    self.start, self.block = 0, response.read()
                     size = len(self.block)
                     self.head = self.block
                 else:
-                    raise BadInput(f"{self.url}: the server answers a range request with status {answer.status}")
+                    raise BadInput(f"{self.url}: the server answered a range request with status {response.status}")
         except (OSError, HTTPException) as error:
             if getattr(error, "code", None) == 416:
                 raise Truncated(f"{self.url} is empty") from error
