@@ -18,7 +18,7 @@ LAYERS = (
     ("testing", "archive", "plots"),
     ("api",),
     ("codecs", "container"),
-    ("stages", "entropy", "geometry", "formats", "metrics"),
+    ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
     ("motion", "pointcloud", "encoded", "errors", "data", "native", "typing"),
 )
 APART = {("codecs", "container"), ("testing", "archive", "plots")}
@@ -87,6 +87,8 @@ def test_the_rule_itself() -> None:
     assert may_import("cli", "codecs")
     assert may_import("codecs", "stages")
     assert may_import("stages", "entropy")
+    assert may_import("codecs", "fields")
+    assert may_import("container", "fields")
     assert not may_import("codecs", "container")
     assert not may_import("stages", "codecs")
     assert not may_import("motion", "metrics")

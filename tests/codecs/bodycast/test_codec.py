@@ -155,7 +155,7 @@ def test_links_of_template_points_are_learned_from_motion(performance, clouds):
     wrong = tracker.skin.links[:, 0].copy()
     wrong[rows] = body.names.index("Spine")  # as if the sleeve had touched the trunk
     skin = skinning.skin(body, tracker.skin.points, wrong)
-    person.tracker = body_tracking.Tracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
+    person.tracker = body_tracking.BodyTracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
     person.learn_links(frames, poses)
     learned = person.tracker.skin.links[rows, 0]
     assert np.mean(learned == body.names.index("Spine")) < 0.1

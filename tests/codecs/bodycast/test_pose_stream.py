@@ -35,12 +35,12 @@ def swinging(frames: int, noise: float = 0.0) -> pose_stream.PoseSequence:
 def test_decoded_poses_are_within_their_step(arm, frames):
     body, skin = arm
     sequence, before = swinging(frames), None
-    rig = skinning.Rig.of(skin, len(body))
-    truth = rig.posed(*sequence.transforms(body))
+    skin_matrix = skinning.SkinMatrix.build(skin, len(body))
+    truth = skin_matrix.posed(*sequence.transforms(body))
     for step in (0.02, 0.005, 0.001):
         steps = pose_stream.PoseSteps.for_skin(body, skin, step)
         data = pose_stream.pack_poses(body, sequence, steps)
-        back = rig.posed(*pose_stream.unpack_poses(body, data, frames, steps).transforms(body))
+        back = skin_matrix.posed(*pose_stream.unpack_poses(body, data, frames, steps).transforms(body))
         off = float(np.sqrt(((back - truth) ** 2).sum(axis=2).mean()))
         assert off < 2.5 * step
         assert before is None or frames < 3 or off < before
@@ -87,16 +87,17 @@ def test_single_poses_round_trip(arm):
     assert max(jumps) < 400  # angles continue past half a turn
 
 
-def test_a_rig_poses_like_its_skin(arm):
+def test_a_skin_matrix_poses_like_its_skin(arm):
     body, skin = arm
     sequence = swinging(4)
     a, b = sequence.transforms(body)
-    rig = skinning.Rig.of(skin, len(body))
-    both = rig.posed(a, b)
+    skin_matrix = skinning.SkinMatrix.build(skin, len(body))
+    both = skin_matrix.posed(a, b)
     for frame in range(4):
         np.testing.assert_allclose(both[frame], skin.posed(a[frame], b[frame]), atol=1e-12)
     moved = skin.points + 0.01
     np.testing.assert_allclose(
-        rig.carrying(moved).posed(a[1], b[1]), skinning.Skin(moved, skin.links, skin.weights).posed(a[1], b[1])
+        skin_matrix.with_points(moved).posed(a[1], b[1]),
+        skinning.Skin(moved, skin.links, skin.weights).posed(a[1], b[1]),
     )
     assert isinstance(sequence[0], Pose)

@@ -12,8 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from ...entropy.models import Tables
-from ...entropy.rans import Decoder, Encoder
+from ...entropy.coder import Decoder, Encoder, Tables
 from ...typing import AnyInteger, Integers
 
 LEVELS = 128  # of a probability

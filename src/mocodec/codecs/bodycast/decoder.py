@@ -31,7 +31,7 @@ BATCH_FRAMES = 32  # frames that are posed together
 class BodyDecoder:
     """One body with its surface.
 
-    samples: places of the decoded points on the atlas. colours, skin, rig: the surface of the key picture.
+    samples: places of the decoded points on the atlas. colours, skin, skin_matrix: the surface of the key picture.
     """
 
     def __init__(self, model: BodyModel) -> None:
@@ -41,11 +41,11 @@ class BodyDecoder:
         self.samples = sample_surface(model.atlas, planes, model.is_surface, model.points)
         points, self.colours = self.samples.surface(planes)
         self.skin = skinning.blended(self.body, points, self.samples.links, self.samples.normals)
-        self.rig = skinning.Rig.of(self.skin, len(self.body))
+        self.skin_matrix = skinning.SkinMatrix.build(self.skin, len(self.body))
 
     def posed(self, pose: Pose) -> Floats:
         """(…, n, 3): the surface of the key picture in the poses of (…) frames."""
-        return self.rig.posed(*articulation.transforms(self.body, pose))
+        return self.skin_matrix.posed(*articulation.transforms(self.body, pose))
 
     def decode_frames(self, streams: BodyStreams, frames: int, start: int, stop: int) -> Iterator[Cloud]:
         """Frames [start, stop) of a chunk of `frames` frames. Raises Corrupt."""
@@ -72,9 +72,9 @@ class BodyDecoder:
             shown = range(max(start, i * interval), min(stop, frames, (i + 1) * interval))
             if shown:
                 points, colours = self.samples.surface(planes)
-                rig = self.rig.carrying(points)
+                skin_matrix = self.skin_matrix.with_points(points)
                 for frame in shown:
-                    yield rig.posed(a[frame], b[frame]), colours
+                    yield skin_matrix.posed(a[frame], b[frame]), colours
 
 
 class SceneDecoder:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import CannotEncode
 from ...geometry.articulation import Pose
-from ...geometry.body_matching import Data
+from ...geometry.body_matching import FramePoints
 from ...typing import Bytes, Integers
 from ..clouds.raw_frames import Cloud
 from . import video
@@ -115,7 +115,7 @@ class BodyEncoder:
                 observed.append(self.person.to_canonical(data, self.poses[i]))
         return observed
 
-    def _dense_data(self, frame: int) -> Data:
+    def _dense_data(self, frame: int) -> FramePoints:
         return self.person.dense_data(self.clouds[frame], frame)
 
     def encode_chunk(self, span: slice, parameters: CodingParameters) -> tuple[BodyStreams, PoseSequence]:

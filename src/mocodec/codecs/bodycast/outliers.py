@@ -35,7 +35,7 @@ POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand f
 def find_outliers(frame: Cloud, bodies: Floats) -> Cloud:
     """The points of a frame that lie away from the bodies' surface (m, 3) and form dense clusters."""
     points, colours = frame
-    distance, _ = body_matching.Data.build(bodies, None, None).nearest(points, None, MIN_DISTANCE_M)
+    distance, _ = body_matching.FramePoints.build(bodies, None, None).nearest(points, None, MIN_DISTANCE_M)
     is_far = ~np.isfinite(distance)
     rows = np.flatnonzero(is_far)
     if len(rows):

@@ -224,6 +224,6 @@ class Receiver:
     def _posed(self, body: BodyDecoder, pose: Pose | None) -> Cloud:
         assert pose is not None
         colours = body.colours if self._surface is None else self._surface[1]
-        rig = body.rig if self._surface is None else body.rig.carrying(self._surface[0])
-        points = rig.posed(*articulation.transforms(body.body, pose))
+        skin_matrix = body.skin_matrix if self._surface is None else body.skin_matrix.with_points(self._surface[0])
+        points = skin_matrix.posed(*articulation.transforms(body.body, pose))
         return points, colours if body.model.coloured else None

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import Corrupt
-from ...geometry.cylinder_map import Frame
+from ...geometry.cylinder_map import Cylinder
 from ...typing import AnyInteger, Booleans, Bytes, Floats, Integers
 from .texture_atlas import Atlas, AtlasTile, rgb_from_ycbcr
 
@@ -104,22 +104,22 @@ def subcell_areas(atlas: Atlas, tile: AtlasTile, displacement: Floats, is_surfac
         + row_length * row_length * slope_around * slope_around
     )
     kept = np.repeat(np.repeat(is_surface[t.region], SUBCELLS, axis=0), SUBCELLS, axis=1)
-    frame, angle = t.cylinder(atlas.body), np.asarray(columns * column_angle, np.float64)
-    outward, tangent = _outward(frame, angle), _tangent(frame, angle)
-    normals = outward[None] - (slope_along / row_length)[..., None] * frame.axis
+    cylinder, angle = t.cylinder(atlas.body), np.asarray(columns * column_angle, np.float64)
+    outward, tangent = _outward(cylinder, angle), _tangent(cylinder, angle)
+    normals = outward[None] - (slope_along / row_length)[..., None] * cylinder.axis
     normals = normals - (slope_around / np.maximum(arc, 1e-6))[..., None] * tangent[None]
     normals = normals / np.sqrt((normals**2).sum(axis=2, keepdims=True))
     return np.floor(np.minimum(area, 1.0) / AREA_UNIT_M2).astype(np.int64) * kept, normals
 
 
-def _outward(frame: Frame, angle: Floats) -> Floats:
+def _outward(cylinder: Cylinder, angle: Floats) -> Floats:
     """(n, 3): unit vectors away from the axis at angles (n,)."""
-    return np.cos(angle)[:, None] * frame.side + np.sin(angle)[:, None] * frame.across
+    return np.cos(angle)[:, None] * cylinder.side + np.sin(angle)[:, None] * cylinder.across
 
 
-def _tangent(frame: Frame, angle: Floats) -> Floats:
+def _tangent(cylinder: Cylinder, angle: Floats) -> Floats:
     """(n, 3): unit vectors around the axis at angles (n,)."""
-    return np.cos(angle)[:, None] * frame.across - np.sin(angle)[:, None] * frame.side
+    return np.cos(angle)[:, None] * cylinder.across - np.sin(angle)[:, None] * cylinder.side
 
 
 def _cut_into_strips(area: Integers, tile: AtlasTile, spacing_m: float) -> Integers:
@@ -155,12 +155,12 @@ def _samples_of_tile(
     at_row, at_column = (row + within_subcell) / SUBCELLS, (tile_column + along_column) / SUBCELLS
     cells, weights = _bilinear_taps(t.height, t.width, at_row, at_column)
     inner_row, inner_column = np.divmod(cells, t.width)
-    frame = t.cylinder(atlas.body)
-    along = frame.low + at_row / t.height * (frame.high - frame.low)
+    cylinder = t.cylinder(atlas.body)
+    along = cylinder.low + at_row / t.height * (cylinder.high - cylinder.low)
     angle = at_column / t.width * 2 * np.pi
     return SurfaceSamples(
         (t.top + inner_row) * atlas.width + t.left + inner_column, weights,
-        frame.origin + along[:, None] * frame.axis, _outward(frame, angle),
+        cylinder.origin + along[:, None] * cylinder.axis, _outward(cylinder, angle),
         np.full(len(row), t.max_displacement_mm / 1000), np.full(len(row), t.link), normals[row, tile_column],
         atlas.height * atlas.width,
     )  # fmt: skip

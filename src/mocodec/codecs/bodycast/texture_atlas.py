@@ -18,7 +18,7 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry import cylinder_map
 from ...geometry.articulation import Body
-from ...geometry.cylinder_map import Frame, Map
+from ...geometry.cylinder_map import Cylinder, CylinderMap
 from ...typing import AnyInteger, Bytes, Floats
 
 MAX_SIDE, MAX_TILE_SIDE = 4096, 1024  # cells
@@ -48,9 +48,9 @@ class AtlasTile(NamedTuple):
         """Rows and columns of the atlas."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
-    def cylinder(self, body: Body) -> Frame:
+    def cylinder(self, body: Body) -> Cylinder:
         origin, tip = body.origins[self.link], body.tips[self.link]
-        return cylinder_map.frame(origin, tip, self.low_mm / 1000, self.high_mm / 1000)
+        return cylinder_map.cylinder(origin, tip, self.low_mm / 1000, self.high_mm / 1000)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Atlas:
             own = points[links == link]
             if len(own) < max(MIN_TILE_POINTS, MIN_TILE_SHARE * len(points)):
                 continue
-            cylinder = cylinder_map.frame(body.origins[link], body.tips[link], 0, 1)
+            cylinder = cylinder_map.cylinder(body.origins[link], body.tips[link], 0, 1)
             along, _, distance = cylinder_map.coordinates(cylinder, own)
             low, high = np.floor(along.min() * 1000), np.ceil(along.max() * 1000) + 1
             share = cells / (2 * len(points))
@@ -191,7 +191,7 @@ def atlas_planes(atlas: Atlas, sums: CellSums) -> Bytes:
     distance, colour, _ = sums.means(atlas)
     planes = np.full((3, 2 * atlas.height, atlas.width), 128, np.uint8)
     for t in atlas.tiles:
-        full = cylinder_map.filled(Map(distance[t.region], colour[t.region]))
+        full = cylinder_map.filled(CylinderMap(distance[t.region], colour[t.region]))
         planes[:, *t.region] = np.clip(np.round(ycbcr_from_rgb(full.colour)), 0, 255).transpose(2, 0, 1)
         below = slice(atlas.height + t.top, atlas.height + t.top + t.height)
         displacement = np.round(full.distance * (255_000 / t.max_displacement_mm))

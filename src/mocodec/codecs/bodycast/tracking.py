@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import BadInput
 from ...geometry import articulated_icp, articulation, body_fit, body_tracking, joint_limits, skinning, smoothing
 from ...geometry.articulation import Body, Pose
-from ...geometry.body_matching import Data, Step
+from ...geometry.body_matching import FramePoints, Step
 from ...typing import AnyInteger, Bytes, Floats
 from ..clouds.body_record import round_body
 from ..clouds.raw_frames import Cloud
@@ -45,7 +45,7 @@ class CanonicalPoints(NamedTuple):
 
 def start_tracking(
     points: Floats, colours: Bytes | None, skeleton: Any, up: str, tracked_points: int
-) -> tuple[Body, body_tracking.Tracker]:
+) -> tuple[Body, body_tracking.BodyTracker]:
     """The body in points (n, 3), rounded as it is stored, and its tracker.
 
     skeleton: a Motion or a file of one in the points' pose; None fits a body. Raises CannotEncode if no body is found,
@@ -65,17 +65,17 @@ def start_tracking(
     if len(rows) < MIN_BODY_POINTS:
         raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
     template_colours = None if colours is None else colours[rows]
-    surface = smoothing.smoothed(points[rows], points)
+    surface = smoothing.project_to_surface(points[rows], points)
     body, model = articulated_icp.make_model(body, surface, template_colours, by_surface=True)
     body = round_body(body)
-    settings = body_tracking.Settings(points=tracked_points)
-    some = slice(0, settings.template)
+    settings = body_tracking.TrackerSettings(max_points=tracked_points)
+    some = slice(0, settings.template_points)
     skin = skinning.skin(body, model.points[some], model.links[some])
     template_colours = None if model.colours is None else model.colours[some]
-    tracker = body_tracking.Tracker(body, skin, model.normals[some], template_colours, settings, limits)
-    if len(rows) >= settings.template + MIN_HELD_OUT_POINTS:
-        held_out = rows[settings.template :]
-        tracker.expect(points[held_out], None if colours is None else colours[held_out])
+    tracker = body_tracking.BodyTracker(body, skin, model.normals[some], template_colours, settings, limits)
+    if len(rows) >= settings.template_points + MIN_HELD_OUT_POINTS:
+        held_out = rows[settings.template_points :]
+        tracker.calibrate_cost(points[held_out], None if colours is None else colours[held_out])
     return body, tracker
 
 
@@ -88,32 +88,33 @@ class PersonTracker:
 
     def fit_of_first_pose(self, cloud: Cloud, frame: int) -> body_tracking.Fit:
         """How well the current pose fits a frame; the pose stays."""
-        return self.tracker.see(*cloud, frame)
+        return self.tracker.assess_frame(*cloud, frame)
 
     def fit(self, cloud: Cloud, frame: int) -> body_tracking.Fit:
         """The next frame's pose. frame: its number, the seed of the points drawn."""
         return self.tracker.fit(*cloud, frame)
 
-    def dense_data(self, cloud: Cloud, frame: int) -> Data:
+    def dense_data(self, cloud: Cloud, frame: int) -> FramePoints:
         """More points of a frame than the tracker uses, for `refine_pose` and `to_canonical`."""
-        return self.tracker.look_at(*cloud, frame, DENSE_POINTS)
+        return self.tracker.sample_frame(*cloud, frame, DENSE_POINTS)
 
-    def refine_pose(self, data: Data, pose: Pose) -> Pose:
+    def refine_pose(self, data: FramePoints, pose: Pose) -> Pose:
         """A pose fitted to more points. Joints with little surface, such as hands, would follow noise: a prior holds
         them near their first rotation.
         """
         matcher, prior = self.tracker.matcher, self.tracker.prior
         owned = np.bincount(self.tracker.skin.links[:, 0], minlength=len(self.body))
         is_small = self.body.ancestors @ owned < SMALL_SHARE * len(self.tracker.skin.points)
-        strong_prior = prior._replace(hold=np.where(is_small, np.maximum(prior.hold, SMALL_SPREAD_RAD**-2), prior.hold))
-        steps = [Step(width, len(data.points), len(matcher.some)) for width in REFINE_WIDTHS_M]
+        strength = np.where(is_small, np.maximum(prior.rest_strength, SMALL_SPREAD_RAD**-2), prior.rest_strength)
+        strong_prior = prior._replace(rest_strength=strength)
+        steps = [Step(width, len(data.points), len(matcher.sample)) for width in REFINE_WIDTHS_M]
         return matcher.solve(data, pose, steps, strong_prior)
 
     def posed_template(self, pose: Pose) -> Floats:
         """(n, 3): the template's points in a pose."""
         return self.tracker.skin.posed(*articulation.transforms(self.body, pose))
 
-    def to_canonical(self, data: Data, pose: Pose) -> CanonicalPoints:
+    def to_canonical(self, data: FramePoints, pose: Pose) -> CanonicalPoints:
         """The inliers of a frame, moved back into the canonical pose by inverse skinning. pose: as it is decoded."""
         skin = self.tracker.skin
         fit = self.tracker.assess(data, pose)
@@ -145,17 +146,17 @@ class PersonTracker:
             a, b = articulation.transforms(self.body, pose)
             for k in range(links.shape[1]):
                 posed = np.einsum("nij,nj->ni", a[links[:, k]], points) + b[links[:, k]]
-                distance, _ = data.nearest(posed, tracker.shades, MAX_LINK_COST_M)
+                distance, _ = data.nearest(posed, tracker.scaled_colours, MAX_LINK_COST_M)
                 costs[:, k] += np.minimum(distance, MAX_LINK_COST_M) ** 2 / len(clouds)
         all_links = np.full((len(points), len(self.body)), MAX_LINK_COST_M**2)
         np.put_along_axis(all_links, links, costs, axis=1)
         smooth = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ all_links)
         smooth[np.arange(len(points)), own] -= MIN_LINK_GAIN_M**2
         learned = skinning.blended(self.body, points, smooth.argmin(axis=1), tracker.normals)
-        self.tracker = body_tracking.Tracker(
+        self.tracker = body_tracking.BodyTracker(
             self.body, learned, tracker.normals, tracker.colours, tracker.settings, tracker.limits
         )
-        self.tracker.usual = tracker.usual
+        self.tracker.typical_cost = tracker.typical_cost
 
     def _nearest_links(self, points: Floats, own: AnyInteger) -> AnyInteger:
         """(n, LINK_CANDIDATES): links whose axes are nearest to each point, its own first."""

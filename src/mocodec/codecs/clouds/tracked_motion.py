@@ -68,5 +68,5 @@ class _JointTree(NamedTuple):
 def _joint_tree(body: Body) -> _JointTree:
     leaves = [link for link in range(len(body)) if link not in body.parents]
     above = [*body.parents, *leaves]
-    order = articulation.depth_first(above)
+    order = articulation.depth_first_order(above)
     return _JointTree(leaves, order, tuple(order.index(above[joint]) if above[joint] >= 0 else -1 for joint in order))

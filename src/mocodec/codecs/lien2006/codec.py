@@ -126,7 +126,7 @@ class Lien2006:
 
     def _fit_model(
         self, frame: Cloud, normals: Floats | None, up: str
-    ) -> tuple[CylinderModel, articulated_icp.Tracker]:
+    ) -> tuple[CylinderModel, articulated_icp.ArticpTracker]:
         """The model of the first frame, as it will be decoded, and the tracker that follows it (section 3.1)."""
         points, colours = frame
         if self.skeleton is None:
@@ -148,15 +148,15 @@ class Lien2006:
         body, fitted = articulated_icp.make_model(body, points[chosen], colours, normals, among=points)
         body = round_body(body)
         some = slice(0, self.tracked_points)
-        template = articulated_icp.Model(
+        template = articulated_icp.CylinderModel(
             fitted.points[some], fitted.normals[some], None if colours is None else colours[some], fitted.links[some]
         )
-        settings = articulated_icp.Settings(articulation=self.articulation, global_fitting=self.global_fitting)
+        settings = articulated_icp.ArticpSettings(articulation=self.articulation, global_fitting=self.global_fitting)
         model = round_model(CylinderModel(body, fitted.points, colours, fitted.links))
-        return model, articulated_icp.Tracker(body, template, settings)
+        return model, articulated_icp.ArticpTracker(body, template, settings)
 
     def _track(
-        self, tracker: articulated_icp.Tracker, clouds: PointClouds, frames: Sequence[Cloud], first: int
+        self, tracker: articulated_icp.ArticpTracker, clouds: PointClouds, frames: Sequence[Cloud], first: int
     ) -> TrackedFrames:
         """The pose of every frame; a frame without a body repeats the pose before it (section 3.2)."""
         poses = np.zeros((len(frames), pose_width(len(tracker.body))), np.int64)
@@ -170,7 +170,9 @@ class Lien2006:
             poses[i] = quantise(tracker.body, pose, previous)
         return TrackedFrames(is_body, poses)
 
-    def _fit_pose(self, tracker: articulated_icp.Tracker, frame: Cloud, normals: Floats | None, seed: int) -> Pose:
+    def _fit_pose(
+        self, tracker: articulated_icp.ArticpTracker, frame: Cloud, normals: Floats | None, seed: int
+    ) -> Pose:
         points, colours = frame
         some = np.random.default_rng(seed).permutation(len(points))[: self.tracked_points]
         colours = None if colours is None else colours[some]

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...geometry import articulated_icp, articulation, cylinder_map
 from ...geometry.articulation import Pose
-from ...geometry.cylinder_map import Frame, Map
+from ...geometry.cylinder_map import Cylinder, CylinderMap
 from ...typing import Booleans, Bytes, Floats
 from ..clouds.raw_frames import Cloud
 from .cylinder_model import DEPTH_STEP_M, CylinderModel
@@ -45,8 +45,8 @@ class MapTile(NamedTuple):
 
     top: int
     left: int
-    cylinder: Frame
-    expected: Map
+    cylinder: Cylinder
+    expected: CylinderMap
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -88,7 +88,7 @@ def _tile(model: CylinderModel, link: int, share: float) -> MapTile | None:
     body, points = model.body, model.points[own]
     along = (points - body.origins[link]) @ body.axes[link]
     low, high = float(along.min()), max(float(along.max()), float(along.min()) + MIN_MAP_LENGTH_M)
-    cylinder = cylinder_map.frame(body.origins[link], body.tips[link], low, high)
+    cylinder = cylinder_map.cylinder(body.origins[link], body.tips[link], low, high)
     shape = cylinder_map.grid_size(int(own.sum()), float(body.radii[link]), high - low, share)
     colours = _colours_as_floats(None if model.colours is None else model.colours[own], len(points))
     return MapTile(0, 0, cylinder, cylinder_map.filled(cylinder_map.forward(cylinder, points, colours, shape)))
@@ -107,13 +107,15 @@ def _colours_as_floats(colours: Bytes | None, points: int) -> Floats:
 # --- forward --------------------------------------------------------------------------------------------------------
 
 
-def frame_maps(model: CylinderModel, tiles: Sequence[MapTile | None], pose: Pose, frame: Cloud) -> list[Map | None]:
+def frame_maps(
+    model: CylinderModel, tiles: Sequence[MapTile | None], pose: Pose, frame: Cloud
+) -> list[CylinderMap | None]:
     """(links,): the frame's points as maps on the links, which stand where the decoded pose puts them."""
     points, colours = frame
     a, b = articulation.transforms(model.body, pose)
     links = articulated_icp.segment(model.body, a, b, points, None)
     colours = _colours_as_floats(colours, len(points))
-    maps = list[Map | None]()
+    maps = list[CylinderMap | None]()
     for link, tile in enumerate(tiles):
         if tile is None:
             maps.append(None)
@@ -127,7 +129,7 @@ def frame_maps(model: CylinderModel, tiles: Sequence[MapTile | None], pose: Pose
     return maps
 
 
-def residual_of(tiles: Sequence[MapTile | None], maps: Sequence[Map | None]) -> ResidualMap:
+def residual_of(tiles: Sequence[MapTile | None], maps: Sequence[CylinderMap | None]) -> ResidualMap:
     """The difference of a frame's maps from the model's."""
     depth = np.zeros(sheet_size(tiles), np.uint8)
     colour = np.full((*depth.shape, 3), ZERO, np.uint8)
@@ -195,5 +197,5 @@ def _corrected_points(
     empty_in_model = occupied.copy()
     empty_in_model.reshape(-1)[cell] = False
     distances = np.where(empty_in_model, tile.expected.distance + depth, np.nan)
-    added, added_colours = cylinder_map.inverse(tile.cylinder, Map(distances, tile.expected.colour + colour))
+    added, added_colours = cylinder_map.inverse(tile.cylinder, CylinderMap(distances, tile.expected.colour + colour))
     return np.concatenate([moved, added]), np.concatenate([colours, added_colours])
