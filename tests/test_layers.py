@@ -19,7 +19,7 @@ LAYERS = (
     ("api",),
     ("codecs", "container"),
     ("stages", "entropy", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "typing"),
+    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing"),
 )
 APART = {("codecs", "container"), ("testing", "archive", "plots")}
 

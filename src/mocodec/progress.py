@@ -1,0 +1,93 @@
+# pyright: strict
+"""How far long work has come: codecs report, a caller listens, and neither needs to know the other.
+
+    with progress.listening(print):                 the caller: fractions from 0 to 1, rising
+        for chunk in progress.over(chunks): …       a codec: after each of them
+        with progress.phase(0.2, 0.9): work()       reports within `work` fall into this part of the whole
+
+Without a listener a report does nothing. Threads that a codec starts have no listener, unless they run in a copy of the
+context (`contextvars.copy_context`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Generator, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeVar
+
+Callback = Callable[[float], object]
+Item = TypeVar("Item")
+
+SMALLEST_RISE = 0.001
+"""Reports that rise by less than this are not passed on: a callback may be slow."""
+
+
+class _Listener:
+    """A callback, the fraction it heard last, and the part of the whole that reports now fall into."""
+
+    def __init__(self, callback: Callback) -> None:
+        self.callback = callback
+        self.heard = -1.0
+        self.start, self.stop = 0.0, 1.0
+
+    def hear(self, fraction: float) -> None:
+        """Call back, where the fraction has risen."""
+        rises = self.heard < fraction if fraction in (0.0, 1.0) else self.heard + SMALLEST_RISE <= fraction
+        if rises:
+            self.heard = fraction
+            self.callback(fraction)
+
+
+_current: ContextVar[_Listener | None] = ContextVar("mocodec progress listener", default=None)
+
+
+@contextmanager
+def listening(callback: Callback | None) -> Generator[None, None, None]:
+    """Within this context, `callback` is called with rising fractions: 0 at its start, 1 at its end unless it fails.
+
+    An exception that the callback raises ends the work. Without a callback, a listener from outside keeps listening.
+    """
+    if callback is None:
+        yield
+        return
+    listener = _Listener(callback)
+    token = _current.set(listener)
+    try:
+        listener.hear(0.0)
+        yield
+        listener.hear(1.0)
+    finally:
+        _current.reset(token)
+
+
+def report(fraction: float) -> None:
+    """Say that this fraction, 0 to 1, of the current phase is done."""
+    listener = _current.get()
+    if listener is not None:
+        within = min(max(fraction, 0.0), 1.0)
+        listener.hear(listener.start + within * (listener.stop - listener.start))
+
+
+@contextmanager
+def phase(start: float, stop: float) -> Generator[None, None, None]:
+    """Within this context, reports from 0 to 1 mean `start` to `stop` of the phase around it. Phases nest."""
+    listener = _current.get()
+    if listener is None:
+        yield
+        return
+    outer = listener.start, listener.stop
+    width = listener.stop - listener.start
+    listener.start, listener.stop = outer[0] + start * width, outer[0] + stop * width
+    try:
+        yield
+        report(1.0)
+    finally:
+        listener.start, listener.stop = outer
+
+
+def over(items: Collection[Item]) -> Iterator[Item]:
+    """The items one by one, with a report after each."""
+    for done, item in enumerate(items, 1):
+        yield item
+        report(done / len(items))
