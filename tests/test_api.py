@@ -1,4 +1,4 @@
-"""The public verbs, with a codec of their own: float32 positions, ten frames a chunk."""
+"""The public functions, with a codec for tests: float32 positions, ten frames per chunk."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_random_access():
                 bad()
 
 
-def test_extras_of_a_slice_can_be_had_after_closing(tmp_path: Path):
+def test_extras_of_a_slice_load_after_closing(tmp_path: Path):
     motion, path = walk(), tmp_path / "walk.mocz"
     mc.write(path, motion, codec="plain")
     with mc.open(path) as f:
@@ -120,7 +120,7 @@ def test_extras_of_a_slice_can_be_had_after_closing(tmp_path: Path):
     assert equal(part, motion[60:80])
 
 
-def test_a_cut_file_is_salvaged():
+def test_a_truncated_file_is_salvaged():
     blob = mc.encode(walk(), "plain")
     with pytest.raises(mc.Truncated):
         mc.open(blob[: len(blob) // 2])
@@ -130,7 +130,7 @@ def test_a_cut_file_is_salvaged():
         assert 20 < stop < 60
 
 
-def test_wrong_arguments_are_told():
+def test_wrong_arguments_raise():
     with pytest.raises(mc.BadInput, match="no target 'ratio'"):
         mc.encode(walk(), "plain", ratio=3)
     with pytest.raises(mc.BadInput, match="no setting"):
@@ -143,7 +143,7 @@ def test_wrong_arguments_are_told():
         _ = mc.Nothing
 
 
-def test_a_file_of_a_codec_that_is_not_here_can_be_looked_into(monkeypatch: pytest.MonkeyPatch):
+def test_a_file_of_an_unknown_codec_shows_its_info(monkeypatch: pytest.MonkeyPatch):
     blob = mc.encode(walk(), "plain")
     monkeypatch.delitem(codecs.CODECS, "plain")
     with mc.open(blob) as f:
@@ -217,7 +217,7 @@ def test_url(server: tuple[str, type[Server]]):
         mc.open(f"{address}/none.mocz")
 
 
-def test_a_file_that_changes_behind_a_url_is_noticed():
+def test_a_file_that_changes_behind_a_url_is_detected():
     handler = type("Handler", (Server,), {"blob": bytes(100_000)})
     http = ThreadingHTTPServer(("127.0.0.1", 0), handler)
     thread = threading.Thread(target=http.serve_forever, args=(0.01,), daemon=True)

@@ -140,7 +140,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
         return container.pack(codec.encode(recording))
-    with progress_.phase(0.0, 1 / ATTEMPTS):
+    with progress_.attempt(0):
         encoded = codec.encode(recording)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
@@ -152,7 +152,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
         if target_bytes < 1:
             break
         value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
-        with progress_.phase(attempt / ATTEMPTS, (attempt + 1) / ATTEMPTS):
+        with progress_.attempt(attempt):
             encoded = dataclasses.replace(codec, **{target: value}).encode(recording)
         blob = container.pack(dataclasses.replace(encoded, settings=settings))
     if len(blob) <= limit:

@@ -4,6 +4,7 @@
     with progress.listening(print):                 the caller: fractions from 0 to 1, rising
         for chunk in progress.over(chunks): …       a codec: after each of them
         with progress.phase(0.2, 0.9): work()       reports within `work` fall into this part of the whole
+        with progress.attempt(3): work()            the fourth attempt of a search
 
 Without a listener a report does nothing. Threads that a codec starts have no listener, unless they run in a copy of the
 context (`contextvars.copy_context`).
@@ -12,7 +13,7 @@ context (`contextvars.copy_context`).
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
@@ -84,6 +85,11 @@ def phase(start: float, stop: float) -> Generator[None, None, None]:
         report(1.0)
     finally:
         listener.start, listener.stop = outer
+
+
+def attempt(number: int) -> AbstractContextManager[None]:
+    """The phase of one attempt, from 0, of a search of unknown length: each takes half of what is left."""
+    return phase(1 - 0.5**number, 1 - 0.5 ** (number + 1))
 
 
 def over(items: Collection[Item]) -> Iterator[Item]:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import progress
 from ..encoded import Chunk, Encoded, about, restore
 from ..entropy import coder
 from ..errors import BadInput, CannotEncode, Corrupt
@@ -55,7 +56,7 @@ class Lossless:
         taps = fit(rows(values).astype(np.float64))
         clip_frames = max(1, round(self.chunk_seconds * motion.rate))
         chunks = []
-        for clip in segment.equal_length(len(motion), clip_frames):
+        for clip in progress.over(segment.equal_length(len(motion), clip_frames)):
             residual = ranks[clip] - predict_all(ranks[clip], form, taps, scale)
             holes = gaps.pack(mask[clip])
             chunks.append(
@@ -230,7 +231,7 @@ def decode_chunks(
     ranks = np.zeros_like(together)
     ranks[0] = np.clip(together[0], lowest, highest)
     past = np.repeat(level(ranks[:1], form, scale), ORDER, axis=0)
-    for t in range(1, longest):
+    for t in progress.over(range(1, longest)):
         ranks[t] = np.clip(rank(combine(past, taps), form, scale) + together[t], lowest, highest)
         past = np.concatenate([level(ranks[t : t + 1], form, scale), past[:-1]])
     return [(ranks[: c.frames, i], mask) for i, (c, mask) in enumerate(zip(chunks, masks, strict=True))]

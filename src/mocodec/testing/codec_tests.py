@@ -59,7 +59,7 @@ class CodecTests:
     """Whether the codec has `max_error`."""
 
     qualities: ClassVar[tuple[Mapping[str, Any], ...]] = ()
-    """Settings from coarse to fine, spaced so that the error must fall. With `can_bound` the default is three bounds."""
+    """Settings from coarse to fine, spaced so that the error must fall; three bounds by default with `can_bound`."""
 
     usual_error: ClassVar[float] = 0.03
     """Largest mean error of the default settings on a walking figure, metres."""

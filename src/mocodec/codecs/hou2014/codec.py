@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import encoded as encodeds
-from ... import metrics
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Floats, Motion
@@ -102,7 +102,7 @@ class Hou2014:
         start, stop = encoded.range(frames)
         head = _head(encoded)
         parts: list[Floats] = [np.zeros((0, head.points, 3))]
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             positions = stream.unpack_payload(chunk.payload, chunk.frames, head)
             parts.append(positions[max(0, start - chunk.start) : stop - chunk.start])
         return encodeds.restore(encoded, np.concatenate(parts), start)

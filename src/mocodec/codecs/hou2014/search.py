@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from ... import progress
 from ...stages import quantise
 
 NEAR = 0.985
@@ -34,8 +35,9 @@ def _bracketed(of: Callable[[int], float], limit: float, start: int, rising: boo
     good: tuple[int, float] | None = None
     bad: tuple[int, float] | None = None
     rung = start
-    for _ in range(TRIES):
-        value = of(rung)
+    for attempt in range(TRIES):
+        with progress.attempt(attempt):
+            value = of(rung)
         if value <= limit:
             good = (rung, value)
             if value >= NEAR * limit:
@@ -73,6 +75,7 @@ def smallest(of: Callable[[int], float], start: int) -> int:
             for rung in (best - stride, best + stride):
                 if rung not in values and abs(rung - start) <= WIDEST:
                     values[rung] = of(rung)
+                    progress.report(1 - 0.85 ** len(values))
             nearer = min(values, key=lambda rung: (values[rung], rung))
             if nearer == best or len(values) > TRIES:
                 break

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
@@ -163,7 +163,7 @@ class Liu2006:
             ]
             return dataclasses.replace(cut, before=own.start, after=last - cut.stop, groups=tuple(fitted))
 
-        return [with_models(cut) for cut in bare]
+        return [with_models(cut) for cut in progress.over(bare)]
 
     def _stored(self, motion: Motion, segments: list[Segment], played: Roles, missing: gaps.Mask) -> Encoded[Motion]:
         """Chunks of the segments, each with its gaps and, for a `max_error`, what keeps the promise."""
@@ -195,7 +195,7 @@ class Liu2006:
         segments, gap_bytes, residuals = read_segments(encoded.covering(start, stop), played)
         up = encoded.about.up
         positions = np.empty((stop - start, played.points, 3))
-        for one, gap, residual in zip(segments, gap_bytes, residuals, strict=True):
+        for one, gap, residual in progress.over(list(zip(segments, gap_bytes, residuals, strict=True))):
             first, last = max(one.start, start), min(one.stop, stop)
             if first >= last:
                 continue
@@ -262,8 +262,9 @@ def steer(
     inside: tuple[float, float] | None = None  # logarithms of scale and measure, on either side of the aim
     outside: tuple[float, float] | None = None
     scale = 0.0
-    for _ in range(ATTEMPTS):
-        fitted = fit(float(np.exp(scale)))
+    for attempt in range(ATTEMPTS):
+        with progress.attempt(attempt):
+            fitted = fit(float(np.exp(scale)))
         measured = measure(fitted)
         at = (scale, float(np.log(max(measured, 1e-6))))
         if measured <= 1 and (best is None or measured > best[0]):
