@@ -50,13 +50,15 @@ IMPORTED_ON_FIRST_USE = {
 """Classes and the module of `codecs` that each is in."""
 
 
-def __getattr__(name: str) -> Any:
-    """The classes of the codecs, and `tempo` with its streaming Encoder and Decoder."""
-    if name == "tempo":
-        return import_module(f"{__name__}.codecs.tempo")
-    if name in IMPORTED_ON_FIRST_USE:
-        return getattr(import_module(f"{__name__}.codecs.{IMPORTED_ON_FIRST_USE[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:  # or type checkers would accept any name
+
+    def __getattr__(name: str) -> Any:
+        """The classes of the codecs, and `tempo` with its streaming Encoder and Decoder."""
+        if name == "tempo":
+            return import_module(f"{__name__}.codecs.tempo")
+        if name in IMPORTED_ON_FIRST_USE:
+            return getattr(import_module(f"{__name__}.codecs.{IMPORTED_ON_FIRST_USE[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

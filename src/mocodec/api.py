@@ -96,6 +96,10 @@ def encode(
     recording: Recording,
     codec: str | None = None,
     *,
+    max_error: float | None = None,
+    mean_error: float | None = None,
+    ratio: float | None = None,
+    size: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
