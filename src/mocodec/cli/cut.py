@@ -86,9 +86,7 @@ def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple
 
     start, stop = frame_at(begin), min(count, frame_at(end)) if end else count
     if start >= stop:
-        raise click.UsageError(
-            f"nothing to cut: the file has {count} frames, {count / rate:g} s, the cut is {start} to {stop}"
-        )
+        raise click.UsageError(f"the time range is empty: frames {start} to {stop} of {count} ({count / rate:g} s)")
     return start, stop
 
 

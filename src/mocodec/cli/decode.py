@@ -79,7 +79,7 @@ def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
         runs = reader.whole()
         lost = [*reader.problems, *(message for _, message in reader.damage())]
         if not runs:
-            raise Corrupt("no frame can be salvaged: " + "; ".join(lost))
+            raise Corrupt(f"{reader.source.name}: no frame can be salvaged: " + "; ".join(lost))
         positions = np.full(opened.shape, np.nan)
         for start, stop in runs:
             positions[start:stop] = opened[start:stop].positions
