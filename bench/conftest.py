@@ -1,4 +1,4 @@
-"""What is timed: the recording inside the package, and larger real recordings where a folder of them is at hand."""
+"""Recordings for the benchmarks: the one in the package, and larger ones from the folder MOCODEC_DATA if it exists."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ RECORDINGS = {
 
 
 def path_of(name: str) -> Path:
-    """Where a recording is; skips where it is not."""
+    """The path of a recording; skips the benchmark if the file does not exist."""
     if not RECORDINGS[name].exists():
-        pytest.skip(f"no {RECORDINGS[name].name} here: name a folder of recordings with MOCODEC_DATA")
+        pytest.skip(f"{RECORDINGS[name]} does not exist: set MOCODEC_DATA to a folder of recordings")
     return RECORDINGS[name]
 
 

@@ -1,4 +1,4 @@
-"""python store.py RAW.json OUT.json: what a run of pytest-benchmark measured, without what names a machine."""
+"""python store.py RAW.json OUT.json: keep the measurements of pytest-benchmark, not the name of the machine."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ for b in raw["benchmarks"]:
     median = b["stats"]["median"]
     extra = b["extra_info"]
     record = {"name": b["name"].removeprefix("test_"), "median_s": median, "fastest_s": b["stats"]["min"], **extra}
-    for what in ("frames", "symbols"):
-        if what in extra:
-            record[f"{what}_per_second"] = extra[what] / median
+    for unit in ("frames", "symbols"):
+        if unit in extra:
+            record[f"{unit}_per_second"] = extra[unit] / median
     records.append(record)
 processor = raw["machine_info"]["cpu"].get("brand_raw", "unknown processor")
 about = {

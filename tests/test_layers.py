@@ -17,7 +17,7 @@ LAYERS = (
     ("testing", "plots"),
     ("api",),
     ("codecs", "container"),
-    ("stages", "entropy", "geometry", "formats", "metrics"),
+    ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
     ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing"),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
@@ -86,6 +86,8 @@ def test_the_rule_itself() -> None:
     assert may_import("cli", "codecs")
     assert may_import("codecs", "stages")
     assert may_import("stages", "entropy")
+    assert may_import("codecs", "fields")
+    assert may_import("container", "fields")
     assert not may_import("codecs", "container")
     assert not may_import("stages", "codecs")
     assert not may_import("motion", "metrics")

@@ -27,6 +27,19 @@ def test_phases_nest() -> None:
         assert heard == [0.0, 0.75, 0.8125, 0.875, 1.0]
 
 
+def test_attempts_of_a_search_each_take_a_share_of_what_is_left() -> None:
+    heard: list[float] = []
+
+    def trial(setting: int) -> int:
+        progress.report(0.5)
+        return 2 * setting
+
+    with progress.listening(heard.append):
+        measure = progress.attempts(trial, share=0.5)
+        assert [measure(1), measure(2)] == [2, 4]
+    assert heard == [0.0, 0.25, 0.5, 0.625, 0.75, 1.0]
+
+
 def test_a_lower_fraction_is_not_passed_on() -> None:
     heard: list[float] = []
     with progress.listening(heard.append):

@@ -296,7 +296,7 @@ class File(Generic[RecordingT]):
         start, stop, step = frame_steps(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
-        with self._reader.naming():
+        with self._reader.errors_name_file():
             recording = self.codec.decode(self.encoded, slice(start, stop))
         if step > 1:
             recording = cast("RecordingT", recording[::step])
@@ -318,7 +318,7 @@ class File(Generic[RecordingT]):
 
     def whole(self) -> list[tuple[int, int]]:
         """Runs of frames (start, stop) that are undamaged and decode, also in a file opened with `salvage`."""
-        return self._reader.whole()
+        return self._reader.intact_runs()
 
     def verify(self) -> None:
         """Read every byte and test every checksum. Raises Corrupt, which lists all damaged parts."""

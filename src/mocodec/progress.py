@@ -5,6 +5,7 @@
         for chunk in progress.over(chunks): …       a codec: after each of them
         with progress.phase(0.2, 0.9): work()       reports within `work` fall into this part of the whole
         with progress.attempt(3): work()            the fourth attempt of a search
+        search(progress.attempts(trial))            a search whose trials are attempts
 
 Without a listener a report does nothing. Threads that a codec starts have no listener, unless they run in a copy of the
 context (`contextvars.copy_context`).
@@ -19,6 +20,8 @@ from typing import TypeVar
 
 Callback = Callable[[float], object]
 Item = TypeVar("Item")
+Setting = TypeVar("Setting")
+Result = TypeVar("Result")
 
 SMALLEST_RISE = 0.001
 """Reports that rise by less than this are not passed on: a callback may be slow."""
@@ -90,6 +93,19 @@ def phase(start: float, stop: float) -> Generator[None, None, None]:
 def attempt(number: int) -> AbstractContextManager[None]:
     """The phase of one attempt, from 0, of a search of unknown length: each takes half of what is left."""
     return phase(1 - 0.5**number, 1 - 0.5 ** (number + 1))
+
+
+def attempts(trial: Callable[[Setting], Result], share: float = 0.5) -> Callable[[Setting], Result]:
+    """`trial`, where each call is the next attempt of a search and takes this share of what is left."""
+    left = 1.0
+
+    def next_attempt(setting: Setting) -> Result:
+        nonlocal left
+        start, left = 1 - left, left * (1 - share)
+        with phase(start, 1 - left):
+            return trial(setting)
+
+    return next_attempt
 
 
 def over(items: Collection[Item]) -> Iterator[Item]:

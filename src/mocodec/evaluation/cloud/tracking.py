@@ -96,27 +96,27 @@ def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 2
         while frame + 1 < min(start, len(clouds)):
             frame += 1
             tracker.fit(clouds.positions[frame], clouds.colours[frame], frame)
-        kept, rng = (tracker.pose, tracker.before), np.random.default_rng(start)
+        kept, rng = (tracker.pose, tracker.previous_pose), np.random.default_rng(start)
         for limb in tracker.limbs:
             axes = rng.normal(size=(2, 3))
             turned = kept[0].rotations.copy()
             away = articulation.exp(TURNED * axes / np.linalg.norm(axes, axis=1, keepdims=True))
             turned[limb.links[:2]] = away @ turned[limb.links[:2]]
-            tracker.pose = tracker.before = articulation.Pose(turned, kept[0].root)
+            tracker.pose = tracker.previous_pose = articulation.Pose(turned, kept[0].root)
             taken.append(most + 1)
             for f in range(start, min(start + most, len(clouds))):
                 pose = tracker.fit(clouds.positions[f], clouds.colours[f], f).pose
                 if joint_errors(act, body, pose, f).max() < LOST_M:
                     taken[-1] = f - start + 1
                     break
-            tracker.pose, tracker.before = kept
+            tracker.pose, tracker.previous_pose = kept
     return taken
 
 
 def joint_errors(act: Performance, body: articulation.Body, pose: articulation.Pose, frame: int) -> NDArray[np.float64]:
     """(links,): how far the joints of a pose are from the true ones, metres."""
     column = [act.actor.names.index(name) for name in body.names]
-    joints = articulation.joints_of(body, *articulation.transforms(body, pose))
+    joints = articulation.joint_positions(body, *articulation.transforms(body, pose))
     return np.linalg.norm(joints - act.joints[frame][column], axis=1)
 
 

@@ -101,7 +101,7 @@ def perform(actor: actors.Actor, data: Path, name: str, frames: int) -> Performa
 def tracked(act: Performance) -> dict[str, Any]:
     """Figure 6 and the frame rates: 25 % of the points, with and without the constraints, and all joints at once."""
     clouds = sequences.record(act, POINTS, keep=0.25, seed=1, normals=True)
-    settings = articulated_icp.Settings
+    settings = articulated_icp.ArticpSettings
     return {
         "with": articp(act, clouds, settings()),
         "with, true normals": articp(act, clouds, settings(), normals=True),
@@ -114,18 +114,18 @@ def tracked(act: Performance) -> dict[str, Any]:
 def both(act: Performance, **how: float) -> dict[str, Any]:
     """Both trackers on one way of recording."""
     clouds = sequences.record(act, POINTS, seed=1, **how)  # type: ignore[arg-type]
-    return {"lien2006": articp(act, clouds, articulated_icp.Settings()), "bodycast": at_once(act, clouds)}
+    return {"lien2006": articp(act, clouds, articulated_icp.ArticpSettings()), "bodycast": at_once(act, clouds)}
 
 
 def articp(
-    act: Performance, clouds: PointClouds, settings: articulated_icp.Settings, normals: bool = False
+    act: Performance, clouds: PointClouds, settings: articulated_icp.ArticpSettings, normals: bool = False
 ) -> dict[str, Any]:
     """ARTICP from the true first pose; with the normals of the surface, or with estimated ones."""
     actor = act.actor
     body = articulation.from_skeleton(actor.names, actor.parents, act.joints[0], one_trunk=True, shortest=0.1)
     true = lambda frame: chosen_normals(clouds, frame) if normals else None  # noqa: E731
     body, model = articulated_icp.make_model(body, *limited(clouds, 0), true(0))
-    tracker = articulated_icp.Tracker(body, model, settings)
+    tracker = articulated_icp.ArticpTracker(body, model, settings)
     return follow(act, clouds, body, lambda frame: tracker.fit(*limited(clouds, frame), true(frame)))
 
 
@@ -135,7 +135,7 @@ def at_once(act: Performance, clouds: PointClouds) -> dict[str, Any]:
     body = articulation.from_skeleton(actor.names, actor.parents, act.joints[0])
     body, model = articulated_icp.make_model(body, *limited(clouds, 0, 3000), by_surface=True)
     skin = skinning.skin(body, model.points, model.links)
-    tracker = body_tracking.Tracker(body, skin, model.normals, model.colours)
+    tracker = body_tracking.BodyTracker(body, skin, model.normals, model.colours)
     return follow(act, clouds, body, lambda frame: tracker.fit(*limited(clouds, frame), frame).pose)
 
 
@@ -158,7 +158,7 @@ def follow(act: Performance, clouds: PointClouds, body: Body, fit: Callable[[int
     poses = [fit(frame) for frame in range(1, len(clouds))]
     seconds = time.process_time() - started
     for frame, pose in enumerate(poses, start=1):
-        found = articulation.joints_of(body, *articulation.transforms(body, pose))
+        found = articulation.joint_positions(body, *articulation.transforms(body, pose))
         true = act.joints[frame][list(body.joints)]
         errors.append(np.linalg.norm(found - true, axis=1))
         e_t.append(round(measures.joint_error(found, true, clouds.positions[frame]), 5))

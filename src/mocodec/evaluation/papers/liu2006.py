@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ... import formats, metrics
-from ...codecs.liu2006 import Liu2006, global_pca, piecewise_pca, rivals, roles, statistics
+from ...codecs.liu2006 import Liu2006, global_pca, marker_groups, paper_tables, piecewise_pca, statistics
 from ...codecs.liu2006.codec import read_shared
 from ...motion import Motion
 from ...stages.segment import Curve
@@ -92,9 +92,9 @@ def measured(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[C
     """One row of the tables, the curves of the segmentation, and the decoded motion."""
     encode_ms, encoded = timed(lambda: codec.encode(motion), len(motion))
     decode_ms, decoded = timed(lambda: codec.decode(encoded), len(motion))
-    played = read_shared(encoded)[1]
+    markers = read_shared(encoded)[1]
     counts = statistics(encoded)
-    cuts = codec.cuts(motion.positions, played, motion.up)
+    segmentation = codec.segment_motion(motion.positions, markers, motion.up)
     compared = metrics.compare(motion, decoded, encoded.payload_bytes)
     row = {
         "content": datasets.content_hash(motion),
@@ -103,7 +103,7 @@ def measured(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[C
         "ours": {
             **asdict(counts),
             "average_components_of_all_groups_together": stats.fmean(map(sum, counts.components)),
-            "d_normalised": rivals.d_normalised(motion, decoded.positions, played),
+            "d_normalised": paper_tables.d_normalised(motion, decoded.positions, markers),
             "d_world": compared.d_percent,
             "payload_bytes": encoded.payload_bytes,
             "byte_ratio_to_float32": compared.ratio,
@@ -114,12 +114,12 @@ def measured(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[C
             "encode_ms": encode_ms,
             "decode_ms": decode_ms,
         },
-        "global_pca": asdict(global_pca(motion, played)),
-        "piecewise_pca": asdict(piecewise_pca(motion, played, cuts.segments)),
-        "readings": readings(codec, motion, played),
+        "global_pca": asdict(global_pca(motion, markers)),
+        "piecewise_pca": asdict(piecewise_pca(motion, markers, segmentation.segments)),
+        "readings": readings(codec, motion, markers),
         "longer": [longer(codec, motion, times) for times in (1, 2, 4)],
     }
-    return row, cuts.curves, decoded
+    return row, segmentation.curves, decoded
 
 
 def longer(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]:
@@ -131,11 +131,11 @@ def longer(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]:
     return {"frames": len(long), "encode_ms": encode_ms, "decode_ms": decode_ms}
 
 
-def readings(codec: Liu2006, motion: Motion, played: roles.Roles) -> list[dict[str, Any]]:
+def readings(codec: Liu2006, motion: Motion, markers: marker_groups.MarkerGroups) -> list[dict[str, Any]]:
     """What the gaps that the paper leaves would give otherwise: each reading's count and errors."""
     from dataclasses import replace
 
-    others = len(played.others)
+    others = len(markers.others)
     rows = []
     for what, changed in (
         ("as decided", codec),
@@ -155,7 +155,7 @@ def readings(codec: Liu2006, motion: Motion, played: roles.Roles) -> list[dict[s
                 "average_components": counts.average_components,
                 "scalar_ratio": counts.scalar_ratio,
                 "payload_bytes": encoded.payload_bytes,
-                "d_normalised": rivals.d_normalised(motion, decoded.positions, played),
+                "d_normalised": paper_tables.d_normalised(motion, decoded.positions, markers),
                 "d_world": metrics.distortion_percent(motion.positions, decoded.positions),
                 "jump_at_cuts_m": jump(motion, decoded, [chunk.start for chunk in encoded.chunks[1:]]),
             }
