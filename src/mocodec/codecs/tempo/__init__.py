@@ -7,7 +7,7 @@ target          steps for a bound, a mean error, a size   chunk         one chun
 pose/           heading, leaps, bone directions           coding/       coefficients as bytes
 fallback        hou2014 in place of the chunks            stream        live encoding and decoding
 
-docs/tempo has how it works, its bytes, its results, and what was tried.
+docs/tempo has how it works and its results, docs/payloads/tempo.md its bytes.
 """
 
 from .codec import Tempo

@@ -39,8 +39,10 @@ FALLBACK_MODEL = "hou2014"
 MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
 COARSER_MODELS = 8
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
-MEAN_WITHIN = 0.02
-"""Relative difference from a mean error at which another way of coding is taken."""
+MEAN_SHARE = 0.95
+"""An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
+REPEATS_TRIES = 3
+"""How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
 
 @dataclass(frozen=True)
@@ -173,13 +175,19 @@ class Tempo:
             wanted = self._wanted_bytes(motion) - repeats.RUN_BYTES * chunks
             codec = replace(self, ratio=None, size=max(1, wanted))
         encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
+        for _ in range(REPEATS_TRIES if self.mean_error else 0):
+            mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
+            if mean <= (self.mean_error or 0.0):
+                break
+            codec = replace(codec, mean_error=(codec.mean_error or 0.0) * (self.mean_error or 0.0) / mean)
+            encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
         return replace(encoded, settings=self._stored_settings())
 
     def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
         """Whether an encoding by other means has the mean error, or the size, that was asked for."""
         if self.mean_error is not None:
             mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
-            return abs(mean / self.mean_error - 1) <= MEAN_WITHIN
+            return MEAN_SHARE <= mean / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:

@@ -47,8 +47,8 @@ BYTES_SLOPE = 0.7
 MEAN_OF_BOUND = 0.5
 """Usual mean error under a bound: where the search for a mean by way of a bound begins."""
 
-MEAN_WITHIN = 0.015
-MEAN_TRIES = 7
+MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
+"""The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
 
 
 def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
@@ -169,7 +169,7 @@ def _to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> E
     for _ in range(MEAN_TRIES):
         encoded = replace(codec, max_error=bound).encode_smoothed(motion, smooth)
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
-        if abs(mean / wanted - 1) <= MEAN_WITHIN:
+        if 1 - MEAN_WITHIN <= mean / wanted <= 1:
             return encoded
-        bound *= wanted / max(mean, 0.1 * wanted)
+        bound *= MEAN_AIM * wanted / max(mean, 0.1 * wanted)
     return None

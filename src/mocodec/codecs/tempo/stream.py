@@ -5,7 +5,7 @@
     decoder = tempo.Decoder(encoder.shared, about)
     for chunk in wire: show(decoder.push(chunk))
 
-Every chunk decodes alone, so a receiver may begin anywhere and lose any chunk. docs/tempo has the cost in bytes.
+Every chunk decodes alone, so a receiver may begin anywhere and lose any chunk. docs/tempo/results.md has the cost in bytes.
 """
 
 from __future__ import annotations

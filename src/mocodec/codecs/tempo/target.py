@@ -8,17 +8,20 @@ to_size     one step for all chunks, the smallest whose bytes fit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from ...encoded import Chunk
 from ...errors import CannotEncode
+from ...stages import search
 from . import chunk
 from .chunk import BATCH, ChunkEncoder, Draft, grid_step
 from .coding import coefficients, direct, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
+
+Result = TypeVar("Result")
 
 FIRST_OFFSET = 28
 """Under a bound, the first step tried is this many 1/32 octaves above it."""
@@ -34,16 +37,19 @@ USUAL_STEP = 140
 coarser steps."""
 MEAN_OF_RMS = 0.81
 """Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
-NEAR_SAMPLE, NEAREST = 1.5, 0.43
-"""Excess of the mean error, 1/32 octave, at which the search among a sample, and among all chunks, ends."""
-ACCEPTED = 0.6
-"""Excess, 1/32 octave (1.3 %), beyond which other weights of error and bits are tried as well."""
+AIM, NEAR_SAMPLE, NEAR = -0.45, 1.5, 0.43
+"""The search aims at this excess of the mean error, 1/32 octave (1 % below the target), so that the target holds. It
+ends this near to the aim among a sample, and among all chunks."""
+ACCEPTED = -1.2
+"""Below this excess, 1/32 octave (2.6 %), other weights of error and bits are tried as well."""
+LOWER_STEPS = 8
+"""At most so many steps below the best one are tried where that exceeds the target."""
 OTHER_SLOPES = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0) for change in (0, -1, 1, -2, 2))
 """Changes of the step, and shares of λ, that are tried then."""
 CUBE_MEAN = 0.4803
 """Mean distance of the points of a cube from its centre, in sides."""
 USUAL_SLOPE, SLOPES = 0.75, (0.4, 1.0)
-"""Octaves of error an octave of step: at first, and the range."""
+"""Octaves of error an octave of step: at first, and their range."""
 LARGEST_INTEGER = 2.0**40
 """Whatever the size, steps are no smaller than the largest sample by this."""
 COARSE_STEP_M = 0.004
@@ -95,7 +101,7 @@ def to_bound(encoders: Sequence[ChunkEncoder], bound: float) -> list[bytes]:
 
 
 def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
-    """Payloads at the common step whose mean error (metres) is nearest to the target.
+    """Payloads at a common step whose mean error is at most the target (metres), and near it.
 
     The step is searched among some of the chunks first, by the error of their coefficients alone; then all chunks are
     coded in it, and again where their mean differs.
@@ -114,105 +120,59 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     some = encoders[:: -(-len(encoders) // SAMPLED)]
     step = _log(USUAL_STEP * target**1.5)
     if encoders[0].spectrum is not None:
-        step = _search(estimate, step, NEAR_SAMPLE).best
+        step = _nearest(estimate, step, NEAR_SAMPLE)[0].setting
     if len(some) < len(encoders):
-        step = _search(lambda s: excess(some, s), step, NEAR_SAMPLE).best
-    found = _search(lambda s: excess(encoders, s), step, NEAREST)
-    if min(found.values.values()) > ACCEPTED:  # finer than the stored bases are exact
+        step = _nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting
+    found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
+    best, over, drafts = found.setting, found.value + AIM, found.result
+    if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
         return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
-    miss, drafts = found.values[found.best], found.result
-    for change, share in OTHER_SLOPES if abs(miss) < OCTAVE else ():
-        if abs(miss) <= ACCEPTED:
+    for lower in range(1, LOWER_STEPS):
+        if over <= 0:
             break
-        other_miss, other = excess(encoders, found.best + change, share * quantise.SLOPE)
-        if abs(other_miss) < abs(miss):
-            miss, drafts = other_miss, other
+        over, drafts = excess(encoders, best - lower)
+    for change, share in OTHER_SLOPES if over > -OCTAVE else ():
+        if ACCEPTED <= over <= 0:
+            break
+        other, other_drafts = excess(encoders, best + change, share * quantise.SLOPE)
+        if over < other <= 0 or (over > 0 and other < over):
+            over, drafts = other, other_drafts
+    if over > 0:
+        return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
     return chunk.pack(encoders, drafts)
+
+
+def _nearest(
+    excess: Callable[[int], tuple[float, Result]], step: int, near: float
+) -> tuple[search.Trial[Result], dict[int, float]]:
+    """The step whose excess is nearest to the aim."""
+
+    def from_aim(at: int) -> tuple[float, Result]:
+        over, result = excess(at)
+        return over - AIM, result
+
+    return search.nearest_root(from_aim, step, SMALLEST_STEP, LARGEST_STEP, slope=USUAL_SLOPE, slopes=SLOPES, near=near)
 
 
 def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     """Payloads at the smallest common step whose bytes are within the size. Raises CannotEncode."""
     tried: dict[int, list[bytes]] = {}
 
-    def at(step: int) -> list[bytes]:
-        if step not in tried:
-            tried.clear()  # only the last is needed again
-            tried[step] = chunk.pack(encoders, [e.draft(step) for e in encoders])
-        return tried[step]
+    def fits(coarseness: int) -> bool:
+        payloads = chunk.pack(encoders, [e.draft(-coarseness) for e in encoders])
+        if sum(map(len, payloads)) > size:
+            return False
+        tried.clear()  # only the finest is needed again
+        tried[-coarseness] = payloads
+        return True
 
     samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
     finest = int(np.ceil(OCTAVE * np.log2(max(*samples, 1e-9) / LARGEST_INTEGER)))
-    start = max(finest, _log(COARSE_STEP_M))
-    step = _smallest_step(lambda s: s >= finest and sum(map(len, at(s))) <= size, start)
-    result = at(step)
-    if sum(map(len, result)) > size:
+    step = search.largest_true(fits, -max(finest, _log(COARSE_STEP_M)), -LARGEST_STEP, -max(finest, SMALLEST_STEP))
+    if step is None:
         raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
-    return result
+    return tried[-step]
 
 
 def _excess(error: float, target: float) -> float:
     return OCTAVE * float(np.log2(max(error, 1e-12) / target))
-
-
-T = TypeVar("T")
-
-
-class _Found(NamedTuple, Generic[T]):
-    """values: the excess at every step tried; best: the step with the smallest; result: of it."""
-
-    values: dict[int, float]
-    best: int
-    result: T
-
-
-def _search(excess: Callable[[int], tuple[float, T]], step: int, near: float) -> _Found[T]:
-    """The step whose excess is nearest to zero, or the first within `near`: false position from the first step."""
-    values: dict[int, float] = {}
-    best, result = step, None
-    for _ in range(12):
-        step = int(np.clip(step, SMALLEST_STEP, LARGEST_STEP))
-        if step in values:
-            break
-        values[step], found = excess(step)
-        if abs(values[step]) <= min(map(abs, values.values())):
-            best, result = step, found
-        if abs(values[step]) < near:
-            break
-        step = _next_step(values)
-    return _Found(values, best, result)  # type: ignore[arg-type]
-
-
-def _next_step(values: dict[int, float]) -> int:
-    """Where the excess (1/32 octave) should vanish: between two steps tried, or along the usual slope."""
-    below = [s for s in values if values[s] <= 0]
-    above = [s for s in values if values[s] > 0]
-    if below and above:
-        a, b = max(below), min(above)
-        if b - a <= 1:
-            return a
-        between = round(a - values[a] * (b - a) / (values[b] - values[a]))
-        return min(max(between, a + 1), b - 1)
-    last, *before = sorted(values, reverse=bool(below))
-    slope = USUAL_SLOPE
-    if before:
-        slope = float(np.clip((values[last] - values[before[0]]) / (last - before[0]), *SLOPES))
-    change = -values[last] / slope
-    return last + (int(np.ceil(change)) if change >= 0 else int(np.floor(change)))
-
-
-def _smallest_step(holds: Callable[[int], bool], start: int) -> int:
-    """The smallest step for which this holds, if it holds for all larger ones: galloping, then bisection."""
-    width, low, high = 16, None, None  # it fails at low and holds at high
-    at = start
-    while (low is None or high is None) and abs(at) < coefficients.MAX_STEP:
-        if holds(at):
-            high, at = at, at - width
-        else:
-            low, at = at, at + width
-        width = min(2 * width, 512)
-    low = at if low is None else low
-    high = at if high is None else high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    return int(np.clip(high, SMALLEST_STEP, LARGEST_STEP))
