@@ -1,6 +1,7 @@
 """Tempo, the codec of this project.
 
 codec           settings; encode and decode, one verb a stage
+preparation     gaps filled, y up, spikes found
 repeats         frames that repeat                        header        the shared bytes: model and flags
 model_choice    which model makes a recording smallest    models/       coordinates and statistics
 target          steps for a bound, a mean error, a size   chunk         one chunk, both ways

@@ -1,7 +1,7 @@
 """Tempo: mocodec's own codec for named points, small at any error and true to its bound.
 
     positions ─gaps filled, y up, spikes out─► ─chunks of about 4 s─► ─model─► coefficients of each chunk
-              stages.gaps, pose.leaps          chunk_bounds          model_choice, models
+                   preparation                   chunk_bounds      model_choice, models
     coefficients ─quantise─► integers ─contexts─► rANS ─► bytes
                   target, coding.quantise      coding
     bytes ─decode─► samples too far off ─corrections─► bytes            the bound is kept here: target.to_bound
@@ -23,7 +23,6 @@ from ... import metrics, progress
 from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput
 from ...motion import Motion
-from ...stages import gaps
 from ...typing import Booleans, Floats
 from ..base import require_frames, settings
 from . import chunk, fallback, model_choice, repeats, target
@@ -32,6 +31,7 @@ from .coding.contexts import OCTAVE
 from .header import Header, pack_weights, with_weights
 from .models import MODELS, Recording
 from .pose import heading, leaps
+from .preparation import prepare
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -118,21 +118,18 @@ class Tempo:
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        filled, gap_mask = gaps.fill(motion.positions)
-        positions = heading.to_y_up(filled, motion.up)
-        spikes = leaps.spikes(positions) & ~gap_mask
-        smooth = leaps.without_spikes(positions, spikes)
-        cuts = leaps.discontinuities(smooth, motion.rate)
+        source = prepare(motion.positions, motion.up)
+        cuts = leaps.discontinuities(source.smooth, motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
         with progress.phase(0.0, CHOICE_SHARE):
-            choice = self._choose_model(motion, [smooth[a:b] for a, b in bounds])
+            choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
         encoders = [
-            ChunkEncoder(model, positions[a:b], smooth[a:b], gap_mask[a:b], spikes[a:b], choice.spectra.get(number))
-            for number, (a, b) in enumerate(bounds)
+            ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
+            for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
             payloads = self._to_target(encoders, motion, len(header.pack()))

@@ -38,7 +38,7 @@ USUAL_STEP = 140
 coarser steps."""
 MEAN_OF_RMS = 0.81
 """Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
-AIM, NEAR_SAMPLE, NEAR = -0.45, 1.5, 0.43
+AIM, NEAR_SAMPLE, NEAR = -0.38, 1.5, 0.37
 """The search aims at this excess of the mean error, 1/32 octave (1 % below the target), so that the target holds. It
 ends this near to the aim among a sample, and among all chunks."""
 ACCEPTED = -1.2
@@ -153,7 +153,9 @@ def _nearest(
         over, result = excess(at)
         return over - AIM, result
 
-    return search.nearest_root(from_aim, step, SMALLEST_STEP, LARGEST_STEP, slope=USUAL_SLOPE, slopes=SLOPES, near=near)
+    return search.nearest_root(
+        progress.attempts(from_aim), step, SMALLEST_STEP, LARGEST_STEP, slope=USUAL_SLOPE, slopes=SLOPES, near=near
+    )
 
 
 def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
