@@ -94,7 +94,7 @@ def test_every_model_can_be_asked_for(model: str, target: dict[str, float]) -> N
     if "max_error" in target:
         assert off.max() <= target["max_error"]
     elif "mean_error" in target:
-        assert off.mean() == pytest.approx(target["mean_error"], rel=0.02)
+        assert 0.95 * target["mean_error"] <= off.mean() <= target["mean_error"]
     else:
         assert encoded.payload_bytes <= motion.raw_bytes / 30
     assert encoded.settings["model"] == model

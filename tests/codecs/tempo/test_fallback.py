@@ -26,7 +26,7 @@ def test_the_fallback_is_taken_where_it_is_smaller(settings: dict[str, float]) -
     if "max_error" in settings:
         assert errors.max() <= settings["max_error"]
     if "mean_error" in settings:
-        assert errors.mean() == pytest.approx(settings["mean_error"], rel=0.02)
+        assert 0.95 * settings["mean_error"] <= errors.mean() <= settings["mean_error"]
     assert dict(best.settings) == dict(plain.settings)
 
 

@@ -50,7 +50,7 @@ def test_repeated_frames_under_every_target(settings: dict[str, Any]) -> None:
     error = metrics.distances(positions, Tempo.decode(encoded).positions)
     assert (np.isnan(error) == motion.gaps).all()
     if "mean_error" in settings:
-        assert np.nanmean(error) == pytest.approx(0.002, rel=0.02)
+        assert 0.95 * 0.002 <= np.nanmean(error) <= 0.002
     elif settings:
         assert encoded.payload_bytes <= (Tempo(**settings).size or motion.raw_bytes / 60)
     else:

@@ -14,10 +14,10 @@ from .motions import error, header, through
 
 
 @pytest.mark.parametrize("mean", [0.0003, 0.001, 0.01])
-def test_a_mean_error_is_met_within_two_per_cent(mean: float) -> None:
+def test_a_mean_error_is_a_promise(mean: float) -> None:
     motion = synthetic.markers(frames=600, seed=3)
     decoded, _ = through(motion, mean_error=mean)
-    assert np.nanmean(error(motion, decoded)) == pytest.approx(mean, rel=0.02)
+    assert 0.95 * mean <= np.nanmean(error(motion, decoded)) <= mean
 
 
 @pytest.mark.parametrize(("frames", "seed", "mean"), [(60, 3, 0.005), (72, 2, 0.01), (96, 3, 0.005)])
@@ -25,13 +25,13 @@ def test_a_mean_error_is_met_where_it_does_not_always_rise_with_the_step(frames:
     motion = synthetic.markers(frames=frames, seed=seed)
     encoded = Tempo(mean_error=mean).encode_chunks(motion)
     assert header(encoded).model is not None
-    assert error(motion, Tempo.decode(encoded)).mean() == pytest.approx(mean, rel=0.02)
+    assert 0.95 * mean <= error(motion, Tempo.decode(encoded)).mean() <= mean
 
 
 def test_a_mean_error_finer_than_the_bases_are_exact() -> None:
     motion = synthetic.markers(frames=60, seed=3)
     decoded, _ = through(motion, mean_error=1e-10)
-    assert np.nanmean(error(motion, decoded)) <= 1.02e-10
+    assert np.nanmean(error(motion, decoded)) <= 1e-10
 
 
 def test_size_and_ratio_are_kept() -> None:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ... import progress
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode
 from ...formats.gltf import Surface
@@ -79,7 +80,8 @@ class Bodycast:
         first = next((i for i, (points, _) in enumerate(frames) if len(points) >= MIN_FIRST_POINTS), None)
         if first is None:
             raise CannotEncode(f"no frame has {MIN_FIRST_POINTS} points or more: there is no body to code")
-        bodies = self._track(frames, first, clouds.up)
+        with progress.phase(0.0, 0.6):
+            bodies = self._track(frames, first, clouds.up)
         coloured = clouds.colours is not None
         points_per_frame = int(np.mean([len(p) for p, _ in frames[first:] if len(p) >= MIN_BODY_POINTS]))
         for body in bodies:
@@ -89,7 +91,10 @@ class Bodycast:
             frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
         starts = range(0, len(frames), self.chunk_frames)
         spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in starts]
-        chunks = [Chunk(s.start, s.stop - s.start, self._chunk(bodies, frames, s, coloured)) for s in spans]
+        with progress.phase(0.7, 1.0):
+            chunks = [
+                Chunk(s.start, s.stop - s.start, self._chunk(bodies, frames, s, coloured)) for s in progress.over(spans)
+            ]
         colours = [] if coloured else None
         about = PointClouds([], clouds.rate, colours, None, clouds.up, clouds.source, clouds.extras)
         shared = tuple(pack_model(body.model) for body in bodies)
@@ -101,7 +106,7 @@ class Bodycast:
         scene = SceneDecoder(unpack_models(encoded.shared))
         positions, colours = list[Floats](), list[Bytes]()
         start, stop = encoded.range(frames)
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             wanted = max(0, start - chunk.start), min(chunk.frames, stop - chunk.start)
             for points, colour in scene.decode_chunk(chunk, *wanted):
                 positions.append(points)
@@ -178,7 +183,7 @@ class Bodycast:
         """Every body through all frames. first: the frame that the bodies are taken from."""
         trackers = start_trackers(frames[first], self._skeletons, up, self.tracked_points, self.people)
         bodies = [BodyEncoder(tracker) for tracker in trackers]
-        for i, (points, colours) in enumerate(frames):
+        for i, (points, colours) in progress.over(list(enumerate(frames))):
             body_of = assign_points(points, trackers) if i >= first else np.full(len(points), -1)
             for number, body in enumerate(bodies):
                 rows = np.flatnonzero(body_of == number)

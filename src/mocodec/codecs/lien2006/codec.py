@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from ... import progress
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import articulated_icp, articulation, body_fit
@@ -73,14 +74,16 @@ class Lien2006:
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
         first = first_body_frame(frames)
         model, tracker = self._fit_model(frames[first], frame_normals(clouds, first), clouds.up)
-        tracked = self._track(tracker, clouds, frames, first)
+        with progress.phase(0.0, 0.8):
+            tracked = self._track(tracker, clouds, frames, first)
         share = stored_share(self.residual)
         tiles = map_layout(model, share) if share else []
         spans = [slice(s, min(s + self.chunk_frames, len(frames))) for s in range(0, len(frames), self.chunk_frames)]
-        chunks = [
-            Chunk(span.start, span.stop - span.start, self._chunk(model, tiles, frames, tracked, span))
-            for span in spans
-        ]
+        with progress.phase(0.8, 1.0):
+            chunks = [
+                Chunk(span.start, span.stop - span.start, self._chunk(model, tiles, frames, tracked, span))
+                for span in progress.over(spans)
+            ]
         shared = (pack_model(model, self.residual),)
         return Encoded(self.name, _without_frames(clouds), chunks, shared, settings=self._stored_settings())
 
@@ -91,7 +94,7 @@ class Lien2006:
         tiles = map_layout(model, stored.share) if stored.share else []
         positions, colours = list[Floats](), list[Bytes]()
         start, stop = encoded.range(frames)
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             for i, (points, colour) in enumerate(decode_chunk(model, stored, tiles, chunk)):
                 if start <= chunk.start + i < stop:
                     positions.append(points)
@@ -161,7 +164,7 @@ class Lien2006:
         """The pose of every frame; a frame without a body repeats the pose before it (section 3.2)."""
         poses = np.zeros((len(frames), pose_width(len(tracker.body))), np.int64)
         is_body = [len(points) >= MIN_BODY_POINTS and i >= first for i, (points, _) in enumerate(frames)]
-        for i in range(first, len(frames)):
+        for i in progress.over(range(first, len(frames))):
             previous = poses[max(i - 1, 0)]
             if not is_body[i]:
                 poses[i] = previous

@@ -44,7 +44,7 @@ def test_known_joints_are_coded_as_directions_and_meet_their_target(
     if "max_error" in target:
         assert error.max() <= target["max_error"]
     else:
-        assert error.mean() == pytest.approx(target["mean_error"], rel=0.02)
+        assert 0.95 * target["mean_error"] <= error.mean() <= target["mean_error"]
 
 
 @pytest.mark.parametrize("names", ["known", "unknown"])

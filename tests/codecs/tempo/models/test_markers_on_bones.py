@@ -35,7 +35,7 @@ def test_a_short_clip_of_unknown_markers_is_placed_on_bones() -> None:
     assert header(encoded).model == "points-prior"
     without = Tempo(mean_error=0.008, model="points-stored").encode_chunks(motion)
     assert encoded.payload_bytes < 0.9 * without.payload_bytes
-    assert np.nanmean(error(motion, Tempo.decode(encoded))) == pytest.approx(0.008, rel=0.02)
+    assert 0.95 * 0.008 <= np.nanmean(error(motion, Tempo.decode(encoded))) <= 0.008
 
 
 def test_left_and_right_feet_are_distinguished_by_how_they_move() -> None:
