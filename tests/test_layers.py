@@ -14,7 +14,6 @@ PACKAGE = Path(mocodec.__file__).parent
 LAYERS = (
     ("cli", "__main__"),
     ("viewer",),
-    ("evaluation",),
     ("testing", "archive", "plots"),
     ("api",),
     ("codecs", "container"),

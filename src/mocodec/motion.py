@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from .errors import BadInput
 from .typing import Floats
 
-
 UP_AXES = ("x", "y", "z")
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.evaluation.cloud import actors, sequences
 from mocodec.geometry import articulated_icp, articulation, body_matching, skinning
 from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
+from mocodec.testing import actors, sequences
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 

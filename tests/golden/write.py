@@ -22,10 +22,9 @@ import numpy as np
 
 import mocodec
 from mocodec.codecs.tempo import prior
-from mocodec.evaluation.cloud import actors, sequences
 from mocodec.motion import Motion, Skeleton
 from mocodec.pointcloud import PointClouds
-from mocodec.testing import synthetic
+from mocodec.testing import actors, sequences, synthetic
 
 HERE = Path(__file__).parent
 

@@ -28,7 +28,6 @@ COMMANDS = {
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure how far one recording is from another.",
     "cut": "Take a stretch of time out of a file.",
-    "eval": "Run codecs and rivals over recordings and report.",
     "archive": "Keep many recordings in one place.",
     "view": "Look at a recording in the browser.",
     "demo": "Do all of it on the small real recording inside the package.",

@@ -10,6 +10,7 @@ import click
 
 from .. import metrics, plots
 from ..errors import BadInput
+from ..metrics import point_clouds
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities
@@ -70,15 +71,13 @@ def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
 
 def clouds(a: PointClouds, b: PointClouds, stored: int | None, as_json: bool) -> str:
     """How far point clouds are from others, over at most CLOUD_FRAMES of their frames, evenly spaced."""
-    from ..evaluation.cloud import measures
-
     if len(a) != len(b):
         raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
     frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
-    frames = [f for f in frames if measures.has_points(a, f) and measures.has_points(b, f)]
+    frames = [f for f in frames if point_clouds.has_points(a, f) and point_clouds.has_points(b, f)]
     result: dict[str, Any] = {"frames": len(a), "measured_frames": len(frames)}
     if frames:
-        result |= measures.compare(a, b, frames)
+        result |= point_clouds.compare(a, b, frames)
     if stored:
         result["ratio"] = a.raw_bytes / stored
     if as_json:

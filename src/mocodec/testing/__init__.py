@@ -1,8 +1,11 @@
-"""For authors of codecs: what every codec must pass, and motions to try it on.
+"""For authors of codecs: tests that every codec must pass, and data to test it on.
 
 CodecTests    a class of tests that a codec's own test class inherits       (needs pytest and hypothesis)
 strategies    motions for property tests                                    (needs hypothesis)
 synthetic     a walking figure, the same for the same seed: markers, joints
+actors        body models: skinned meshes, for synthetic point clouds
+sequences     motions of an actor, with the true skeleton, and point clouds of them
+poses         standing poses of an actor
 odd           named motions with something odd about each
 corruption    damaged copies of bytes
 """
