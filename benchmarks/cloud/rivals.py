@@ -62,7 +62,7 @@ class CloudRival(Protocol):
 
 @dataclass(frozen=True)
 class Zlib:
-    """The raw bytes, deflated at the highest level: positions by axis, then colours."""
+    """Raw positions by axis, then colours, deflated at the highest level."""
 
     name: str = "zlib"
     knobs: tuple[int, ...] = (9,)
@@ -92,7 +92,7 @@ class Zlib:
 
 @dataclass(frozen=True)
 class Draco:
-    """Draco's point clouds at its best compression, positions of `knob` bits in each frame's own box."""
+    """Draco at its best compression; positions of `knob` bits within the bounding box of each frame."""
 
     name: str = "draco"
     knobs: tuple[int, ...] = (11, 9, 7)
@@ -122,8 +122,8 @@ class Draco:
 
 @dataclass(frozen=True)
 class YangZlib:
-    """Yang et al. (2006), first scheme: colours reduced to `knob` bits a channel, the background removed, then zlib
-    over depth and colour together; depth loses nothing.
+    """Yang et al. (2006), first scheme: lossless depth, colours of `knob` bits per channel, no background; then zlib
+    over depth and colour together.
     """
 
     name: str = "yang-zlib"
@@ -158,8 +158,8 @@ class YangZlib:
 
 @dataclass(frozen=True)
 class YangJpeg:
-    """Yang et al. (2006), second scheme: colour as motion JPEG of quality `knob`; depth by run lengths and a Huffman
-    code (deflate's, with matches of distance one only), without loss.
+    """Yang et al. (2006), second scheme: colour as motion JPEG of quality `knob`; lossless depth by run lengths and a
+    Huffman code (deflate with matches of distance one only).
     """
 
     name: str = "yang-jpeg"
@@ -210,7 +210,7 @@ RIVALS: dict[str, CloudRival] = {
 
 
 def _maps_of(clouds: PointClouds, views: maps.Cameras) -> Iterator[tuple[Depth, Bytes]]:
-    """Each frame's depth in steps (0: nothing there) and colour."""
+    """Depth in steps of DEPTH_STEP (0: no point) and colour of the maps of each frame."""
     for frame in range(len(clouds)):
         depth, colour = maps.forward(*splats.finite_points(clouds, frame), views)
         steps = np.rint(np.nan_to_num(depth) / DEPTH_STEP) + 32768
@@ -218,16 +218,17 @@ def _maps_of(clouds: PointClouds, views: maps.Cameras) -> Iterator[tuple[Depth, 
 
 
 def _metres(depth: Depth) -> Floats:
+    """Depth in metres, NaN where there is no point."""
     return np.where(depth != 0, (depth.astype(float) - 32768) * DEPTH_STEP, np.nan)
 
 
 def _planes(depth: Depth) -> bytes:
-    """The high bytes, then the low ones: runs and matches are longer so."""
+    """All high bytes, then all low bytes, which gives longer runs and matches."""
     return (depth >> 8).astype(np.uint8).tobytes() + depth.astype(np.uint8).tobytes()
 
 
 def _from_planes(raw: bytes, views: maps.Cameras) -> tuple[Depth, int]:
-    """Depth maps, and where their bytes end."""
+    """Depth maps, and the offset at which their bytes end."""
     shape = maps.VIEWS, views.rows, views.columns
     pixels = int(np.prod(shape))
     high, low = np.frombuffer(raw, np.uint8, 2 * pixels).reshape(2, *shape).astype(np.uint16)

@@ -26,14 +26,14 @@ Planes = tuple[NDArray[Any], ...]
 
 @dataclass(frozen=True)
 class Video:
-    """Depth and colour maps of six views as two videos, each the six views in one picture, at constant quality.
+    """Depth and colour maps of six views as two videos at constant quality; a picture shows all six views.
 
-    knob: the codec's quantiser (crf) of colour. Depth's is lower by `depth_finer`, chosen by trial: bytes do more for
-    D1 and for what is seen there than in colour. Depth is the luma of 10-bit pictures over the depth of the scene (a
-    step is header 2 mm), with flat chroma; colour is 8-bit 4:2:0 of full range. Both are filled smoothly beyond the
-    silhouette; which pixels show the person is a mask, one bit each, without loss (LZMA). Planes are written into the
-    frames as they are: a conversion between pixel formats would rescale depth to the limited range of video. One
-    picture of each video is coded by itself, the others from their neighbours.
+    knob: the codec's quantiser (crf) for colour. The one for depth is lower by `depth_finer`, chosen by trial: bytes
+    lower D1 and improve the rendered views more in depth than in colour. Depth is the luma of 10-bit pictures over the
+    depth range of the scene (a step is about 2 mm) with constant chroma; colour is 8-bit 4:2:0 of full range. Both are
+    filled smoothly beyond the silhouette. A lossless mask, one bit per pixel (LZMA), marks the pixels of the person.
+    Planes are written into the frames directly: a conversion between pixel formats would reduce depth to video's
+    limited range. Only the first picture of each video is an intra picture.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Video:
         for frame in range(len(clouds)):
             depth, colour = maps.forward(*splats.finite_points(clouds, frame), views)
             mask, flat = maps.atlas(np.isfinite(depth)), maps.atlas(depth)
-            masks.append(np.packbits(mask.T))  # down the body, where runs are longest
+            masks.append(np.packbits(mask.T))  # column by column: runs are longest along the body
             levels = np.clip(np.rint((maps.padded(flat[..., None], mask)[..., 0] + views.across) / reach), 0, 1023)
             flat_chroma = np.full((len(levels) // 2, len(levels[0]) // 2), 512, np.uint16)
             depths.append((levels.astype(np.uint16), flat_chroma, flat_chroma))
@@ -60,8 +60,8 @@ class Video:
         blobs = [lzma.compress(np.stack(masks).tobytes(), format=lzma.FORMAT_ALONE)]
         finer = max(1, knob - self.depth_finer)
         blobs += [
-            self.film(depths, "yuv420p10le", finer, clouds.rate),
-            self.film(colours, "yuv420p", knob, clouds.rate),
+            self.encode_video(depths, "yuv420p10le", finer, clouds.rate),
+            self.encode_video(colours, "yuv420p", knob, clouds.rate),
         ]
         return stream.pack(clouds, blobs, stream.pack_cameras(views))
 
@@ -72,14 +72,14 @@ class Video:
         shape = 2 * views.rows, 3 * views.columns
         masks = np.unpackbits(np.frombuffer(lzma.decompress(packed), np.uint8)).reshape(header.frames, *shape[::-1])
         frames = list[stream.Frame]()
-        pictures = zip(self.pictures(depths, "yuv420p10le"), self.pictures(colours, "yuv420p"), strict=True)
+        pictures = zip(self.decode_video(depths, "yuv420p10le"), self.decode_video(colours, "yuv420p"), strict=True)
         for mask, ((luma, *_), planes) in zip(masks, pictures, strict=True):
             depth = np.where(mask.T, luma * reach - views.across, np.nan)
             frames.append(maps.inverse(maps.cut(depth), maps.cut(from_video(planes)), views))
         return stream.clouds_from(header, frames)
 
-    def film(self, pictures: Sequence[Planes], layout: str, crf: int, rate: float) -> bytes:
-        """A video's packets, each with its length before it; no file format around them."""
+    def encode_video(self, pictures: Sequence[Planes], layout: str, crf: int, rate: float) -> bytes:
+        """Encode pictures; returns the packets, each after its length, without a file format."""
         av = needs("av")
         os.environ.setdefault("SVT_LOG", "1")  # SVT-AV1 writes its settings on standard error otherwise
         codec = av.CodecContext.create(self.encoder, "w")
@@ -101,8 +101,8 @@ class Video:
         packets += [bytes(packet) for packet in codec.encode(None)]
         return b"".join(varint.write([len(p)]) + p for p in packets)
 
-    def pictures(self, data: bytes, layout: str) -> Iterator[Planes]:
-        """The planes of a video's pictures."""
+    def decode_video(self, data: bytes, layout: str) -> Iterator[Planes]:
+        """Decode the packets of `encode_video`; yields the planes of each picture."""
         av = needs("av")
         codec = av.CodecContext.create(self.decoder, "r")
         codec.thread_count = 1
@@ -126,7 +126,7 @@ class Video:
 
 
 def to_video(rgb: Floats) -> Planes:
-    """(rows, columns, 3), 0 to 255, as 8-bit planes of luma and of chroma at half the size: BT.601 of full range."""
+    """RGB (rows, columns, 3), 0 to 255, as 8-bit luma and half-size chroma planes: full-range BT.601."""
     red, green, blue = np.moveaxis(rgb, -1, 0)
     luma = 0.299 * red + 0.587 * green + 0.114 * blue
     chroma = ((blue - luma) / 1.772 + 128, (red - luma) / 1.402 + 128)

@@ -1,6 +1,6 @@
-"""Figures from elsewhere that cannot be run again here, as their sources print them: drawn as hollow marks.
+"""Printed results of systems that cannot be run here; the charts show them as hollow marks.
 
-Ratios are against float32 positions unless said otherwise; errors are mean Euclidean distances in metres.
+Ratios are against float32 positions unless the note says otherwise; errors are mean Euclidean distances in metres.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Published:
-    """One printed figure: system, sequence, ratio at a mean error, where it is printed, and what to know about it."""
+    """One printed result: system, sequence, ratio at a mean error, where it is printed, and a note."""
 
     system: str
     sequence: str

@@ -1,11 +1,10 @@
-"""What a user could pick instead, each in its best layout: positions (frames, points, 3) float32 ⇄ bytes at one knob.
+"""Other coders of motion, each in its best layout: positions (frames, points, 3) float32 ⇄ bytes at one knob.
 
-    knob      an error bound or step in metres that grows with the error; `npz` and `pcodec` without loss have none
-    layout    time fastest, one row a coordinate; SZ3 and pcodec take it as one 1-D array, the image codecs as a picture
+    knob      error bound or quantisation step in metres: a larger one gives fewer bytes and more error
+    layout    time fastest, one row per coordinate; SZ3 and pcodec get it as one 1-D array, image codecs as a picture
 
-The methods that the papers compare themselves with (`codecs.baselines`) stand among them. Most others need packages of
-the [bench] extra. Each is a small class with `encode`, `decode`, `version` and `knob_of` (a first
-guess of the knob for a mean error), so that one search drives them all.
+The methods that the papers compare themselves with (`mocodec.codecs.baselines`) are among them. Most others need
+packages of the [bench] extra. `knob_of` estimates the knob for a mean error: the start of the search in `runner`.
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ from mocodec.codecs import baselines
 from ..packages import installed_version, needs
 
 Array = NDArray[Any]
+"""Positions in any float type, or integers."""
 
 
 class Rival(Protocol):
-    """The four methods that the runner needs."""
+    """A coder of motion."""
 
     @property
     def name(self) -> str: ...
@@ -65,10 +65,10 @@ def from_axes(values: Array, shape: tuple[int, int, int]) -> Array:
 
 @dataclass(frozen=True)
 class Sz3:
-    """SZ3's interpolation predictor under an absolute bound for each coordinate, on one 1-D array.
+    """SZ3's interpolation predictor with an absolute bound per coordinate, on one 1-D array.
 
-    Time fastest, then the points, so that all x stand together; with each point's axes together, short recordings come
-    out up to a sixth larger.
+    Time is fastest, then points, then axes. With the axes of each point together, short recordings are up to a sixth
+    larger.
     """
 
     name: str = "sz3"
@@ -154,16 +154,18 @@ def from_grid(integers: Array, step: float, shape: tuple[int, int, int]) -> Arra
 
 
 def with_step(step: float, data: bytes) -> bytes:
+    """The step as float64, then the data."""
     return np.float64(step).tobytes() + data
 
 
 def step_of(data: bytes) -> tuple[float, bytes]:
+    """The inverse of `with_step`."""
     return float(np.frombuffer(data[:8], np.float64)[0]), data[8:]
 
 
 @dataclass(frozen=True)
 class QuantisePcodec:
-    """Positions rounded to a step, then pcodec on the integers, one page a row's delta chosen by itself."""
+    """Positions rounded to a step, then pcodec on the integers; pcodec chooses the order of differences."""
 
     name: str = "quantise + pcodec"
 
@@ -210,8 +212,10 @@ class QuantiseDeltaZstd:
 
 @dataclass(frozen=True)
 class JpegXl:
-    """The rows × frames matrix as a 16-bit grey picture in JPEG XL, between its least and greatest value; the knob is
-    the picture's distance in steps of the value range."""
+    """The rows × frames matrix as a 16-bit grey picture in JPEG XL, scaled from its least to its greatest value.
+
+    The knob is divided by this range to give JPEG XL's distance.
+    """
 
     name: str = "jpeg xl"
 
@@ -237,7 +241,7 @@ class JpegXl:
 
 @dataclass(frozen=True)
 class Npz:
-    """float32 through `numpy.savez_compressed`: without loss, and what most people do."""
+    """float32 through `numpy.savez_compressed`: lossless, the usual way to store arrays."""
 
     name: str = "npz"
     lossless: ClassVar[bool] = True
@@ -259,7 +263,7 @@ class Npz:
 
 @dataclass(frozen=True)
 class PcodecLossless:
-    """float32 through pcodec without loss, one 1-D array, time fastest."""
+    """float32 through lossless pcodec, one 1-D array, time fastest."""
 
     name: str = "pcodec"
     lossless: ClassVar[bool] = True
@@ -280,8 +284,8 @@ class PcodecLossless:
 
 
 @dataclass(frozen=True)
-class OfThePapers:
-    """One of `codecs.baselines`: a paper's rival on our quantiser and entropy coder."""
+class PaperRival:
+    """One of `codecs.baselines`: a paper's rival with our quantiser and entropy coder."""
 
     method: baselines.Baseline
 
@@ -311,9 +315,10 @@ RIVALS: dict[str, Callable[[], Rival]] = {
     "jpeg xl": JpegXl,
     "npz": Npz,
     "pcodec": PcodecLossless,
-    **{method.name.lower(): partial(OfThePapers, method) for method in baselines.ALL},
+    **{method.name.lower(): partial(PaperRival, method) for method in baselines.ALL},
 }
 
 
 def is_lossless(rival: Rival) -> bool:
+    """Whether a rival has no knob."""
     return getattr(rival, "lossless", False)
