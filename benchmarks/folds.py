@@ -1,9 +1,9 @@
 """Leave-subjects-out: a prior learned from people is judged on other people.
 
-    subject of a recording ──► its fold ──► a prior trained without the subjects of the fold ──► installed in tempo
+    subject of a recording ──► its fold ──► priors trained without the subjects of the fold ──► installed in tempo
 
-The prior inside the package is trained on all people below `../shared/data/cmu/asfamc`. A recording of one of them is
-coded with a prior trained without the people of its fold, any other recording with the prior inside the package.
+The priors in the package are trained on all people below `../shared/data/cmu/asfamc`. A recording of one of them is
+coded with priors trained without the people of its fold, any other recording with the priors in the package.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocodec import formats
-from mocodec.codecs.tempo import prior as priors
+from mocodec.codecs.tempo.models import prior as priors
 
+from . import prior_training
 from .datasets import SHARED, Recording
 
 PEOPLE = SHARED / "cmu" / "asfamc"
@@ -29,39 +30,38 @@ def fold_of(recording: Recording) -> tuple[str, ...] | None:
     return next((fold for fold in FOLDS if subject in fold), None)
 
 
-def prior_path(folder: Path, fold: Sequence[str]) -> Path:
-    """The file of the prior trained without these people; the priors of limbs and bones are beside it."""
-    return folder / f"prior-without-{'-'.join(fold)}.npz"
+def prior_folder(folder: Path, fold: Sequence[str]) -> Path:
+    """The folder of the priors trained without these people: points.npz and directions.npz."""
+    return folder / f"prior-without-{'-'.join(fold)}"
 
 
-def train(fold: Sequence[str], path: Path) -> None:
-    """Train the priors on everyone but these people and write them."""
-    from mocodec.codecs.tempo import training
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    people = training.people(PEOPLE, fold)
-    formats.replace_whole(limbs_path(path), training.train(people, with_limbs=True))
-    learned = training.train(people)
-    formats.replace_whole(bones_path(path), training.train_bones(people, training.read(learned)))
-    formats.replace_whole(path, learned)
+def is_trained(prior: Path) -> bool:
+    """Whether the folder has both priors."""
+    return all((prior / file).is_file() for file in (priors.POINTS_FILE, priors.DIRECTIONS_FILE))
 
 
-def limbs_path(path: Path) -> Path:
-    """The file of the prior of limbs that belongs to this prior."""
-    return path.with_name(f"limbs-{path.name}")
+def train(fold: Sequence[str], prior: Path) -> None:
+    """Train both priors on everyone but these people and write them to the folder."""
+    prior.mkdir(parents=True, exist_ok=True)
+    people = prior_training.people(PEOPLE, fold)
+    formats.replace_whole(prior / priors.POINTS_FILE, prior_training.train_points(people))
+    formats.replace_whole(prior / priors.DIRECTIONS_FILE, prior_training.train_directions(people))
 
 
-def bones_path(path: Path) -> Path:
-    """The file of the prior of bones that belongs to this prior."""
-    return path.with_name(f"bones-{path.name}")
+def trained(folder: Path, fold: Sequence[str]) -> Path:
+    """The folder of the priors without these people, which are trained if they are not there."""
+    prior = prior_folder(folder, fold)
+    if not is_trained(prior):
+        train(fold, prior)
+    return prior
 
 
 @contextmanager
 def unseen(prior: Path | None) -> Iterator[None]:
-    """Within this, tempo uses the priors of this file and beside it; None: those of the package."""
+    """Within this, tempo uses the priors of this folder; None: those of the package."""
     if prior is None:
         yield
         return
-    files = (prior, limbs_path(prior), bones_path(prior))
-    with priors.installed(*(f.read_bytes() for f in files)):
+    files = {"points": priors.POINTS_FILE, "directions": priors.DIRECTIONS_FILE}
+    with priors.installed(**{kind: (prior / file).read_bytes() for kind, file in files.items()}):
         yield

@@ -141,7 +141,7 @@ def of_chunks(label: str, kind: str, motion: Motion) -> list[Measurement]:
     """Payload bytes with shorter chunks and at low latency, under the default bound."""
     found = []
     for seconds in CHUNKS_S:
-        encoded = Tempo(chunk_seconds=seconds).in_chunks(motion)
+        encoded = Tempo(chunk_seconds=seconds).encode_chunks(motion)
         size = encoded.payload_bytes
         found.append(
             Measurement(
@@ -307,16 +307,26 @@ def markdown(measurements: Sequence[Measurement], speed: dict[str, Any], machine
 
 
 def parts_markdown(measurements: Sequence[dict[str, Any]]) -> str:
-    """Change of the ratio without each part, from the results of `tempo_parts`."""
+    """Change of the ratio without each part, from the results of `tempo_parts`.
+
+    A part that not all recordings can be coded without is compared on those that can be.
+    """
     targets = [("mean_error", 0.001), ("mean_error", 0.003), ("mean_error", 0.01), ("max_error", 0.003)]
     files = list(dict.fromkeys(f["file"] for f in measurements))
     ratios = {(f["file"], f["without"], t): f["ratio"] for f in measurements for t in targets if f.get(t[0]) == t[1]}
     rows = []
-    for name in dict.fromkeys(f["without"] for f in measurements):
-        cells = [geometric(ratios[f, name, t] / ratios[f, "all of it", t] for f in files) for t in targets]
-        rows.append([name, *(f"{100 * (c - 1):+.1f} %" for c in cells)])
+    for name, against in dict.fromkeys((f["without"], f.get("against", "all of it")) for f in measurements):
+        if name == against:
+            continue
+        cells = []
+        for target in targets:
+            common = [f for f in files if (f, name, target) in ratios and (f, against, target) in ratios]
+            changes = [ratios[f, name, target] / ratios[f, against, target] for f in common]
+            few = f" ({len(common)} of {len(files)})" if len(common) < len(files) else ""
+            cells.append(f"{100 * (geometric(changes) - 1):+.1f} %{few}" if common else "–")
+        rows.append([name, *cells])
     head = ["", "mean 0.1 cm", "mean 0.3 cm", "mean 1 cm", "maximum 0.3 cm"]
-    return "\n".join([f"Change of the ratio, geometric mean over {', '.join(files)}:", "", *table(head, rows[1:])])
+    return "\n".join([f"Change of the ratio, geometric mean over {', '.join(files)}:", "", *table(head, rows)])
 
 
 def write_page(text: str, mark: str = "results", page: Path = PAGE) -> None:
@@ -368,15 +378,13 @@ Task = tuple[datasets.Recording, Path | None, bool, Sequence[Measurement]]
 
 
 def recording_tasks(data: Path, priors: Path, quick: bool, known: Sequence[Measurement]) -> list[Task]:
-    """The recordings to measure, each with its prior, which is trained if the folder lacks it."""
+    """The recordings to measure, each with the folder of its priors, which are trained if they are not there."""
     recordings = datasets.recordings(data)
     every = max(1, len(recordings) // HOU_FILES)
     tasks: list[Task] = []
     for number, recording in enumerate(recordings[:: 5 if quick else 1]):
         subject = person(recording)
-        prior = None if subject is None else folds.prior_path(priors, (subject,))
-        if subject is not None and prior is not None and not prior.is_file():
-            folds.train((subject,), prior)
+        prior = None if subject is None else folds.trained(priors, (subject,))
         with_hou = number % every == 0 or recording.label.endswith(("85_12.c3d", "03_04.amc"))
         tasks.append((recording, prior, with_hou, [m for m in known if m.file == recording.label]))
     return tasks

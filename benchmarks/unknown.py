@@ -210,11 +210,7 @@ def cases() -> list[Case]:
 def of_case(case: Case, data: Path, priors: Path, known: Sequence[Measurement] = ()) -> Iterator[Measurement]:
     """Measurements of tempo and SZ3 at each error; those of SZ3 are taken from `known` if they are there."""
     motion = replace(case.make(data), extras={}, rotations=None, skeleton=None, source={})
-    prior = None
-    if case.person is not None:
-        prior = folds.prior_path(priors, (case.person,))
-        if not prior.is_file():
-            folds.train((case.person,), prior)
+    prior = None if case.person is None else folds.trained(priors, (case.person,))
     sz3 = rivals.Sz3()
     with folds.unseen(prior):
         for target, wanted in [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]:

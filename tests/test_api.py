@@ -18,7 +18,7 @@ import pytest
 import mocodec as mc
 from mocodec import codecs
 from mocodec.codecs.base import settings
-from mocodec.container.sources import Url
+from mocodec.container.byte_sources import Url
 from mocodec.encoded import Chunk, Encoded, about, restore
 
 

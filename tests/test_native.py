@@ -11,7 +11,9 @@ import pytest
 
 import mocodec
 from mocodec import Motion, native
-from mocodec.codecs.tempo import coefficients, contexts, model, prior
+from mocodec.codecs.tempo.coding import contexts
+from mocodec.codecs.tempo.models import prior
+from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.entropy import coder
 from mocodec.testing import synthetic
 
@@ -28,40 +30,6 @@ def test_it_can_be_left_aside() -> None:
     assert native.available()
     code = "from mocodec import native; raise SystemExit(native.available())"
     assert subprocess.run([sys.executable, "-c", code], env=os.environ | {"MOCODEC_PURE": "1"}).returncode == 0
-
-
-@compiled
-@pytest.mark.parametrize("step", [-500, -250, -120])
-@pytest.mark.parametrize("frames", [1, 2, 17, 130, 480])
-def test_coefficients_are_coded_alike(step: int, frames: int) -> None:
-    used = prior.shipped()
-    known = model.of_names(used.sets[0].names, used, 120.0)
-    assert known is not None
-    rng = np.random.default_rng(frames)
-    expected = 2.0 ** (known.expected(frames, step) / contexts.OCTAVE)
-    scaled = rng.laplace(size=expected.shape) * expected
-    scaled[rng.integers(frames), rng.integers(known.rows)] *= 1e3
-    quantised, numbers = [], []
-    for economy in (coefficients.SLOPE, 0.0):
-        quantised.append(coefficients.quantise(known, scaled, step, economy))
-        values, threshold, _ = quantised[-1]
-        inside = values[: coefficients.plan(known, frames, step, threshold, 0).frequencies]
-        lists = rng.integers(-40, 40, (5, rng.integers(min(31 * frames, 60))))
-        lists[3:] = np.abs(lists[3:])
-        numbers.append(coefficients.Numbers(frames, inside, step, threshold, lists if lists.size else None))
-    payloads = coefficients.pack(known, numbers)
-    decoded = coefficients.unpack(known, [frames, frames], payloads, 5)
-    with native.without():
-        for ours, economy in zip(quantised, (coefficients.SLOPE, 0.0), strict=True):
-            theirs = coefficients.quantise(known, scaled, step, economy)
-            np.testing.assert_array_equal(ours[0], theirs[0])
-            assert ours[1:] == theirs[1:]
-        assert payloads == coefficients.pack(known, numbers)
-        pure = coefficients.unpack(known, [frames, frames], payloads, 5)
-    for ours, theirs, given in zip(decoded, pure, numbers, strict=True):
-        for a, b in zip(ours, theirs, strict=True):
-            np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(ours[0], given.values)
 
 
 @compiled
@@ -82,22 +50,20 @@ def test_arrays_are_coded_alike(shape: tuple[int, int], size: float, hinted: boo
 
 @compiled
 @pytest.mark.parametrize("frames", [1, 2, 64, 65, 300])
-def test_limbs_are_posed_alike(frames: int) -> None:
-    known = prior.of_limbs()
-    limbs = known.sets[0].limbs if known else None
-    assert limbs is not None
+def test_bone_directions_are_posed_alike(frames: int) -> None:
+    tree = prior.for_directions().joints.tree
     rng = np.random.default_rng(frames)
-    turns = rng.normal(size=(frames, limbs.dimensions)) * rng.choice([0.0, 1e-9, 1.0, 3.0], size=limbs.dimensions)
-    posed = limbs.inverse(turns)
+    coordinates = rng.normal(size=(frames, tree.dimensions)) * rng.choice([0.0, 1e-9, 1.0, 3.0], size=tree.dimensions)
+    posed = bone_directions.inverse(tree, coordinates)
     with native.without():
-        np.testing.assert_array_equal(posed, limbs.inverse(turns))
+        np.testing.assert_array_equal(posed, bone_directions.inverse(tree, coordinates))
 
 
 @compiled
 @pytest.mark.parametrize("settings", [{"max_error": 0.004}, {"mean_error": 0.002}])
 def test_files_are_alike(settings: dict[str, float]) -> None:
     motion = synthetic.markers(frames=700, seed=3)
-    names = prior.shipped().sets[0].names
+    names = prior.for_points().joints.names
     for m in (motion, Motion(motion.positions[:, : len(names)], motion.rate, names, motion.up)):
         blob = mocodec.encode(m, **settings)
         decoded = mocodec.decode(blob)

@@ -101,9 +101,9 @@ def find_pose(act: Performance, person: str, pose: str, recording: str, seed: in
         return result
     result.seconds = time.process_time() - started
     true = dict(zip(act.actor.names, act.joints[0], strict=True))
-    fitted = dict(zip(figure.names, figure.places @ turn.T, strict=True))
+    fitted = dict(zip(figure.names, figure.positions @ turn.T, strict=True))
     errors = {name: float(np.linalg.norm(fitted[name] - true[name])) for name in JOINTS}
-    swapped = {name: float(np.linalg.norm(fitted[name] - true[pose_search.other_side(name)])) for name in JOINTS}
+    swapped = {name: float(np.linalg.norm(fitted[name] - true[pose_search.mirrored_name(name)])) for name in JOINTS}
     result.backwards = sum(swapped.values()) < sum(errors.values())
     best = swapped if result.backwards else errors
     result.mean_m, result.max_m = float(np.mean(list(best.values()))), max(best.values())

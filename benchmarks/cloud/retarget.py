@@ -118,7 +118,7 @@ def _actor_rotations(
         if end in actor.names and source_end is not None:
             bone = actor.joints[actor.names.index(end)] - actor.joints[joint]
             source_bone = rest[source_end] - rest[source.parents[match] if own_frame else match]
-            align = articulation.between(
+            align = articulation.rotation_between(
                 bone / np.linalg.norm(bone), source_bone / np.linalg.norm(source_bone)
             )  # from the actor's rest pose to the source's
         elif name.endswith(("Hand", "ToeBase", "Foot")):

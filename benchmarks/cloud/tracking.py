@@ -102,20 +102,20 @@ def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 2
         while frame + 1 < min(start, len(clouds)):
             frame += 1
             tracker.fit(clouds.positions[frame], clouds.colours[frame], frame)
-        true, rng = (tracker.pose, tracker.before), np.random.default_rng(start)
+        true, rng = (tracker.pose, tracker.previous_pose), np.random.default_rng(start)
         for limb in tracker.limbs:
             axes = rng.normal(size=(2, 3))
             turned = true[0].rotations.copy()
             away = articulation.exp(TURN_AWAY_RAD * axes / np.linalg.norm(axes, axis=1, keepdims=True))
             turned[limb.links[:2]] = away @ turned[limb.links[:2]]
-            tracker.pose = tracker.before = articulation.Pose(turned, true[0].root)
+            tracker.pose = tracker.previous_pose = articulation.Pose(turned, true[0].root)
             recovery_frames.append(most + 1)
             for f in range(start, min(start + most, len(clouds))):
                 pose = tracker.fit(clouds.positions[f], clouds.colours[f], f).pose
                 if act.joint_errors(body, pose, f).max() < LOST_M:
                     recovery_frames[-1] = f - start + 1
                     break
-            tracker.pose, tracker.before = true
+            tracker.pose, tracker.previous_pose = true
     return recovery_frames
 
 

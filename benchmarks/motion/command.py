@@ -81,9 +81,9 @@ def train_priors(recordings: Sequence[datasets.Recording], folder: Path) -> Path
         return None
     needed = sorted({fold for recording in recordings if (fold := folds.fold_of(recording)) is not None})
     for fold in needed:
-        path = folds.prior_path(folder, fold)
-        if not path.is_file():
-            click.echo(f"training a prior without subjects {', '.join(fold)}", err=True)
+        path = folds.prior_folder(folder, fold)
+        if not folds.is_trained(path):
+            click.echo(f"training priors without subjects {', '.join(fold)}", err=True)
             folds.train(fold, path)
     return folder
 

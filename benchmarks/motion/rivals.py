@@ -300,7 +300,7 @@ class PaperRival:
         return self.method.decode(data, shape)
 
     def knob_of(self, mean_error: float) -> float:
-        return self.method.knob_of(mean_error)
+        return self.method.initial_step(mean_error)
 
     def version(self) -> str:
         return f"mocodec {__version__}"
@@ -315,7 +315,7 @@ RIVALS: dict[str, Callable[[], Rival]] = {
     "jpeg xl": JpegXl,
     "npz": Npz,
     "pcodec": PcodecLossless,
-    **{method.name.lower(): partial(PaperRival, method) for method in baselines.ALL},
+    **{method.name.lower(): partial(PaperRival, method) for method in baselines.BASELINES},
 }
 
 

@@ -45,7 +45,7 @@ class Task:
     recording: datasets.Recording
     targets: tuple[tuple[str, float], ...] = TARGETS
     prior: Path | None = None
-    """For tempo: the file of a prior trained without this recording's person."""
+    """For tempo: the folder of the priors trained without this recording's person."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def run_task(task: Task) -> list[Record]:
             else:
                 fill(record, motion, outcome)
                 if task.prior is not None:
-                    record.settings = {**record.settings, "prior": task.prior.stem}
+                    record.settings = {**record.settings, "prior": task.prior.name}
         except MocodecError as error:
             record.problem = str(error)
         except Exception as error:  # a failure of a rival is a result
@@ -230,7 +230,7 @@ def unreadable(task: Task, problem: str) -> Record:
 def tasks(recordings: Sequence[datasets.Recording], coders: Sequence[str], priors: Path | None = None) -> list[Task]:
     """One task for each coder and recording; ours come first because they take longest.
 
-    priors: folder of priors by fold; tempo uses the one trained without the recording's person.
+    priors: folder of priors by fold; tempo uses those trained without the recording's person.
     """
     order = sorted(coders, key=lambda coder: coder not in OURS)
     return [
@@ -241,9 +241,9 @@ def tasks(recordings: Sequence[datasets.Recording], coders: Sequence[str], prior
 
 
 def prior_for(recording: datasets.Recording, priors: Path | None) -> Path | None:
-    """The file of the prior trained without this person; None if the person is in no fold."""
+    """The folder of the priors trained without this person; None if the person is in no fold."""
     fold = folds.fold_of(recording)
-    return folds.prior_path(priors, fold) if priors is not None and fold is not None else None
+    return folds.prior_folder(priors, fold) if priors is not None and fold is not None else None
 
 
 def run(work: Sequence[Task], workers: int, known: Sequence[Record] = ()) -> Iterator[list[Record]]:

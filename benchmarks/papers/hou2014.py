@@ -186,7 +186,7 @@ def curves(motion: Motion) -> dict[str, list[CurvePoint]]:
         ],
         "hard bound": [encode_and_measure(Hou2014(max_error=t), motion, target_m=t) for t in (0.003, 0.01)],
     }
-    for rival in baselines.ALL:
+    for rival in baselines.BASELINES:
         found[rival.name] = [rival_point(rival, motion, step) for step in RIVAL_STEPS_M]
     return found
 
@@ -292,7 +292,7 @@ def settings_measured(motion: Motion) -> dict[str, Any]:
 def analyse(motion: Motion) -> dict[str, Any]:
     """Section III: values of Table I in metres and in ASF units, and data of figures 2 to 5."""
     m = analysis.matrix(motion.positions)
-    v, s = analysis.variation(m), analysis.spread(m)
+    v, s = analysis.mean_variation(m), analysis.total_deviation(m)
     row, frame = int(m.std(axis=1).argmax()), m.shape[1] // 2
     kept = 60
     return {
@@ -303,12 +303,12 @@ def analyse(motion: Motion) -> dict[str, Any]:
         "v_asf": v / ASF_UNIT_M,
         "sigma_asf": s / ASF_UNIT_M,
         "singular_values": analysis.singular_values(m)[:kept].tolist(),
-        "of_clips": [analysis.singular_values(c)[:kept].tolist() for c in analysis.clips(m, 300, 3)],
-        "of_unfolded": analysis.singular_values(analysis.unfolded(m, 60))[:kept].tolist(),
+        "of_clips": [analysis.singular_values(c)[:kept].tolist() for c in analysis.random_clips(m, 300, 3)],
+        "of_unfolded": analysis.singular_values(analysis.unfold(m, 60))[:kept].tolist(),
         "column_spectrum": analysis.column_spectrum(m, frame).tolist(),
         "row_spectrum": analysis.row_spectrum(m[:, :300], row)[:93].tolist(),
-        "coefficients_of_column": analysis.coefficients_for(analysis.column_spectrum(m, frame)),
-        "coefficients_of_row": analysis.coefficients_for(analysis.row_spectrum(m[:, :300], row)),
+        "coefficients_of_column": analysis.coefficients_for_energy(analysis.column_spectrum(m, frame)),
+        "coefficients_of_row": analysis.coefficients_for_energy(analysis.row_spectrum(m[:, :300], row)),
     }
 
 
@@ -336,11 +336,11 @@ def database(
                 encoded = learned.codec(motion, components=k).encode(motion)
                 size += encoded.payload_bytes - sum(map(len, encoded.shared[1:]))
                 far += metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions) * len(motion)
-            how = max(learned.how.values(), key=lambda one: one.iterations)
+            annealing = max(learned.annealings.values(), key=lambda one: one.iterations)
             rows.append(
                 {
                     "K": count, "k": k, "ratio": raw / size, "mean_cm": 100 * far / frames,
-                    "iterations": how.iterations, "converged": how.converged, "fit_seconds": seconds,
+                    "iterations": annealing.iterations, "converged": annealing.converged, "fit_seconds": seconds,
                 }
             )  # fmt: skip
     return {"database": name, "files": len(motions), "of_files": len(files), "frames": frames, "rows": rows}

@@ -113,7 +113,7 @@ def write_tables(folder: Path) -> Path:
 def track_synthetic(act: Performance) -> dict[str, Any]:
     """Figure 6 and frame rates on 25 % of the points: ARTICP with and without its constraints, bodycast's tracker."""
     clouds = sequences.record(act, POINTS, keep=0.25, seed=1, normals=True)
-    settings = articulated_icp.Settings
+    settings = articulated_icp.ArticpSettings
     return {
         "with": track_with_articp(act, clouds, settings()),
         "with, true normals": track_with_articp(act, clouds, settings(), normals=True),
@@ -127,20 +127,20 @@ def track_with_both(act: Performance, **recording: float) -> dict[str, Any]:
     """ARTICP and bodycast's tracker on a recording made with these options of `sequences.record`."""
     clouds = sequences.record(act, POINTS, seed=1, **recording)  # type: ignore[arg-type]
     return {
-        "lien2006": track_with_articp(act, clouds, articulated_icp.Settings()),
+        "lien2006": track_with_articp(act, clouds, articulated_icp.ArticpSettings()),
         "bodycast": track_with_bodycast(act, clouds),
     }
 
 
 def track_with_articp(
-    act: Performance, clouds: PointClouds, settings: articulated_icp.Settings, normals: bool = False
+    act: Performance, clouds: PointClouds, settings: articulated_icp.ArticpSettings, normals: bool = False
 ) -> dict[str, Any]:
     """ARTICP from the true first pose. normals: use the true normals instead of estimated ones."""
     actor = act.actor
     body = articulation.from_skeleton(actor.names, actor.parents, act.joints[0], one_trunk=True, shortest=0.1)
     true = lambda frame: normals_of_some_points(clouds, frame) if normals else None  # noqa: E731
     body, model = articulated_icp.make_model(body, *some_points(clouds, 0), true(0))
-    tracker = articulated_icp.Tracker(body, model, settings)
+    tracker = articulated_icp.ArticpTracker(body, model, settings)
     return follow(act, clouds, body, lambda frame: tracker.fit(*some_points(clouds, frame), true(frame)))
 
 
@@ -150,7 +150,7 @@ def track_with_bodycast(act: Performance, clouds: PointClouds) -> dict[str, Any]
     body = articulation.from_skeleton(actor.names, actor.parents, act.joints[0])
     body, model = articulated_icp.make_model(body, *some_points(clouds, 0, 3000), by_surface=True)
     skin = skinning.skin(body, model.points, model.links)
-    tracker = body_tracking.Tracker(body, skin, model.normals, model.colours)
+    tracker = body_tracking.BodyTracker(body, skin, model.normals, model.colours)
     return follow(act, clouds, body, lambda frame: tracker.fit(*some_points(clouds, frame), frame).pose)
 
 
@@ -173,7 +173,7 @@ def follow(act: Performance, clouds: PointClouds, body: Body, fit: Callable[[int
     poses = [fit(frame) for frame in range(1, len(clouds))]
     seconds = time.process_time() - started
     for frame, pose in enumerate(poses, start=1):
-        tracked = articulation.joints_of(body, *articulation.transforms(body, pose))
+        tracked = articulation.joint_positions(body, *articulation.transforms(body, pose))
         true = act.joints[frame][list(body.joints)]
         errors.append(np.linalg.norm(tracked - true, axis=1))
         e_t.append(round(joint_error(tracked, true, clouds.positions[frame]), 5))

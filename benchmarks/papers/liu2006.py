@@ -18,7 +18,7 @@ import click
 import numpy as np
 
 from mocodec import formats, metrics
-from mocodec.codecs.liu2006 import Liu2006, global_pca, piecewise_pca, rivals, roles, statistics
+from mocodec.codecs.liu2006 import Liu2006, global_pca, marker_groups, paper_tables, piecewise_pca, statistics
 from mocodec.codecs.liu2006.codec import read_shared
 from mocodec.motion import Motion
 from mocodec.stages.segment import Curve
@@ -94,9 +94,9 @@ def measure(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[Cu
     """Measurements of one sequence, the curves of its segmentation, and the decoded motion."""
     encode_ms, encoded = timed(lambda: codec.encode(motion), len(motion))
     decode_ms, decoded = timed(lambda: codec.decode(encoded), len(motion))
-    roles_of_markers = read_shared(encoded)[1]
+    groups = read_shared(encoded)[1]
     counts = statistics(encoded)
-    cuts = codec.cuts(motion.positions, roles_of_markers, motion.up)
+    segmentation = codec.segment_motion(motion.positions, groups, motion.up)
     compared = metrics.compare(motion, decoded, encoded.payload_bytes)
     row = {
         "content": datasets.content_hash(motion),
@@ -105,7 +105,7 @@ def measure(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[Cu
         "ours": {
             **asdict(counts),
             "average_components_of_all_groups_together": stats.fmean(map(sum, counts.components)),
-            "d_normalised": rivals.d_normalised(motion, decoded.positions, roles_of_markers),
+            "d_normalised": paper_tables.d_normalised(motion, decoded.positions, groups),
             "d_world": compared.d_percent,
             "payload_bytes": encoded.payload_bytes,
             "byte_ratio_to_float32": compared.ratio,
@@ -116,12 +116,12 @@ def measure(codec: Liu2006, motion: Motion) -> tuple[dict[str, Any], Sequence[Cu
             "encode_ms": encode_ms,
             "decode_ms": decode_ms,
         },
-        "global_pca": asdict(global_pca(motion, roles_of_markers)),
-        "piecewise_pca": asdict(piecewise_pca(motion, roles_of_markers, cuts.segments)),
-        "readings": readings(codec, motion, roles_of_markers),
+        "global_pca": asdict(global_pca(motion, groups)),
+        "piecewise_pca": asdict(piecewise_pca(motion, groups, segmentation.segments)),
+        "readings": readings(codec, motion, groups),
         "longer": [there_and_back(codec, motion, times) for times in (1, 2, 4)],
     }
-    return row, cuts.curves, decoded
+    return row, segmentation.curves, decoded
 
 
 def there_and_back(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]:
@@ -133,9 +133,9 @@ def there_and_back(codec: Liu2006, motion: Motion, times: int) -> dict[str, Any]
     return {"frames": len(long), "encode_ms": encode_ms, "decode_ms": decode_ms}
 
 
-def readings(codec: Liu2006, motion: Motion, roles_of_markers: roles.Roles) -> list[dict[str, Any]]:
+def readings(codec: Liu2006, motion: Motion, groups: marker_groups.MarkerGroups) -> list[dict[str, Any]]:
     """Results with other interpretations of what the paper leaves open."""
-    others = len(roles_of_markers.others)
+    others = len(groups.others)
     rows = []
     for interpretation, changed in (
         ("as decided", codec),
@@ -155,7 +155,7 @@ def readings(codec: Liu2006, motion: Motion, roles_of_markers: roles.Roles) -> l
                 "average_components": counts.average_components,
                 "scalar_ratio": counts.scalar_ratio,
                 "payload_bytes": encoded.payload_bytes,
-                "d_normalised": rivals.d_normalised(motion, decoded.positions, roles_of_markers),
+                "d_normalised": paper_tables.d_normalised(motion, decoded.positions, groups),
                 "d_world": metrics.distortion_percent(motion.positions, decoded.positions),
                 "jump_at_cuts_m": jump(motion, decoded, [chunk.start for chunk in encoded.chunks[1:]]),
             }

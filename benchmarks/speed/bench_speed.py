@@ -56,27 +56,27 @@ def test_encode_longer(benchmark: Any, codec: str, times: int) -> None:
     benchmark.pedantic(encode, (motion, codec), rounds=3)
 
 
-@pytest.mark.parametrize("what", ["one second", "one second of two points", "header and index"])
-def test_open(benchmark: Any, motion: mc.Motion, what: str) -> None:
+@pytest.mark.parametrize("part", ["one second", "one second of two points", "header and index"])
+def test_open(benchmark: Any, motion: mc.Motion, part: str) -> None:
     blob = encode(motion, "tempo")
 
     def open_and_read() -> None:
         with mc.open(blob) as f:
-            if what == "one second":
+            if part == "one second":
                 f[1200:1320]
-            elif what == "one second of two points":
+            elif part == "one second of two points":
                 f[1200:1320, list(motion.names[:2])]
 
     benchmark(open_and_read)
 
 
 @pytest.mark.parametrize("steps", [120, 100_000])
-@pytest.mark.parametrize("way", ["pack", "unpack"])
-def test_entropy(benchmark: Any, way: str, steps: int) -> None:
+@pytest.mark.parametrize("direction", ["pack", "unpack"])
+def test_entropy(benchmark: Any, direction: str, steps: int) -> None:
     values = np.random.default_rng(0).laplace(scale=np.linspace(0.3, 20, 32), size=(steps, 32)).round().astype(np.int64)
     packed = coder.pack(values)
     benchmark.extra_info |= {"symbols": values.size, "bits_per_symbol": 8 * len(packed) / values.size}
-    if way == "pack":
+    if direction == "pack":
         benchmark.pedantic(coder.pack, (values,), rounds=5)
     else:
         benchmark.pedantic(coder.unpack, (packed, values.shape), rounds=5)
@@ -97,8 +97,8 @@ def test_read_as_published(benchmark: Any, name: str) -> None:
     benchmark.pedantic(mc.read, (path,), rounds=3)
 
 
-@pytest.mark.parametrize("what", ["-c import mocodec", "-m mocodec --help"])
-def test_start(benchmark: Any, what: str) -> None:
-    flag, _, rest = what.partition(" ")
+@pytest.mark.parametrize("command", ["-c import mocodec", "-m mocodec --help"])
+def test_start(benchmark: Any, command: str) -> None:
+    flag, _, rest = command.partition(" ")
     arguments = [rest] if flag == "-c" else rest.split()
     benchmark.pedantic(subprocess.run, ([sys.executable, flag, *arguments],), {"capture_output": True}, rounds=7)

@@ -152,7 +152,7 @@ def test_people_are_coded_with_a_prior_that_has_not_seen_them(tmp_path: Path) ->
     assert folds.fold_of(seen) == folds.FOLDS[1]
     assert folds.fold_of(stranger) is None
     tempo, sz3 = runner.tasks([seen], ["tempo", "sz3"], tmp_path)
-    assert tempo.prior == tmp_path / "prior-without-02-10-16-49-64-118-131.npz"
+    assert tempo.prior == tmp_path / "prior-without-02-10-16-49-64-118-131"
     assert sz3.prior is None
     assert runner.tasks([stranger], ["tempo"], tmp_path)[0].prior is None
 

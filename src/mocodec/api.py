@@ -179,7 +179,7 @@ class File:
         frame_range(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
-        with self._reader.naming():
+        with self._reader.errors_name_file():
             motion = self.codec.decode(self.encoded, frames)
         return motion if names is None else motion.select(names)
 
@@ -199,7 +199,7 @@ class File:
 
     def whole(self) -> list[tuple[int, int]]:
         """Runs of frames (start, stop) that are undamaged: slices that decode, also of a file opened with `salvage`."""
-        return self._reader.whole()
+        return self._reader.intact_runs()
 
     def verify(self) -> None:
         """Read every byte and test every checksum. Raises Corrupt that names each damaged part."""

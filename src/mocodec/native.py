@@ -1,9 +1,10 @@
-"""The compiled accelerator, `mocodec._native` (C++ in src/native), where it was built.
+"""The optional compiled module `mocodec._native` (C++ in src/native).
 
-    kernel = native.kernel("tempo_encode")
-    return kernel(…) if kernel else …          the same in NumPy, which is what defines the result
+    if (kernel := native.kernel("tempo_encode")) is not None:
+        return kernel(…)
+    …                                           the same in NumPy, which defines the result
 
-It costs nothing but speed to be without it. With MOCODEC_PURE=1 in the environment it is left aside.
+Without the module, or with MOCODEC_PURE=1 in the environment, everything works, only slower.
 """
 
 from __future__ import annotations
@@ -28,17 +29,18 @@ _module = _load()
 
 
 def kernel(name: str) -> Callable[..., Any] | None:
-    """The kernel of this name; None where it is not there, and the caller does it in NumPy."""
+    """The compiled function of this name, or None where there is none: the caller then uses NumPy."""
     return getattr(_module, name, None)
 
 
 def available() -> bool:
+    """Whether the compiled module is loaded."""
     return _module is not None
 
 
 @contextmanager
 def without() -> Iterator[None]:
-    """Within this context there is no kernel: for comparing both ways."""
+    """A context in which `kernel` returns None, for tests that compare compiled and NumPy results."""
     global _module
     module, _module = _module, None
     try:

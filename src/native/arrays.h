@@ -1,4 +1,4 @@
-// Arrays as kernels take and give them: C-contiguous, on the host, owned by Python.
+// Arrays that kernels exchange with Python: C-contiguous, in the host's memory.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -9,18 +9,18 @@
 
 namespace nb = nanobind;
 
-// What a kernel reads. Another type or order of axes is copied into this one.
+// An array that a kernel reads. An array of another type or memory order is converted to a copy.
 template <class T, int Axes>
 using Input = nb::ndarray<const T, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 
-// What a kernel writes in place: bind it with nb::arg().noconvert(), or what is written may go into a copy.
+// An array that a kernel writes in place. Bind it with nb::arg().noconvert(): otherwise the kernel may write to a copy.
 template <class T, int Axes>
 using InPlace = nb::ndarray<T, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 
 template <class T>
 using Output = nb::ndarray<nb::numpy, T>;
 
-// A new NumPy array that owns its memory, not initialised.
+// Memory for a new NumPy array, not initialised.
 template <class T>
 struct Fresh {
     std::unique_ptr<T[]> data;
@@ -28,7 +28,7 @@ struct Fresh {
 
     explicit Fresh(size_t n) : data(new T[n ? n : 1]), size(n) {}
 
-    // The first rows of it, with this shape.
+    // Hands the memory to a NumPy array of this shape, which may be smaller than `size`.
     Output<T> give(std::initializer_list<size_t> shape) {
         T *raw = data.release();
         nb::capsule owner(raw, [](void *p) noexcept { delete[] static_cast<T *>(p); });

@@ -1,18 +1,20 @@
-// mocodec._native: loops that NumPy cannot do side by side. One file for each user, beside this one:
+// mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
 //   entropy.cpp     serial steps of the coders of codecs/tempo and entropy/
-//   limbs.cpp       poses from turns of codecs/tempo/limbs.py
-//   matching.cpp    a body matched to points, for geometry/body_matching.py
+//   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
+//                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
+//                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
 //
-// Each file defines `void bind_NAME(nb::module_ &)`, and is named in PARTS. Python asks for a kernel by name
-// (`mocodec.native.kernel`), and does without where it is missing. Where bytes depend on a kernel, it gives the bits that
-// NumPy gives: integers, or floats by the same operations in the same order.
+// A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
+// name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the
+// same bits as NumPy: integers, or floats by the same operations in the same order.
 
 #include <nanobind/nanobind.h>
 
 namespace nb = nanobind;
 
-#define PARTS(PART) PART(entropy) PART(matching) PART(limbs)
+#define PARTS(PART) PART(entropy) PART(matching) PART(bone_directions)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

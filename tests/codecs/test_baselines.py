@@ -1,4 +1,4 @@
-"""The papers' rivals: bytes come back, a finer step means less error and more bytes, short and odd shapes work."""
+"""The papers' baselines: round trips, less error and more bytes at smaller steps, unusual shapes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from mocodec.errors import MissingExtra
 from mocodec.testing import synthetic
 
 
-@pytest.fixture(params=baselines.ALL, ids=lambda rival: rival.name)
-def rival(request: pytest.FixtureRequest) -> baselines.Baseline:
+@pytest.fixture(params=baselines.BASELINES, ids=lambda baseline: baseline.name)
+def baseline(request: pytest.FixtureRequest) -> baselines.Baseline:
     try:
         request.param.encode(np.zeros((2, 1, 3)), 0.01)
     except MissingExtra as missing:
@@ -21,12 +21,12 @@ def rival(request: pytest.FixtureRequest) -> baselines.Baseline:
     return request.param
 
 
-def test_finer_steps(rival: baselines.Baseline):
+def test_smaller_steps_give_less_error_and_more_bytes(baseline: baselines.Baseline):
     positions = synthetic.markers(frames=420, seed=1).positions
     errors, sizes = [], []
     for step in (0.1, 0.02, 0.004):
-        data = rival.encode(positions, step)
-        decoded = rival.decode(data, positions.shape)
+        data = baseline.encode(positions, step)
+        decoded = baseline.decode(data, positions.shape)
         assert decoded.shape == positions.shape
         errors.append(metrics.mean_distance(positions, decoded))
         sizes.append(len(data))
@@ -36,14 +36,14 @@ def test_finer_steps(rival: baselines.Baseline):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (30, 1), (281, 4), (5, 40)])
-def test_odd_shapes(rival: baselines.Baseline, shape: tuple[int, int]):
+def test_unusual_shapes_round_trip(baseline: baselines.Baseline, shape: tuple[int, int]):
     positions = np.random.default_rng(0).normal(size=(*shape, 3))
-    decoded = rival.decode(rival.encode(positions, 1e-4), positions.shape)
+    decoded = baseline.decode(baseline.encode(positions, 1e-4), positions.shape)
     assert np.abs(decoded - positions).max() < 1e-3
 
 
-def test_hou_is_better_at_equal_error(rival: baselines.Baseline):
+def test_hou2014_needs_fewer_bytes_at_equal_error(baseline: baselines.Baseline):
     motion = synthetic.markers(frames=900, seed=1)
-    data = rival.encode(motion.positions, 0.02)
-    error = metrics.mean_distance(motion.positions, rival.decode(data, motion.positions.shape))
+    data = baseline.encode(motion.positions, 0.02)
+    error = metrics.mean_distance(motion.positions, baseline.decode(data, motion.positions.shape))
     assert Hou2014(mean_error=error).encode(motion).payload_bytes < len(data)

@@ -157,7 +157,7 @@ def test_what_a_point_moves_with_is_learned(performance, clouds):
     wrong = tracker.skin.links[:, 0].copy()
     wrong[rows] = body.names.index("Spine")  # as if the sleeve had lain at the trunk
     skin = skinning.skin(body, tracker.skin.points, wrong)
-    follower.tracker = body_tracking.Tracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
+    follower.tracker = body_tracking.BodyTracker(body, skin, tracker.normals, tracker.colours, tracker.settings)
     follower.learn(frames, poses)
     found = follower.tracker.skin.links[rows, 0]
     assert np.mean(found == body.names.index("Spine")) < 0.1

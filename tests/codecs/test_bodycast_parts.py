@@ -123,7 +123,7 @@ def swinging(frames: int, noise: float = 0.0) -> poses.Track:
 def test_poses_come_back_within_their_step(arm, frames):
     body, skin = arm
     track, before = swinging(frames), None
-    rig = skinning.Rig.of(skin, len(body))
+    rig = skinning.SkinMatrix.build(skin, len(body))
     truth = rig.posed(*track.transforms(body))
     for step in (0.02, 0.005, 0.001):
         scale = poses.Scale.of(body, skin, step)
@@ -177,12 +177,12 @@ def test_a_rig_is_its_skin(arm):
     body, skin = arm
     track = swinging(4)
     a, b = track.transforms(body)
-    rig = skinning.Rig.of(skin, len(body))
+    rig = skinning.SkinMatrix.build(skin, len(body))
     both = rig.posed(a, b)
     for frame in range(4):
         np.testing.assert_allclose(both[frame], skin.posed(a[frame], b[frame]), atol=1e-12)
     moved = skin.points + 0.01
     np.testing.assert_allclose(
-        rig.carrying(moved).posed(a[1], b[1]), skinning.Skin(moved, skin.links, skin.weights).posed(a[1], b[1])
+        rig.with_points(moved).posed(a[1], b[1]), skinning.Skin(moved, skin.links, skin.weights).posed(a[1], b[1])
     )
     assert isinstance(track[0], Pose)

@@ -1,4 +1,4 @@
-"""The lossless codec: the contract of every codec, and every bit back."""
+"""lossless: the contract of every codec, and exact round trips."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class TestLossless(CodecTests):
     refuses = frozenset({"huge"})
 
 
-def test_float32_comes_back_bit_for_bit() -> None:
+def test_float32_round_trips_bit_for_bit() -> None:
     motion = synthetic.markers(frames=500, seed=3)
     decoded = mc.decode(mc.encode(motion, codec="lossless"))
     assert np.array_equal(bits(decoded.positions), bits(motion.positions))
 
 
-def test_float32_millimetres_come_back_as_the_same_float64() -> None:
-    """As a C3D file gives them: nothing at all is lost."""
+def test_float32_millimetres_round_trip_in_float64() -> None:
+    """The positions of a C3D file: float32 in millimetres, times 0.001."""
     walk = synthetic.markers(frames=200, seed=3)
     motion = replace(
         walk, positions=(walk.positions * 1000).astype(np.float32).astype(float) * 0.001, source={"unit_m": 0.001}
@@ -40,7 +40,7 @@ def test_float32_millimetres_come_back_as_the_same_float64() -> None:
     assert np.array_equal(mc.decode(mc.encode(motion, codec="lossless")).positions, motion.positions)
 
 
-def test_decimals_of_a_text_file_come_back_as_the_same_float64_and_cost_less() -> None:
+def test_decimals_of_a_text_file_round_trip_in_float64_and_need_fewer_bytes() -> None:
     walk = synthetic.markers(frames=200, seed=3)
     motion = replace(walk, positions=np.round(walk.positions * 1000, 2) * 0.001, source={"unit_m": 0.001})
     blob = mc.encode(motion, codec="lossless")
@@ -48,21 +48,24 @@ def test_decimals_of_a_text_file_come_back_as_the_same_float64_and_cost_less() -
     assert len(blob) < len(mc.encode(walk, codec="lossless")) * 0.8
 
 
-def test_signed_zeros_and_subnormals() -> None:
+def test_ranks_keep_signed_zeros_and_subnormals_and_grow_with_the_value() -> None:
     values = np.array([0.0, -0.0, 1e-45, -1e-45, 1.0, -1.0, 3.4e38, -3.4e38], np.float32)
-    assert np.array_equal(bits(lossless.from_order(lossless.in_order(values))), bits(values))
-    ranks = lossless.in_order(np.sort(values[2:]))
+    assert np.array_equal(bits(lossless.rank_to_float(lossless.float_to_rank(values))), bits(values))
+    ranks = lossless.float_to_rank(np.sort(values[2:]))
     assert (np.diff(ranks) > 0).all()
 
 
-def test_beyond_float32_is_refused() -> None:
+def test_positions_beyond_float32_raise_cannot_encode() -> None:
     with pytest.raises(CannotEncode, match="float32"):
         Lossless().encode(Motion(positions=np.full((3, 1, 3), 1e39) * np.pi, rate=10))
+
+
+def test_chunks_of_zero_seconds_raise_bad_input() -> None:
     with pytest.raises(BadInput):
         Lossless(chunk_seconds=0).encode(synthetic.markers(frames=3))
 
 
-def test_shared_bytes_that_are_not_its_own_are_refused() -> None:
+def test_damaged_header_or_payload_raises_corrupt() -> None:
     encoded = Lossless().encode(synthetic.markers(frames=30))
     with pytest.raises(Corrupt):
         Lossless.decode(replace(encoded, shared=(b"x",)))

@@ -1,4 +1,4 @@
-"""The container: what goes in comes out, in few bytes, from any source, and is loaded only when asked for."""
+"""The container: lossless, small, readable from any input, loaded on demand."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_file_that_was_read_packs_to_the_same_bytes():
     assert container.pack(container.Reader(data).encoded) == data
 
 
-def test_the_frame_of_a_file_is_small():
+def test_the_overhead_of_a_file_is_small():
     one = len(container.pack(encoded(1, 480, 700, settings={"max_error": 0.002}))) - 700
     ten = len(container.pack(encoded(10, 480, 700, settings={"max_error": 0.002}))) - 7000
     assert one <= 40
@@ -218,7 +218,7 @@ def test_json_trees_come_back(tree: dict[str, Any]):
 
 
 @pytest.mark.parametrize("bad", [{1: 2}, {"a": object()}, {"a": np.array([object()])}, {"a": {1, 2}}])
-def test_what_cannot_be_carried_is_an_error(bad: Any):
+def test_values_that_cannot_be_stored_raise(bad: Any):
     with pytest.raises(CannotEncode):
         values.pack_extras(bad)
     deep: list[Any] = []
@@ -237,7 +237,7 @@ def test_chunks_must_follow_each_other():
 
 
 def test_tables_are_frozen():
-    """Released entries never move: a file means what it meant. New entries go to the end, and this changes."""
+    """Released entries never move. New entries are appended, which changes these checksums."""
     assert len(tables.WORDS) == len(set(tables.WORDS)) == 128
     assert zlib.crc32("\n".join(tables.VOCABULARY).encode()) == VOCABULARY_CRC
     assert zlib.crc32("\n".join(tables.WORDS).encode()) == WORDS_CRC
@@ -254,7 +254,7 @@ TABLES_CRC = 0xC20C14FE
 
 
 class Counting(io.BytesIO):
-    """A file object that knows what was read from it."""
+    """A file object that counts the bytes read."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -266,7 +266,7 @@ class Counting(io.BytesIO):
         return data
 
 
-def test_only_what_is_asked_for_is_read():
+def test_only_needed_bytes_are_read():
     noise = {"a": np.random.default_rng(0).normal(size=100_000)}
     file = Counting(container.pack(encoded(900, 480, 1000, like=about(extras=noise))))
     reader = container.Reader(file)
@@ -281,7 +281,7 @@ def test_only_what_is_asked_for_is_read():
     assert len(reader.encoded.about.extras["a"]) == 100_000
 
 
-def test_covering_equals_looking_at_every_chunk():
+def test_covering_equals_a_search_of_all_chunks():
     reader = container.Reader(container.pack(encoded(20, 7, 3, margin=1)))
     for start, stop in ((0, 140), (0, 1), (6, 8), (7, 14), (139, 140), (30, 60), (5, 5)):
         touched = [i for i in range(20) if i * 7 < stop and (i + 1) * 7 > start]
@@ -289,7 +289,7 @@ def test_covering_equals_looking_at_every_chunk():
         assert [chunk.start // 7 for chunk in reader.encoded.covering(start, stop)] == list(wanted)
 
 
-def test_every_source_gives_the_same(tmp_path: Path):
+def test_every_kind_of_input_gives_the_same(tmp_path: Path):
     data = container.pack(encoded(5, like=about(extras=EXTRAS)))
     path = tmp_path / "a.mocz"
     path.write_bytes(data)
@@ -316,7 +316,7 @@ def test_every_source_gives_the_same(tmp_path: Path):
         with container.Reader(where) as reader:
             assert [chunk.payload for chunk in reader.encoded.chunks] == [c.payload for c in encoded(5).chunks]
             extras = reader.encoded.about.extras
-        assert same_tree(EXTRAS, dict(extras)), "extras can still be had after the file was closed"
+        assert same_tree(EXTRAS, dict(extras)), "extras can still be read after the file was closed"
         if isinstance(where, io.BufferedReader):
             where.close()
     with pytest.raises(BadInput):
@@ -351,7 +351,7 @@ def test_numbers():
             Cursor(bad, "test").varint()
 
 
-def test_errors_say_which():
+def test_errors_have_the_right_class():
     data = container.pack(encoded())
     later = data[:4] + b"\x02" + data[5:]
     head_end = 6 + data[5]
@@ -371,7 +371,7 @@ def test_errors_say_which():
     assert issubclass(UnknownCodec, MocodecError)
 
 
-def test_errors_say_where(tmp_path):
+def test_errors_name_file_and_chunk(tmp_path):
     data = bytearray(container.pack(encoded(3)))
     (tmp_path / "short.mocz").write_bytes(data[:-3])
     data[len(data) // 2] ^= 1
@@ -390,6 +390,6 @@ def test_errors_say_where(tmp_path):
 
 
 def zlib_tail(data: bytes, head_end: int, at: int, byte: int) -> bytes:
-    """The rest of a file whose header byte `at` became `byte`, with the header's checksum made good."""
+    """The rest of a file after header byte `at` was set to `byte`, with a matching header checksum."""
     head = data[:at] + bytes([byte]) + data[at + 1 : head_end]
     return head[at + 1 :] + zlib.crc32(head).to_bytes(4, "little") + data[head_end + 4 :]

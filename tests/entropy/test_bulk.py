@@ -1,4 +1,4 @@
-"""Many states: the layout of segments, raw bits, laws for the inner loops, damage."""
+"""Many states: diagonals of segments, laws for the inner loops, damage."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocodec.entropy import bulk, coder, models
+from mocodec.entropy.layout import Layout
+from mocodec.entropy.neighbours import MIXTURES, WITHOUT_HINTS
 from mocodec.errors import Corrupt
 from mocodec.testing import corruption
 
@@ -18,39 +20,26 @@ SHAPES = [(1, 1), (1, 9), (9, 1), (200, 1), (3, 700), (120, 93), (93, 120), (300
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_diagonals_are_all_places_once_and_in_order(shape: tuple[int, int]):
-    layout = bulk.Layout(shape)
+def test_diagonals_visit_every_place_once(shape: tuple[int, int]):
+    layout = Layout(shape)
     plain = np.arange(1, 1 + shape[0] * shape[1]).reshape(shape)
     flat = layout.skewed(plain, np.int64)
-    assert np.array_equal(layout.back(flat, np.int64), plain)
+    assert np.array_equal(layout.unskewed(flat, np.int64), plain)
     seen = np.concatenate([flat[begin:end] for _, begin, end in layout.diagonals()])
     assert np.array_equal(np.sort(seen[seen > 0]), plain.ravel())
     assert len(seen) - plain.size < layout.lanes * layout.segments * layout.pieces  # what pads the last piece
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("mixture", range(coder.WITHOUT_CONTEXTS))
+@pytest.mark.parametrize("mixture", range(WITHOUT_HINTS))
 def test_any_shape_and_mixture_comes_back(shape: tuple[int, int], mixture: int):
     random = np.random.default_rng(mixture)
     values = np.rint(random.laplace(size=shape) * 2.0 ** random.uniform(0, 9, shape[1])).astype(np.int64)
-    mixing = bulk.Mixing(coder.MIXTURES[mixture], models.law_of_expectation(models.LAWS, 20, 0))
+    mixing = bulk.Mixing(MIXTURES[mixture], models.law_of_expectation(models.LAWS, 20, 0))
     laws = bulk.laws(models.LAWS, mixture % 2)
     for bits in (100.0, 1e9):
         data = bulk.pack(models.tokens(np.abs(values)), values, mixing, laws, None, bits)
         assert np.array_equal(bulk.unpack(data, shape, mixing, laws, None), values)
-
-
-@settings(deadline=None, derandomize=True, max_examples=100)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([2, 8, 33, 64]))
-def test_fields_of_bits_come_back(seed: int, count: int, most: int):
-    random = np.random.default_rng(seed)
-    bits = random.integers(0, most, count).astype(np.uint8)
-    values = random.integers(0, 1 << 63, count).astype(np.uint64)
-    stream = bulk._fields(values, bits)
-    assert len(stream) == bits.sum()
-    numbers, taken = bulk._numbers(np.concatenate([stream, np.ones(5, np.uint8)]), bits)
-    assert taken == len(stream)
-    assert np.array_equal(numbers, values & (np.uint64(1) << bits.astype(np.uint64)) - np.uint64(1))
 
 
 @pytest.mark.parametrize(("count", "shape"), [(models.LAWS, 0), (models.LAWS, 1), (models.LAWS_LARGE, 0)])
@@ -62,15 +51,15 @@ def test_slots_and_codes_agree(count: int, shape: int):
     escaped = symbol == bulk.ESCAPE
     token = np.where(escaped, laws.last[law], symbol)
     code = laws.code[law * 256 + token]
-    assert np.array_equal(code >= bulk.HEAVY, escaped)
-    code &= bulk.HEAVY - np.uint32(1)
+    assert np.array_equal(code >= bulk.ESCAPE_FLAG, escaped)
+    code &= bulk.ESCAPE_FLAG - np.uint32(1)
     assert np.array_equal(code >> bulk.PRECISION, frequency)
     assert np.array_equal((code & bulk.TOTAL - 1) + inside, np.tile(np.arange(bulk.TOTAL), count + 1))
 
 
 def test_laws_are_the_same_for_ever():
-    """Literal numbers, so that no change of the arithmetic slips by: files depend on them."""
-    code = bulk.laws(models.LAWS, 0).code.reshape(-1, 256) & bulk.HEAVY - np.uint32(1)
+    """Literal numbers, which no change of the arithmetic may alter: files depend on them."""
+    code = bulk.laws(models.LAWS, 0).code.reshape(-1, 256) & bulk.ESCAPE_FLAG - np.uint32(1)
     assert (code[12, :4] >> bulk.PRECISION).tolist() == [3853, 237, 4, 2]
     assert (code[30, :6] >> bulk.PRECISION).tolist() == [198, 367, 329, 296, 267, 241]
 
@@ -81,18 +70,18 @@ def loud(steps: int, lanes: int) -> np.ndarray:
 
 
 def test_the_stream_is_the_same_for_ever():
-    """The digest of one stream, so that no change of layout or arithmetic slips by: files depend on them."""
+    """The digest of one stream, which no change of layout or arithmetic may alter: files depend on it."""
     mixed = np.arange(200 * 70, dtype=np.int64).reshape(200, 70) * 2_654_435_761 % (1 << 32)
     values = ((mixed >> 20) % 61 - 30) >> (mixed & 7)
     values[::37, ::11] <<= 40
-    mixing = bulk.Mixing(coder.MIXTURES[4], models.law_of_expectation(models.LAWS_LARGE, 20, 0))
+    mixing = bulk.Mixing(MIXTURES[4], models.law_of_expectation(models.LAWS_LARGE, 20, 0))
     laws = bulk.laws(models.LAWS_LARGE, 1)
     data = bulk.pack(models.tokens(np.abs(values)), values, mixing, laws, None, 30_000.0)
     assert np.array_equal(bulk.unpack(data, values.shape, mixing, laws, None), values)
     assert hashlib.sha256(data).hexdigest()[:16] == "0af7ba39b03c18e0"
 
 
-def test_what_no_sample_shows_comes_back():
+def test_values_that_the_counted_sample_misses_come_back():
     for at in (0, 777, 12_345, 59_999):
         values = np.zeros((60_000, 4), np.int64)
         values[at - 700 if at else 0 : at + 3000] = loud(60_000, 4)[at - 700 if at else 0 : at + 3000]

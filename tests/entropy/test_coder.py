@@ -1,4 +1,4 @@
-"""pack and unpack: any integers, few bytes, damage noticed."""
+"""pack and unpack: any integers come back, in few bytes; damaged bytes are Corrupt or integers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIMIT = 1 << 62
 
 
 def back(values: np.ndarray, contexts: np.ndarray | None = None) -> int:
-    """Packed, unpacked, compared; the number of bytes."""
+    """The number of bytes, after a check that the values come back."""
     data = coder.pack(values, contexts)
     result = coder.unpack(data, values.shape, contexts)
     assert result.dtype == np.int64
@@ -34,7 +34,7 @@ def decaying(steps: int, lanes: int, seed: int = 0) -> np.ndarray:
 
 
 def laplace_entropy(scale: float) -> float:
-    """Bits of one rounded sample."""
+    """The entropy of one rounded sample, bits."""
     edges = (np.arange(int(60 * scale + 60)) + 0.5) / scale
     tail = np.exp(-edges)
     p = np.concatenate([[1 - tail[0]], np.repeat((tail[:-1] - tail[1:]) / 2, 2)])
@@ -79,7 +79,7 @@ def test_extremes_come_back():
         coder.pack(np.array([[LIMIT + 1]]))
 
 
-def test_nothing_costs_nothing():
+def test_zeros_take_no_bytes():
     for shape in [(0, 5), (5, 0), (0, 0), (1, 1), (400, 93)]:
         assert coder.pack(np.zeros(shape, np.int64)) == b""
         assert coder.unpack(b"", shape).shape == shape
@@ -93,7 +93,7 @@ def test_other_integer_types():
         assert np.array_equal(coder.unpack(coder.pack(values), (20, 3)), values)
 
 
-def test_little_data_costs_little():
+def test_short_arrays_take_few_bytes():
     assert back(np.array([[1]])) <= 4
     assert back(np.array([[5], [-3]])) <= 5
     values = np.rint(np.random.default_rng(0).laplace(size=(100, 1))).astype(np.int64)
@@ -102,14 +102,14 @@ def test_little_data_costs_little():
 
 @pytest.mark.parametrize("scale", [0.3, 1, 4, 30])
 def test_near_the_entropy_of_noise(scale: float):
-    """Laplace noise of unknown scale: within 3 % of the entropy of its own histogram, bytes of all kinds included."""
+    """Laplace noise of unknown scale: within 3 % of the entropy of its own histogram, all bytes included."""
     values = np.rint(np.random.default_rng(2).laplace(size=(500, 30)) * scale).astype(np.int64)
     counts = np.unique(values, return_counts=True)[1]
     entropy = -(counts * np.log2(counts / counts.sum())).sum() / 8
     assert back(values) <= 1.03 * entropy + 8
 
 
-def test_uneven_lanes_cost_what_each_would():
+def test_uneven_lanes_take_no_more_bytes_than_each_alone():
     scales = 2.0 ** np.arange(-3, 7)
     values = np.rint(np.random.default_rng(3).laplace(size=(400, 10)) * scales).astype(np.int64)
     assert back(values) <= 1.05 * sum(400 * laplace_entropy(scale) / 8 for scale in scales)
@@ -128,7 +128,7 @@ def test_decaying_coefficients_beat_general_compressors():
     )
 
 
-def test_slow_curves_are_found_out():
+def test_differences_are_taken_of_slow_curves():
     values = np.rint(5000 * np.sin(np.arange(600)[:, None] / 40 + np.arange(4))).astype(np.int64)
     assert back(values) < 600 * 4 * 3.5 / 8
 
@@ -140,7 +140,7 @@ def test_sparse_arrays():
     assert back(values) < 150
 
 
-def test_a_large_quiet_array_has_one_state():
+def test_a_large_array_of_mostly_zeros_has_one_state():
     values = decaying(400, 60)
     assert np.count_nonzero(values == 0) > 8000
     assert np.count_nonzero(values) < 4000
@@ -148,7 +148,7 @@ def test_a_large_quiet_array_has_one_state():
     assert int.from_bytes(coder.pack(values)[:2], "little") & 0x3FFF >= 64
 
 
-def test_contexts_help():
+def test_contexts_save_bytes():
     random = np.random.default_rng(5)
     expected = np.rint(2.0 ** random.uniform(0, 9, (80, 20))).astype(np.int64)
     values = np.rint(random.laplace(size=(80, 20)) * expected).astype(np.int64)
@@ -182,7 +182,7 @@ def test_a_stream_cut_or_lengthened_is_corrupt():
                 coder.unpack(wrong, shape)
 
 
-def test_memory_follows_the_shape_not_the_bytes():
+def test_memory_is_bounded_by_the_shape():
     coder.unpack(coder.pack(decaying(300, 60)), (300, 60))
     tracemalloc.start()
     for head in (b"\x0f\0", b"\0\0\xff\xff\xff\xff\xff\xff", b"\x0e\0" + bytes(range(256))):

@@ -22,6 +22,6 @@ def test_either_sign():
 
 
 @pytest.mark.parametrize("data", [b"", b"\x80", b"\xff" * 12, b"\xff" * 9 + b"\x7f" + b"\xff"])
-def test_what_is_no_number_is_corrupt(data: bytes):
+def test_bytes_that_are_no_number_are_corrupt(data: bytes):
     with pytest.raises(Corrupt):
         varint.read(data, 2)

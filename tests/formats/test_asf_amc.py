@@ -1,4 +1,4 @@
-"""ASF/AMC: ends of bones where the Acclaim arithmetic puts them; the same text from the motion just read."""
+"""ASF/AMC: positions of the ends of bones, rates, units of angle, limits, and writing."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ def test_a_moving_pose_against_plain_matrices(tmp_path):
     assert np.allclose(positions, expected)
 
 
-def test_written_back_as_it_came(tmp_path):
+def test_writing_restores_the_file(tmp_path):
     path = pair(tmp_path)
     motion = formats.read(path)
     formats.write(tmp_path / "tiny_02.amc", motion)
     assert np.abs(angles(tmp_path / "tiny_02.amc") - angles(path)).max() < 1e-6
 
 
-def test_a_skeleton_is_written_where_there_is_none(tmp_path):
+def test_a_missing_skeleton_is_written(tmp_path):
     motion = formats.read(pair(tmp_path))
     (tmp_path / "new").mkdir()
     formats.write(tmp_path / "new" / "walk.amc", motion)
@@ -90,6 +90,34 @@ def test_radians_and_other_orders(tmp_path):
     motion = formats.read(path)
     formats.write(tmp_path / "tiny_02.amc", motion)
     assert np.allclose(formats.read(tmp_path / "tiny_02.amc").positions, motion.positions, atol=1e-7)
+
+
+def test_the_rate_of_the_header(tmp_path):
+    plain = formats.read(pair(tmp_path))
+    assert formats.notes(plain) == ["guessed: rate 120 Hz (--rate)"]
+    for text, rate in (("60", 60.0), ("120", 120.0)):
+        motion = formats.read(pair(tmp_path, AMC.replace(":FULLY", f":SAMPLES-PER-SECOND {text}\n:FULLY")))
+        assert (motion.rate, formats.notes(motion)) == (rate, [])
+    assert formats.read(tmp_path / "tiny_01.amc", rate=50.0).rate == 50.0
+
+
+def test_angles_of_skeleton_and_motion_in_different_units(tmp_path):
+    expected = formats.read(pair(tmp_path)).positions
+    radians = ASF.replace("angle deg", "angle rad").replace("axis 0 0 20", f"axis 0 0 {np.radians(20)}")
+    radians = radians.replace("axis -90 0 20", f"axis {np.radians(-90)} 0 {np.radians(20)}")
+    assert np.allclose(formats.read(pair(tmp_path, asf=radians)).positions, expected)
+    lines = []
+    for line in AMC.replace(":DEGREES", ":RADIANS").split("\n"):
+        words = line.split()
+        first = 4 if words[:1] == ["root"] else 1 if words and words[0].isalpha() else len(words)
+        lines.append(" ".join(words[:first] + [f"{np.radians(float(w)):.12g}" for w in words[first:]]))
+    assert np.allclose(formats.read(pair(tmp_path, "\n".join(lines))).positions, expected)
+
+
+def test_blank_lines_take_no_time(tmp_path):
+    expected = formats.read(pair(tmp_path)).positions
+    amc = AMC.replace(":FULLY", "\n" * 300_000 + ":FULLY").replace("8\n", "8\n" + "\n" * 300_000)
+    assert np.array_equal(formats.read(pair(tmp_path, amc)).positions, expected)
 
 
 def limits_of(tmp_path, asf: str = ASF):
@@ -112,7 +140,7 @@ def test_limits_stand_in_the_order_of_the_turns_and_in_the_axis_frame(tmp_path):
         assert np.allclose(rigid.to_matrix(limits.axes[joint]), frame)
 
 
-def test_limits_are_kept_where_a_skeleton_is_written(tmp_path):
+def test_a_written_skeleton_keeps_its_limits(tmp_path):
     asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-inf 20)").replace("-90 0 20 XYZ", "-90 7 20 ZYX")
     limits = limits_of(tmp_path, asf)
     motion = formats.read(tmp_path / "tiny_01.amc")
@@ -135,8 +163,8 @@ def test_limits_that_are_odd(tmp_path):
 
 
 @pytest.mark.parametrize("odd", ["(-20 nan)", "(-20)", "(-20 20) (0 1)", "(-20 wide)", "(inf inf)"])
-def test_a_motion_is_read_though_limits_cannot_be(tmp_path, odd):
-    """The bone counts as free; what the others have stays."""
+def test_limits_that_cannot_be_read_are_ignored(tmp_path, odd):
+    """The bone is unlimited; the other bones keep their limits."""
     asf = ASF.replace("dof rx rz", "dof rx rz\nlimits (-45 90)\n(-10 20)")
     odd_one = ASF.index("(-20 20)")
     limits = limits_of(tmp_path, asf[:odd_one] + odd + asf[odd_one + len("(-20 20)") :])
@@ -164,7 +192,7 @@ def test_a_mocz_keeps_no_limits_as_it_keeps_no_rotations(tmp_path):
         assert again.skeleton.names == motion.skeleton.names
 
 
-def test_which_skeleton(tmp_path):
+def test_choice_of_the_skeleton(tmp_path):
     path = pair(tmp_path, name="other")
     assert formats.read(path).points == 5  # the only one there
     (tmp_path / "third.asf").write_text(ASF)
@@ -203,7 +231,7 @@ def test_damage_of_the_motion(tmp_path, old, new, says):
         (":bonedata", ":bones", "no :bonedata"),
         ("length 0.45", "length 0", "length unit"),
         ("name foot", "name tibia", "twice"),
-        ("tibia foot", "", "hang on the root"),
+        ("tibia foot", "", "connected to the root"),
         ("tibia foot", "foot tibia", "hierarchy"),
         ("femur tibia", "femur shin", "hierarchy"),
         ("dof rx rz", "dof rx l", "rx ry rz"),
@@ -231,7 +259,7 @@ def test_gaps_are_refused_before_anything_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_an_amc_cannot_hold_is_refused(tmp_path):
+def test_motions_that_an_amc_cannot_hold_are_refused(tmp_path):
     motion = formats.read(pair(tmp_path))
     assert isinstance(motion, Motion)
     with pytest.raises(BadInput, match="does not store rotations yet"):
@@ -243,7 +271,7 @@ def test_what_an_amc_cannot_hold_is_refused(tmp_path):
     with pytest.raises(BadInput, match=r"write an \.amc"):
         formats.write(tmp_path / "x.bvh", motion)
     (tmp_path / "long.asf").write_text(ASF.replace("length 7", "length 7.5"))
-    with pytest.raises(BadInput, match="another skeleton"):
+    with pytest.raises(BadInput, match="differs from this"):
         formats.write(tmp_path / "x.amc", motion, asf=tmp_path / "long.asf")
     (tmp_path / "stiff.asf").write_text(ASF.replace("dof rx rz", "dof rx"))
     with pytest.raises(BadInput, match="bone foot"):
@@ -257,6 +285,6 @@ def test_cmu(tmp_path, name):
     motion = formats.read(path)
     assert motion.points == 31
     assert -0.15 < motion.positions[:, :, 1].min() < 0.1  # feet on the floor
-    asf = asf_amc._find_asf(path)
+    asf = asf_amc.find_asf(path)
     formats.write(tmp_path / "x.amc", motion, asf=asf)
     assert np.abs(formats.read(tmp_path / "x.amc", asf=asf).positions - motion.positions).max() < 1e-7

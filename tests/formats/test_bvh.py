@@ -1,4 +1,4 @@
-"""BVH: joints where the hierarchy and its channels put them; the file again from the motion just read."""
+"""BVH: positions of joints, guesses of unit and up, rates, and writing."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_turns_and_slides(tmp_path):
     assert np.allclose(head - chest, [-31, 2, 1])  # positions z y x in the place of the OFFSET: (2, 31, 1)
 
 
-def test_written_back_as_it_came(tmp_path):
+def test_writing_restores_the_file(tmp_path):
     motion = read(tmp_path)
     formats.write(tmp_path / "y.bvh", motion)
     assert np.abs(channels(tmp_path / "y.bvh") - channels(tmp_path / "x.bvh")).max() < 1e-6
@@ -78,16 +78,90 @@ def test_the_unit_is_the_one_that_makes_a_person(tmp_path, height, units):
 
 
 @pytest.mark.parametrize(("unit", "unit_m"), [("in", 0.0254), ("0.02", 0.02), (0.5, 0.5)])
-def test_the_unit_as_told(tmp_path, unit, unit_m):
+def test_the_unit_option(tmp_path, unit, unit_m):
     assert read(tmp_path, unit=unit).source["unit_m"] == unit_m
 
 
 @pytest.mark.parametrize(
     ("frame_time", "rate"),
-    [("0.0083333", 120.0), (".0166667", 60.0), ("0.033333", 30.0), ("0.04", 25.0), ("0.0333667", 1 / 0.0333667)],
+    [
+        ("0.0083333", 120.0),
+        (".0166667", 60.0),
+        ("0.033333", 30.0),
+        ("0.04", 25.0),
+        ("0.0333667", 30000 / 1001),
+        ("0.017", 60.0),
+        ("0.0333", 30.0),
+        ("1.6667e-02", 60.0),
+        ("0.008342", 120000 / 1001),
+        ("0.016683", 60000 / 1001),
+        ("0.041708", 24000 / 1001),
+        ("0.0123", 81.0),
+        ("0.1", 10.0),
+        ("0.012345678", 1 / 0.012345678),
+    ],
 )
 def test_rates_that_were_rounded(tmp_path, frame_time, rate):
     assert read(tmp_path, BVH.replace("0.0083333", frame_time)).rate == rate
+
+
+def test_motion_may_be_part_of_a_name(tmp_path):
+    expected = read(tmp_path)
+    for name in ("LOCOMOTION", "MOTION", "MOTION Frames", "a MOTION"):
+        motion = read(tmp_path, BVH.replace("ROOT Hips", f"ROOT {name}"))
+        assert motion.names[0] == name
+        assert np.array_equal(motion.positions, expected.positions)
+
+
+@pytest.mark.parametrize(("declared", "frames"), [(4, 3), (2, 3)])
+def test_one_frame_more_or_fewer_than_declared_is_noted(tmp_path, declared, frames):
+    motion = read(tmp_path, BVH.replace("Frames: 3", f"Frames: {declared}"))
+    assert len(motion) == frames
+    assert any(f"declares {declared} frames, the file has {frames}" in note for note in formats.notes(motion))
+
+
+def standing(up: str, rest_up: str, unit: float) -> str:
+    """A body 1.7 m tall that walks; the rest pose stands along `rest_up`, the motion along `up`."""
+    bones = {"Hips": (0, 0, 0), "Head": (0, 0.75, 0.05), "LeftFoot": (0.1, -0.95, 0), "RightFoot": (-0.1, -0.95, 0)}
+    bones |= {"LeftHand": (0.8, 0.5, 0), "RightHand": (-0.8, 0.5, 0)}
+
+    def text(vector, axis) -> str:
+        x, y, z = (v / unit for v in vector)
+        return f"{x:.4f} {y:.4f} {z:.4f}" if axis == "y" else f"{x:.4f} {-z:.4f} {y:.4f}"
+
+    lines = ["HIERARCHY", "ROOT Hips", "{", "OFFSET 0 0 0", "CHANNELS 6 Xposition Yposition Zposition"]
+    lines[-1] += " Xrotation Yrotation Zrotation"
+    for name, offset in list(bones.items())[1:]:
+        lines += [f"JOINT {name}", "{", f"OFFSET {text(offset, rest_up)}", "CHANNELS 1 Xrotation", "End Site", "{"]
+        lines += [f"OFFSET {text((0, 0.02, 0), rest_up)}", "}", "}"]
+    lines += ["}", "MOTION", "Frames: 40", "Frame Time: 0.0333333"]
+    turn = {"yy": 0, "zz": 0, "zy": 90, "yz": -90}[up + rest_up]
+    for i in range(40):
+        lines.append(f"{text((0, 0.95, i * 0.1), up)} {turn} 0 0 {np.sin(i)} 0 0 0 0")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("unit", [0.01, 1.0, 0.001, 0.0254 / 0.45])
+@pytest.mark.parametrize(("up", "rest_up"), [("y", "y"), ("z", "z"), ("z", "y")])
+def test_up_and_unit_are_guessed_from_the_motion_and_said(tmp_path, up, rest_up, unit):
+    text = standing(up, rest_up, unit)
+    motion = read(tmp_path, text)
+    assert (motion.up, motion.source["unit_m"]) == (up, unit)
+    assert formats.notes(motion) == [f"guessed: up {up} (--up), unit {motion.source['units']} (--unit)"]
+    given = read(tmp_path, text, up="x", unit=0.5)
+    assert (given.up, formats.notes(given)) == ("x", [])
+
+
+def test_nesting_is_bounded(tmp_path):
+    ends = "End Site {\nOFFSET 0 1 0\n" * 2
+    with pytest.raises(BadInput, match="End Site"):
+        read(tmp_path, BVH.replace("End Site\n      {\n        OFFSET 60.0 0.0 0.0\n", ends + "}\n", 1))
+    deep = "".join(f"JOINT j{i} {{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for i in range(100_000))
+    with pytest.raises(BadInput, match="1000 deep"):
+        read(
+            tmp_path,
+            f"HIERARCHY\nROOT r {{\nOFFSET 0 0 0\n{deep}\nMOTION\nFrames: 0\n",
+        )
 
 
 def test_a_skeleton_from_elsewhere(tmp_path):
@@ -115,14 +189,14 @@ def test_a_skeleton_from_elsewhere(tmp_path):
         ("JOINT Head", "ROOT Head", "inside"),
         ("0.0083333", "0", "Frame Time"),
         ("0.0083333", "-1", "Frame Time"),
-        ("Frames: 3", "Frames: 4", "cut off"),
-        ("Frames: 3", "Frames: 2", "2 frames of"),
+        ("Frames: 3", "Frames: 5", "cut off"),
+        ("Frames: 3", "Frames: 1", "1 frames of"),
         ("Frames: 3", "Frames: many", "Frames:"),
         ("9 92", "9 inf", "'inf'"),
         ("9 92", "9 x", "'x'"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, old, new, says):
+def test_damage_raises_one_line(tmp_path, old, new, says):
     with pytest.raises(BadInput, match=says):
         read(tmp_path, BVH.replace(old, new, 1))
 
@@ -133,7 +207,7 @@ def test_an_unknown_unit(tmp_path):
             read(tmp_path, unit=unit)
 
 
-def test_what_a_bvh_cannot_hold_is_refused(tmp_path):
+def test_motions_that_a_bvh_cannot_hold_are_refused(tmp_path):
     motion = read(tmp_path)
     with pytest.raises(BadInput, match="does not store rotations yet"):
         formats.write(tmp_path / "y.bvh", mc.decode(mc.encode(motion, codec="lossless")))

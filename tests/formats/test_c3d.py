@@ -1,9 +1,10 @@
-"""C3D: what goes in comes out, here and as an independent reader (ezc3d) sees it; damage is one clear line."""
+"""C3D: round trips, also as an independent reader (ezc3d) sees them; contradictions, unusual and damaged files."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 import mocodec as mc
 from mocodec import BadInput, Motion, Signal, formats
 from mocodec.formats import c3d
+from mocodec.formats.c3d.parameters import Parameters, counts, pack, padded
 
 from .samples import SHARED, capture, markers, needs_shared, same_tree
 
@@ -39,7 +41,7 @@ def test_everything_survives(tmp_path):
         assert same_tree(again.extras[what], motion.extras[what])
 
 
-def test_reading_and_writing_settle(tmp_path):
+def test_the_second_round_trip_changes_no_byte(tmp_path):
     first = back(back(capture(), tmp_path), tmp_path)
     data = (tmp_path / "x.c3d").read_bytes()
     second = back(first, tmp_path)
@@ -69,7 +71,7 @@ def test_why_ezc3d_is_not_what_reads_here(tmp_path):
     formats.write(path, markers(200))
     path.write_bytes(path.read_bytes()[:-6000])
     assert ezc3d.c3d(str(path))["data"]["points"].shape[2] == 129  # and no word of the 71 that are missing
-    with pytest.raises(BadInput, match="cut off: its header promises 200 frames, the file holds 129 whole ones"):
+    with pytest.raises(BadInput, match="cut off: its header declares 200 frames, the file has 129 complete ones"):
         formats.read(path)
 
     motion = capture()
@@ -145,7 +147,7 @@ def test_other_units_and_axes(tmp_path):
     assert back(standing, tmp_path).up == "y"
 
 
-def test_residuals_are_kept_where_they_say_little_or_when_asked(tmp_path):
+def test_residuals_are_kept_if_small_or_requested(tmp_path):
     motion = markers(300, 5)
     word = np.where(motion.gaps, -1, np.random.default_rng(3).integers(1, 2**15, (300, 5))).astype(np.int16)
     noisy = replace(motion, extras={"residuals": Signal(word, 120.0)})
@@ -221,7 +223,7 @@ def test_survives_a_mocz(tmp_path):
         (lambda d: b"\xff" + d[1:], "cut off"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, spoil, says):
+def test_damage_raises_one_line(tmp_path, spoil, says):
     formats.write(tmp_path / "x.c3d", markers(200))
     (tmp_path / "x.c3d").write_bytes(spoil((tmp_path / "x.c3d").read_bytes()))
     with pytest.raises(BadInput, match=says) as error:
@@ -229,7 +231,7 @@ def test_damage_is_one_clear_line(tmp_path, spoil, says):
     assert "\n" not in str(error.value)
 
 
-def test_what_a_c3d_cannot_hold_is_refused(tmp_path):
+def test_motions_that_a_c3d_cannot_hold_are_refused(tmp_path):
     with pytest.raises(BadInput, match="at least one frame"):
         back(markers()[:0], tmp_path)
     with pytest.raises(BadInput, match="points"):
@@ -263,7 +265,249 @@ def test_field_files_as_ezc3d_reads_them(tmp_path, name):
 
 
 @needs_shared
-def test_the_cut_and_the_empty_ones_say_so():
-    for name, says in (("Optotrak", "cut off"), ("Kistler", "no points"), ("C3DRotationExample", "no points")):
-        with pytest.raises(BadInput, match=says):
-            formats.read(SHARED / "field-c3d" / f"{name}.c3d")
+def test_cut_files_are_refused_and_files_without_points_are_carried():
+    with pytest.raises(BadInput, match="cut off"):
+        formats.read(SHARED / "field-c3d" / "Optotrak.c3d")
+    for name, extra in (("Kistler", "analog"), ("C3DRotationExample", "rotations")):
+        motion = formats.read(SHARED / "field-c3d" / f"{name}.c3d")
+        assert motion.points == 0
+        assert len(motion.extras[extra].values) >= len(motion) > 0
+
+
+def f4(*values: float) -> np.ndarray:
+    return np.array(values, np.float32)
+
+
+def built(
+    frames=20, points=3, channels=4, per_frame=10, header: dict[int, int] | None = None, change=None, table=None
+) -> bytes:
+    """A C3D of floats at 100 Hz. header: words of the header to replace; change(groups): changes the parameters."""
+    groups: dict[str, dict[str, Any]] = {
+        "POINT": {
+            "USED": counts(points), "FRAMES": counts(min(frames, 0xFFFF)), "DATA_START": counts(0), "SCALE": f4(-0.1),
+            "RATE": f4(100), "UNITS": ["mm"], "LABELS": [f"M{i}" for i in range(points)],
+        },
+        "ANALOG": {
+            "USED": counts(channels), "RATE": f4(100 * per_frame), "GEN_SCALE": f4(1), "SCALE": f4(*[1] * channels),
+            "OFFSET": counts(*[0] * channels), "LABELS": [f"A{i}" for i in range(channels)],
+        },
+    }  # fmt: skip
+    if change is not None:
+        change(groups)
+    section = pack(Parameters(groups))
+    start = 2 + len(section) // 512
+    groups["POINT"]["DATA_START"] = counts(start)
+    section = pack(Parameters(groups))
+    if table is None:
+        table = np.arange(frames * (4 * points + channels * per_frame)).reshape(frames, -1) % 1000 + 1.0
+        table[:, 3 : 4 * points : 4] = 0
+    head = bytearray(512)
+    last = min(frames, 0xFFFF)
+    struct.pack_into("<BBHHHHHfHHf", head, 0, 2, 0x50, points, channels * per_frame, 1, last, 0, -0.1, start,
+                     per_frame, 100.0)  # fmt: skip
+    for word, value in (header or {}).items():
+        struct.pack_into("<H", head, 2 * word, value)
+    return bytes(head) + section + padded(table.astype("<f4").tobytes())
+
+
+def read_bytes(tmp_path, data: bytes, **options) -> Motion:
+    (tmp_path / "b.c3d").write_bytes(data)
+    motion = formats.read(tmp_path / "b.c3d", **options)
+    assert isinstance(motion, Motion)
+    return motion
+
+
+def set_parameter(group: str, name: str, value: Any):
+    def change(groups):
+        groups[group][name] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("header", "change"),
+    [
+        ({9: 0}, None),  # ezc3d issue 307
+        ({2: 0, 9: 0}, None),
+        ({2: 80}, None),
+        ({1: 5}, None),
+        ({}, set_parameter("POINT", "USED", counts(2))),
+        ({}, set_parameter("ANALOG", "USED", counts(0))),
+        ({}, set_parameter("ANALOG", "RATE", f4(500))),
+        ({}, set_parameter("POINT", "SCALE", f4(0.1))),
+    ],
+)
+def test_the_size_of_the_file_settles_contradictions_of_header_and_parameters(tmp_path, header, change):
+    right = read_bytes(tmp_path, built())
+    motion = read_bytes(tmp_path, built(header=header, change=change))
+    assert np.array_equal(motion.positions, right.positions)
+    assert np.array_equal(motion.extras["analog"].values, right.extras["analog"].values)
+    assert motion.extras["analog"].rate == 1000
+    assert any("the size of the file" in note for note in formats.notes(motion))
+
+
+def test_a_contradiction_that_the_size_allows_both_ways_is_refused(tmp_path):
+    table = np.ones((3, 13))
+    table[:, 3:12:4] = table[-1] = 0
+    with pytest.raises(BadInput, match="contradict each other"):
+        read_bytes(tmp_path, built(3, 3, 1, 1, header={2: 0, 9: 0}, table=table))
+
+
+@pytest.mark.parametrize(("frames", "stated"), [(70000, 0xFFFF), (70000, 70000 & 0xFFFF), (65535, 0xFFFF)])
+def test_more_frames_than_16_bits_count(tmp_path, frames, stated):
+    table = np.zeros((frames, 4))
+    table[:, 0] = np.arange(frames) % 5000 + 1
+    data = built(frames, 1, 0, 0, change=set_parameter("POINT", "FRAMES", counts(stated)), table=table)
+    motion = read_bytes(tmp_path, data)
+    assert len(motion) == frames
+    assert any("gives 70000 frames" in note for note in formats.notes(motion)) == (frames == 70000)
+
+
+@pytest.mark.parametrize(
+    ("times", "labels", "used", "expected"),
+    [
+        (f4(0, 0.6), ["a"], 1, [0.6]),  # ezc3d issue 326
+        (f4(0, 0.6), ["a"], None, [0.6]),
+        (np.array(0.6, np.float32), ["a"], None, [0.6]),
+        (f4(0.25), ["a"], 1, [0.25]),
+        (f4(0.25, 0.5, 0.75), ["a", "b", "c"], None, [0.25, 0.5, 0.75]),
+        (np.array([[0, 1], [0.5, 2]], np.float32), ["a", "b"], None, [0.5, 62]),  # ezc3d issue 224
+        (np.array([[0, 0], [0.5, 2]], np.float32), ["a", "b"], 1, [0.5]),
+        (np.array([[0, 0.5], [0, 0.75], [0, 1]], np.float32), ["a", "b", "c"], None, [0.5, 0.75, 1]),
+    ],
+)
+def test_events_in_every_shape(tmp_path, times, labels, used, expected):
+    def change(groups):
+        groups["EVENT"] = {"TIMES": times, "LABELS": labels, "GENERIC_FLAGS": np.zeros(len(labels), np.int8)}
+        if used is not None:
+            groups["EVENT"]["USED"] = counts(used)
+
+    motion = read_bytes(tmp_path, built(change=change))
+    assert [event["time_s"] for event in motion.extras["events"]] == pytest.approx(expected)
+    assert [event["label"] for event in motion.extras["events"]] == labels[: len(expected)]
+    again = back(motion, tmp_path)
+    assert [event["time_s"] for event in again.extras["events"]] == pytest.approx(expected)
+
+
+def test_events_that_are_not_understood_stay_in_the_parameters(tmp_path):
+    def change(groups):
+        groups["EVENT"] = {"TIMES": np.zeros((2, 2, 2), np.float32), "LABELS": ["a"]}
+
+    motion = read_bytes(tmp_path, built(change=change))
+    assert "events" not in motion.extras
+    assert motion.extras["parameters"]["EVENT"]["LABELS"] == ["a"]
+    assert back(motion, tmp_path).extras["parameters"]["EVENT"]["TIMES"].shape == (2, 2, 2)
+
+
+def test_more_events_than_one_parameter_holds(tmp_path):
+    events = [{"label": f"e{i}", "time_s": i / 1000, "icon_id": i % 3} for i in range(600)]
+    again = back(replace(markers(), extras={"events": events}), tmp_path)
+    assert [e["label"] for e in again.extras["events"]] == [e["label"] for e in events]
+    assert [e["time_s"] for e in again.extras["events"]] == pytest.approx([e["time_s"] for e in events], abs=1e-6)
+    assert not again.extras["parameters"]["EVENT"]
+
+
+def test_more_analog_channels_than_one_parameter_holds(tmp_path):
+    channels = 300
+    scale, offset = np.arange(1, channels + 1), np.arange(channels) % 7
+
+    def change(groups):
+        groups["ANALOG"] |= {
+            "SCALE": f4(*scale[:255]), "SCALE2": f4(*scale[255:]), "OFFSET": counts(*offset[:255]),
+            "OFFSET2": counts(*offset[255:]), "LABELS": [f"A{i}" for i in range(255)],
+            "LABELS2": [f"A{i}" for i in range(255, channels)],
+        }  # fmt: skip
+
+    motion = read_bytes(tmp_path, built(channels=channels, per_frame=1, change=change))
+    signal = motion.extras["analog"]
+    assert signal.labels[-1] == "A299"
+    assert np.array_equal(c3d.analog(motion), (signal.values.astype(float) - offset) * scale)
+    assert np.array_equal(c3d.analog(back(motion, tmp_path)), c3d.analog(motion))
+    plain = replace(markers(), extras={"analog": Signal(signal.values, 120.0)})
+    assert np.array_equal(c3d.analog(back(plain, tmp_path)), signal.values)
+
+
+def test_the_offset_of_the_last_parameter_may_point_anywhere(tmp_path):
+    data = bytearray(built())
+    at, last = 512 + 4, 0
+    while data[at + 1]:  # the step of the record that the end follows
+        last = at + 2 + abs(struct.unpack_from("b", data, at)[0])
+        at = last + struct.unpack_from("<H", data, last)[0]
+    right = read_bytes(tmp_path, bytes(data))
+    for step in (5000, 0xFFFF, 700):
+        struct.pack_into("<H", data, last, step)
+        motion = read_bytes(tmp_path, bytes(data))
+        assert np.array_equal(motion.positions, right.positions)
+        assert motion.extras["analog"].labels == right.extras["analog"].labels
+
+
+def test_labels_are_unique_inside_and_restored_outside(tmp_path):
+    labels = ["", "P1", "LASI", "LASI", "", "LASI_2", ""]
+    motion = read_bytes(tmp_path, built(points=7, change=set_parameter("POINT", "LABELS", labels)))
+    assert motion.names == ("P1_2", "P1", "LASI", "LASI_3", "P5", "LASI_2", "P7")
+    formats.write(tmp_path / "y.c3d", motion.select(["LASI_3", "P5", "P1"]))
+    data = (tmp_path / "y.c3d").read_bytes()
+    assert c3d.read(tmp_path / "y.c3d").names == ("LASI", "P2", "P1")
+    assert b"LASI_3" not in data
+    coded = mc.decode(mc.encode(motion, codec="lossless"))
+    again = back(coded, tmp_path)
+    assert (again.names, again.source["labels"]) == (motion.names, motion.source["labels"])
+
+
+@pytest.mark.parametrize(("units", "unit_m"), [("meters", 1.0), ("millimeters", 1e-3), ("mete", 1.0), ("MM", 1e-3)])
+def test_spelled_out_units(tmp_path, units, unit_m):
+    data = built(change=set_parameter("POINT", "UNITS", [units]))
+    motion = read_bytes(tmp_path, data)
+    assert motion.positions[0, 0, 0] == unit_m
+    assert back(motion, tmp_path).source["units"] == units
+    odd = built(change=set_parameter("POINT", "UNITS", ["furlong"]))
+    with pytest.raises(BadInput, match="--unit"):
+        read_bytes(tmp_path, odd)
+    assert read_bytes(tmp_path, odd, unit="cm", rate=50.0).positions[0, 0, 0] == 0.01
+    unnamed = read_bytes(tmp_path, built(change=set_parameter("POINT", "UNITS", np.array(0, np.int16))))
+    assert any("unit mm (--unit)" in note for note in formats.notes(unnamed))
+
+
+def test_analog_without_points(tmp_path):
+    motion = read_bytes(tmp_path, built(points=0))
+    assert motion.positions.shape == (20, 0, 3)
+    assert (motion.extras["analog"].values.shape, motion.extras["analog"].rate) == ((200, 4), 1000.0)
+    again = back(motion, tmp_path)
+    assert np.array_equal(again.extras["analog"].values, motion.extras["analog"].values)
+    assert again.positions.shape == motion.positions.shape
+
+
+def zeros_file(negative_residual: bool) -> tuple[bytes, np.ndarray]:
+    table = np.zeros((30, 12))
+    table[:, [0, 1, 2, 4, 5, 6]] = np.random.default_rng(0).normal(900, 10, (30, 6)).astype(np.float32)
+    table[:, 8] = np.arange(-15, 15)  # a marker that passes through the origin
+    table[5:12, :3] = 0
+    table[25:, 4:7] = 0
+    if negative_residual:
+        table[20, [4, 5, 6]], table[20, 7] = 0, -1
+    return built(30, 3, 0, 0, table=table), table
+
+
+@pytest.mark.parametrize("negative_residual", [False, True])
+def test_samples_parked_at_the_origin_are_gaps_and_are_written_as_they_were(tmp_path, negative_residual):
+    data, table = zeros_file(negative_residual)
+    motion = read_bytes(tmp_path, data)
+    expected = np.zeros((30, 3), bool)
+    expected[5:12, 0] = expected[25:, 1] = True
+    expected[20, 1] = negative_residual
+    assert np.array_equal(motion.gaps, expected)
+    assert any("12 samples at exactly (0, 0, 0) are gaps" in note for note in formats.notes(motion))
+    assert read_bytes(tmp_path, data, gaps="residuals").gaps.sum() == negative_residual
+    for same in (motion, mc.decode(mc.encode(motion, codec="lossless"))):
+        formats.write(tmp_path / "y.c3d", same)
+        written = (tmp_path / "y.c3d").read_bytes()
+        block = struct.unpack_from("<H", written, 16)[0]
+        again = np.frombuffer(written, "<f4", table.size, (block - 1) * 512).reshape(table.shape)
+        np.testing.assert_allclose(again, table, rtol=1e-6)
+    cut = motion[4:12]
+    formats.write(tmp_path / "y.c3d", cut)
+    assert np.array_equal(formats.read(tmp_path / "y.c3d").gaps, cut.gaps)
+
+
+def test_zeros_everywhere_are_positions(tmp_path):
+    assert not read_bytes(tmp_path, built(5, 2, 0, 0, table=np.zeros((5, 8)))).gaps.any()

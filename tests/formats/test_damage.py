@@ -1,4 +1,4 @@
-"""Every reader against cut and flipped files: BadInput or a motion, nothing else."""
+"""Every reader with truncated and modified files: BadInput or a motion, nothing else."""
 
 from __future__ import annotations
 

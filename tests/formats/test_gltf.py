@@ -1,4 +1,4 @@
-"""GLB: animated skeletons there and back, a surface, files of others, damage."""
+"""GLB: round trips, a surface, files of other programs, damage."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def walk() -> Motion:
     return synthetic.joints(frames=30, seed=3)
 
 
-def test_there_and_back(tmp_path, walk):
+def test_round_trip(tmp_path, walk):
     mc.write(tmp_path / "walk.glb", walk)
     back = mc.read(tmp_path / "walk.glb")
     assert isinstance(back, Motion)
@@ -83,7 +83,7 @@ def test_a_surface_follows_the_joints(tmp_path, walk):
     assert np.abs(gltf.read(tmp_path / "s.glb").positions - walk.positions).max() < 1e-5
 
 
-def test_a_file_of_others(tmp_path):
+def test_a_file_of_another_program(tmp_path):
     """Nodes in any order, scaled, keys that are not of one rate, a cubic path, rotations at rest."""
     half = float(np.sqrt(0.5))
     times = np.array([0.0, 0.1, 0.4], "<f4")
@@ -127,7 +127,7 @@ def test_a_file_of_others(tmp_path):
     np.testing.assert_allclose(motion.skeleton.offsets, [[0, 0, 0], [0, 2, 0], [0, 2, 0]], atol=1e-6)
 
 
-def test_damage_is_one_line(tmp_path, walk):
+def test_damage_raises_one_line(tmp_path, walk):
     gltf.write(tmp_path / "walk.glb", walk[:3])
     data = (tmp_path / "walk.glb").read_bytes()
     path = tmp_path / "x.glb"
@@ -143,7 +143,7 @@ def test_damage_is_one_line(tmp_path, walk):
 @pytest.mark.parametrize(
     "nodes", [[{"children": [0]}], [{"children": [1]}, {"children": [0]}], [{"children": [7]}], "nodes"]
 )
-def test_nodes_that_are_no_tree(tmp_path, nodes):
+def test_nodes_that_do_not_form_a_tree(tmp_path, nodes):
     (tmp_path / "x.glb").write_bytes(packed({"asset": {"version": "2.0"}, "nodes": nodes, "animations": [{}]}, b""))
     with pytest.raises(BadInput):
         gltf.read(tmp_path / "x.glb")

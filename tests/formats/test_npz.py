@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import BadInput, formats
+from mocodec.cli import run
 
 from .samples import BVH, markers
 
@@ -39,7 +41,7 @@ def test_skeleton_and_rotations_go_along(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["joints", "jtr", "positions"])
-def test_keys_of_learning_people(tmp_path, key):
+def test_keys_of_machine_learning_data_sets(tmp_path, key):
     positions = np.random.default_rng(1).normal(size=(6, 22, 3)).astype(np.float32)
     motion = formats.read(save(tmp_path, **{key: positions}, mocap_framerate=30.0, poses=np.zeros((6, 66))))
     assert np.array_equal(motion.positions, positions.astype(float))
@@ -74,13 +76,13 @@ def test_marker_files(tmp_path):
         ({"positions": np.zeros((0, 2, 3)), "rate": np.zeros(0)}, "'rate' is empty"),
     ],
 )
-def test_what_is_wrong_is_one_clear_line(tmp_path, arrays, says):
+def test_invalid_arrays_raise_one_line(tmp_path, arrays, says):
     with pytest.raises(BadInput, match=says):
         formats.read(save(tmp_path, **arrays))
 
 
 @pytest.mark.parametrize("claimed", [(1000000000, 100, 3), (2, 2, 3), (1, 0, 3)])
-def test_an_array_that_claims_another_size(tmp_path, claimed):
+def test_an_array_with_a_false_declared_size(tmp_path, claimed):
     raw = io.BytesIO()
     np.lib.format.write_array_header_1_0(raw, {"descr": "<f8", "fortran_order": False, "shape": claimed})
     with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
@@ -109,3 +111,57 @@ def test_point_clouds(tmp_path):
     metres = mc.read(tmp_path / "mm.npz")
     assert isinstance(metres, mc.PointClouds)
     assert metres.positions[1].tolist() == [[1.0, 1.0, 1.0]]
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_only_what_numpy_writes_is_inflated(tmp_path, method):
+    raw = io.BytesIO()
+    np.save(raw, np.zeros((200_000, 5, 3)))
+    with zipfile.ZipFile(tmp_path / "x.npz", "w", method) as archive:
+        archive.writestr("positions.npy", raw.getvalue())
+    tracemalloc.start()
+    with pytest.raises(BadInput, match="compressed by a method"):
+        formats.read(tmp_path / "x.npz", rate=1)
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
+
+
+def test_no_more_is_inflated_than_is_declared(tmp_path):
+    raw = io.BytesIO()
+    np.save(raw, np.zeros((100_000, 5, 3)))
+    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("positions.npy", raw.getvalue())
+    data = (tmp_path / "x.npz").read_bytes()
+    true_size, lie = (n.to_bytes(4, "little") for n in (len(raw.getvalue()), 2048))
+    (tmp_path / "x.npz").write_bytes(data.replace(true_size, lie))
+    with pytest.raises(BadInput):
+        formats.read(tmp_path / "x.npz", rate=1)
+
+
+def test_a_header_that_is_not_python(tmp_path):
+    header = b"{'descr': ('<f8', 'shape': (3,"
+    member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("positions.npy", member)
+    with pytest.raises(BadInput):
+        formats.read(tmp_path / "x.npz", rate=1)
+
+
+def test_a_source_of_the_wrong_types_is_left_out(tmp_path):
+    source = '{"format": 5, "unit_m": "x", "first_frame": "y", "subject": "A"}'
+    motion = formats.read(save(tmp_path, positions=np.zeros((5, 2, 3)), rate=1.0, up="y", source=source))
+    assert dict(motion[2:].source)["subject"] == "A"
+    assert not {"format", "unit_m", "first_frame"} & motion.source.keys()
+    assert any("format, unit_m, first_frame" in note for note in formats.notes(motion))
+
+
+def test_control_characters_do_not_reach_the_terminal(tmp_path, capsys):
+    names = np.array(["\x1b]0;title\x07", "a\rb\x1b[2J"])
+    source = '{"note\\u001b[31m": "\\u001b[31m", "notes": ["\\u001b[31mred"]}'
+    path = save(tmp_path, positions=np.ones((5, 2, 3)), rate=10.0, up="y", names=names, source=source)
+    assert run(["info", str(path)]) == 0
+    assert run(["compare", str(path), str(path)]) == 0
+    printed = "".join(capsys.readouterr())
+    assert "]0;title" in printed
+    assert "red" in printed
+    assert all(c.isprintable() or c == "\n" for c in printed)

@@ -1,4 +1,4 @@
-"""PLY: what is written comes back, files of other programs are understood, and broken ones raise."""
+"""PLY: round trips, files of other programs, damage."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_nan_points_and_doubles_survive(tmp_path, encoding):
     np.testing.assert_array_equal(back.positions[0], points)
 
 
-def test_units_and_rate_are_asked_for(tmp_path):
+def test_missing_rates_and_unknown_units_raise(tmp_path):
     file = tmp_path / "x.ply"
     head = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     file.write_bytes(head + b"end_header\n1000 0 5\n")
@@ -121,7 +121,7 @@ def test_folders_are_not_overwritten_by_accident(tmp_path):
         ply.read(tmp_path / "nothing", fps=1)
 
 
-def test_globs_and_folders_through_the_front_door(tmp_path):
+def test_globs_and_folders_through_formats_read(tmp_path):
     for i in (1, 2, 11):
         ply.write(tmp_path / f"f{i}.ply", PointClouds([np.full((1, 3), float(i))], 5.0))
     for path, count in ((tmp_path, 3), (tmp_path / "f1*.ply", 2), (tmp_path / "f2.ply", 1)):
@@ -151,3 +151,53 @@ def test_an_empty_file_and_missing_numbers_are_named(tmp_path):
     (tmp_path / "f2.ply").write_bytes(b"")
     with pytest.raises(Truncated, match=r"f2\.ply: is empty"):
         ply.read(tmp_path)
+
+
+def ascii_file(path, rows: str, count: str = "2", kind: str = "float") -> None:
+    lines = ["ply", "format ascii 1.0", f"element vertex {count}", *(f"property float {axis}" for axis in "xyz")]
+    lines += [f"property {kind} {colour}" for colour in ("red", "green", "blue")] + ["end_header", rows, ""]
+    path.write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("kind", ["float", "double"])
+def test_float_colours_of_either_range(tmp_path, kind):
+    ascii_file(tmp_path / "f1.ply", "0 0 0 145 131 170\n1 1 1 0.5 0 255", kind=kind)
+    ascii_file(tmp_path / "f2.ply", "0 0 0 0 1 0\n1 1 1 0 0 0", kind=kind)  # the sequence decides
+    motion = ply.read(tmp_path, fps=1)
+    assert motion.colours is not None
+    assert [c.tolist() for c in motion.colours] == [[[145, 131, 170], [0, 0, 255]], [[0, 1, 0], [0, 0, 0]]]
+    assert any("0 to 255" in note for note in formats.notes(motion))
+    ascii_file(tmp_path / "f1.ply", "0 0 0 0.5 1 0\n1 1 1 0 0 1.0000001", kind=kind)
+    unit = ply.read(tmp_path, fps=1)
+    assert unit.colours is not None
+    assert unit.colours[0].tolist() == [[128, 255, 0], [0, 0, 255]]
+    assert formats.notes(unit) == []
+
+
+def test_points_and_normals_without_numbers_are_noted(tmp_path):
+    points = np.array([[0, 0, 0], [np.nan] * 3, [1, 1, 1]])
+    ply.write(
+        tmp_path / "a.ply", PointClouds([points], 10.0, normals=[np.array([[0, 0, 1], [np.nan] * 3, [np.nan] * 3])])
+    )
+    assert [note[:8] for note in formats.notes(ply.read(tmp_path / "a.ply"))] == ["1 points", "2 normal"]
+
+
+@pytest.mark.parametrize("count", ["99999999999999999999", "4611686018427387904", "1000000000000"])
+def test_counts_beyond_the_file(tmp_path, count):
+    for encoding in ENCODINGS:
+        ascii_file(tmp_path / "a.ply", "0 0 0 0 0 0", count)
+        data = (tmp_path / "a.ply").read_bytes().replace(b"ascii", encoding.encode())
+        (tmp_path / "a.ply").write_bytes(data)
+        with pytest.raises(MocodecError):
+            ply.read(tmp_path / "a.ply", fps=1)
+        (tmp_path / "a.ply").write_bytes(
+            data.replace(b"element vertex", b"element face 1\nproperty list uchar int i\nelement vertex")
+        )
+        with pytest.raises(MocodecError):
+            ply.read(tmp_path / "a.ply", fps=1)
+
+
+def test_digits_of_other_scripts_in_names_of_files(tmp_path):
+    for name in ("²1.ply", "²3.ply", "٣2.ply", "5.ply"):
+        ascii_file(tmp_path / name, "0 0 0 0 0 0\n0 0 0 0 0 0")
+    assert len(ply.read(tmp_path, fps=1)) == 4

@@ -1,13 +1,16 @@
-"""TRC: markers, gaps, units and rate come back; cut and odd files are told apart."""
+"""TRC: markers, gaps, units, clock and rate survive a round trip; damaged and unusual files."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import mocodec as mc
 from mocodec import BadInput, formats
+from mocodec.formats.conventions import start_s
 
 from .samples import SHARED, markers, needs_shared
 
@@ -67,12 +70,12 @@ def test_columns_without_names_are_points(tmp_path):
         (file("1\t0\t1\t2\t3\t4\t5\t6\n"), "cut off"),
         (file("1\t0\t1\t2\t3\t4\t5\tx\n2\t0\t1\t2\t3\t4\t5\t6\n"), "'x'"),
         (file("1\t0\t1 1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n"), "more than one number"),
-        (file("", frames=0, rate="fast"), "does not say"),
+        (file("", frames=0, rate="fast"), "does not give"),
         (file("1\t0\n2\t0\n", units="yards"), "yards"),
         (file("1\t0\t1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n", rate="0"), "rate must be positive"),
     ],
 )
-def test_damage_is_one_clear_line(tmp_path, text, says):
+def test_damage_raises_one_line(tmp_path, text, says):
     with pytest.raises(BadInput, match=says):
         read(tmp_path, text)
 
@@ -90,3 +93,85 @@ def test_field_files():
     assert formats.read(SHARED / "field-trc" / "SprintMotion.trc").up == "z"
     with pytest.raises(BadInput, match="cut off"):
         formats.read(SHARED / "field-trc" / "Truncated.trc")
+
+
+def rows(numbers, times, separator="\t") -> str:
+    return "".join(
+        separator.join([str(n), f"{t:.5f}", *(f"{n + k:.3f}" for k in range(6))]) + "\n"
+        for n, t in zip(numbers, times, strict=True)
+    )
+
+
+def test_start_time_and_frame_numbers_survive_reading_cutting_and_writing(tmp_path):
+    text = file(rows(range(41, 61), [2.5 + i / 100 for i in range(20)]), rate="100", frames=20)
+    motion = read(tmp_path, text)
+    assert (motion.source["first_frame"], start_s(motion.source, motion.rate)) == (41, pytest.approx(2.5))
+    formats.write(tmp_path / "y.trc", motion[5:12])
+    again = formats.read(tmp_path / "y.trc")
+    assert (again.source["first_frame"], start_s(again.source, 100.0)) == (46, pytest.approx(2.55))
+    assert (tmp_path / "y.trc").read_text().split("\n")[6].startswith("46\t2.550000\t")
+    coded = mc.decode(mc.encode(motion, codec="lossless"))
+    assert start_s(coded.source, coded.rate) == pytest.approx(2.5)
+    assert start_s(read(tmp_path, text, start=1.25).source, 100.0) == pytest.approx(1.25)
+
+
+def test_a_usual_clock_needs_nothing_in_the_source(tmp_path):
+    """Times that are frame numbers / rate, to the digits that the file has."""
+    motion = read(tmp_path, file(rows(range(31, 51), [round(i / 60, 3) for i in range(30, 50)]), frames=20))
+    assert "time_of_frame_1" not in motion.source
+    assert "notes" not in motion.source
+
+
+def test_frames_that_the_numbering_skips_are_gaps(tmp_path):
+    numbers = [*range(1, 11), *range(15, 25)]
+    text = file(rows(numbers, [(n - 1) / 100 for n in numbers]), rate="100", frames=20)
+    motion = read(tmp_path, text)
+    assert len(motion) == 24
+    assert motion.gaps[10:14].all()
+    assert motion.gaps.sum() == 8
+    assert any("4 frames are missing" in note for note in formats.notes(motion))
+    by_time = read(tmp_path, file(rows(range(1, 21), [(n - 1) / 100 for n in numbers]), rate="100", frames=20))
+    assert np.array_equal(by_time.gaps, motion.gaps)
+    decimated = read(tmp_path, file(rows(range(1, 41, 2), [i / 50 for i in range(20)]), rate="50", frames=20))
+    assert len(decimated) == 20
+    with pytest.raises(BadInput, match="frame numbers from 1 to 1000000"):
+        read(tmp_path, file(rows([1, 2, 10**6], [0, 0.01, 9999.99]), rate="100", frames=3))
+
+
+def test_a_time_column_against_the_rate_is_used_and_noted(tmp_path):
+    text = file(rows(range(1, 21), [i / 50 for i in range(20)]), rate="100", frames=20)
+    motion = read(tmp_path, text)
+    assert motion.rate == 50.0
+    assert any("DataRate is 100 Hz, the time column runs at 50 Hz" in note for note in formats.notes(motion))
+    assert read(tmp_path, text, rate=100.0).rate == 100.0
+    video = file(rows(range(1, 1001), [i * 1001 / 120000 for i in range(1000)]), rate="120", frames=1000)
+    assert read(tmp_path, video).rate == 120000 / 1001
+
+
+def test_spaces_for_tabs(tmp_path):
+    tabbed = file(rows(range(1, 21), [i / 60 for i in range(20)]), frames=20)
+    spaced = re.sub(r"\t+", " ", tabbed)
+    expected, motion = read(tmp_path, tabbed), read(tmp_path, spaced)
+    assert motion.names == expected.names
+    assert np.array_equal(motion.positions, expected.positions)
+    with pytest.raises(BadInput, match="gaps cannot be located"):
+        read(tmp_path, spaced.rsplit(" ", 1)[0] + "\n")
+
+
+@pytest.mark.parametrize(("units", "unit_m"), [("meters", 1.0), ("Millimetres", 1e-3), ("mete", 1), ("inches", 0.0254)])
+def test_spelled_out_units(tmp_path, units, unit_m):
+    text = file(rows([1, 2], [0, 1 / 60]), units=units)
+    motion = read(tmp_path, text)
+    assert motion.positions[0, 0, 1] == pytest.approx(2 * unit_m)
+    formats.write(tmp_path / "y.trc", motion)
+    assert formats.read(tmp_path / "y.trc").source["units"] == units
+    assert read(tmp_path, text, unit="cm").positions[0, 0, 1] == pytest.approx(0.02)
+    assert read(tmp_path, text, unit=0.5).positions[0, 0, 1] == pytest.approx(1.0)
+
+
+def test_declared_counts_are_checked_against_the_file(tmp_path):
+    with pytest.raises(BadInput, match="declares 1000000000 markers"):
+        read(tmp_path, file(rows([1, 2], [0, 1 / 60]), markers=10**9))
+    more = read(tmp_path, file(rows(range(1, 4), [0, 1 / 60, 2 / 60]), frames=2))
+    assert len(more) == 3
+    assert any("declares 2 frames, the file has 3" in note for note in formats.notes(more))

@@ -1,4 +1,4 @@
-"""ICP and ARTICP: theorem 3.1, the worked formulas of Lien and Bajcsy 2006, and tracking of a body that is known."""
+"""ICP and ARTICP: theorem 3.1 and the equations of Lien and Bajcsy 2006, and tracking from a known first pose."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def test_theorem_3_1_the_error_never_rises(seed, jointed):
     assert errors[-1] < errors[0]
 
 
-def test_neighbourhoods_hold_only_like_normals_and_colours():
+def test_neighbourhoods_contain_only_similar_normals_and_colours():
     p, n, c = blob()
     label = icp.labels(n, c, len(p))
     tree = icp.ClusteredTree.build(p, n, c, label)
-    row, distance = tree.closest(tree.placed(p, label))
+    row, distance = tree.closest(tree.queries(p, label))
     full = tree.filled[label]
     assert (distance[full] < 1e-9).all()  # every point is in its own neighbourhood
     assert icp.NEAR_NORMALS[icp.normal_cluster(n), icp.normal_cluster(n[row])][full].all()
@@ -76,15 +76,15 @@ def test_closeness_is_equation_4():
     assert close[2] == 0
 
 
-def test_grid_is_that_of_the_paper():
+def test_grid_size_follows_the_paper():
     height, width = cylinder_map.grid_size(1000, 0.15, 0.5)
     assert height * width == pytest.approx(2000, rel=0.03)
     quarter = cylinder_map.grid_size(1000, 0.15, 0.5, 0.25)
     assert quarter[0] * quarter[1] == pytest.approx(500, rel=0.06)
 
 
-def test_cylinder_map_and_back():
-    cylinder = cylinder_map.frame(np.array([1.0, 2, 3]), np.array([1.0, 2.4, 3.3]), 0.0, 0.5)
+def test_cylinder_map_round_trip():
+    cylinder = cylinder_map.cylinder(np.array([1.0, 2, 3]), np.array([1.0, 2.4, 3.3]), 0.0, 0.5)
     along, angle = RNG.uniform(0, 0.5, 5000), RNG.uniform(0, 2 * np.pi, 5000)
     out = np.cos(angle)[:, None] * cylinder.side + np.sin(angle)[:, None] * cylinder.across
     points = cylinder.origin + along[:, None] * cylinder.axis + 0.1 * out
@@ -102,7 +102,7 @@ def test_cylinder_map_and_back():
     np.testing.assert_allclose(cylinder_map.filled(holes).distance, 0.1)
 
 
-def test_third_moments_tell_a_bent_link():
+def test_third_moments_distinguish_a_bent_link():
     p, _, _ = blob()
     x = np.concatenate([p - p.mean(axis=0), p + np.array([0, 0.2, 0])])
     straight, bent, none = articulated_icp.third_moments(x, np.repeat([0, 1], len(p)), 3)
@@ -112,7 +112,7 @@ def test_third_moments_tell_a_bent_link():
     assert (none == 0).all()
 
 
-def test_parts_side_by_side_move_as_they_do_alone():
+def test_icp_many_equals_icp_of_each_part():
     p, n, c = blob(400)
     tree = icp.ClusteredTree.build(p, n, c, icp.labels(n, c, 400))
     moved = p @ articulation.exp(np.array([0.05, 0.1, -0.04])).T + 0.01
@@ -126,7 +126,7 @@ def test_parts_side_by_side_move_as_they_do_alone():
         assert len(errors[part]) == len(alone[2])
 
 
-def test_normals_point_out_of_a_body():
+def test_outward_normals_point_out_of_a_body():
     performance = sequences.jumping_jacks(actors.capsules(), 4)
     clouds = sequences.record(performance, 2500, normals=True)
     assert clouds.normals is not None
@@ -136,17 +136,17 @@ def test_normals_point_out_of_a_body():
     assert normals.outward(np.zeros((2, 3))).shape == (2, 3)
 
 
-def test_tracks_a_body_that_is_known():
+def test_tracks_a_body_from_its_first_pose():
     performance = sequences.jumping_jacks(actors.capsules(), 9)
     clouds = sequences.record(performance, 2500, seed=1)
     assert clouds.colours is not None
     actor = performance.actor
     body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0], one_trunk=True, shortest=0.1)
     body, model = articulated_icp.make_model(body, clouds.positions[0], clouds.colours[0])
-    tracker = articulated_icp.Tracker(body, model)
+    tracker = articulated_icp.ArticpTracker(body, model)
     for frame in range(1, 9):
         pose = tracker.fit(clouds.positions[frame], clouds.colours[frame])
-        joints = articulation.joints_of(body, *articulation.transforms(body, pose))
+        joints = articulation.joint_positions(body, *articulation.transforms(body, pose))
         error = np.linalg.norm(joints - performance.joints[frame][list(body.joints)], axis=1)
         assert error.mean() < 0.08
     still = tracker.fit(np.zeros((3, 3)), None)

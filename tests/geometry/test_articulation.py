@@ -1,4 +1,4 @@
-"""Bodies: rotations and their vectors, poses, and links out of skeletons."""
+"""Articulated bodies: rotation vectors, poses, and the links of skeletons."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def test_exp_and_log_are_inverse_up_to_half_a_turn():
     np.testing.assert_allclose(rigid.to_matrix(art.quaternions(art.exp(vectors))), art.exp(vectors), atol=1e-12)
 
 
-def test_between_carries_directions_even_to_their_opposite():
+def test_rotation_between_handles_opposite_directions():
     a = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
     b = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 1, 0]])
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", art.between(a, b), a), b, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", art.rotation_between(a, b), a), b, atol=1e-12)
 
 
 def human() -> tuple[list[str], list[int], np.ndarray]:
@@ -40,7 +40,7 @@ def human() -> tuple[list[str], list[int], np.ndarray]:
     return [c[0] for c in chain], [c[1] for c in chain], np.array([c[2] for c in chain], float)
 
 
-def test_trunk_is_one_link_or_many():
+def test_trunk_is_one_link_or_several():
     names, parents, places = human()
     whole = art.from_skeleton(names, parents, places, one_trunk=True)
     assert set(whole.names) == {
@@ -55,7 +55,7 @@ def test_trunk_is_one_link_or_many():
     np.testing.assert_allclose(whole.tips[0], places[names.index("chest")])
 
 
-def test_raised_arms_make_the_same_links():
+def test_raised_arms_do_not_change_the_links():
     names, parents, places = human()
     raised = places.copy()
     for side in "lr":
@@ -66,7 +66,7 @@ def test_raised_arms_make_the_same_links():
     )
 
 
-def test_a_short_bone_of_a_hand_is_one_link_with_it():
+def test_a_short_bone_of_a_hand_is_merged_with_it():
     names, parents, places = human()
     fingers = places[names.index("lhand")] + np.array([[0.06, 0, 0], [0.16, 0, 0]])
     names, parents = [*names, "lfingers", "lend"], [*parents, names.index("lhand"), len(names)]
@@ -74,25 +74,25 @@ def test_a_short_bone_of_a_hand_is_one_link_with_it():
     assert "lfingers" not in body.names
 
 
-def test_pose_turns_what_hangs_below_and_comes_back_from_world():
+def test_pose_keeps_bone_lengths_and_is_recovered_from_world_rotations():
     names, parents, places = human()
     body = art.from_skeleton(names, parents, places)
     vectors = RNG.normal(scale=0.4, size=(len(body), 3))
     pose = art.Pose(art.exp(vectors), np.array([1.0, 2, 3]))
     a, b = art.transforms(body, pose)
-    joints = art.joints_of(body, a, b)
+    joints = art.joint_positions(body, a, b)
     bones = [i for i, p in enumerate(body.parents) if p >= 0]
     above = [body.parents[i] for i in bones]
     np.testing.assert_allclose(
         np.linalg.norm(joints[bones] - joints[above], axis=1),
         np.linalg.norm(body.origins[bones] - body.origins[above], axis=1),
     )
-    again = art.from_world(body, a, joints[0])
+    again = art.pose_from_world(body, a, joints[0])
     np.testing.assert_allclose(again.rotations, pose.rotations, atol=1e-12)
     np.testing.assert_allclose(again.root, pose.root, atol=1e-12)
 
 
-def test_not_a_body():
+def test_too_small_skeletons_are_refused():
     with pytest.raises(BadInput, match="not a body"):
         art.from_skeleton(["a"], [-1], np.zeros((1, 3)))
     with pytest.raises(BadInput, match="not a body"):

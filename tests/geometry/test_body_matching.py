@@ -1,4 +1,4 @@
-"""The template matched to points: tables, and the compiled kernels against the NumPy code that defines them."""
+"""Registration of a template: grids, and the compiled kernels against the NumPy code that defines them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulated_icp, articulation, body_matching, skinning
-from mocodec.geometry.body_matching import Data, Matcher, Prior, Step
+from mocodec.geometry import articulated_icp, articulation, link_grids, skinning
+from mocodec.geometry.body_matching import FramePoints, Matcher, Step
+from mocodec.geometry.gauss_newton import PosePrior
 from mocodec.testing import actors, sequences
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
@@ -24,37 +25,37 @@ def scene():
     return clouds, body, model, skinning.skin(body, model.points, model.links)
 
 
-def matcher_of(scene, coloured: bool) -> tuple[Matcher, Data]:
+def matcher_of(scene, coloured: bool) -> tuple[Matcher, FramePoints]:
     clouds, body, model, skin = scene
     shades = model.colours * (0.2 / 255) if coloured else None
     some = np.random.default_rng(0).permutation(len(skin.points))[:300]
-    data = Data.build(clouds.positions[2], clouds.colours[2] * (0.2 / 255) if coloured else None, None)
+    data = FramePoints.build(clouds.positions[2], clouds.colours[2] * (0.2 / 255) if coloured else None, None)
     return Matcher(body, skin, model.normals, shades, some, 0.1, 0.01), data
 
 
-def prior_of(body: articulation.Body) -> Prior:
+def prior_of(body: articulation.Body) -> PosePrior:
     hold = np.where(np.arange(len(body)) % 3 == 0, 4.0, 0.0)
-    return Prior(np.ones(len(body)), hold, articulation.Pose.canonical(len(body)).rotations)
+    return PosePrior(np.ones(len(body)), hold, articulation.Pose.canonical(len(body)).rotations)
 
 
-def near(body: articulation.Body) -> articulation.Pose:
+def pose_near_canonical(body: articulation.Body) -> articulation.Pose:
     turns = np.random.default_rng(1).normal(scale=0.1, size=(len(body), 3))
     return articulation.Pose(articulation.exp(turns), np.array([0.02, 0.01, -0.03]))
 
 
 def both(scene, coloured: bool):
-    """The same thing compiled and in NumPy."""
+    """Matcher and data, compiled and in NumPy."""
     fast = matcher_of(scene, coloured)
     with native.without():
-        plain = matcher_of(scene, coloured)
-    return fast, plain
+        numpy_matcher = matcher_of(scene, coloured)
+    return fast, numpy_matcher
 
 
 @compiled
 @pytest.mark.parametrize("coloured", [True, False])
-def test_compiled_steps_are_those_of_numpy(scene, coloured):
-    (fast, data), (plain, plain_data) = both(scene, coloured)
-    start, prior = near(fast.body), prior_of(fast.body)
+def test_compiled_steps_equal_numpy(scene, coloured):
+    (fast, data), (numpy_matcher, numpy_data) = both(scene, coloured)
+    start, prior = pose_near_canonical(fast.body), prior_of(fast.body)
     steps = [
         Step(0.2, 400, 100),
         Step(0.1, 1000, 300),
@@ -65,11 +66,11 @@ def test_compiled_steps_are_those_of_numpy(scene, coloured):
     for number in range(len(steps) + 1):
         found = fast.solve(data, start, steps[:number], prior)
         with native.without():
-            expected = plain.solve(plain_data, start, steps[:number], prior)
+            expected = numpy_matcher.solve(numpy_data, start, steps[:number], prior)
         np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
         np.testing.assert_allclose(found.root, expected.root, atol=1e-9)
     with native.without():
-        expected = plain.assess(plain_data, start)
+        expected = numpy_matcher.assess(numpy_data, start)
     found = fast.assess(data, start)
     assert found.cost == pytest.approx(expected.cost, rel=1e-12)
     for name in ("residuals", "rows", "links", "gaps"):
@@ -77,66 +78,66 @@ def test_compiled_steps_are_those_of_numpy(scene, coloured):
 
 
 @compiled
-def test_a_limb_alone_is_solved_alike(scene):
-    (fast, data), (plain, plain_data) = both(scene, False)
+def test_compiled_limb_steps_equal_numpy(scene):
+    (fast, data), (numpy_matcher, numpy_data) = both(scene, False)
     body = fast.body
     limb = np.array([body.names.index(name) for name in ("LeftArm", "LeftForeArm")])
     turn = np.full(len(body), 1e8)
     turn[limb] = 1.0
     allowed = np.isin(np.arange(len(body)), limb)
     rows = np.flatnonzero(np.isin(fast.skin.links[:, 0], limb))[::2]
-    prior = prior_of(body)._replace(turn=turn, root=1e8)
+    prior = prior_of(body)._replace(start_strength=turn, root_strength=1e8)
     steps = [Step(0.1, 1500, 100), Step(0.05, 1500, 100)]
-    start = near(body)
+    start = pose_near_canonical(body)
     found = fast.solve(data, start, steps, prior, rows, allowed)
     with native.without():
-        expected = plain.solve(plain_data, start, steps, prior, rows, allowed)
+        expected = numpy_matcher.solve(numpy_data, start, steps, prior, rows, allowed)
     np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
     moved = np.abs(found.rotations - start.rotations).max(axis=(1, 2))
     assert moved[limb].min() > 1e-3
     assert np.delete(moved, limb).max() < 1e-3
 
-    draws = articulation.exp(np.random.default_rng(2).normal(size=(9, 2, 3)))
-    wanted = data.points[:40]
-    scores = fast.distances(data, wanted, start, limb, draws, rows)
+    hypotheses = articulation.exp(np.random.default_rng(2).normal(size=(9, 2, 3)))
+    unexplained = data.points[:40]
+    scores = fast.score_limb_poses(data, unexplained, start, limb, hypotheses, rows)
     with native.without():
         np.testing.assert_allclose(
-            scores, plain.distances(plain_data, wanted, start, limb, draws, rows), rtol=1e-9
+            scores, numpy_matcher.score_limb_poses(numpy_data, unexplained, start, limb, hypotheses, rows), rtol=1e-9
         )  # fmt: skip
 
 
 @compiled
-def test_compiled_tables_and_queries_are_those_of_numpy(scene):
-    (fast, data), (plain, plain_data) = both(scene, True)
+def test_compiled_grids_and_queries_equal_numpy(scene):
+    (fast, data), (numpy_matcher, numpy_data) = both(scene, True)
     points = fast.skin.points
-    grid = fast.tables.nearest != plain.tables.nearest
-    assert grid.mean() < 1e-3  # cells as far from one point as from another
-    assert (fast.tables.size == plain.tables.size).all()
-    shades = fast.shades
+    grid = fast.grids.nearest != numpy_matcher.grids.nearest
+    assert grid.mean() < 1e-3  # cells equally far from two points
+    assert (fast.grids.size == numpy_matcher.grids.size).all()
+    shades = fast.scaled_colours
     for within in (0.01, 0.3):
-        found, expected = data.nearest(points, shades, within), plain_data.nearest(points, shades, within)
+        found, expected = data.nearest(points, shades, within), numpy_data.nearest(points, shades, within)
         np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
         assert (found[1] == expected[1]).all()
 
 
 @compiled
-def test_kernels_refuse_what_does_not_fit(scene):
+def test_kernels_refuse_arrays_of_wrong_shape(scene):
     fast, data = matcher_of(scene, True)
-    pose, prior = near(fast.body), prior_of(fast.body)
+    pose, prior = pose_near_canonical(fast.body), prior_of(fast.body)
     with pytest.raises(ValueError, match="another body"):
         fast.solve(data, articulation.Pose(pose.rotations[1:], pose.root), [Step(0.1, 10, 10)], prior)
     with pytest.raises(ValueError, match="beyond the template"):
         fast.solve(data, pose, [Step(0.1, 10, 10)], prior, np.array([10**9]))
     with pytest.raises(ValueError, match="shapes differ"):
-        native.kernel("BodyPoints")(np.zeros((4, 2)), np.zeros((0, 3)))  # type: ignore[misc]
+        native.kernel("KdTree")(np.zeros((4, 2)), np.zeros((0, 3)))  # type: ignore[misc]
 
 
-def test_tables_find_the_nearest_point_of_a_link(scene):
+def test_grids_find_the_nearest_point_of_a_link(scene):
     matcher, _ = matcher_of(scene, False)
     link = matcher.body.names.index("LeftForeArm")
     own = np.flatnonzero(matcher.skin.shares(len(matcher.body))[:, link] > 0.34)
     places = matcher.skin.points[own] + 0.004
-    rows = matcher.tables.look_up(np.full(len(own), link), places)
+    rows = matcher.grids.look_up(np.full(len(own), link), places)
     away = np.linalg.norm(matcher.skin.points[rows] - places, axis=1)
     assert np.isin(rows, own).all()
-    assert away.max() < 0.0075 + body_matching.CELL * np.sqrt(3)
+    assert away.max() < 0.0075 + link_grids.CELL_M * np.sqrt(3)

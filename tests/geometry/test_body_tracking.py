@@ -1,4 +1,4 @@
-"""All joints at once: followed closely, found again after a loss, and a first pose from nothing."""
+"""Tracking of all joints: accuracy, growth of sparse templates, and re-acquisition of limbs and bodies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec.codecs import bodycast
-from mocodec.geometry import articulated_icp, articulation, body_tracking, limbs, skinning
+from mocodec.geometry import articulated_icp, articulation, body_tracking, limb_chains, skinning
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences
 
@@ -23,20 +23,20 @@ def clouds(performance) -> PointClouds:
     return sequences.record(performance, 3000, seed=2)
 
 
-def tracker_of(performance, clouds) -> body_tracking.Tracker:
+def tracker_of(performance, clouds) -> body_tracking.BodyTracker:
     actor = performance.actor
     body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
     colours = None if clouds.colours is None else clouds.colours[0]
     body, model = articulated_icp.make_model(body, clouds.positions[0], colours)
     skin = skinning.skin(body, model.points, model.links)
-    return body_tracking.Tracker(body, skin, model.normals, model.colours)
+    return body_tracking.BodyTracker(body, skin, model.normals, model.colours)
 
 
 def errors(tracker, performance, fit, frame) -> np.ndarray:
     return performance.joint_errors(tracker.body, fit.pose, frame)
 
 
-def test_joints_are_followed(performance, clouds):
+def test_joints_are_tracked(performance, clouds):
     tracker = tracker_of(performance, clouds)
     mean = [
         errors(tracker, performance, tracker.fit(clouds.positions[f], clouds.colours[f], f), f).mean()
@@ -46,13 +46,13 @@ def test_joints_are_followed(performance, clouds):
     assert max(mean) < 0.04
 
 
-def test_a_lost_limb_is_found_again_within_ten_frames(performance, clouds):
+def test_a_lost_limb_is_reacquired_within_ten_frames(performance, clouds):
     tracker = tracker_of(performance, clouds)
     arm = tracker.body.names.index("LeftArm")
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     lost = tracker.pose.rotations.copy()
     lost[arm] = articulation.exp(np.array([0.4, 0.6, 1.9])) @ lost[arm]
-    tracker.pose = tracker.before = articulation.Pose(lost, tracker.pose.root)
+    tracker.pose = tracker.previous_pose = articulation.Pose(lost, tracker.pose.root)
     found = [
         errors(tracker, performance, tracker.fit(clouds.positions[f], clouds.colours[f], f), f).max()
         for f in range(2, 12)
@@ -60,30 +60,31 @@ def test_a_lost_limb_is_found_again_within_ten_frames(performance, clouds):
     assert found[-1] < 0.06
 
 
-def test_a_template_of_few_points_grows_by_what_fits(performance):
-    """600 points a frame are followed more closely once those of several frames stand for the surface."""
-    few = sequences.record(performance, 600, seed=3)
+def test_a_sparse_template_grows(performance):
+    """600 points a frame are tracked more accurately once the template has growing by those of several frames."""
+    sparse = sequences.record(performance, 600, seed=3)
     trackers = [
-        bodycast.begin(few.positions[0], few.colours[0], performance.skeleton()[:1], "y", 2500)[1] for _ in range(2)
+        bodycast.begin(sparse.positions[0], sparse.colours[0], performance.skeleton()[:1], "y", 2500)[1]
+        for _ in range(2)
     ]
-    grown, bare = trackers
-    bare.is_sparse = False
-    closeness = np.zeros((2, 14))
+    growing, fixed = trackers
+    fixed.is_sparse = False
+    errors_m = np.zeros((2, 14))
     for frame in range(1, 14):
         for number, tracker in enumerate(trackers):
-            fit = tracker.fit(few.positions[frame], few.colours[frame], frame)
-            closeness[number, frame] = errors(tracker, performance, fit, frame).mean()
-    assert len(bare.skin.points) <= 600
-    assert len(grown.skin.points) > 1200
-    assert len(grown.colours) == len(grown.normals) == len(grown.skin.points)
-    assert closeness[0, 6:].mean() < closeness[1, 6:].mean()
+            fit = tracker.fit(sparse.positions[frame], sparse.colours[frame], frame)
+            errors_m[number, frame] = errors(tracker, performance, fit, frame).mean()
+    assert len(fixed.skin.points) <= 600
+    assert len(growing.skin.points) > 1200
+    assert len(growing.colours) == len(growing.normals) == len(growing.skin.points)
+    assert errors_m[0, 6:].mean() < errors_m[1, 6:].mean()
 
 
 def test_a_template_without_colours_grows_too(performance):
-    few = sequences.record(performance, 300, seed=4)
-    tracker = tracker_of(performance, replace(few, colours=None))
+    sparse = sequences.record(performance, 300, seed=4)
+    tracker = tracker_of(performance, replace(sparse, colours=None))
     for frame in range(1, 8):
-        tracker.fit(few.positions[frame], few.colours[frame] if frame == 3 else None, frame)
+        tracker.fit(sparse.positions[frame], sparse.colours[frame] if frame == 3 else None, frame)
     assert tracker.colours is None
     assert len(tracker.skin.points) > 300
 
@@ -98,24 +99,24 @@ def test_skin_follows_links_and_weights_sum_to_one(performance, clouds):
     assert (skin.weights >= 0.5).all()
 
 
-def test_frames_that_show_nothing_leave_the_pose(performance, clouds):
+def test_frames_without_points_leave_the_pose(performance, clouds):
     tracker = tracker_of(performance, clouds)
     before = tracker.fit(clouds.positions[1], clouds.colours[1]).pose
     for points in (np.zeros((0, 3)), np.zeros((3, 3))):
         assert tracker.fit(points).pose is before
-    same = tracker.fit(np.zeros((50, 3)))  # all in one place
+    same = tracker.fit(np.zeros((50, 3)))  # all at one place
     assert np.isfinite(same.pose.rotations).all()
 
 
 @pytest.mark.parametrize("limb", ["LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg"])
-def test_any_limb_that_was_lost_is_found_within_ten_frames(performance, clouds, limb):
+def test_any_lost_limb_is_reacquired_within_ten_frames(performance, clouds, limb):
     tracker = tracker_of(performance, clouds)
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     lost = tracker.pose.rotations.copy()
     link = tracker.body.names.index(limb)
     lost[link] = articulation.exp(np.array([-1.2, 0.3, 0.7])) @ lost[link]
     lost[link + 1] = articulation.exp(np.array([0.9, 0.9, -0.9])) @ lost[link + 1]
-    tracker.pose = tracker.before = articulation.Pose(lost, tracker.pose.root)
+    tracker.pose = tracker.previous_pose = articulation.Pose(lost, tracker.pose.root)
     found = [
         errors(tracker, performance, tracker.fit(clouds.positions[f], clouds.colours[f], f), f).max()
         for f in range(2, 12)
@@ -123,7 +124,7 @@ def test_any_limb_that_was_lost_is_found_within_ten_frames(performance, clouds, 
     assert found[-1] < 0.06
 
 
-def test_someone_who_leaves_and_comes_back_elsewhere_is_followed_again(performance, clouds):
+def test_a_body_that_returns_elsewhere_is_reacquired(performance, clouds):
     tracker = tracker_of(performance, clouds)
     turn, shift = articulation.exp(np.array([0, 1.6, 0])), np.array([1.4, 0.0, -0.8])
     for f in (1, 2):
@@ -132,22 +133,22 @@ def test_someone_who_leaves_and_comes_back_elsewhere_is_followed_again(performan
         tracker.fit(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), f)
     for f in range(6, 12):
         fit = tracker.fit(clouds.positions[f] @ turn.T + shift, clouds.colours[f], f)
-    joints = articulation.joints_of(tracker.body, *articulation.transforms(tracker.body, fit.pose))
+    joints = articulation.joint_positions(tracker.body, *articulation.transforms(tracker.body, fit.pose))
     true = performance.joints[11][list(tracker.body.joints)] @ turn.T + shift
     assert np.linalg.norm(joints - true, axis=1).max() < 0.06
 
 
-def test_frames_of_something_else_do_not_move_the_body(performance, clouds):
+def test_frames_of_unrelated_points_leave_the_pose(performance, clouds):
     tracker = tracker_of(performance, clouds)
     before = tracker.fit(clouds.positions[1], clouds.colours[1], 1).pose
     rng = np.random.default_rng(0)
-    junk = rng.uniform(-2, 2, (300, 3)), rng.integers(0, 255, (300, 3)).astype(np.uint8)
-    assert tracker.fit(*junk, 2).pose is before
+    unrelated = rng.uniform(-2, 2, (300, 3)), rng.integers(0, 255, (300, 3)).astype(np.uint8)
+    assert tracker.fit(*unrelated, 2).pose is before
     fit = tracker.fit(clouds.positions[2], clouds.colours[2], 3)
     assert errors(tracker, performance, fit, 2).max() < 0.06
 
 
-def test_points_that_are_not_numbers_do_not_count(performance, clouds):
+def test_points_that_are_not_finite_are_ignored(performance, clouds):
     tracker = tracker_of(performance, clouds)
     points = clouds.positions[1].copy()
     points[::7] = np.nan
@@ -157,33 +158,35 @@ def test_points_that_are_not_numbers_do_not_count(performance, clouds):
     assert tracker.fit(np.full((50, 3), np.nan), None, 2).pose is fit.pose
 
 
-def test_a_body_is_followed_without_colours(performance, clouds):
+def test_a_body_is_tracked_without_colours(performance, clouds):
     tracker = tracker_of(performance, PointClouds(clouds.positions, clouds.rate, None, None, clouds.up))
     worst = [errors(tracker, performance, tracker.fit(clouds.positions[f], None, f), f).max() for f in range(1, 14)]
     assert max(worst) < 0.12
     assert np.median(worst) < 0.05
 
 
-def test_legs_that_are_taken_for_each_other_are_exchanged(performance, clouds):
+def test_confused_legs_are_swapped(performance, clouds):
     tracker = tracker_of(performance, clouds)
     tracker.fit(clouds.positions[1], clouds.colours[1], 1)
-    assert len(tracker.twins) == 2  # arms and legs
-    legs = max(tracker.twins, key=lambda pair: "Leg" in tracker.body.names[tracker.limbs[pair[0]].links[0]])
-    tracker.pose = tracker.before = limbs.exchanged(tracker.body, tracker.pose, *(tracker.limbs[i] for i in legs))
+    assert len(tracker.limb_pairs) == 2  # arms and legs
+    legs = max(tracker.limb_pairs, key=lambda pair: "Leg" in tracker.body.names[tracker.limbs[pair[0]].links[0]])
+    tracker.pose = tracker.previous_pose = limb_chains.swapped(
+        tracker.body, tracker.pose, *(tracker.limbs[i] for i in legs)
+    )
     for f in range(2, 8):
         fit = tracker.fit(clouds.positions[f], clouds.colours[f], f)
     assert errors(tracker, performance, fit, 7).max() < 0.06
 
 
-def test_a_limb_reaches_where_it_is_told_to(performance, clouds):
+def test_reaching_limbs_touch_their_targets(performance, clouds):
     tracker = tracker_of(performance, clouds)
     limb = next(limb for limb in tracker.limbs if tracker.body.names[limb.links[0]] == "LeftArm")
     a, b = articulation.transforms(tracker.body, tracker.pose)
-    (upper, bend), (lower, end) = limbs.reach(tracker.body, limb)
+    (upper, bend), (lower, end) = limb_chains.bend_and_end(tracker.body, limb)
     start = a[upper] @ tracker.body.origins[upper] + b[upper]
     rng = np.random.default_rng(4)
     targets = start + rng.normal(size=(20, 3)) * 0.15
-    rotations = limbs.reaching(tracker.body, limb, tracker.pose, rng, targets)
+    rotations = limb_chains.reaching(tracker.body, limb, tracker.pose, rng, targets)
     length = np.linalg.norm(end - bend)
     for target, turned in zip(targets, rotations, strict=True):
         whole = tracker.pose.rotations.copy()
@@ -194,13 +197,13 @@ def test_a_limb_reaches_where_it_is_told_to(performance, clouds):
         assert np.linalg.norm(elbow + along * (wrist - elbow) - target) < 0.01 or np.linalg.norm(target - start) < 0.1
 
 
-def test_what_fits_well_is_known_from_points_of_the_first_frame(performance):
+def test_typical_cost_is_calibrated_from_the_first_frame(performance):
     clouds = sequences.record(performance, 8000, seed=2)
     assert clouds.colours is not None
     first = slice(0, 3000), slice(3000, None)
     some, others = (PointClouds([clouds.positions[0][s]], 15.0, [clouds.colours[0][s]]) for s in first)
     tracker = tracker_of(performance, some)
-    tracker.expect(others.positions[0], others.colours[0])
-    expected = tracker.usual
+    tracker.calibrate_cost(others.positions[0], others.colours[0])
+    expected = tracker.typical_cost
     fit = tracker.fit(clouds.positions[1], clouds.colours[1], 1)
     assert 0.5 < fit.cost / expected < 2

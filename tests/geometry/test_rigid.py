@@ -1,4 +1,4 @@
-"""Quaternion arithmetic against matrices and against itself."""
+"""Quaternions against matrices, and Euler angles there and back."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mocodec.geometry import rigid
 ORDERS = ["".join(p) for n in (1, 2, 3) for p in permutations("xyz", n)]
 
 
-def some_turns(count: int = 50) -> np.ndarray:
+def random_rotations(count: int = 50) -> np.ndarray:
     q = np.random.default_rng(5).normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def test_product_is_the_matrices_product():
-    a, b = some_turns(), some_turns()[::-1]
+def test_multiply_equals_the_matrix_product():
+    a, b = random_rotations(), random_rotations()[::-1]
     assert np.allclose(rigid.to_matrix(rigid.multiply(a, b)), rigid.to_matrix(a) @ rigid.to_matrix(b))
 
 
-def test_rotate_is_the_matrix_times_the_vector():
-    q, v = some_turns(), np.random.default_rng(6).normal(size=(50, 3))
+def test_rotate_equals_the_matrix_times_the_vector():
+    q, v = random_rotations(), np.random.default_rng(6).normal(size=(50, 3))
     assert np.allclose(rigid.rotate(q, v), np.einsum("nij,nj->ni", rigid.to_matrix(q), v))
     assert np.allclose(rigid.rotate(rigid.inverse(q), rigid.rotate(q, v)), v)
 
@@ -36,32 +36,32 @@ def test_quarter_turns():
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_euler_angles_come_back(order):
+def test_euler_angles_round_trip(order):
     angles = np.random.default_rng(7).uniform(-1.5, 1.5, (40, len(order)))
     assert np.allclose(rigid.to_euler(order, rigid.from_euler(order, angles)), angles)
 
 
 @pytest.mark.parametrize("order", [o for o in ORDERS if len(o) == 3])
-def test_euler_angles_of_any_turn_make_it_again(order):
+def test_rotations_round_trip_through_euler_angles(order):
     angles = np.random.default_rng(8).uniform(-7, 7, (100, 3))
-    angles[:20, 1] = np.pi / 2 * np.sign(angles[:20, 1])  # where the outer axes fall together
+    angles[:20, 1] = np.pi / 2 * np.sign(angles[:20, 1])  # gimbal lock
     q = rigid.from_euler(order, angles)
     again = rigid.from_euler(order, rigid.to_euler(order, q))
     assert np.allclose(rigid.to_matrix(again), rigid.to_matrix(q), atol=1e-7)
 
 
 @pytest.mark.parametrize("order", ["xyz", "zyx", "zxy"])
-def test_angles_that_run_on_come_back(order):
+def test_continuous_angles_round_trip(order):
     angles = np.cumsum(np.random.default_rng(9).normal(0.02, 0.1, (300, 3)), axis=0)
     assert np.abs(angles).max() > np.pi
     assert np.allclose(rigid.to_euler_along_time(order, rigid.from_euler(order, angles)), angles, atol=1e-6)
 
 
-def test_what_cannot_be_is_refused():
+def test_invalid_orders_and_axes_are_refused():
     with pytest.raises(BadInput, match="alone do not make"):
         rigid.to_euler("x", rigid.from_euler("xy", np.ones((3, 2))))
     for order in ("xyx", "abc"):
         with pytest.raises(BadInput, match="different axes"):
-            rigid.to_euler(order, some_turns())
+            rigid.to_euler(order, random_rotations())
     with pytest.raises(BadInput, match="an axis is"):
         rigid.about_axis("w", np.zeros(1))

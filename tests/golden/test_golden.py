@@ -1,4 +1,4 @@
-"""Old files decode for ever, to the same motion; and cannot be written again by accident."""
+"""Golden files decode to the same motion in every later version, and cannot be overwritten by accident."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FILES = sorted(write.HERE.glob("*.mocz"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_decodes_to_its_twin(path: Path):
+def test_golden_file_decodes_to_its_twin(path: Path):
     twin = json.loads(path.with_suffix(".json").read_text())
     assert hashlib.sha256(path.read_bytes()).hexdigest() == twin["sha256"], "a golden file was changed"
     for module in NEEDS.get(twin["codec"], ()):
@@ -32,7 +32,7 @@ def test_decodes_to_its_twin(path: Path):
             motion.positions, motion.colours, twin["positions"], twin["colours"], strict=True
         ):
             np.testing.assert_allclose(points, given[0], rtol=0, atol=2e-6)
-            np.testing.assert_allclose(colours, given[1], rtol=0, atol=4)  # readers of JPEG may differ
+            np.testing.assert_allclose(colours, given[1], rtol=0, atol=4)  # JPEG decoders may differ
         return
     wanted = np.array([[[np.nan] * 3 if point is None else point for point in frame] for frame in twin["positions"]])
     assert motion.positions.shape == wanted.shape
@@ -41,12 +41,12 @@ def test_decodes_to_its_twin(path: Path):
     assert (motion.rate, motion.up, list(motion.names)) == (twin["rate"], twin["up"], twin["names"])
 
 
-def test_every_file_has_a_twin_and_every_twin_a_file():
+def test_files_and_twins_match():
     assert {p.stem for p in FILES} == {p.stem for p in write.HERE.glob("*.json")}
     assert FILES
 
 
-def test_a_file_of_another_version_is_never_replaced(tmp_path: Path):
+def test_file_of_another_version_is_not_overwritten(tmp_path: Path):
     write.write("lossless-markers", tmp_path)
     twin = tmp_path / "lossless-markers.json"
     before = (tmp_path / "lossless-markers.mocz").read_bytes()

@@ -1,11 +1,11 @@
-"""Golden files: what each codec wrote at some version, and what must come out of it for ever.
+"""Golden files: files of each codec at some version, and the motion that every later version must decode from them.
 
-    python tests/golden/write.py              write those that are missing
-    python tests/golden/write.py NAME …       write these afresh, only where the version in the twin is this package's
+    python tests/golden/write.py              write the missing files
+    python tests/golden/write.py NAME …       write these files again, if the version in the twin is this package's
 
-`NAME.mocz` is the file, `NAME.json` its readable twin: version, codec, settings, and all positions in metres, of point
-clouds to a micrometre and with colours. A file of an earlier version is never written again: it is what must decode for
-ever. lien2006-lines is of a form that is no longer written; tempo-own-limbs would now be matched to the prior's limbs.
+`NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres; for
+point clouds, positions to a micrometre and colours. A file of an earlier version is never overwritten. lien2006-lines
+has a form that the codec no longer writes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 import mocodec
-from mocodec.codecs.tempo import prior
+from mocodec.codecs.tempo.models import prior
+from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.motion import Motion, Skeleton
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences, synthetic
@@ -32,7 +33,7 @@ MARKERS = ["C7", "LSHO", "RSHO", "LFWT", "RFWT", "LKNE", "LHEE", "RTOE"]
 
 
 def markers() -> Motion:
-    """96 frames of eight markers, two of them with gaps."""
+    """96 frames of eight markers; two markers have gaps."""
     motion = synthetic.markers(frames=96, seed=11).select(MARKERS)
     positions = motion.positions.copy()
     positions[20:31, 5] = positions[90:, 6] = np.nan
@@ -40,51 +41,49 @@ def markers() -> Motion:
 
 
 def joints() -> Motion:
-    """80 frames of a skeleton."""
+    """80 frames of joints, with their skeleton."""
     motion = synthetic.joints(frames=80, rate=60.0, seed=12)
     return Motion(motion.positions, motion.rate, motion.names, motion.up, motion.skeleton)
 
 
-def limbs() -> Motion:
-    """240 frames of a body of the prior's, whose bones do not stretch, with its skeleton."""
-    known = prior.of_limbs()
-    assert known is not None
-    points = known.sets[0]
-    assert points.limbs is not None
+def named_skeleton() -> Motion:
+    """240 frames of the prior's joints with constant bone lengths, with their skeleton."""
+    known = prior.for_directions().joints
     rng = np.random.default_rng(13)
     t = np.arange(240)[:, None, None] / 120
-    size = (points.limbs.dimensions, 3)
-    turns = (rng.normal(0, 0.15, size) * np.sin(2 * np.pi * rng.uniform(0.1, 2.0, size) * t)).sum(axis=2)
-    skeleton = Skeleton(points.names, points.limbs.parents, points.limbs.vectors)
-    return Motion(points.limbs.inverse(turns) + np.array([0.0, 1.0, 0.0]), 120.0, points.names, "y", skeleton)
+    size = (known.tree.dimensions, 3)
+    coordinates = (rng.normal(0, 0.15, size) * np.sin(2 * np.pi * rng.uniform(0.1, 2.0, size) * t)).sum(axis=2)
+    positions = bone_directions.inverse(known.tree, coordinates) + np.array([0.0, 1.0, 0.0])
+    skeleton = Skeleton(known.names, known.tree.parents, known.tree.vectors)
+    return Motion(positions, 120.0, known.names, "y", skeleton)
 
 
-def own_limbs() -> Motion:
-    """The same body, under names that no prior knows, and without its skeleton."""
-    motion = limbs()
+def unnamed_joints() -> Motion:
+    """`named_skeleton` without names and skeleton."""
+    motion = named_skeleton()
     return Motion(motion.positions, motion.rate, (), motion.up)
 
 
-def matched_limbs() -> Motion:
-    """72 frames of the same body, without fingers, thumbs and toes."""
-    motion = own_limbs()[:72]
-    gone = [i for i, name in enumerate(limbs().names) if name[1:] in ("fingers", "thumb", "toes")]
-    return Motion(np.delete(motion.positions, gone, axis=1), motion.rate, (), motion.up)
+def fewer_unnamed_joints() -> Motion:
+    """72 frames of `unnamed_joints`, without fingers, thumbs and toes."""
+    motion = unnamed_joints()[:72]
+    removed = [i for i, name in enumerate(named_skeleton().names) if name[1:] in ("fingers", "thumb", "toes")]
+    return Motion(np.delete(motion.positions, removed, axis=1), motion.rate, (), motion.up)
 
 
-def on_bones() -> Motion:
-    """72 frames of a whole body's markers, too few for a basis of their own."""
+def full_body_markers() -> Motion:
+    """72 frames of full-body markers, too few to fit a basis to them."""
     return synthetic.markers(frames=72, seed=14)
 
 
-def held() -> Motion:
-    """96 frames of the body with its skeleton, each sample held for two."""
-    motion = limbs()[:96]
+def repeated_frames() -> Motion:
+    """96 frames of `named_skeleton`; every second frame repeats the previous one."""
+    motion = named_skeleton()[:96]
     return replace(motion, positions=motion.positions[np.arange(96) // 2 * 2])
 
 
 def jumper() -> PointClouds:
-    """Three frames of 240 points of a jumping body; the middle one has only four."""
+    """Three frames of a jumping person, 240 points each; the middle frame has only four."""
     clouds = sequences.record(PERFORMANCE, 240, seed=14)
     assert clouds.colours is not None
     few = [slice(4) if frame == 1 else slice(None) for frame in range(3)]
@@ -104,22 +103,27 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
     "tempo-markers": (markers, "tempo", {"max_error": 0.005}),
     "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
-    "tempo-limbs": (limbs, "tempo", {"max_error": 0.005}),
-    "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
-    "tempo-matched-limbs": (matched_limbs, "tempo", {"max_error": 0.005}),
-    "tempo-on-bones": (on_bones, "tempo", {"max_error": 0.01}),
-    "tempo-held": (held, "tempo", {"max_error": 0.005}),
+    "tempo-directions": (named_skeleton, "tempo", {"max_error": 0.005}),
+    "tempo-directions-stored": (unnamed_joints, "tempo", {"max_error": 0.005, "model": "directions-stored"}),
+    "tempo-skeleton-matched": (fewer_unnamed_joints, "tempo", {"max_error": 0.005}),
+    "tempo-points-prior": (named_skeleton, "tempo", {"max_error": 0.005, "model": "points-prior"}),
+    "tempo-points-stored": (markers, "tempo", {"max_error": 0.005, "model": "points-stored"}),
+    "tempo-markers-on-bones": (full_body_markers, "tempo", {"max_error": 0.01}),
+    "tempo-direct": (markers, "tempo", {"max_error": 0.005, "model": "direct"}),
+    "tempo-fallback": (markers, "tempo", {"max_error": 0.005, "model": "hou2014"}),
+    "tempo-weights": (markers, "tempo", {"max_error": 0.005, "weights": {"LHEE": 4.0, "RTOE": 4.0}}),
+    "tempo-repeats": (repeated_frames, "tempo", {"max_error": 0.005}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
 }
 
 
 def write(name: str, folder: Path = HERE) -> None:
-    """Write a golden file and its twin. Raises SystemExit where an earlier version's would be lost."""
+    """Write a golden file and its twin. Raises SystemExit if this would overwrite a file of another version."""
     twin = folder / f"{name}.json"
     if twin.exists() and (version := json.loads(twin.read_text())["version"]) != mocodec.__version__:
         raise SystemExit(
-            f"{name} was written by mocodec {version}, this is {mocodec.__version__}: add a new one beside it"
+            f"{name} was written by mocodec {version}, not {mocodec.__version__}: keep it, and add a file of a new name"
         )
     recipe, codec, settings = RECIPES[name]
     blob = mocodec.encode(recipe(), codec=codec, **settings)

@@ -1,4 +1,4 @@
-"""Damaged and hostile files: every prefix, every flipped bit, headers that lie: only MocodecErrors, little memory."""
+"""Damaged and hostile files: every prefix, every flipped bit, false declarations: only MocodecErrors, little memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ JOINTS = tuple(tables.CMU_JOINTS.split())
 
 
 def small_file(chunks: int) -> bytes:
-    """A file with all there can be in one: skeleton, source, settings, extras, shared bytes."""
+    """A file with every optional part: skeleton, source, settings, extras, shared bytes."""
     skeleton = Skeleton(JOINTS, tables.CMU_TREE, np.array(tables.CMU_OFFSETS) * 1.1e-5)
     extras = {"analog": Signal(np.arange(60.0).reshape(30, 2), 1200.0, ("a", "b")), "note": "x" * 40, "blob": b"12"}
     about = Motion(
@@ -70,7 +70,7 @@ def test_bytes_put_in_or_taken_out_are_detected():
                     read_all(broken)
 
 
-def test_a_damaged_chunk_costs_no_other():
+def test_a_damaged_chunk_affects_no_other():
     data = small_file(3)
     whole = container.Reader(data)
     layout, offsets = whole.layout, whole.chunks.offsets
@@ -85,12 +85,12 @@ def test_a_damaged_chunk_costs_no_other():
                     _ = reader.encoded.chunks[k].payload
             else:
                 assert reader.encoded.chunks[k].payload == bytes(range(k, k + 20))
-        assert sum(stop - start for start, stop in reader.whole()) == 20
+        assert sum(stop - start for start, stop in reader.intact_runs()) == 20
         assert len(dict(reader.encoded.about.extras)) == 3
 
 
-def test_events_that_are_none_are_corrupt():
-    """Made to be wrong, checksums and all: met when the extras are looked at, not when a slice is cut."""
+def test_invalid_events_are_corrupt():
+    """Invalid events with valid checksums are found when the extras are read, not when a slice is cut."""
     for events in (3, [{"label": "x"}], [{"time_s": "now"}]):
         like = Motion(np.zeros((0, 1, 3)), 120.0)
         object.__setattr__(like, "extras", {"events": events})
@@ -101,12 +101,12 @@ def test_events_that_are_none_are_corrupt():
             reader.verify()
 
 
-def test_damaged_extras_cost_no_chunk():
+def test_damaged_extras_affect_no_chunk():
     data = bytearray(small_file(3))
     reader = container.Reader(bytes(data))
     data[reader.layout.extras + 5] ^= 1
     reader = container.Reader(bytes(data))
-    assert reader.whole() == [(0, 30)]
+    assert reader.intact_runs() == [(0, 30)]
     with pytest.raises(Corrupt, match="extras"):
         len(reader.encoded.about.extras)
 
@@ -118,22 +118,22 @@ def test_a_stream_cut_anywhere_is_salvaged():
         try:
             reader = container.Reader(data[:end], salvage=True)
         except (Truncated, Corrupt):
-            assert end < layout.extras, "once the header is there, something can be opened"
+            assert end < layout.extras, "a complete header can be opened"
             continue
         chunks = sum(offset <= end for offset in offsets[1:])
         assert len(reader.encoded.chunks) == chunks
-        assert reader.whole() == ([(0, 10 * chunks)] if chunks else [])
+        assert reader.intact_runs() == ([(0, 10 * chunks)] if chunks else [])
         assert reader.problems
         with pytest.raises(Corrupt):
             reader.verify()
 
 
-def test_a_margin_is_minded_when_salvaging():
+def test_salvage_respects_the_margin():
     about = Motion(np.empty((0, 1, 3)), 100.0)
     made = [Chunk(i * 10, 10, bytes(20)) for i in range(6)]
     data = bytearray(container.pack(Encoded("liu2006", about, made, margin=1)))
     data[container.Reader(bytes(data)).chunks.offsets[2] + 5] ^= 1
-    assert container.Reader(bytes(data)).whole() == [(0, 10), (40, 60)]
+    assert container.Reader(bytes(data)).intact_runs() == [(0, 10), (40, 60)]
 
 
 def framed(header: bytes, rest: bytes = b"") -> bytes:
@@ -147,7 +147,7 @@ def ended(body: bytes) -> bytes:
 
 
 def peak(data: bytes) -> int:
-    """Bytes allocated at most while all of it is read; whatever is wrong with it must be a MocodecError."""
+    """Peak bytes allocated while everything is read; errors must be MocodecErrors."""
     tracemalloc.start()
     try:
         read_all(data)
@@ -189,7 +189,7 @@ HUGE = varint((1 << 62) - 1)
         b"\0\1\0\1\0\0\0",
     ],
 )
-def test_headers_that_lie(header: bytes):
+def test_hostile_headers(header: bytes):
     data = framed(header, ended(b"\0\0"))
     with pytest.raises(MocodecError):
         read_all(data)
@@ -204,7 +204,7 @@ def test_headers_that_lie(header: bytes):
         b"\1", b"\0", b"\0\0\0", b"\0\x05\x05" + varint(1 << 24) + varint(1 << 29) * 5,
     ],
 )  # fmt: skip
-def test_an_index_that_lies(index: bytes):
+def test_hostile_indexes(index: bytes):
     data = framed(b"\0\1\1\0\0", ended(index))
     with pytest.raises(MocodecError):
         read_all(data)
@@ -221,7 +221,7 @@ def tree(stream: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("size", [100, 1 << 40])
-def test_extras_that_lie(size: int):
+def test_hostile_extras(size: int):
     array = tree(b"\x61a\x0b")
     bombs = [
         array + b"\3<f8\1" + varint(1 << 38) + b"\3" + bytes(8),  # constant, two terabytes
@@ -257,7 +257,7 @@ def test_a_deflate_bomb_is_refused_before_it_is_unpacked():
 
 
 def test_random_headers_and_extras():
-    """Bytes at random behind good checksums: what a checksum cannot keep out."""
+    """Random bytes behind valid checksums, which forgery can have."""
     random = np.random.default_rng(7)
     good = small_file(2)
     length = good[5] & 0x7F | good[6] << 7
@@ -276,4 +276,4 @@ def test_random_headers_and_extras():
         with contextlib.suppress(MocodecError):
             values.unpack_extras(bytes(broken), 5000)
         with contextlib.suppress(MocodecError):
-            records.read(records.INDEX, Cursor(random.bytes(12), "test"))
+            records.INDEX.read(Cursor(random.bytes(12), "test"))

@@ -1,4 +1,4 @@
-"""Bases: Theorem 1, rounding as fine as a component deserves, orthonormal whatever the bytes say."""
+"""Bases: Theorem 1, rounding by each component's variance, orthonormal for any bytes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def before(dimensions: int) -> np.ndarray:
     return np.maximum(np.arange(dimensions) - 3, -1)
 
 
-def test_no_other_basis_holds_more():
+def test_no_other_basis_has_more_energy():
     c = covariance()
     found, energies = basis.fit(c, 5)
     assert np.isclose(np.trace(found.T @ c @ found), energies.sum())
@@ -35,7 +35,7 @@ def test_no_other_basis_holds_more():
 
 
 @pytest.mark.parametrize("samples", [10, 40])
-def test_few_rows_and_many(samples: int):
+def test_fewer_and_more_rows_than_dimensions(samples: int):
     rows = np.random.default_rng(3).normal(size=(samples, 20)) * np.exp(-np.arange(20) / 4)
     whole, energies = basis.fit(rows.T @ rows, 6)
     found, same = basis.fit_rows(rows, 6)
@@ -58,7 +58,7 @@ def test_the_rounded_basis_comes_back_orthonormal(alike: np.ndarray | None):
     assert sizes == sorted(sizes)
 
 
-def test_strong_components_are_rounded_finest_and_errors_are_as_planned():
+def test_strong_components_are_rounded_finest_and_the_error_is_within_the_plan():
     c = covariance()
     found, energies = basis.fit(c)
     noise = 0.05
@@ -75,7 +75,7 @@ def test_leading_columns_are_the_rounding_of_fewer():
     assert np.allclose(basis.rounded(found, precision)[:, :7], basis.rounded(found[:, :7], precision[:7]), atol=1e-15)
 
 
-def test_differences_pay_where_points_move_alike():
+def test_differences_take_fewer_bytes_where_points_move_alike():
     rng = np.random.default_rng(2)
     shared = np.repeat(rng.normal(size=(1, 10)), 8, axis=0) + 0.1 * rng.normal(size=(8, 10))
     rows = rng.normal(size=(300, 10)) @ shared.T
@@ -84,7 +84,30 @@ def test_differences_pay_where_points_move_alike():
     assert len(basis.pack(found, precision, before(24))) < len(basis.pack(found, precision))
 
 
-def test_nothing_to_store():
+@pytest.mark.parametrize("components", [0, 1, 5, 24])
+def test_completed_to_all_dimensions(components: int):
+    found = basis.fit(covariance(), components)[0]
+    whole = basis.completed(found)
+    assert np.array_equal(whole[:, :components], found)
+    assert np.abs(whole.T @ whole - np.eye(24)).max() < 1e-13
+    assert basis.completed(found, 12).shape == (24, 12)
+
+
+def test_completed_without_excluded_directions():
+    whole = basis.fit(covariance())[0]
+    found, excluded = whole[:, :6], whole[:, 20:23]
+    more = basis.completed(found, 21, excluded)
+    assert more.shape == (24, 21)
+    assert np.abs(more.T @ more - np.eye(21)).max() < 1e-13
+    assert np.abs(more.T @ excluded).max() < 1e-13
+
+
+def test_completed_from_axes():
+    whole = basis.completed(np.eye(5)[:, [2, 0]])
+    assert np.abs(whole.T @ whole - np.eye(5)).max() < 1e-15
+
+
+def test_no_components():
     empty = np.zeros((6, 0))
     none = np.zeros(0, np.int64)
     assert basis.unpack(basis.pack(empty, none), 6, none).shape == (6, 0)
@@ -101,7 +124,7 @@ def test_any_bytes_are_a_basis_or_corrupt(data: bytes):
     assert np.abs(back.T @ back - np.eye(3)).max() < 1e-12
 
 
-def test_damage():
+def test_damaged_bytes_are_a_basis_or_corrupt():
     found, energies = basis.fit(covariance(), 6)
     precision = basis.precisions(energies, 0.1)
     for bad in corruption.damaged(basis.pack(found, precision), 60, seed=0):

@@ -1,4 +1,4 @@
-"""The residual layer: the bound holds in space, whatever was predicted, and costs nothing where it is kept."""
+"""Corrections: the bound holds in space for any prediction, and takes no bytes where the prediction keeps it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mocodec.testing import corruption
 
 
 def slow(frames: int, points: int, seed: int = 0) -> np.ndarray:
-    """Errors that change slowly, about 1 in size."""
+    """Errors that change slowly, of magnitude about 1."""
     rng = np.random.default_rng(seed)
     coarse = rng.normal(size=(frames // 10 + 2, points, 3))
     at = np.arange(frames) / 10
@@ -43,7 +43,7 @@ def test_the_bound_holds(seed: int, frames: int, points: int, size: float, gappy
     assert np.isfinite(fixed).all()
 
 
-def test_nothing_where_the_bound_is_kept_already():
+def test_no_bytes_where_the_prediction_is_within_the_bound():
     prediction = np.random.default_rng(0).normal(size=(50, 4, 3))
     original = prediction + 0.009 / np.sqrt(3)
     assert bounded.pack(original, prediction, 0.01) == b""
@@ -52,7 +52,7 @@ def test_nothing_where_the_bound_is_kept_already():
     assert bounded.pack(original, prediction, 0.01) == b""
 
 
-def test_a_slow_excursion_costs_less_than_its_frames():
+def test_a_slow_excursion_takes_fewer_bytes_than_its_frames():
     prediction = np.zeros((400, 10, 3))
     original = prediction.copy()
     original[100:160, 4] = 0.012
@@ -71,7 +71,7 @@ def test_dense_where_most_points_need_it():
     assert metrics.distances(original, bounded.unpack(data, prediction, 0.01)).max() <= 0.01
 
 
-def test_a_bound_below_what_floats_hold_is_refused():
+def test_a_bound_below_the_precision_of_floats_is_refused():
     with pytest.raises(CannotEncode):
         bounded.pack(np.full((2, 1, 3), 1e9), np.zeros((2, 1, 3)), 1e-9)
 

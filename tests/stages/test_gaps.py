@@ -1,4 +1,4 @@
-"""Gaps: exactly back, in few bytes, and filled so that codecs see nothing."""
+"""Gaps: restored exactly, stored in few bytes, and filled smoothly."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_a_mask_comes_back(seed: int, frames: int, points: int, share: float):
 
 @settings(deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(1, 6), st.sampled_from([0.0, 0.05, 0.5, 0.95, 1.0]))
-def test_filled_has_no_holes_and_leaves_samples_alone(seed: int, frames: int, points: int, share: float):
+def test_filling_leaves_no_gaps_and_changes_no_samples(seed: int, frames: int, points: int, share: float):
     random = np.random.default_rng(seed)
     positions = random.normal(size=(frames, points, 3)) * 10.0 ** random.integers(-6, 7)
     positions[random.random((frames, points)) < share] = np.nan
@@ -33,7 +33,7 @@ def test_filled_has_no_holes_and_leaves_samples_alone(seed: int, frames: int, po
     assert np.array_equal(gaps.apply(filled, mask), positions, equal_nan=True)
 
 
-def test_few_bytes():
+def test_masks_take_few_bytes():
     mask = np.zeros((600, 41), bool)
     assert gaps.pack(mask) == b""
     mask[100:120, 7] = True
@@ -45,7 +45,7 @@ def test_few_bytes():
     assert len(gaps.pack(lost)) <= 40
 
 
-def test_a_smooth_curve_is_bridged_smoothly():
+def test_a_gap_in_a_smooth_curve_is_filled_smoothly():
     seconds = np.arange(240) / 120
     curve = np.stack([np.sin(3 * seconds), np.cos(3 * seconds), seconds], axis=1)[:, None]
     broken = curve.copy()
@@ -54,7 +54,7 @@ def test_a_smooth_curve_is_bridged_smoothly():
     assert np.abs(filled - curve).max() < 0.005
 
 
-def test_held_at_the_ends():
+def test_gaps_at_the_ends_repeat_the_nearest_sample():
     positions = np.arange(30.0).reshape(10, 1, 3)
     positions[:2] = positions[7:] = np.nan
     filled, _ = gaps.fill(positions)

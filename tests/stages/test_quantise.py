@@ -16,7 +16,7 @@ def test_nearest_multiples():
     assert np.abs(quantise.inverse(integers, 0.1) - values).max() <= 0.05 + 1e-9
 
 
-def test_a_wider_zone_around_zero():
+def test_a_wider_dead_zone():
     assert quantise.forward(np.array([0.06, -0.06, 0.07, 0.16]), 0.1, 0.35).tolist() == [0, 0, 1, 1]
 
 
@@ -28,7 +28,7 @@ def test_the_ladder_reaches_every_step_within_half_a_rung():
     assert quantise.step(-3 * quantise.LADDER) == 0.125
 
 
-def test_what_cannot_be_quantised_is_refused():
+def test_values_and_steps_out_of_range_cannot_be_encoded():
     with pytest.raises(CannotEncode):
         quantise.forward(np.array([1e9]), 1e-9)
     with pytest.raises(CannotEncode):

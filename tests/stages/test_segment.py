@@ -17,7 +17,7 @@ def test_equal_lengths_cover_all_frames(frames: int, length: int) -> None:
 
 
 def gaits(*kinds: int, frames: int = 400, dimensions: int = 30) -> np.ndarray:
-    """Periodic poses in a plane of their own for each kind, with a little noise, joined where they stop."""
+    """Periodic poses with a little noise; each kind moves in a plane of its own, and one follows the other."""
     random = np.random.default_rng(3)
     planes = random.normal(size=(max(kinds) + 1, 4, dimensions)) / dimensions**0.5
     t = np.arange(frames)[:, None] / 20
@@ -38,24 +38,24 @@ def test_one_motion_is_one_segment() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 349, 350, 361])
-def test_segments_cover_what_there_is(frames: int) -> None:
+def test_segments_cover_all_frames(frames: int) -> None:
     found = segment.ppca(gaits(0, 1)[:frames])
     assert found.segments[0].start == 0
     assert found.segments[-1].stop == frames
 
 
 @pytest.mark.parametrize("poses", [np.zeros((600, 40)), np.ones((600, 1)), 1e-6 * gaits(0, 1), np.zeros((600, 0))])
-def test_what_does_not_move_is_not_cut(poses: np.ndarray) -> None:
+def test_poses_without_movement_are_not_cut(poses: np.ndarray) -> None:
     assert segment.ppca(poses).segments == [slice(0, len(poses))]
 
 
 @pytest.mark.parametrize(
     "poses", [gaits(0, 1, 2, dimensions=60), np.pad(gaits(0, 1, 2, dimensions=60), ((300, 0), (0, 0)))]
 )
-def test_following_directions_gives_the_distances_of_the_exact_model(
+def test_tracked_directions_give_the_distances_of_the_exact_model(
     poses: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also out of stillness, where the first models have no directions; a new plane may take a step to be followed."""
+    """Also after frames without movement, where models have no directions; a new plane may need a step to be found."""
     followed = segment.ppca(poses)
     monkeypatch.setattr(segment, "LEADING", 60)
     exact = segment.ppca(poses)

@@ -34,7 +34,7 @@ def test_few_key_frames(keys: list[int], expected: list[float]) -> None:
 
 @settings(deadline=None)
 @given(st.integers(1, 400), st.sampled_from([1.0, 0.1, 1e-3, 0.0]))
-def test_no_frame_is_beyond_the_tolerance_and_bits_bring_the_key_frames_back(frames: int, tolerance: float) -> None:
+def test_no_frame_is_beyond_the_tolerance_and_bits_give_the_key_frames_back(frames: int, tolerance: float) -> None:
     wanted = trajectory(frames)
     keys = spline.keyframes(wanted, tolerance)
     decoded = spline.through(keys, wanted[keys.by_level])
@@ -46,7 +46,7 @@ def test_no_frame_is_beyond_the_tolerance_and_bits_bring_the_key_frames_back(fra
 
 
 def test_four_key_frames_begin_and_the_middle_of_a_bad_interval_is_added() -> None:
-    """Section 3.4: two at the ends, two at thirds; a bump in the last third is met by the middle of that third."""
+    """Section 3.4: two at the ends, two at thirds; a bump in the last third adds the middle of that third."""
     wanted = np.zeros((91, 1))
     assert list(spline.keyframes(wanted, 0.1).by_level) == [0, 30, 60, 90]
     wanted[74:77] = 0.3
@@ -64,7 +64,7 @@ def test_values_decode_to_within_half_a_step(frames: int, step: float) -> None:
     assert np.array_equal(spline.values(keys, numbers, step), decoded)
 
 
-def test_no_components_are_no_values() -> None:
+def test_no_components_have_no_values() -> None:
     keys = spline.keyframes(np.zeros((50, 0)), 0.1)
     numbers, decoded = spline.differences(keys, np.zeros((4, 0)), 0.1)
     assert numbers.shape == decoded.shape == (4, 0)

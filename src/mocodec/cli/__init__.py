@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -95,10 +96,12 @@ click.version_option(__version__, prog_name="mocodec", message="%(prog)s %(versi
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns its exit code. Errors become one line on standard error, unless --debug."""
-    asked = {"debug": False}
+    asked: dict[str, Any] = {"debug": False}
     try:
         with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=asked) as ctx:
             result = mocodec.invoke(ctx)
+            for note in asked.get("notes", ()):  # of the files that were read
+                click.echo(note, err=True)
         sys.stdout.flush()
         return result if isinstance(result, int) else DONE
     except click.exceptions.Exit as done:

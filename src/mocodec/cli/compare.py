@@ -95,7 +95,7 @@ def stored_bytes(name: str) -> int | None:
 
 def table(result: metrics.Comparison) -> list[str]:
     """A comparison as lines for people; points in order of their largest error."""
-    where = f" at frame {result.max_at[0]}, {result.max_at[1]}" if result.max_at else ""
+    where = f" at frame {result.max_at[0]}, {files.printable(result.max_at[1])}" if result.max_at else ""
     lines = [
         f"{result.frames:,} frames, {result.points} points",
         f"mean error  {quantities.length(result.mean_error)}",
@@ -112,5 +112,5 @@ def table(result: metrics.Comparison) -> list[str]:
         lines += ["", f"{'point':{width}}  {'mean':>10}  {'p99':>10}  {'max':>10}"]
         for name, error in sorted(result.per_point.items(), key=lambda item: -item[1]["max_error"]):
             values = (quantities.length(error[key]) for key in ("mean_error", "p99_error", "max_error"))
-            lines.append(f"{name:{width}}  " + "  ".join(f"{value:>10}" for value in values))
+            lines.append(f"{files.printable(name):{width}}  " + "  ".join(f"{value:>10}" for value in values))
     return lines

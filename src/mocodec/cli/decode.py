@@ -68,7 +68,7 @@ def what_is_left(reader: container.Reader) -> tuple[Motion, list[str]]:
     with api.File(reader) as opened:
         if len(opened.shape) != 3:
             raise BadInput("--salvage is for motions, not point clouds")
-        runs = reader.whole()
+        runs = reader.intact_runs()
         lost = [*reader.problems, *(message for _, message in reader.damage())]
         if not runs:
             raise Corrupt("nothing can be salvaged: " + "; ".join(lost))

@@ -15,7 +15,7 @@ import click
 
 from .. import api, formats
 from ..errors import BadInput, MocodecError
-from ..motion import Motion
+from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
 
 MAGIC_SUFFIX = ".mocz"
@@ -25,11 +25,11 @@ READER_OPTIONS = (
     click.option(
         "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc, where none lies beside it."
     ),
-    click.option(
-        "--rate", type=click.FloatRange(0, min_open=True), help="Frames a second, where the file does not say."
-    ),
+    click.option("--rate", type=click.FloatRange(0, min_open=True), help="Frames a second, in place of the file's."),
     click.option("--fps", type=click.FloatRange(0, min_open=True), help="The same, for a folder of point clouds."),
-    click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, where it does not say: mm, cm, m, in."),
+    click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, in place of its own: mm, cm, in, 0.02."),
+    click.option("--up", type=click.Choice(UP_AXES), help="The vertical axis, in place of the file's."),
+    click.option("--start", type=float, metavar="SECONDS", help="Time of the first frame, in place of the file's."),
     click.option(
         "--residuals",
         is_flag=True,
@@ -87,7 +87,7 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         path = Path(name)
         if format_ and path.suffix.lower() != f".{format_.lower().lstrip('.')}":
             raise BadInput(f"--format is for standard input; {name} is read by its suffix")
-        return api.read(path, **options)
+        return with_notes(name, api.read(path, **options))
     data = StandardInput()
     if format_ is None or format_.lower() == MAGIC_SUFFIX[1:]:
         try:
@@ -98,10 +98,25 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         path = Path(folder) / f"stdin.{format_.lower().lstrip('.')}"
         path.write_bytes(data.getvalue())
         try:
-            return api.read(path, **options)
+            return with_notes("standard input", api.read(path, **options))
         except MocodecError as error:
             error.args = (str(error).replace(str(path), "standard input"),)
             raise
+
+
+def with_notes(name: str, recording: Motion | PointClouds) -> Motion | PointClouds:
+    """The recording; its reader's notes are left for `run`, which shows them once the command has succeeded."""
+    context = click.get_current_context(silent=True)
+    if context is not None and isinstance(context.obj, dict) and not context.params.get("quiet"):
+        shown: list[str] = context.obj.setdefault("notes", [])
+        lines = [f"note: {name}: {printable(note)}" for note in formats.notes(recording)]
+        shown.extend(line for line in lines if line not in shown)
+    return recording
+
+
+def printable(text: str) -> str:
+    """The text without control characters, which files may put into names."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 def write(
@@ -131,7 +146,7 @@ def note_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> None
     if quiet or suffix.lower() == MAGIC_SUFFIX:
         return
     if left_out := formats.dropped(f"motion{suffix}", motion):
-        click.echo(f"note: {suffix.lower()} holds no {', '.join(left_out)}", err=True)
+        click.echo(f"note: {suffix.lower()} holds no {printable(', '.join(left_out))}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:

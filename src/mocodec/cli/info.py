@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .. import api
+from .. import api, formats
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities
@@ -44,6 +44,8 @@ def about(recording: Motion | PointClouds) -> dict[str, Any]:
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
+    if notes := formats.notes(recording):
+        facts["notes"] = notes
     return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
 
 
@@ -51,7 +53,7 @@ def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
     """Facts as aligned lines for people; nested ones are indented."""
     width = max((len(key) for key in facts), default=0) + 2
     for key, value in facts.items():
-        label = " " * indent + f"{key.replace('_', ' '):{width}}"
+        label = " " * indent + f"{files.printable(key).replace('_', ' '):{width}}"
         if key.endswith("_error") and isinstance(value, float):
             yield label + quantities.bound(value)
         elif isinstance(value, Mapping) and value:
@@ -77,6 +79,7 @@ def shown(value: Any) -> str:
         case Mapping():
             return "none"
         case list() | tuple():
-            return ", ".join(shown(item) if isinstance(item, float) else str(item) for item in value) or "none"
+            texts = (shown(item) if isinstance(item, float) else files.printable(str(item)) for item in value)
+            return ", ".join(texts) or "none"
         case _:
-            return str(value)
+            return files.printable(str(value))

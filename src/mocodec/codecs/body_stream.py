@@ -204,7 +204,7 @@ def _tree(body: Body) -> tuple[list[int], list[int], tuple[int, ...]]:
     """
     ends = [link for link in range(len(body)) if link not in body.parents]
     above = [*body.parents, *ends]
-    order = articulation.depth_first(above)
+    order = articulation.depth_first_order(above)
     return ends, order, tuple(order.index(above[joint]) if above[joint] >= 0 else -1 for joint in order)
 
 

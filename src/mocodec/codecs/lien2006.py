@@ -25,7 +25,7 @@ from ..entropy import coder, varint
 from ..errors import BadInput, CannotEncode, Corrupt
 from ..geometry import articulated_icp, articulation, body_fit, cylinder_map
 from ..geometry.articulation import Body, Floats, Pose
-from ..geometry.cylinder_map import Frame, Map
+from ..geometry.cylinder_map import Cylinder, CylinderMap
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import base, body_stream
@@ -75,8 +75,8 @@ class Tile(NamedTuple):
 
     top: int
     left: int
-    cylinder: Frame
-    expected: Map
+    cylinder: Cylinder
+    expected: CylinderMap
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Lien2006:
 
     def _begin(
         self, points: Floats, colours: NDArray[np.uint8] | None, normals: Floats | None, up: str
-    ) -> tuple[Model, articulated_icp.Tracker]:
+    ) -> tuple[Model, articulated_icp.ArticpTracker]:
         """The model of the first frame and the tracker that follows it."""
         if self.skeleton is None:
             body = body_fit.first_pose(points, up).body(one_trunk=True, shortest=0.1)
@@ -157,15 +157,17 @@ class Lien2006:
         body, model = articulated_icp.make_model(body, points[share], colours, normals, among=points)
         body = body_stream.rounded(body)
         few = slice(0, self.tracked_points)
-        small = articulated_icp.Model(
+        small = articulated_icp.CylinderModel(
             model.points[few], model.normals[few], None if colours is None else colours[few], model.links[few]
         )
-        settings = articulated_icp.Settings(articulation=self.articulation, global_fitting=self.global_fitting)
-        return _rounded(Model(body, model.points, colours, model.links)), articulated_icp.Tracker(body, small, settings)
+        settings = articulated_icp.ArticpSettings(articulation=self.articulation, global_fitting=self.global_fitting)
+        return _rounded(Model(body, model.points, colours, model.links)), articulated_icp.ArticpTracker(
+            body, small, settings
+        )
 
     def _fit(
         self,
-        tracker: articulated_icp.Tracker,
+        tracker: articulated_icp.ArticpTracker,
         points: Floats,
         colours: NDArray[np.uint8] | None,
         normals: Floats | None,
@@ -301,7 +303,7 @@ def _atlas(model: Model, share: float) -> list[Tile | None]:
         body = model.body
         along = (points - body.origins[link]) @ body.axes[link]
         low, high = float(along.min()), max(float(along.max()), float(along.min()) + 0.02)
-        cylinder = cylinder_map.frame(body.origins[link], body.tips[link], low, high)
+        cylinder = cylinder_map.cylinder(body.origins[link], body.tips[link], low, high)
         shape = cylinder_map.grid_size(int(own.sum()), float(body.radii[link]), high - low, share)
         colours = np.full((len(points), 3), 128.0) if model.colours is None else model.colours[own].astype(float)
         expected = cylinder_map.filled(cylinder_map.forward(cylinder, points, colours, shape))
@@ -328,12 +330,12 @@ def _extent(atlas: Sequence[Tile | None]) -> tuple[int, int]:
 
 def _maps(
     model: Model, atlas: Sequence[Tile | None], pose: Pose, points: Floats, colours: NDArray[np.uint8] | None
-) -> list[Map | None]:
+) -> list[CylinderMap | None]:
     """The frame's points as maps on the links, which are where the stored pose puts them."""
     a, b = articulation.transforms(model.body, pose)
     links = articulated_icp.segment(model.body, a, b, points, None)
     shades = np.full((len(points), 3), 128.0) if colours is None else colours.astype(float)
-    maps = list[Map | None]()
+    maps = list[CylinderMap | None]()
     for link, tile in enumerate(atlas):
         if tile is None:
             maps.append(None)
@@ -346,7 +348,7 @@ def _maps(
     return maps
 
 
-def _differences(atlas: Sequence[Tile | None], maps: Sequence[Map | None]) -> Residual:
+def _differences(atlas: Sequence[Tile | None], maps: Sequence[CylinderMap | None]) -> Residual:
     """Depth (0: no point; 128: as the model) and colour (128: as the model; half scale) of the whole atlas."""
     depth = np.zeros(_extent(atlas), np.uint8)
     colour = np.full((*depth.shape, 3), 128, np.uint8)
@@ -509,7 +511,7 @@ def _corrected(
     shades = (shades + brighter.reshape(-1, 3)[cell])[seen]
     empty = there.copy()
     empty.reshape(-1)[cell] = False
-    fresh = Map(np.where(empty, tile.expected.distance + farther, np.nan), tile.expected.colour + brighter)
+    fresh = CylinderMap(np.where(empty, tile.expected.distance + farther, np.nan), tile.expected.colour + brighter)
     more, more_shades = cylinder_map.inverse(tile.cylinder, fresh)
     return np.concatenate([moved, more]), np.concatenate([shades, more_shades])
 

@@ -1,4 +1,4 @@
-"""Encoded to one `.mocz` file and back: `pack` or `Writer`, `Reader`. docs/format.md is the format in words."""
+"""Encoded to one `.mocz` file and back: `pack` or `Writer`, `Reader`. docs/format.md specifies the format."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Arrays on disk, bit for bit: the shortest of a few ways that are all undone exactly, chosen on the first 128 KiB.
+"""Arrays on disk, lossless to the bit: the shortest of several forms, chosen by coding the first 128 KiB in each.
 
 array ──► constant: one item
-      ──► as it is | by column | by column, differences, bytes of equal weight together | whole steps of one number
+      ──► plain | bytes of equal weight together | the same of differences along time | multiples of one step
       ──► raw | deflate | LZMA
 """
 
@@ -28,7 +28,7 @@ LZMA_DICTIONARY = 1 << 22
 
 
 class Budget:
-    """How many bytes may still be unpacked. Raises Corrupt beyond, before anything is allocated."""
+    """How many bytes may still be unpacked; `take` raises Corrupt before anything larger is allocated."""
 
     def __init__(self, limit: int) -> None:
         self.left = limit
@@ -36,11 +36,11 @@ class Budget:
     def take(self, size: int, what: str) -> None:
         self.left -= size
         if self.left < 0:
-            raise Corrupt(f"{what}: unpacks to more than the header announces")
+            raise Corrupt(f"{what}: unpacks to more bytes than the header declares")
 
 
 def pack(array: Array) -> bytes:
-    """dtype, dimensions, transform and coder, then a blob (one item where all items are equal).
+    """dtype, dimensions, transform and coder, then a blob (one item if all items are equal).
 
     Raises CannotEncode for objects and for dtypes that differ between machines.
     """
@@ -59,12 +59,12 @@ def pack(array: Array) -> bytes:
 
 
 def _sample(array: Array) -> Array:
-    """The first rows, by which the way to code all of it is chosen."""
+    """The first rows: the form of the whole array is chosen on them."""
     return array[: max(1, SAMPLE_BYTES * len(array) // array.nbytes)] if array.ndim else array
 
 
 def _forms(array: Array, step: float) -> list[bytes]:
-    """Coded in every way that applies: strings are not regrouped, and only multiples of one step have one."""
+    """The array in every form that applies: byte strings stay plain, STEPS needs a step."""
     transforms = [PLAIN] if array.dtype.kind == "S" else [PLAIN, SHUFFLED, DELTA, *([STEPS] if step else [])]
     forms = []
     for transform in transforms:
@@ -74,13 +74,13 @@ def _forms(array: Array, step: float) -> list[bytes]:
 
 
 def _form(data: bytes, transform: int, step: float, coder: int) -> bytes:
-    """The byte that says how, the step where there is one, and the blob."""
+    """The byte of coder and transform, the step if there is one, and the blob."""
     packed = deflate(data) if coder == DEFLATE else _lzma(data) if coder == LZMA else data
     return bytes([coder | transform << 2]) + (struct.pack("<d", step) if transform == STEPS else b"") + blob(packed)
 
 
 def require_storable(array: Array) -> None:
-    """Raises CannotEncode for dtypes that `pack` does not take."""
+    """Raises CannotEncode for arrays that `pack` cannot store."""
     if array.dtype.kind not in KINDS or array.dtype.itemsize == 0 or array.dtype.itemsize > 1 << 20:
         raise CannotEncode(f"an array of dtype {array.dtype} cannot be stored; numbers, strings and times can")
     if array.dtype.kind in "fc" and array.dtype.itemsize > (8 if array.dtype.kind == "f" else 16):
@@ -90,7 +90,7 @@ def require_storable(array: Array) -> None:
 
 
 def unpack(cursor: Cursor, budget: Budget | None = None) -> Array:
-    """The inverse of `pack`. Raises Corrupt where it would unpack to more than the budget (16 MB without one)."""
+    """The inverse of `pack`. Raises Corrupt if it would unpack to more than the budget (by default 16 MiB)."""
     budget = budget or Budget(1 << 24)
     dtype = dtype_of(cursor.text(), cursor)
     shape = read_shape(cursor)
@@ -99,14 +99,14 @@ def unpack(cursor: Cursor, budget: Budget | None = None) -> Array:
     form = cursor.byte()
     coder, transform = form & 3, form >> 2
     if transform > STEPS or (coder == CONSTANT and transform):
-        raise cursor.corrupt("an array is in a form that is reserved")
+        raise cursor.corrupt("an array has a reserved form")
     if coder == CONSTANT:
         item = cursor.take(dtype.itemsize if size else 0)
         return np.frombuffer(item * (size // dtype.itemsize), dtype).reshape(shape).copy()
     step = cursor.float64() if transform == STEPS else 0.0
     if transform == STEPS:
         if dtype.kind != "f":
-            raise cursor.corrupt("steps of an array that is not of floats")
+            raise cursor.corrupt("an array of multiples of a step is not of floats")
         size = size // dtype.itemsize * 4
         budget.take(size, cursor.what)
     data = _decode(cursor, coder, size)
@@ -114,7 +114,7 @@ def unpack(cursor: Cursor, budget: Budget | None = None) -> Array:
 
 
 def nbytes(array: Array) -> int:
-    """What unpacking takes from a budget, at most."""
+    """The most that unpacking takes from a budget."""
     return array.nbytes + array.size * 4
 
 
@@ -129,7 +129,7 @@ def read_shape(cursor: Cursor) -> tuple[int, ...]:
 
 
 def dtype_of(code: object, cursor: Cursor) -> np.dtype[Any]:
-    """The dtype that a NumPy type string stands for. Raises Corrupt."""
+    """The dtype of a NumPy type string. Raises Corrupt."""
     if not isinstance(code, str):
         raise cursor.corrupt("an array's dtype is unknown")
     try:
@@ -145,7 +145,7 @@ def _decode(cursor: Cursor, coder: int, size: int) -> bytes:
     packed = cursor.blob()
     if coder == RAW:
         if len(packed) != size:
-            raise cursor.corrupt("an array's bytes do not fill it")
+            raise cursor.corrupt("an array has the wrong number of bytes")
         return packed
     return inflate(packed, size, cursor.what) if coder == DEFLATE else _unlzma(packed, size, cursor.what)
 
@@ -172,19 +172,19 @@ def _unlzma(data: bytes, size: int, what: str) -> bytes:
     except (lzma.LZMAError, EOFError) as error:
         raise Corrupt(f"{what}: {error}") from None
     if len(out) != size or rest or not unpacker.eof or unpacker.unused_data:
-        raise Corrupt(f"{what}: does not unpack to the {size} bytes announced")
+        raise Corrupt(f"{what}: does not unpack to the {size} bytes declared")
     return out
 
 
-def _word(dtype: np.dtype[Any]) -> int:
-    """Bytes of the numbers that an item consists of."""
+def _word_bytes(dtype: np.dtype[Any]) -> int:
+    """Bytes of one number of an item: half a complex number, one character of a string."""
     if dtype.kind == "c":
         return dtype.itemsize // 2
     return 4 if dtype.kind == "U" else dtype.itemsize
 
 
 def _columns(words: Array) -> Array:
-    """First axis (time) last, so that each channel's samples stand together."""
+    """The first axis (time) last, so that the samples of a channel are adjacent."""
     return np.ascontiguousarray(np.moveaxis(words, 0, -1)) if words.ndim > 1 else words
 
 
@@ -194,7 +194,7 @@ def _forward(array: Array, transform: int, step: float) -> bytes:
     if transform == STEPS:
         words: Array = np.rint(array.astype(np.float64) / step).astype(np.int64).astype(np.uint32)
     else:
-        width = _word(array.dtype)
+        width = _word_bytes(array.dtype)
         order = array.dtype.str[0] if array.dtype.str[0] in "<>" else "<"
         parts = array.dtype.itemsize // width
         words = np.frombuffer(array.tobytes(), f"{order}u{width}").astype(f"<u{width}")
@@ -208,7 +208,7 @@ def _forward(array: Array, transform: int, step: float) -> bytes:
 def _inverse(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], transform: int, step: float) -> Array:
     if transform == PLAIN:
         return np.frombuffer(data, dtype).reshape(shape).copy()
-    width = 4 if transform == STEPS else _word(dtype)
+    width = 4 if transform == STEPS else _word_bytes(dtype)
     parts = 1 if transform == STEPS else dtype.itemsize // width
     full = (*shape, parts) if parts > 1 else shape or (1,)
     columns_shape = (*full[1:], full[0])
@@ -223,7 +223,7 @@ def _inverse(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], transfor
 
 
 def _step(array: Array) -> float:
-    """The number of which all values are whole multiples to the last bit (counts times a scale); 0 if there is none."""
+    """The step of which all values are exact integer multiples (converter counts × scale); 0 if there is none."""
     if array.dtype.kind != "f":
         return 0.0
     values = array.reshape(-1).astype(np.float64)
@@ -237,7 +237,7 @@ def _step(array: Array) -> float:
         return 0.0
     for candidate in (gap, largest / np.rint(largest / gap), float(np.float32(largest / np.rint(largest / gap)))):
         with np.errstate(over="ignore"):
-            again = (np.rint(values / candidate) * candidate).astype(array.dtype)
-        if np.abs(values / candidate).max() < (1 << 31) - 1 and again.tobytes() == array.tobytes():
+            restored = (np.rint(values / candidate) * candidate).astype(array.dtype)
+        if np.abs(values / candidate).max() < (1 << 31) - 1 and restored.tobytes() == array.tobytes():
             return float(candidate)
     return 0.0

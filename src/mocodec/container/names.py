@@ -1,7 +1,7 @@
-"""Names of points on disk: runs of the vocabulary, numbered names, or deflated text; a common subject prefix once.
+"""Names of points on disk: a common prefix once, then runs of the vocabulary, numbered names, or deflated text.
 
-names ──► prefix "Male:" · the rest ──► the shortest of   runs: (place in VOCABULARY, how many) or a string, in turn
-                                                         numbered: stem, first number, how many: P1 P2 … P41
+names ──► prefix "Male:" · the rest ──► the shortest of   runs: (start in VOCABULARY, length) or a string, repeatedly
+                                                         numbered: stem and first number: P1 P2 … P41
                                                          text: joined by newlines, deflate with NAME_DICTIONARY
 """
 
@@ -20,7 +20,7 @@ MAX_TEXT_BYTES = 1 << 22
 
 
 def pack(names: Sequence[str]) -> bytes:
-    """varint 8·count + 4·(has prefix) + form, the prefix, the form's fields. Raises CannotEncode for too many."""
+    """varint 8·count + 4·(has prefix) + form, the prefix, the form's fields. Raises CannotEncode above MAX_NAMES."""
     if len(names) > MAX_NAMES:
         raise CannotEncode(f"{len(names)} points; a file holds at most {MAX_NAMES}")
     candidates = []
@@ -48,14 +48,14 @@ def unpack(cursor: Cursor) -> tuple[str, ...]:
     elif form == TEXT:
         rest = _unpack_text(cursor, count)
     else:
-        raise cursor.corrupt("names are in a form that is reserved")
+        raise cursor.corrupt("names have a reserved form")
     if len(prefix) * count > MAX_TEXT_BYTES:
         raise cursor.corrupt("names are too long")
     return tuple(prefix + name for name in rest)
 
 
 def _common_prefix(names: Sequence[str]) -> str:
-    """What stands before the colon in all names (a subject, a namespace), colon included; "" if they differ."""
+    """The prefix up to the last colon that all names share (a subject, a namespace), or ""."""
     prefixes = {name[: name.rfind(":") + 1] for name in names}
     return prefixes.pop() if len(prefixes) == 1 else ""
 
@@ -74,8 +74,9 @@ def _pack_runs(names: Sequence[str]) -> bytes:
 
 
 def _longest_run(names: Sequence[str], at: int) -> tuple[int, int]:
+    """(start in VOCABULARY, length) of the longest run that names[at:] begins with; length 0 if there is none."""
     best = (0, 0)
-    for start in PLACES.get(names[at], ()):
+    for start in INDICES.get(names[at], ()):
         length = 1
         while (
             at + length < len(names)
@@ -97,7 +98,7 @@ def _unpack_runs(cursor: Cursor, count: int) -> list[str]:
             continue
         length = cursor.varint()
         if length == 0 or start - 1 + length > len(VOCABULARY) or len(names) + length > count:
-            raise cursor.corrupt("a run of names goes past the vocabulary or the number of points")
+            raise cursor.corrupt("a run of names exceeds the vocabulary or the number of points")
         names.extend(VOCABULARY[start - 1 : start - 1 + length])
     return names
 
@@ -135,6 +136,7 @@ def _unpack_text(cursor: Cursor, count: int) -> list[str]:
     return names
 
 
-PLACES: dict[str, list[int]] = {}
-for _place, _name in enumerate(VOCABULARY):
-    PLACES.setdefault(_name, []).append(_place)
+INDICES: dict[str, list[int]] = {}
+"""Every index of a name in VOCABULARY."""
+for _index, _name in enumerate(VOCABULARY):
+    INDICES.setdefault(_name, []).append(_index)

@@ -1,7 +1,7 @@
-"""A `.mocz` opened for random access: header and index at once; extras and each chunk when they are asked for.
+"""A `.mocz` opened for random access: header and index are read at once, extras and chunks when they are used.
 
-source ──► head (one block) ──► header          tail (one block) ──► index ──► where each chunk is
-chunks[k] ──► its bytes ──► checksum ──► payload: damage in one chunk is met by who needs that chunk, by no one else
+file ──► first block ──► header          last block ──► index ──► byte range of each chunk
+chunks[k] ──► its bytes ──► checksum ──► payload: damage in one chunk affects only reads of that chunk
 """
 
 from __future__ import annotations
@@ -15,19 +15,21 @@ from typing import Any, NamedTuple, Self, cast, overload
 import numpy as np
 
 from ..encoded import Chunk, Encoded
-from ..errors import BadInput, Corrupt, MocodecError, TooNew, Truncated
+from ..errors import BadInput, Corrupt, MocodecError, Truncated
 from ..motion import Deferred, Motion, require_events
 from ..pointcloud import PointClouds
-from . import records, values
-from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
-from .sources import BLOCK_BYTES, Source, source
-from .wire import MAX_VARINT_BYTES, Cursor, checksum, varint
+from . import values
+from .byte_sources import ByteSource, byte_source
+from .locate import find_index, read_header, read_index, walk_chunks
+from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes
+from .wire import checksum
 
-FRAME_BYTES = 2 * MAX_VARINT_BYTES
+SEPARATE = ("names", "skeleton", "settings", "source", "shared")
+"""Header fields that `info` counts as parts of their own."""
 
 
 class Layout(NamedTuple):
-    """Where things are, in bytes from the start of the file."""
+    """Byte offsets of the parts of a file."""
 
     extras: int
     chunks: int
@@ -36,18 +38,18 @@ class Layout(NamedTuple):
 
 
 @contextmanager
-def naming(where: Source) -> Iterator[None]:
-    """Errors within say which file they are about."""
+def errors_name(file: ByteSource) -> Iterator[None]:
+    """Put the file's name before the message of errors that are raised inside."""
     try:
         yield
     except MocodecError as error:
-        if where.name and not str(error).startswith(where.name):
-            error.args = (f"{where.name}: {error}",)
+        if file.name and not str(error).startswith(file.name):
+            error.args = (f"{file.name}: {error}",)
         raise
 
 
 class StoredChunk(Chunk):
-    """A chunk whose payload is read, and its checksum tested, when it is asked for. Raises Corrupt, Truncated."""
+    """A chunk whose payload is read and checked at first use. Raises Corrupt, Truncated."""
 
     def __init__(self, chunks: StoredChunks, number: int) -> None:
         object.__setattr__(self, "start", chunks.starts[number])
@@ -61,10 +63,10 @@ class StoredChunk(Chunk):
 
 
 class StoredChunks(Sequence[Chunk]):
-    """The chunks of a file, by place; none is read before its payload is asked for."""
+    """The chunks of a file; a chunk is read when its payload is used."""
 
-    def __init__(self, where: Source, offset: int, frames: Sequence[int], lengths: Sequence[int]) -> None:
-        self.source = where
+    def __init__(self, file: ByteSource, offset: int, frames: Sequence[int], lengths: Sequence[int]) -> None:
+        self.source = file
         self.frames = frames
         self.lengths = lengths
         self.starts = list(accumulate(frames, initial=0))
@@ -83,56 +85,56 @@ class StoredChunks(Sequence[Chunk]):
         return StoredChunk(self, range(len(self))[index])
 
     def payload(self, number: int) -> bytes:
-        """Raises Corrupt where the chunk's frame, payload or checksum are damaged, Truncated where they are missing."""
-        with naming(self.source):
-            return self.tested(number)
+        """The payload of one chunk. Raises Corrupt if the chunk is damaged, Truncated if it is missing."""
+        with errors_name(self.source):
+            return self.checked_payload(number)
 
-    def tested(self, number: int) -> bytes:
-        """As `payload`; its errors do not say which file."""
+    def checked_payload(self, number: int) -> bytes:
+        """As `payload`, but errors do not name the file."""
         data = self.source.read(self.offsets[number], self.offsets[number + 1] - self.offsets[number])
-        frame = records.write(CHUNK, {"frames": self.frames[number], "length": self.lengths[number]})
+        head = CHUNK.pack({"frames": self.frames[number], "length": self.lengths[number]})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
-        if checksum(body) != crc or not body.startswith(frame):
+        if checksum(body) != crc or not body.startswith(head):
             start = self.starts[number]
             raise Corrupt(
                 f"chunk {number} (frames {start} to {start + self.frames[number]}, byte {self.offsets[number]}) is "
                 f"damaged{'; the other chunks can still be read' * (len(self) > 1)}: restore the file from a copy, or "
                 "salvage it"
             )
-        return body[len(frame) :]
+        return body[len(head) :]
 
 
 class Reader:
-    """An open `.mocz`.
+    """An open `.mocz`; `encoded` is the input of the codec's `decode`.
 
-    where: a path, an http(s) URL, bytes or a binary file object. salvage: of a file that was cut off or whose index is
-    damaged, take what chunks there are; `whole()` then says which frames decode.
-    encoded: what codecs decode. Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
+    where: a path, an http(s) URL, bytes or a binary file object. salvage: open a file that is truncated or has a
+    damaged index, with the chunks that can be found; `intact_runs()` then lists the frames that decode.
+    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
 
     def __init__(self, where: Any, salvage: bool = False) -> None:
-        self.source = source(where)
+        self.source = byte_source(where)
         try:
-            with naming(self.source):
+            with errors_name(self.source):
                 self._open(salvage)
         except BaseException:
             self.source.close()
             raise
 
     def _open(self, salvage: bool) -> None:
-        self.header, header_end = _read_header(self.source)
+        self.header, header_end = read_header(self.source)
         chunks_at = header_end
         if self.header["extras"]:
             chunks_at += self.header["extras"][0] + CHECKSUM_BYTES
         self.problems: list[str] = []
         try:
-            index, end = _find_index(self.source, chunks_at)
-            frames, lengths = _read_index(self.source, chunks_at, index, end)
+            index, end = find_index(self.source, chunks_at)
+            frames, lengths = read_index(self.source, chunks_at, index, end)
         except MocodecError as error:
             if not salvage:
                 raise
             self.problems.append(str(error))
-            frames, lengths, index = _walk(self.source, chunks_at)
+            frames, lengths, index = walk_chunks(self.source, chunks_at)
             end = self.source.size
         self.layout = Layout(header_end, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
@@ -169,15 +171,17 @@ class Reader:
         )
 
     def extras(self) -> dict[str, Any]:
-        """What the codec does not code. Raises Corrupt where it is damaged."""
-        with naming(self.source):
+        """The extras: data that the codec does not code. Raises Corrupt if they are damaged."""
+        with errors_name(self.source):
             return self._extras()
 
     def _extras(self) -> dict[str, Any]:
         stored, size = self.header["extras"]
         data = self.source.read(self.layout.extras, stored + CHECKSUM_BYTES)
         if checksum(data[:stored]) != data[stored:]:
-            raise Corrupt("the extras (what the codec does not code) are damaged; the motion itself can still be read")
+            raise Corrupt(
+                "the extras (analog channels, events, parameters) are damaged; the motion itself can still be read"
+            )
         try:
             extras = values.unpack_extras(data[:stored], size)
             require_events(extras)
@@ -185,42 +189,42 @@ class Reader:
             raise Corrupt(f"the extras: {error}") from None
         return extras
 
-    def naming(self) -> AbstractContextManager[None]:
-        """Errors within say which file they are about."""
-        return naming(self.source)
+    def errors_name_file(self) -> AbstractContextManager[None]:
+        """Put the file's name before the message of errors that are raised inside."""
+        return errors_name(self.source)
 
     def verify(self) -> None:
-        """Reads all of it. Raises Corrupt (or Truncated) that names every part that is damaged."""
+        """Read and check the whole file. Raises Corrupt that lists every damaged part."""
         problems = self.problems + [message for _, message in self.damage()]
-        with naming(self.source):
+        with errors_name(self.source):
             if problems:
                 raise Corrupt("; ".join(problems))
 
     def damage(self) -> list[tuple[int | None, str]]:
-        """(chunk, message) for each part that is damaged; the number is None for the extras."""
-        found: list[tuple[int | None, str]] = []
+        """(chunk number, message) of each damaged part; the number is None for the extras."""
+        damaged_parts: list[tuple[int | None, str]] = []
         if self.header["extras"]:
             try:
                 self._extras()
             except (Corrupt, Truncated) as error:
-                found.append((None, str(error)))
+                damaged_parts.append((None, str(error)))
         for number in range(len(self.chunks)):
             try:
-                self.chunks.tested(number)
+                self.chunks.checked_payload(number)
             except (Corrupt, Truncated) as error:
-                found.append((number, str(error)))
-        return found
+                damaged_parts.append((number, str(error)))
+        return damaged_parts
 
-    def whole(self) -> list[tuple[int, int]]:
-        """Runs of frames (start, stop) whose chunks, and the neighbours that those need, are all undamaged."""
+    def intact_runs(self) -> list[tuple[int, int]]:
+        """Runs of frames [start, stop) that decode: their chunks, and the margin around these, are undamaged."""
         margin = self.encoded.margin
-        bad = {number for number, _ in self.damage() if number is not None}
-        cut_off = bool(self.problems)
+        damaged = {number for number, _ in self.damage() if number is not None}
+        is_truncated = bool(self.problems)
         runs: list[tuple[int, int]] = []
         for number, start in enumerate(self.chunks.starts[:-1]):
             needs = range(max(0, number - margin), number + margin + 1)
-            past_end = cut_off and needs.stop > len(self.chunks)
-            if past_end or not bad.isdisjoint(needs):
+            is_past_end = is_truncated and needs.stop > len(self.chunks)
+            if is_past_end or not damaged.isdisjoint(needs):
                 continue
             if runs and runs[-1][1] == start:
                 start = runs.pop()[0]
@@ -228,19 +232,19 @@ class Reader:
         return runs
 
     def info(self) -> dict[str, Any]:
-        """What the file holds, as JSON values; reads no chunk."""
+        """Facts about the file, as JSON values; reads no chunk."""
         header, layout = self.header, self.layout
         about = self.encoded.about
         frames = self.chunks.starts[-1]
         points = about.points if isinstance(about, Motion) else None
         fields = {part["field"]: part["bytes"] for part in self.fields()}
-        framing = layout.index_at - layout.chunks - sum(self.chunks.lengths)
+        chunk_overhead = layout.index_at - layout.chunks - sum(self.chunks.lengths)
         sizes = {
             "header": layout.extras - sum(fields.get(name, 0) for name in SEPARATE),
             **{name: fields.get(name, 0) for name in SEPARATE},
             "extras": layout.chunks - layout.extras,
             "chunks": sum(self.chunks.lengths),
-            "framing": framing,
+            "framing": chunk_overhead,
             "index": layout.end - layout.index_at,
         }
         raw = None if points is None else frames * points * 12
@@ -271,8 +275,8 @@ class Reader:
         }
 
     def fields(self) -> list[dict[str, Any]]:
-        """The header field by field: name, bytes, meaning."""
-        return records.describe(HEADER, self.header)
+        """The header's fields: name, bytes, meaning."""
+        return HEADER.describe(self.header)
 
     def close(self) -> None:
         self.source.close()
@@ -282,126 +286,3 @@ class Reader:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-SEPARATE = ("names", "skeleton", "settings", "source", "shared")
-
-
-def _read_header(where: Source) -> tuple[dict[str, Any], int]:
-    """The header's fields, and where it ends. Raises BadInput for other files, TooNew, Truncated, Corrupt."""
-    block = where.read(0, min(where.size, BLOCK_BYTES))
-    if not block.startswith(MAGIC):
-        if MAGIC.startswith(block):
-            raise Truncated(f"the file ends after {len(block)} bytes" if block else "the file is empty")
-        if _has_end(where):
-            raise Corrupt("the first bytes of the file are damaged")
-        raise BadInput("this is not a .mocz file")
-    cursor = Cursor(block, "the header", at=len(MAGIC))
-    version = cursor.byte()
-    length = cursor.varint()
-    end = cursor.at + length + CHECKSUM_BYTES
-    if length > records.MAX_HEADER_BYTES:
-        raise Corrupt(f"a header of {length} bytes, more than may be")
-    if end > where.size:
-        raise Corrupt("the header's length is damaged") if _has_end(where) else Truncated("the file ends in its header")
-    if end > len(block):
-        block += where.read(len(block), end - len(block))
-    head, crc = block[: end - CHECKSUM_BYTES], block[end - CHECKSUM_BYTES : end]
-    if checksum(head) != crc:
-        raise Corrupt("the header is damaged: its checksum does not hold")
-    if version > VERSION:
-        raise TooNew(f"format version {version}; this mocodec reads up to version {VERSION}: upgrade it")
-    if version == 0:
-        raise Corrupt("format version 0, which is reserved")
-    cursor = Cursor(head, "the header", at=cursor.at)
-    try:
-        header = records.read(HEADER, cursor)
-    except Truncated as error:
-        raise Corrupt(f"the header contradicts itself: {error}") from None
-    except BadInput as error:
-        raise Corrupt(f"the header: {error}") from None
-    cursor.done()
-    return header, end
-
-
-def _has_end(where: Source) -> bool:
-    """Whether the last bytes are those of a file that was finished: then it is damaged, not cut off."""
-    return where.size >= len(END_MAGIC) and where.read(where.size - len(END_MAGIC), len(END_MAGIC)) == END_MAGIC
-
-
-def _find_index(where: Source, chunks_at: int) -> tuple[int, int]:
-    """Where the index starts, and where the file ends. Raises Truncated where the end is missing, Corrupt."""
-    count = min(MAX_VARINT_BYTES + len(END_MAGIC), where.size)
-    tail = where.read(where.size - count, count)
-    if not tail.endswith(END_MAGIC):
-        if _index_follows(where, _walk(where, chunks_at)[2]):
-            raise Corrupt("the end of the file is damaged; its chunks can be salvaged")
-        raise Truncated("the file ends too early: its index is missing; fetch it again, or salvage what is there")
-    backwards = Cursor(tail[: -len(END_MAGIC)][::-1], "the index's length")
-    try:
-        length = backwards.varint()
-    except Truncated:
-        raise Corrupt("the index's length is damaged; the chunks can be salvaged") from None
-    index = where.size - len(END_MAGIC) - backwards.at - length
-    if index < chunks_at or length < 1 + CHECKSUM_BYTES:
-        raise Corrupt("the index's length is damaged; the chunks can be salvaged")
-    return index, where.size
-
-
-def _index_follows(where: Source, index: int) -> bool:
-    """Whether an undamaged index starts here, with just so much after it as its length and the magic take."""
-    length = _index_bytes(where.size - index - len(END_MAGIC))
-    if length <= CHECKSUM_BYTES:
-        return False
-    data = where.read(index, length)
-    return checksum(data[:-CHECKSUM_BYTES]) == data[-CHECKSUM_BYTES:]
-
-
-def _index_bytes(room: int) -> int:
-    """The length of an index that, with that length written behind it, fills the room; 0 if none does."""
-    return next((room - n for n in range(1, MAX_VARINT_BYTES + 1) if room > n and len(varint(room - n)) == n), 0)
-
-
-def _read_index(where: Source, chunks_at: int, index: int, end: int) -> tuple[list[int], list[int]]:
-    """Frames and payload bytes of every chunk. Raises Corrupt."""
-    data = where.read(index, _index_bytes(end - index - len(END_MAGIC)))
-    body = data[:-CHECKSUM_BYTES]
-    if checksum(body) != data[-CHECKSUM_BYTES:] or body[0] != 0:
-        raise Corrupt("the index is damaged; the chunks can be salvaged")
-    cursor = Cursor(body, "the index", at=1)
-    try:
-        if cursor.left:
-            record = records.read(INDEX, cursor)
-        else:
-            frame = Cursor(where.read(chunks_at, min(FRAME_BYTES, index - chunks_at)), "the only chunk")
-            chunk = records.read(CHUNK, frame)
-            record = {"frames": [chunk["frames"]], "lengths": [chunk["length"]]}
-        cursor.done()
-    except Truncated as error:
-        raise Corrupt(f"the index contradicts itself: {error}") from None
-    frames, lengths = record["frames"], record["lengths"]
-    if min(frames, default=1) < 1 or sum(frames) > records.MAX_FRAMES:
-        raise Corrupt("the number of frames is out of range")
-    if max(lengths, default=0) > index or chunks_at + int(chunk_bytes(frames, lengths).sum()) != index:
-        raise Corrupt("the index does not fit the chunks; they can be salvaged")
-    return frames, lengths
-
-
-def _walk(where: Source, chunks_at: int) -> tuple[list[int], list[int], int]:
-    """Chunk after chunk from the front, without the index: frames, payload bytes, where the last complete one ends."""
-    frames: list[int] = []
-    lengths: list[int] = []
-    at = chunks_at
-    while at < where.size:
-        cursor = Cursor(where.read(at, min(FRAME_BYTES, where.size - at)), "a chunk")
-        try:
-            chunk = records.read(CHUNK, cursor)
-        except (Truncated, Corrupt):
-            break
-        size = int(chunk_bytes([chunk["frames"]], [chunk["length"]])[0])
-        if chunk["frames"] == 0 or at + size > where.size:
-            break
-        frames.append(chunk["frames"])
-        lengths.append(chunk["length"])
-        at += size
-    return frames, lengths, min(at, where.size)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UnknownCodec
+from ..fields import Field, Record, Values, unsigned
 from ..motion import UP_AXES, Skeleton
 from . import names, skeletons, values
 from .tables import CODEC_IDS, RATES
@@ -33,57 +33,6 @@ MAX_FRAMES = 1 << 40
 MAX_PAYLOAD_BYTES = 1 << 30
 MAX_MARGIN = 1 << 16
 KINDS = ("motion", "clouds")
-
-Values = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Field:
-    """One field: its name in the record, how it is written and read, what it means, and when it is there.
-
-    write(value, record) gives bytes; read(cursor, record) the value; `record` holds the fields that stood before.
-    present: the bit of the first field, `flags`, that says the field is there; only: the kind of data that has it.
-    """
-
-    name: str
-    write: Callable[[Any, Mapping[str, Any]], bytes]
-    read: Callable[[Cursor, Mapping[str, Any]], Any]
-    meaning: str
-    present: int | None = None
-    only: str | None = None
-
-    def missing(self, record: Mapping[str, Any], flags: int) -> bool:
-        return (self.present is not None and not flags >> self.present & 1) or (
-            self.only is not None and self.only != record["kind"]
-        )
-
-
-def write(fields: tuple[Field, ...], record: Mapping[str, Any]) -> bytes:
-    """The record's bytes."""
-    return b"".join(part for _, part in parts(fields, record))
-
-
-def parts(fields: tuple[Field, ...], record: Mapping[str, Any]) -> list[tuple[str, bytes]]:
-    """Each field's name and bytes: what `info` counts."""
-    flags = record.get("flags", 0)
-    return [(f.name, f.write(record[f.name], record)) for f in fields if not f.missing(record, flags)]
-
-
-def read(fields: tuple[Field, ...], cursor: Cursor) -> Values:
-    """The record; a field that is not there is None. Raises Corrupt, Truncated."""
-    record: Values = {}
-    for f in fields:
-        if f.name == "flags":
-            record.update(_unpack_flags(f.read(cursor, record)))
-        else:
-            record[f.name] = None if f.missing(record, record.get("flags", 0)) else f.read(cursor, record)
-    return record
-
-
-def describe(fields: tuple[Field, ...], record: Mapping[str, Any]) -> list[Values]:
-    """One line a field, for people: name, bytes, meaning."""
-    meanings = {f.name: f.meaning for f in fields}
-    return [{"field": name, "bytes": len(data), "meaning": meanings[name]} for name, data in parts(fields, record)]
 
 
 # flags: what the first byte of a header packs
@@ -101,21 +50,25 @@ def _read_flags(cursor: Cursor, _: Mapping[str, Any]) -> int:
     return value
 
 
-def _unpack_flags(value: int) -> Values:
-    return {"flags": value, "kind": KINDS[value & 1], "up": UP_AXES[value >> 1 & 3]}
+def with_flags(header: Values) -> Values:
+    """The header's values with those that its flags hold: kind of data and vertical axis."""
+    bits = header["flags"]
+    return {**header, "kind": KINDS[bits & 1], "up": UP_AXES[bits >> 1 & 3]}
+
+
+def _of_kind(kind: str) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: KINDS[known["flags"] & 1] == kind
+
+
+def _with_bit(bit: int) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: bool(known["flags"] >> bit & 1)
+
+
+def _has_skeleton(known: Mapping[str, Any]) -> bool:
+    return _of_kind("motion")(known) and _with_bit(SKELETON)(known)
 
 
 # kinds of fields: write beside read
-
-
-def _number(limit: int) -> tuple[Callable[..., bytes], Callable[..., int]]:
-    def read_number(cursor: Cursor, _: Mapping[str, Any]) -> int:
-        value = cursor.varint()
-        if value > limit:
-            raise cursor.corrupt(f"{value} where at most {limit} may stand")
-        return value
-
-    return (lambda value, _: varint(value)), read_number
 
 
 def _write_codec(name: str, _: Mapping[str, Any]) -> bytes:
@@ -185,48 +138,57 @@ def _read_sizes(cursor: Cursor, _: Mapping[str, Any]) -> tuple[int, int]:
 
 MARGIN, SKELETON, SETTINGS, SOURCE, EXTRAS = 3, 4, 5, 6, 7
 
-HEADER = (
+HEADER = Record(
+    "the header",
     Field("flags", lambda value, _: bytes([value]), _read_flags, "kind, vertical axis, which fields follow"),
     Field("codec", _write_codec, _read_codec, "number in the table of codecs, or 0 and a name"),
     Field("rate", _write_rate, _read_rate, "frames a second"),
-    Field("margin", *_number(MAX_MARGIN), "neighbouring chunks that a chunk needs on each side", present=MARGIN),
-    Field("names", lambda value, _: names.pack(value), lambda c, _: names.unpack(c), "of the points", only="motion"),
-    Field("channels", *_number(3), "bit 0 colours, bit 1 normals", only="clouds"),
+    unsigned(
+        "margin", most=MAX_MARGIN, meaning="neighbouring chunks that a chunk needs on each side", when=_with_bit(MARGIN)
+    ),
+    Field(
+        "names",
+        lambda value, _: names.pack(value),
+        lambda c, _: names.unpack(c),
+        "of the points",
+        when=_of_kind("motion"),
+    ),
+    unsigned("channels", most=3, meaning="bit 0 colours, bit 1 normals", when=_of_kind("clouds")),
     Field(
         "skeleton",
         _write_skeleton,
         lambda c, record: skeletons.unpack(c, record["names"]),
         "tree and offsets",
-        present=SKELETON,
-        only="motion",
+        when=_has_skeleton,
     ),
     Field(
         "settings",
         lambda value, _: values.pack(value, "settings"),
         lambda c, _: values.unpack(c),
         "of the codec, where they differ from its defaults",
-        present=SETTINGS,
+        when=_with_bit(SETTINGS),
     ),
     Field(
         "source",
         lambda value, _: values.pack_source(value),
         lambda c, _: values.unpack_source(c),
         "how the file was that the motion came from",
-        present=SOURCE,
+        when=_with_bit(SOURCE),
     ),
     Field(
         "extras",
         lambda sizes, _: varint(sizes[0]) + varint(sizes[1]),
         _read_sizes,
         "bytes of the extras section, and bytes that it unpacks to",
-        present=EXTRAS,
+        when=_with_bit(EXTRAS),
     ),
     Field("shared", _write_shared, _read_shared, "bytes that all chunks need"),
 )
 
-CHUNK = (
-    Field("frames", *_number(MAX_CHUNK_FRAMES), "frames of the chunk, at least 1; 0 starts the index"),
-    Field("length", *_number(MAX_PAYLOAD_BYTES), "bytes of the payload"),
+CHUNK = Record(
+    "a chunk",
+    unsigned("frames", most=MAX_CHUNK_FRAMES, meaning="frames of the chunk, at least 1; 0 starts the index"),
+    unsigned("length", most=MAX_PAYLOAD_BYTES, meaning="bytes of the payload"),
 )
 
 
@@ -269,7 +231,8 @@ def _read_lengths(cursor: Cursor, record: Mapping[str, Any]) -> list[int]:
     return lengths
 
 
-INDEX = (
+INDEX = Record(
+    "the index",
     Field("frames", _write_runs, _read_runs, "how many chunks, then runs of (chunks, frames of each)"),
     Field("lengths", lambda value, _: b"".join(map(varint, value)), _read_lengths, "bytes of each payload"),
 )

@@ -1,11 +1,12 @@
-"""A skeleton on disk: its tree by number, its offsets in steps of 10 µm as departures from what is expected.
+"""A skeleton on disk: its tree by number, its offsets in steps of 10 µm as residuals of a prediction.
 
-    offset of a joint ──► expected: the mirrored offset of its partner on the other side, if that stood before;
-                                    else the typical body of a known tree; else zero
-                      ──► the largest coordinate of what is expected first; the others scaled in proportion ──► bits
+    offset of a joint ──► predicted from the mirrored offset of its partner on the other side, if that comes earlier;
+                          else from the reference body of a known tree; else zero
+                      ──► residual of the largest predicted coordinate; the prediction of the two others is scaled by
+                          it ──► two more residuals ──► exponential Golomb bits
 
-People are nearly symmetric and bones keep their direction, so most of a second side and most of a limb cost a bit each.
-All arithmetic is on integers. With the lossless codec offsets are kept to the last bit instead.
+People are nearly symmetric and bones keep their direction, so most residuals of the second side and of the limbs take
+one bit. All arithmetic is on integers. The lossless codec stores exact offsets instead.
 """
 
 from __future__ import annotations
@@ -17,28 +18,29 @@ import numpy as np
 
 from ..errors import CannotEncode
 from ..motion import Skeleton
+from ..typing import Floats
 from . import arrays, names
 from .tables import REFERENCE_OFFSETS, TREES
 from .wire import BitReader, BitWriter, Cursor, unzigzag, zigzag
 
 STEP_M = 1e-5
-"""Offsets are rounded to this: a hundredth of a millimetre, below what a body can be measured to."""
+"""Offsets are rounded to this step: finer than any measurement of a body."""
 MAX_STEPS = 1 << 31
 EXACT, OWN_NAMES, MIRROR, TREE, CHAINED = 1, 2, 2, 4, 128
-"""Flags: bit 0 exact offsets, bit 1 joints have names of their own, bit 7 each bone is expected longer or shorter as
-the one before was. Shifts: mirror axis (0 none, x, y, z), tree."""
+"""Flags: bit 0 exact offsets, bit 1 joint names differ from the point names, bit 7 each prediction is scaled by the
+length ratio of the bone before. Shifts: MIRROR of the mirror axis (0 none, x, y, z), TREE of the tree's number."""
 
 Vector = tuple[int, int, int]
 SIDES = (("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"))
 
 
-def rounded(offsets: np.ndarray) -> np.ndarray:
-    """Offsets as a file gives them back, metres: the nearest step of 10 µm."""
+def rounded(offsets: Floats) -> Floats:
+    """Offsets in metres as a file stores them: rounded to steps of 10 µm."""
     return np.rint(np.asarray(offsets, np.float64) / STEP_M) / round(1 / STEP_M)
 
 
 def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) -> bytes:
-    """One byte of flags, then as the flags say: names, bits of the tree and of the offsets. Raises CannotEncode."""
+    """Flags, names if they differ, then the bits of tree and offsets. Raises CannotEncode for offsets not finite."""
     if not np.isfinite(skeleton.offsets).all():
         raise CannotEncode("the skeleton has offsets that are not finite")
     exact = exact or bool((np.abs(skeleton.offsets) >= MAX_STEPS * STEP_M).any())
@@ -55,10 +57,10 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
     offsets: list[Vector] = [(int(x), int(y), int(z)) for x, y, z in steps]
     candidates = []
     for axis, chained in product(range(4), (0, CHAINED)):
-        both = BitWriter()
-        both.bits = bits.bits.copy()
-        _put_offsets(both, offsets, _expectations(skeleton.names, tree, axis), bool(chained))
-        candidates.append(bytes([flags | chained | axis << MIRROR]) + head + both.bytes())
+        trial = BitWriter()
+        trial.bits = bits.bits.copy()
+        _put_offsets(trial, offsets, _predictors(skeleton.names, tree, axis), bool(chained))
+        candidates.append(bytes([flags | chained | axis << MIRROR]) + head + trial.bytes())
     return min(candidates, key=len)
 
 
@@ -68,22 +70,22 @@ def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
     axis, tree = flags >> MIRROR & 3, flags >> TREE & 7
     joint_names = names.unpack(cursor) if flags & OWN_NAMES else tuple(point_names)
     if len(joint_names) != len(point_names) or tree >= len(TREES) or (tree and len(TREES[tree]) != len(joint_names)):
-        raise cursor.corrupt("the skeleton does not fit the points, or its tree is unknown")
+        raise cursor.corrupt("the skeleton does not match the points, or its tree is unknown")
     bits = BitReader(cursor)
     parents = TREES[tree] if tree else _get_parents(bits, len(joint_names))
     if flags & EXACT:
         bits.done()
         offsets = arrays.unpack(cursor)
         if offsets.shape != (len(joint_names), 3) or offsets.dtype != np.float64 or not np.isfinite(offsets).all():
-            raise cursor.corrupt("the skeleton's offsets do not fit its joints")
+            raise cursor.corrupt("the skeleton's offsets do not match its joints")
         return Skeleton(joint_names, parents, offsets)
-    steps = _get_offsets(bits, _expectations(joint_names, tree, axis), bool(flags & CHAINED))
+    steps = _get_offsets(bits, _predictors(joint_names, tree, axis), bool(flags & CHAINED))
     bits.done()
     return Skeleton(joint_names, parents, np.array(steps, np.float64).reshape(-1, 3) / round(1 / STEP_M))
 
 
 def _put_parents(bits: BitWriter, parents: Sequence[int]) -> None:
-    """How far back each joint's parent stands; a root counts as standing before the first joint."""
+    """The distance joint − 1 − parent of each joint; the parent of a root is −1."""
     for joint, parent in enumerate(parents):
         bits.golomb(joint - 1 - parent, 0)
 
@@ -91,79 +93,82 @@ def _put_parents(bits: BitWriter, parents: Sequence[int]) -> None:
 def _get_parents(bits: BitReader, joints: int) -> tuple[int, ...]:
     parents = tuple(joint - 1 - bits.golomb(0) for joint in range(joints))
     if parents and min(parents) < -1:
-        raise bits.cursor.corrupt("a joint's parent stands before the first joint")
+        raise bits.cursor.corrupt("a joint's parent is out of range")
     return parents
 
 
-Expectation = tuple[int, int] | Vector
-"""(partner's index, axis in which to mirror it), or an offset."""
+Predictor = tuple[int, int] | Vector
+"""(index of the partner joint, axis to mirror), or a fixed offset."""
 
 
-def _expectations(joint_names: Sequence[str], tree: int, axis: int) -> list[Expectation]:
-    where: dict[str, int] = {}
-    expected: list[Expectation] = []
+def _predictors(joint_names: Sequence[str], tree: int, axis: int) -> list[Predictor]:
+    """How each joint's offset is predicted; axis: 0 without mirroring, else 1 + the mirror axis."""
+    index_of: dict[str, int] = {}
+    predictors: list[Predictor] = []
     for joint, name in enumerate(joint_names):
-        partner = next((where[other] for other in _other_sides(name) if other in where), None) if axis else None
+        partner = next((index_of[other] for other in _other_sides(name) if other in index_of), None) if axis else None
         if partner is not None:
-            expected.append((partner, axis - 1))
+            predictors.append((partner, axis - 1))
         else:
-            expected.append(REFERENCE_OFFSETS[tree][joint] if tree in REFERENCE_OFFSETS else (0, 0, 0))
-        where.setdefault(name, joint)
-    return expected
+            predictors.append(REFERENCE_OFFSETS[tree][joint] if tree in REFERENCE_OFFSETS else (0, 0, 0))
+        index_of.setdefault(name, joint)
+    return predictors
 
 
 def _other_sides(name: str) -> list[str]:
-    """What the same joint could be called on the other side: each place where a side may stand, exchanged."""
-    found = []
+    """Candidate names of the same joint on the other side: each occurrence of a side exchanged."""
+    candidates = []
     for left, right in SIDES:
         for this, other in ((left, right), (right, left)):
             at = name.find(this)
             if at >= 0 and (len(this) > 1 or at == 0 or not name[at - 1].isalpha()):
-                found.append(name[:at] + other + name[at + len(this) :])
-    return found
+                candidates.append(name[:at] + other + name[at + len(this) :])
+    return candidates
 
 
-def _vector(expectation: Expectation, known: Sequence[Vector]) -> Vector:
-    if len(expectation) == 3:
-        return expectation
-    partner, axis = expectation
+def _predict(predictor: Predictor, known: Sequence[Vector]) -> Vector:
+    """The predicted offset; known: the offsets of the joints before."""
+    if len(predictor) == 3:
+        return predictor
+    partner, axis = predictor
     x, y, z = known[partner]
     return (-x if axis == 0 else x, -y if axis == 1 else y, -z if axis == 2 else z)
 
 
 def _scaled(vector: Vector, main: int, value: int) -> list[int]:
-    """The vector in proportion, once its coordinate `main` is known to be `value`; rounded half up."""
-    whole = vector[main]
-    return [(2 * v * value + whole) // (2 * whole) if whole else v for v in vector]
+    """The vector scaled so that its coordinate `main` becomes `value`; rounded half up."""
+    divisor = vector[main]
+    return [(2 * v * value + divisor) // (2 * divisor) if divisor else v for v in vector]
 
 
-def _longer(vector: Vector, ratio: tuple[int, int]) -> Vector:
-    """The vector times a ratio, rounded half up."""
+def _times(vector: Vector, ratio: tuple[int, int]) -> Vector:
+    """The vector times a ratio (numerator, denominator), rounded half up."""
     x, y, z = ((2 * v * ratio[0] + ratio[1]) // (2 * ratio[1]) for v in vector)
     return x, y, z
 
 
 def _main(vector: Vector) -> int:
+    """The axis of the largest coordinate."""
     return max(range(3), key=lambda axis: abs(vector[axis]))
 
 
 def _ratio(offset: Sequence[int], vector: Vector) -> tuple[int, int]:
-    """How much longer a bone is than was expected of it before; 1 where the two do not point the same way."""
+    """Actual over predicted length along the main axis, as (numerator, denominator); 1 if the signs differ."""
     main = _main(vector)
     return (offset[main], vector[main]) if offset[main] * vector[main] > 0 else (1, 1)
 
 
 def _residuals(
-    offsets: Sequence[Vector], expected: Sequence[Expectation], chained: bool
+    offsets: Sequence[Vector], predictors: Sequence[Predictor], chained: bool
 ) -> tuple[list[int], list[int]]:
-    """Departures of each joint's main coordinate, and of its two others."""
+    """Residuals of each joint's main coordinate, and of its two other coordinates."""
     mains: list[int] = []
     others: list[int] = []
     ratio = (1, 1)
-    for offset, expectation in zip(offsets, expected, strict=True):
-        plain = _vector(expectation, offsets)
-        vector = _longer(plain, ratio)
-        ratio = _ratio(offset, plain) if chained else ratio
+    for offset, predictor in zip(offsets, predictors, strict=True):
+        unscaled = _predict(predictor, offsets)
+        vector = _times(unscaled, ratio)
+        ratio = _ratio(offset, unscaled) if chained else ratio
         main = _main(vector)
         mains.append(zigzag(offset[main] - vector[main]))
         scaled = _scaled(vector, main, offset[main])
@@ -171,46 +176,47 @@ def _residuals(
     return mains, others
 
 
-def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], expected: Sequence[Expectation], chained: bool) -> None:
-    """Two orders, 4 bits each, then per joint its three departures: a bit "not zero", then exponential Golomb."""
-    mains, others = _residuals(offsets, expected, chained)
+def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], predictors: Sequence[Predictor], chained: bool) -> None:
+    """Two Golomb orders of 4 bits, then three residuals a joint: a bit "not zero", then exponential Golomb."""
+    mains, others = _residuals(offsets, predictors, chained)
     orders = [min(range(16), key=lambda k, v=values: _cost(v, k)) for values in (mains, others)]
     for order in orders:
         bits.put(order, 4)
     for joint, value in enumerate(mains):
-        _put_departure(bits, value, orders[0])
+        _put_residual(bits, value, orders[0])
         for other in others[2 * joint : 2 * joint + 2]:
-            _put_departure(bits, other, orders[1])
+            _put_residual(bits, other, orders[1])
 
 
-def _get_offsets(bits: BitReader, expected: Sequence[Expectation], chained: bool) -> list[Vector]:
+def _get_offsets(bits: BitReader, predictors: Sequence[Predictor], chained: bool) -> list[Vector]:
     orders = bits.get(4), bits.get(4)
     known: list[Vector] = []
     ratio = (1, 1)
-    for expectation in expected:
-        plain = _vector(expectation, known)
-        vector = _longer(plain, ratio)
+    for predictor in predictors:
+        unscaled = _predict(predictor, known)
+        vector = _times(unscaled, ratio)
         main = _main(vector)
-        value = vector[main] + _get_departure(bits, orders[0])
+        value = vector[main] + _get_residual(bits, orders[0])
         offset = _scaled(vector, main, value)
         for axis in range(3):
-            offset[axis] = value if axis == main else offset[axis] + _get_departure(bits, orders[1])
+            offset[axis] = value if axis == main else offset[axis] + _get_residual(bits, orders[1])
         if max(map(abs, offset)) > MAX_STEPS:
             raise bits.cursor.corrupt("an offset is out of range")
-        ratio = _ratio(offset, plain) if chained else ratio
+        ratio = _ratio(offset, unscaled) if chained else ratio
         known.append((offset[0], offset[1], offset[2]))
     return known
 
 
-def _put_departure(bits: BitWriter, value: int, order: int) -> None:
+def _put_residual(bits: BitWriter, value: int, order: int) -> None:
     bits.put(value > 0, 1)
     if value:
         bits.golomb(value - 1, order)
 
 
-def _get_departure(bits: BitReader, order: int) -> int:
+def _get_residual(bits: BitReader, order: int) -> int:
     return unzigzag(bits.golomb(order) + 1) if bits.get(1) else 0
 
 
 def _cost(values: Sequence[int], k: int) -> int:
+    """Bits of the values in exponential Golomb code of order k."""
     return sum(1 if v == 0 else 2 * (v - 1 + (1 << k)).bit_length() - k for v in values)

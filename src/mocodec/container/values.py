@@ -1,4 +1,4 @@
-"""A tree of values on disk: JSON values, bytes, arrays and signals, each with its type, in one byte where it can be.
+"""A tree of values on disk: JSON values, bytes, arrays and signals, each after a type byte; common ones in one byte.
 
 0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
 10 large integer · 11 array · 12 signal · 13 small array
@@ -27,17 +27,17 @@ NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, 
 SMALL, SHORT, WORD = 32, 96, 128
 WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
 SMALL_ARRAY_BYTES = 64
-"""Arrays up to this size stand in the tree as they are, where deflate sees them beside their neighbours."""
+"""Arrays up to this size are stored inside the tree, so that deflate codes them with their neighbours."""
 MAX_DEPTH = 64
 MAX_TREE_BYTES = 1 << 26
 SPARE_BYTES = 1 << 28
 UNPACK_RATIO = 1024
-"""Extras may unpack to SPARE_BYTES, or to so many times what they take in the file: more is taken for an attack."""
+"""Extras may unpack to SPARE_BYTES + UNPACK_RATIO × their bytes in the file; more is refused as hostile."""
 
 
 def pack(tree: Mapping[str, Any], what: str) -> bytes:
-    """A dict of JSON values. Raises CannotEncode for anything else in it."""
-    return _wrapped(_Writer(what, arrays_allowed=False).all(tree))
+    """A dict of JSON values as bytes. what: its name in messages. Raises CannotEncode for values of other types."""
+    return _wrapped(_TreeWriter(what, arrays_allowed=False).all(tree))
 
 
 def unpack(cursor: Cursor) -> dict[str, Any]:
@@ -46,11 +46,11 @@ def unpack(cursor: Cursor) -> dict[str, Any]:
 
 
 def pack_source(source: Mapping[str, Any]) -> bytes:
-    """A source: the number of the usual one that it is most like, then a dict of what differs or follows."""
+    """A source: the number of the entry of SOURCES that it extends, then a dict of the values that differ or follow."""
     candidates = []
-    for number, usual in enumerate(SOURCES):
-        rest = {key: value for key, value in source.items() if key not in usual or not _same(usual[key], value)}
-        if list({**usual, **rest}) == list(source):
+    for number, preset in enumerate(SOURCES):
+        rest = {key: value for key, value in source.items() if key not in preset or not _same(preset[key], value)}
+        if list({**preset, **rest}) == list(source):
             candidates.append(varint(number) + pack(rest, "source"))
     return min(candidates, key=len)
 
@@ -59,7 +59,7 @@ def unpack_source(cursor: Cursor) -> dict[str, Any]:
     """The inverse of `pack_source`. Raises Corrupt, Truncated."""
     number = cursor.varint()
     if number >= len(SOURCES):
-        raise cursor.corrupt("a usual source that is reserved")
+        raise cursor.corrupt("a reserved number of a source")
     return {**SOURCES[number], **unpack(cursor)}
 
 
@@ -69,23 +69,23 @@ def _same(a: Any, b: Any) -> bool:
 
 @cache
 def dictionary() -> bytes:
-    """What deflate is primed with: the stream of typical extras. Frozen by its checksum in the tests."""
-    return _Writer("the dictionary", arrays_allowed=True).all(tables.typical_extras())
+    """The preset dictionary of deflate: the stream of typical extras. A test holds its checksum."""
+    return _TreeWriter("the dictionary", arrays_allowed=True).all(tables.typical_extras())
 
 
 def pack_extras(tree: Mapping[str, Any]) -> tuple[bytes, int]:
-    """The extras section (the tree, then its arrays) and how many bytes it unpacks to. Raises CannotEncode."""
-    writer = _Writer("extras", arrays_allowed=True)
+    """The extras section (the tree, then its arrays) and its unpacked size in bytes. Raises CannotEncode."""
+    writer = _TreeWriter("extras", arrays_allowed=True)
     stream = writer.all(tree)
     packed = _wrapped(stream) + b"".join(map(arrays.pack, writer.arrays))
     size = len(stream) + sum(map(arrays.nbytes, writer.arrays))
     if size > unpack_limit(len(packed)):
-        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, which a reader would refuse; store fewer")
+        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, which readers refuse; store fewer extras")
     return packed, size
 
 
 def unpack_extras(data: bytes, size: int) -> dict[str, Any]:
-    """The inverse of `pack_extras`; allocates no more than announced. Raises Corrupt, Truncated."""
+    """The inverse of `pack_extras`; allocates no more than `size` declares. Raises Corrupt, Truncated."""
     cursor = Cursor(data, "extras")
     budget = Budget(min(size, unpack_limit(len(data))))
     tree = _tree(cursor, budget, budget)
@@ -94,11 +94,12 @@ def unpack_extras(data: bytes, size: int) -> dict[str, Any]:
 
 
 def unpack_limit(stored: int) -> int:
+    """The most bytes that an extras section of `stored` bytes may unpack to."""
     return SPARE_BYTES + UNPACK_RATIO * stored
 
 
 def _wrapped(stream: bytes) -> bytes:
-    """varint 2·length + deflated; where deflated, the deflated blob follows, else the stream itself."""
+    """varint 2·length + (1 if deflated), then the deflated blob or the stream itself, whichever is shorter."""
     packed = deflate(stream, dictionary())
     if len(packed) + len(varint(len(packed))) < len(stream):
         return varint(len(stream) << 1 | 1) + blob(packed)
@@ -110,12 +111,14 @@ def _tree(cursor: Cursor, budget: Budget, arrays_budget: Budget | None) -> dict[
     budget.take(head >> 1, cursor.what)
     stream = inflate(cursor.blob(), head >> 1, cursor.what, dictionary()) if head & 1 else cursor.take(head >> 1)
     inner = Cursor(stream, cursor.what)
-    reader = _Reader(inner, cursor, arrays_budget)
+    reader = _TreeReader(inner, cursor, arrays_budget)
     tree = reader.items(0, None)
-    return reader.settle(tree) if reader.waiting else tree
+    return reader.fill_arrays(tree) if reader.has_arrays else tree
 
 
-class _Writer:
+class _TreeWriter:
+    """Writes values to a stream; arrays are collected for the section after it."""
+
     def __init__(self, what: str, arrays_allowed: bool) -> None:
         self.what = what
         self.arrays: list[Array] = []
@@ -130,7 +133,7 @@ class _Writer:
 
     def value(self, out: bytearray, value: Any, depth: int) -> None:
         if depth > MAX_DEPTH:
-            raise CannotEncode(f"{self.what} are nested deeper than {MAX_DEPTH} levels")
+            raise CannotEncode(f"{self.what} are nested more than {MAX_DEPTH} levels deep")
         if isinstance(value, np.generic) and not isinstance(value, (float, str, bytes)):
             value = value.item()
         if value is None or isinstance(value, bool):
@@ -158,7 +161,7 @@ class _Writer:
             for item in value:
                 self.value(out, item, depth + 1)
         else:
-            raise CannotEncode(f"{self.what} hold a {type(value).__name__}, which a file cannot carry: {value!r:.60}")
+            raise CannotEncode(f"{self.what} hold a {type(value).__name__}, which a .mocz cannot store: {value!r:.60}")
 
     def items(self, out: bytearray, mapping: Mapping[Any, Any], depth: int) -> None:
         for key, item in mapping.items():
@@ -203,7 +206,7 @@ class _Writer:
 
 
 def decimal(value: float) -> bytes | None:
-    """A float as digits and a power of ten, where that gives the same float: 0.002 is 2 and −3. None for others."""
+    """A float as digits and a power of ten (0.002 is 2 and −3), or None if that is not exact."""
     match = re.fullmatch(r"(-?)([0-9]+)(?:\.([0-9]+))?(?:e([-+][0-9]+))?", repr(value))
     if match is None or (value == 0 and match[1]):
         return None
@@ -216,20 +219,21 @@ def decimal(value: float) -> bytes | None:
 
 
 def from_decimal(cursor: Cursor) -> float:
+    """The inverse of `decimal`. Raises Corrupt."""
     digits, power = cursor.signed(), cursor.signed()
     if abs(power) > 400 or abs(digits) >= 1 << 53:
         raise cursor.corrupt("a decimal number is out of range")
     return float(f"{digits}e{power}")
 
 
-class _Reader:
+class _TreeReader:
     """Reads the tree; arrays stand after it, so they are put in once the tree is whole."""
 
     def __init__(self, stream: Cursor, section: Cursor, arrays_budget: Budget | None) -> None:
         self.stream = stream
         self.section = section
         self.budget = arrays_budget
-        self.waiting = False
+        self.has_arrays = False
 
     def value(self, depth: int) -> Any:
         stream = self.stream
@@ -238,7 +242,7 @@ class _Reader:
         tag = stream.byte()
         if tag >= WORD:
             if tag - WORD >= len(WORDS):
-                raise stream.corrupt("a word of the table that is reserved")
+                raise stream.corrupt("a reserved number of a word")
             return WORDS[tag - WORD]
         if tag >= SHORT:
             return self.decoded(stream.take(tag - SHORT))
@@ -265,9 +269,9 @@ class _Reader:
         if self.budget is not None and tag == SMALL_ARRAY:
             return self.small_array()
         if self.budget is not None and tag in (ARRAY, SIGNAL):
-            self.waiting = True
-            return _Waiting(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
-        raise stream.corrupt(f"a value of type {tag}, which is reserved")
+            self.has_arrays = True
+            return _Placeholder(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
+        raise stream.corrupt(f"a value of the reserved type {tag}")
 
     def decoded(self, data: bytes) -> str:
         try:
@@ -280,30 +284,30 @@ class _Reader:
         shape = arrays.read_shape(self.stream)
         size = math.prod(shape) * dtype.itemsize
         if size > SMALL_ARRAY_BYTES:
-            raise self.stream.corrupt("a small array that is not small")
+            raise self.stream.corrupt(f"a small array of more than {SMALL_ARRAY_BYTES} bytes")
         return np.frombuffer(self.stream.take(size), dtype).reshape(shape).copy()
 
     def items(self, depth: int, count: int | None) -> dict[str, Any]:
-        """So many keys and values, or all that the stream holds."""
+        """`count` keys and values; None reads to the end of the stream."""
         result: dict[str, Any] = {}
         while self.stream.left if count is None else len(result) < count:
             key = self.value(MAX_DEPTH + 1)
             if not isinstance(key, str) or key in result:
-                raise self.stream.corrupt("a key is not a string, or stands twice")
+                raise self.stream.corrupt("a key is not a string, or is repeated")
             result[key] = self.value(depth + 1)
         return result
 
-    def settle(self, value: Any) -> Any:
-        """The same tree with its arrays read, in the order in which they stand in it."""
+    def fill_arrays(self, value: Any) -> Any:
+        """The tree with its placeholders replaced by arrays and signals, read in tree order."""
         if isinstance(value, dict):
-            return {key: self.settle(item) for key, item in value.items()}
+            return {key: self.fill_arrays(item) for key, item in value.items()}
         if isinstance(value, list):
-            return [self.settle(item) for item in value]
-        if not isinstance(value, _Waiting):
+            return [self.fill_arrays(item) for item in value]
+        if not isinstance(value, _Placeholder):
             return value
         if value.signal is None:
             return arrays.unpack(self.section, self.budget)
-        rate, labels, units, samples = map(self.settle, value.signal)
+        rate, labels, units, samples = map(self.fill_arrays, value.signal)
         if not (isinstance(rate, float) and isinstance(samples, np.ndarray)):
             raise self.stream.corrupt("a signal without rate or samples")
         if not all(isinstance(part, list) and all(isinstance(s, str) for s in part) for part in (labels, units)):
@@ -311,8 +315,8 @@ class _Reader:
         return Signal(samples, rate, tuple(labels), tuple(units))
 
 
-class _Waiting:
-    """Stands in the tree for an array, or for a signal's four parts, until the arrays are read."""
+class _Placeholder:
+    """Takes the place of an array, or of a signal's four parts, until the arrays are read."""
 
     def __init__(self, signal: list[Any] | None) -> None:
         self.signal = signal

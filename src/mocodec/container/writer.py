@@ -1,4 +1,4 @@
-"""Encoded to the bytes of a `.mocz`, front to back: header, extras, chunk after chunk, and last of all the index."""
+"""Encoded to the bytes of a `.mocz`, front to back: header, extras, chunks, index."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .wire import checksum, varint
 
 
 def pack(encoded: Encoded[Any]) -> bytes:
-    """The bytes of a `.mocz`; the same every time. Raises CannotEncode for what a file cannot hold."""
+    """The bytes of a `.mocz`; deterministic. Raises CannotEncode for data that the format cannot hold."""
     file = io.BytesIO()
     writer = Writer(
         file,
@@ -33,10 +33,10 @@ def pack(encoded: Encoded[Any]) -> bytes:
 
 
 class Writer:
-    """Writes a `.mocz` to a file object that need not seek: header at once, each chunk as it comes, index at `close`.
+    """Writes a `.mocz` to a file object that need not seek: the header now, each chunk in `add`, the index in `close`.
 
-    about, codec, settings, margin, shared: as in `Encoded`. What was written before a crash can be salvaged.
-    Raises CannotEncode for what a file cannot hold.
+    about, codec, settings, margin, shared: as in `Encoded`. A file without its index can be salvaged.
+    Raises CannotEncode for data that the format cannot hold.
     """
 
     def __init__(
@@ -54,32 +54,34 @@ class Writer:
         self.frames: list[int] = []
         self.lengths: list[int] = []
         header, extras = header_record(about, codec, settings or {}, margin, shared)
-        body = records.write(HEADER, header)
+        body = HEADER.pack(header)
         if len(body) > records.MAX_HEADER_BYTES:
-            raise CannotEncode(f"a header of {len(body)} bytes; a file holds {records.MAX_HEADER_BYTES}")
+            raise CannotEncode(f"a header of {len(body)} bytes; at most {records.MAX_HEADER_BYTES} are allowed")
         head = MAGIC + bytes([VERSION]) + varint(len(body)) + body
         file.write(head + checksum(head))
         if extras:
             file.write(extras + checksum(extras))
 
     def add(self, chunk: Chunk) -> None:
-        """The next chunk: frames follow those of the chunk before."""
+        """Write the next chunk; its frames must follow those of the chunk before."""
         payload = bytes(chunk.payload)
         if chunk.start != self.stop:
-            raise CannotEncode(f"the next chunk starts at frame {chunk.start}, not where the last one stopped")
+            raise CannotEncode(
+                f"the next chunk starts at frame {chunk.start}, not at frame {self.stop}, where the last one ends"
+            )
         if not 0 < chunk.frames <= records.MAX_CHUNK_FRAMES or len(payload) > records.MAX_PAYLOAD_BYTES:
             raise CannotEncode(f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range")
-        frame = records.write(CHUNK, {"frames": chunk.frames, "length": len(payload)})
-        self.file.write(frame + payload + checksum(frame, payload))
+        head = CHUNK.pack({"frames": chunk.frames, "length": len(payload)})
+        self.file.write(head + payload + checksum(head, payload))
         self.stop += chunk.frames
         self.frames.append(chunk.frames)
         self.lengths.append(len(payload))
 
     def close(self) -> None:
-        """Writes the index. The file object stays open: it is the caller's."""
+        """Write the index. The caller closes the file object."""
         body = b"\0"
         if len(self.frames) != 1:
-            body += records.write(INDEX, {"frames": self.frames, "lengths": self.lengths})
+            body += INDEX.pack({"frames": self.frames, "lengths": self.lengths})
         index = body + checksum(body)
         self.file.write(index + varint(len(index))[::-1] + END_MAGIC)
 
@@ -87,7 +89,7 @@ class Writer:
 def header_record(
     about: Motion | PointClouds, codec: str, settings: Mapping[str, Any], margin: int, shared: tuple[bytes, ...]
 ) -> tuple[dict[str, Any], bytes]:
-    """The header's fields, and the extras section that they announce."""
+    """The header's fields, and the extras section that they declare."""
     extras, extras_size = values.pack_extras(about.extras) if about.extras else (b"", 0)
     skeleton = about.skeleton if isinstance(about, Motion) else None
     present = {

@@ -1,11 +1,11 @@
-"""Probabilities for the coder, in integers only: tables of frequencies, tokens for unbounded numbers, a family of laws.
+"""Probabilities for the coder, in integers only: frequency tables, tokens for unbounded numbers, families of laws.
 
-    number ──► sign, token, mantissa      token 0 … 15 = the magnitude itself; above, four tokens to an octave
-    neighbours' tokens ──► expected size ──► one law of `family`, a ladder of ever wider ones
+    number ──► sign, token, mantissa      tokens 0 … 15 are the magnitude itself; above, four tokens to an octave
+    neighbours' tokens ──► expected magnitude ──► one law of `family`, a ladder of ever wider probability laws
 
-A law says P(|v| ≥ a) = (1 + (β x + γ x²) / 12)⁻¹², x = (a − ½) / σ. With γ = 0 that is Lomax's, what is left of a
-Laplace law whose scale is known only roughly, which is how it is here; the second shape comes near to a normal law.
-Tails are heavy enough for jumps, and both are computed exactly, in integers.
+A law is P(|v| ≥ a) = (1 + (β x + γ x²) / 12)⁻¹², x = (a − ½) / σ. With γ = 0 it is Lomax's: a Laplace law whose scale
+is known only roughly, as it is here. The second shape comes near to a normal law. Both have tails heavy enough for
+jumps and are computed exactly, in integers.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..typing import Bytes, Integers
+from . import rans
 
 PRECISION = 14  # bits of a probability
 TOTAL = 1 << PRECISION
@@ -35,6 +38,8 @@ class Tables:
 
     weights: for each table the symbols' integer weights, of any sum; tables may have different numbers of symbols, at
     least two and at most 65,535. A symbol of weight zero cannot be coded. Frequencies sum to 2^14 in each table.
+
+    frequency, start: at table × width + symbol. symbol: at table × 2^14 + slot. sizes (count,): symbols of each table.
     """
 
     def __init__(self, weights: Sequence[Sequence[int] | NDArray[Any]]) -> None:
@@ -42,17 +47,10 @@ class Tables:
         self.width = max(len(w) for w in weights)
         self.sizes = np.array([len(w) for w in weights])
         frequencies = np.zeros((self.count, self.width), np.int64)
-        starts = np.zeros((self.count, self.width), np.int64)
-        self.symbol = np.zeros(self.count << PRECISION, np.uint8 if self.width <= 256 else np.uint16)
         for table, row in enumerate(weights):
-            frequency = normalised([int(w) for w in row])
-            bounds = np.cumsum([0, *frequency])
-            frequencies[table, : len(frequency)] = frequency
-            starts[table, : len(frequency)] = bounds[:-1]
-            self.symbol[table << PRECISION : (table + 1) << PRECISION] = np.repeat(
-                np.arange(len(frequency), dtype=self.symbol.dtype), frequency
-            )
-        self.frequency, self.start = frequencies.ravel(), starts.ravel()  # at table × width + symbol
+            frequencies[table, : len(row)] = rans.normalised([int(w) for w in row], PRECISION)
+        self.frequency, self.start = frequencies.ravel(), rans.starts_of(frequencies).ravel()
+        self.symbol = rans.slots_of(frequencies)[0].astype(np.uint8 if self.width <= 256 else np.uint16)
 
     @cached_property
     def lists(self) -> tuple[list[int], list[int], list[int]]:
@@ -60,21 +58,7 @@ class Tables:
         return self.frequency.tolist(), self.start.tolist(), self.symbol.tolist()
 
 
-def normalised(weights: Sequence[int], precision: int = PRECISION) -> list[int]:
-    """Frequencies that sum to 2^precision, at least 1 wherever a weight is not zero, less than all of it."""
-    used = [i for i, w in enumerate(weights) if w > 0]
-    if len(used) == 1:  # a frequency of all of it would overflow the coder's 32 bits
-        used.append(used[0] + 1 if used[0] + 1 < len(weights) else used[0] - 1)
-    room, total = (1 << precision) - len(used), sum(weights)
-    frequency, below = [0] * len(weights), 0
-    for i in used:
-        upto = below + weights[i]
-        frequency[i] = 1 + room * upto // total - room * below // total
-        below = upto
-    return frequency
-
-
-def tokens(magnitudes: NDArray[Any]) -> NDArray[np.uint8]:
+def tokens(magnitudes: NDArray[Any]) -> Bytes:
     """Token of each magnitude below 2^63."""
     table, most = _token_table(), int(magnitudes.max(initial=0))
     if most < len(table):
@@ -89,12 +73,12 @@ def tokens(magnitudes: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 @cache
-def _token_table() -> NDArray[np.uint8]:
+def _token_table() -> Bytes:
     floors = [token_floor(t) for t in range(TOKENS) if token_floor(t) <= 1 << 16]
     return np.repeat(np.arange(len(floors) - 1, dtype=np.uint8), np.diff(floors))
 
 
-def mantissa_bits(token: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def mantissa_bits(token: Bytes) -> Bytes:
     """Number of mantissa bits that follow each token."""
     return np.where(token < DIRECT, np.uint8(0), (np.maximum(token, DIRECT) - np.uint8(DIRECT)) // 4 + np.uint8(2))
 
@@ -105,28 +89,30 @@ def token_floor(token: int) -> int:
 
 
 @cache
-def floors() -> NDArray[np.int64]:
+def floors() -> Integers:
     """`token_floor` of all tokens."""
     return np.array([token_floor(t) for t in range(TOKENS)])
 
 
 @cache
 def family(laws: int, shape: int) -> Tables:
-    """The first `laws` laws of the ladder in one of SHAPES, and a last table for excess.
+    """Tables of the first `laws` laws of the ladder in one of SHAPES, and of the excess as the last.
 
-    The last symbol of a law stands for its token and all above; then follows by how much, under the table of excess.
+    The last symbol of a law is an escape: it stands for its token and all above. How far above follows as a symbol of
+    the table of excess.
     """
     weights = [law(q, shape, PRECISION) for q in range(laws)]
     return Tables([*weights, excess(max(map(len, weights)))])
 
 
 def excess(reach: int) -> list[int]:
-    """Weights of how far a token is beyond its law, up to `reach` − 1."""
+    """Weights of how far a token is above the escape of its law, from 0 to `reach` − 1."""
     return [(1 << 20) // (e + 1) ** 2 for e in range(reach)]
 
 
 def law(q: int, shape: int, precision: int) -> list[int]:
-    """Weights of the tokens under law q of the ladder, the last for all that are rarer than half of 2^-precision."""
+    """Weights of the tokens under law q of the ladder; the last is for all tokens that are together rarer than half of
+    2^−precision."""
     scale, (linear, square) = LADDER[q % 3] << q // 3, SHAPES[shape]
     one = 1 << 62
     flat = 25 * EXPONENT * scale**2
@@ -142,18 +128,18 @@ def law(q: int, shape: int, precision: int) -> list[int]:
 
 
 @cache
-def law_of_expectation(laws: int, silent: int, offset: int) -> NDArray[np.uint8]:
+def law_of_expectation(laws: int, zero_law: int, offset: int) -> Bytes:
     """The law for each expected token in sixteenths, 0 … 16 × 255.
 
-    silent: the law where all neighbours are zero. offset: how many rungs wider than usual all others are.
+    zero_law: the law where all neighbours are zero. offset: how many rungs wider than usual the others are.
     """
     result = (_usual_law() + offset).clip(0, laws - 1).astype(np.uint8)
-    result[0] = silent
+    result[0] = zero_law
     return result
 
 
 @cache
-def _usual_law() -> NDArray[np.int64]:
+def _usual_law() -> Integers:
     result = np.zeros(16 * 256, np.int64)
     law = 0
     for expected in range(1, len(result)):

@@ -1,19 +1,24 @@
-"""Files of the field to Motion and PointClouds, and back: a module with `read` and `write` for each.
+"""Motion-capture and point-cloud files to Motion and PointClouds and back: a module with `read` and `write` for each.
 
-`docs/formats.md` says what each file carries, what is kept and what is not.
+docs/formats.md lists what each format stores, what is kept and what is not.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from ..errors import BadInput
-from ..motion import Motion
+from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
+from .conventions import with_start
+from .decisions import notes
+
+__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "replace_whole", "write"]
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -25,27 +30,48 @@ FORMATS = {
     ".ply": "mocodec.formats.ply",
 }
 CLOUDS = (".ply", ".npz")
-"""Formats that hold point clouds; .npz holds motions too."""
+"""Formats of point clouds; .npz stores motions too."""
 
-LONGEST_MESSAGE = 400  # letters; one line, whatever names a damaged file has
+MAX_MESSAGE_CHARACTERS = 400
+"""Error messages are one line, whatever names a damaged file has."""
 
 
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
 
-    Raises BadInput where there is no such file, no such format or option, or the content is not what the suffix says.
+    Every format takes `up` (vertical axis), `unit` (of its lengths: a name, or metres) and `rate` (hertz) in place of
+    what the file says; motions take `start`, the time of the first frame in seconds.
+    Raises BadInput if there is no such file, format or option, or if the content does not match the suffix.
     """
     path = Path(path)
-    if path.is_dir() or (path.suffix.lower() == ".ply" and any(sign in str(path) for sign in "*?[")):
-        return _call(FORMATS[".ply"], "read", path, **options)
+    if path.is_dir() or (path.suffix.lower() == ".ply" and any(wildcard in str(path) for wildcard in "*?[")):
+        return _read(FORMATS[".ply"], path, options)
     module = _module(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
-    return _call(module, "read", path, **options)
+    return _read(module, path, options)
+
+
+def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClouds:
+    """Read, with the overrides that need nothing of the format: `up` and `start`."""
+    if options.get("up") is not None and options["up"] not in UP_AXES:
+        raise BadInput(f"{path}: up is one of {', '.join(UP_AXES)}, not {options['up']!r:.40}")
+    names = _parameters(import_module(module).read)
+    up = options.pop("up") if "up" in options and "up" not in names else None
+    start = options.pop("start", None)
+    recording = _call(module, "read", path, **options)
+    if up is not None:
+        source = {key: value for key, value in recording.source.items() if key != "up_guessed"}
+        recording = replace(recording, up=up, source=source)
+    if start is not None:
+        if not isinstance(recording, Motion):
+            raise BadInput(f"{path}: point clouds have no start time")
+        recording = replace(recording, source=with_start(recording.source, recording.rate, float(start)))
+    return recording
 
 
 def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: Any) -> None:
-    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for what the format cannot hold."""
+    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for data that the format cannot hold."""
     path = Path(path)
     folder = isinstance(motion, PointClouds) and not path.suffix
     _call(FORMATS[".ply"] if folder else _module(path), "write", path, motion, **options)
@@ -54,16 +80,22 @@ def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: An
 def _module(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        what = f"{suffix!r} is not a format" if suffix else "a file without a suffix is not a format"
-        raise BadInput(f"{path}: {what} that mocodec knows; known: {' '.join(FORMATS)} .mocz")
+        problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
+        raise BadInput(f"{path}: {problem}; the formats are {' '.join(FORMATS)} .mocz")
     return FORMATS[suffix]
+
+
+def _parameters(function: Any) -> tuple[str, ...]:
+    """The names of a function's parameters after the first."""
+    code = function.__code__
+    return code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount]
 
 
 def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any:
     function = getattr(import_module(module), verb)
-    known = function.__code__.co_varnames[: function.__code__.co_argcount + function.__code__.co_kwonlyargcount]
+    names = _parameters(function)
     for name in options:
-        if name not in known[1:]:
+        if name not in names:
             raise BadInput(f"{path}: {verb} of {path.suffix.lower() or 'this format'} has no option {name!r}")
     try:
         return function(path, *args, **options)
@@ -71,47 +103,47 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
         raise BadInput(f"{path}: {error.strerror or error}") from error
     except BadInput as error:
         message = str(error)
-        if message.isprintable() and len(message) <= LONGEST_MESSAGE:
+        if message.isprintable() and len(message) <= MAX_MESSAGE_CHARACTERS:
             raise
-        printable = "".join(letter if letter.isprintable() else " " for letter in message)
-        raise BadInput(printable[:LONGEST_MESSAGE]) from None
+        printable = "".join(c if c.isprintable() else " " for c in message)
+        raise BadInput(printable[:MAX_MESSAGE_CHARACTERS]) from None
 
 
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:
-    """What of this motion the format of `path` has no place for, in words: `write` leaves it out.
+    """Descriptions of the data beside the positions that `write` leaves out, since the format of `path` cannot hold it.
 
-    Positions, gaps, names and rate are no part of it: a format that cannot hold those refuses. Raises BadInput for an
-    unknown suffix.
+    Positions, gaps, names and rate are never left out: `write` raises instead. Raises BadInput for an unknown suffix.
     """
     if not isinstance(motion, Motion):
         return []
-    held: frozenset[str] = getattr(import_module(_module(Path(path))), "HOLDS", frozenset())
-    there = [*motion.extras]
-    there += ["skeleton"] if motion.skeleton is not None else []
-    there += ["joint rotations"] if motion.rotations is not None else []
-    return list(dict.fromkeys(IN_WORDS.get(what, what) for what in there if what not in held))
+    kept: frozenset[str] = getattr(import_module(_module(Path(path))), "HOLDS", frozenset())
+    present = [*motion.extras]
+    present += ["skeleton"] if motion.skeleton is not None else []
+    present += ["joint rotations"] if motion.rotations is not None else []
+    return list(dict.fromkeys(DESCRIPTIONS.get(name, name) for name in present if name not in kept))
 
 
-# Keys of `Motion.extras` for people; others are shown as they are.
-IN_WORDS = {
+DESCRIPTIONS = {
     "analog": "analog channels",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",
     "rotations": "segment poses",
+    "zero_samples": "marks of zeros",
 }
+"""Keys of `Motion.extras` as users read them; other keys are shown as they are."""
 
 
 def replace_whole(path: str | PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: to a temporary file beside it, then renamed over it.
+    """Write a file completely or not at all: to a temporary file beside it, which is then renamed.
 
-    A link is followed and stays a link; a file that was there keeps its permissions; a pipe or a device takes the bytes
-    as they come. Raises BadInput where that cannot be done.
+    Links are followed and stay links; an existing file keeps its permissions; pipes and devices are written directly.
+    Raises BadInput if the file cannot be written.
     """
     path = Path(path)
     target = Path(os.path.realpath(path))
     if target.is_dir():
-        raise BadInput(f"{path}: is a folder: name a file in it")
+        raise BadInput(f"{path}: this is a folder; name a file in it")
     try:
         if target.exists() and not target.is_file():
             target.write_bytes(data)

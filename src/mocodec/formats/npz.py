@@ -1,12 +1,12 @@
-"""NPZ: arrays by name, as NumPy writes them.
+"""NPZ: NumPy arrays by name.
 
-    positions                  ours, and the plainest: (frames, points, 3) in metres, with rate | fps, names, up
-    joints, jtr, Jtr, keypoints3d, joint_positions    the same under the names that learning people use
-    markers, labels, frame_rate                       AMASS's and MoSh's marker files
-    points, counts             point clouds: the points of all frames, (all, 3), and how many each frame has; colours
-    poses, trans, betas        AMASS's body model parameters: need SMPL's licensed body, so they are refused by name
+    positions                     mocodec's own: (frames, points, 3) in metres, with rate | fps, names, up
+    joints, jtr, Jtr, keypoints3d, joint_positions    the same under the names of machine-learning data sets
+    markers, labels, frame_rate   marker files of AMASS and MoSh
+    points, counts                point clouds: the points of all frames, (all, 3), and the count of each frame; colours
+    poses, trans, betas           AMASS's body model parameters: refused, as they need the licensed SMPL model
 
-Arrays are read without pickle, each checked against the archive's own size before it is read.
+Arrays are read without pickle, and each is checked against the size of the archive first.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -25,56 +26,65 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..motion import Limits, Motion, Skeleton
 from ..pointcloud import PointClouds
+from ..typing import Floats
 from . import replace_whole
-from .conventions import UNITS_M, guess_up
+from .conventions import guess_up, unit_option
 
-HOLDS = frozenset({"skeleton", "joint rotations"})  # of what is beside the positions
+HOLDS = frozenset({"skeleton", "joint rotations"})
+"""What an NPZ stores beside the positions."""
 
 POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
 RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
 NAMES = ("names", "labels", "joint_names", "marker_names")
-MAX_BYTES = 1 << 32  # of one array unpacked: 4 GiB
-MAX_RATIO = 1100  # the most that deflate packs into a byte is about 1,032
+MAX_ARRAY_BYTES = 1 << 32
+MAX_DEFLATE_RATIO = 1100
+"""Deflate packs at most about 1,032 bytes into one."""
 
 
 def read(
-    path: str | Path, rate: float | None = None, unit: str | None = None, up: str | None = None
+    path: str | Path, rate: float | None = None, unit: str | float | None = None, up: str | None = None
 ) -> Motion | PointClouds:
     """Positions of an NPZ as a motion, or its points and counts as point clouds.
 
-    rate: frames a second where the file does not say. unit: of the positions, metres unless told (millimetres for a
-    `markers` file that extends over more than 100). up: the vertical axis; the file's `up`, or guessed. A sample that
-    is not a number, or a marker exactly at the origin of a `markers` file, is a gap. Raises BadInput.
+    rate: hertz, by default the file's. unit: of the positions, by default the file's, else metres (millimetres for a
+    `markers` array that extends over more than 100). up: the vertical axis, by default the file's, else guessed.
+    A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. Raises BadInput.
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            arrays = _Arrays(archive, path)
+            arrays = _Archive(archive, path)
             if {"points", "counts"} <= arrays.names.keys():
                 return _clouds(arrays, rate, unit, up)
             return _motion(arrays, rate, unit, up)
     except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
-            OverflowError, SyntaxError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
+            OverflowError, SyntaxError, TokenError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
         if isinstance(error, BadInput):
-            raise
-        raise BadInput(f"{path}: not an NPZ that can be read ({error})") from None
+            raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
+        raise BadInput(f"{path}: cannot be read as an NPZ ({error})") from None
 
 
-class _Arrays:
-    """The arrays of an archive, each loaded when asked for."""
+class _Archive:
+    """The arrays of an archive, each loaded on demand."""
 
     def __init__(self, archive: zipfile.ZipFile, path: str | Path) -> None:
         self.archive, self.path = archive, path
         self.names = {Path(info.filename).stem: info for info in archive.infolist() if info.filename.endswith(".npy")}
 
     def first(self, names: tuple[str, ...]) -> str | None:
+        """The first of these names that the archive has."""
         return next((name for name in names if name in self.names), None)
 
     def load(self, name: str) -> NDArray[Any]:
-        """Raises BadInput for an array of objects, and for one larger than the archive can hold."""
+        """One array. Raises BadInput for arrays of objects and for declared sizes that the archive cannot hold."""
         info = self.names[name]
-        if info.file_size > min(MAX_BYTES, MAX_RATIO * info.compress_size + 4096):
-            raise BadInput(f"{self.path}: array {name!r} claims {info.file_size} bytes, more than its archive can hold")
-        data = io.BytesIO(self.archive.read(info))
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise BadInput(f"{self.path}: array {name!r} is compressed by a method that NumPy does not write")
+        if info.file_size > min(MAX_ARRAY_BYTES, MAX_DEFLATE_RATIO * info.compress_size + 4096):
+            raise BadInput(f"{self.path}: array {name!r} declares {info.file_size} bytes, too many for its archive")
+        with self.archive.open(info) as member:
+            data = io.BytesIO(member.read(info.file_size + 1))
+        if len(data.getbuffer()) != info.file_size:
+            raise BadInput(f"{self.path}: array {name!r} does not have the {info.file_size} bytes that it declares")
         version = np.lib.format.read_magic(data)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(data)
@@ -93,17 +103,17 @@ class _Arrays:
         return values[0]
 
 
-def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> Motion:
+def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:
     path = arrays.path
     key = arrays.first(POSITIONS)
     if key is None:
         if "poses" in arrays.names:
             raise BadInput(
                 f"{path}: has body model parameters (poses, trans, betas) and no positions; run the SMPL body model, "
-                "whose licence is yours to get, and save its joints as 'joints' beside 'mocap_framerate'"
+                "which needs a licence, and save its joints as 'joints' beside 'mocap_framerate'"
             )
-        there = ", ".join(arrays.names) or "none"
-        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {there}")
+        present = ", ".join(arrays.names) or "none"
+        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {present}")
     positions = arrays.load(key)
     if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
         raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
@@ -111,7 +121,7 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     if rate is None:
         rate_key = arrays.first(RATES)
         if rate_key is None:
-            raise BadInput(f"{path}: does not say its rate; say it with rate= (known keys: {', '.join(RATES)})")
+            raise BadInput(f"{path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
         rate = float(arrays.single(rate_key))
     names: tuple[str, ...] = ()
     names_key = arrays.first(NAMES)
@@ -134,29 +144,42 @@ def _motion(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
     skeleton, rotations = None, None
     if {"parents", "offsets"} <= arrays.names.keys():
         parents = arrays.load("parents").reshape(-1).astype(int).tolist()
-        filled = names or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
-        skeleton = Skeleton(filled, tuple(parents), arrays.load("offsets").astype(np.float64), _limits(arrays))
+        joint_names = names or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
+        skeleton = Skeleton(joint_names, tuple(parents), arrays.load("offsets").astype(np.float64), _limits(arrays))
         if "rotations" in arrays.names:
             rotations = arrays.load("rotations").astype(np.float64)
     if "source" in arrays.names:
         source = json.loads(str(arrays.single("source")))
         if not isinstance(source, dict):
             raise BadInput(f"{path}: its 'source' is not a JSON object")
+        source = _checked_source(source)
     return Motion(positions, rate, names, up, skeleton, rotations, source)
 
 
-def _limits(arrays: _Arrays) -> Limits | None:
+def _checked_source(source: dict[str, Any]) -> dict[str, Any]:
+    """The source without entries of types that mocodec never writes; a note names them."""
+    types: dict[str, Any] = {"format": str, "units": str, "unit_m": int | float, "first_frame": int}
+    types |= {"time_of_frame_1": int | float, "notes": list, "labels": dict}
+    invalid = [key for key, type_ in types.items() if key in source and not isinstance(source[key], type_)]
+    result = {key: value for key, value in source.items() if key not in invalid}
+    if invalid:
+        notes = result.get("notes", [])
+        result["notes"] = [*notes, f"entries of its source that are not usable are left out: {', '.join(invalid)}"]
+    return result
+
+
+def _limits(arrays: _Archive) -> Limits | None:
     if not {"limit_orders", "limit_axes", "limit_ranges"} <= arrays.names.keys():
         return None
     orders = tuple(str(order) for order in arrays.load("limit_orders").reshape(-1).tolist())
     return Limits(orders, *(arrays.load(f"limit_{name}").astype(np.float64) for name in ("axes", "ranges")))
 
 
-def _clouds(arrays: _Arrays, rate: float | None, unit: str | None, up: str | None) -> PointClouds:
-    """Point clouds of points (all, 3), counts (frames,) and, where there are any, colours (all, 3) and normals."""
+def _clouds(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> PointClouds:
+    """Point clouds of the arrays points (all, 3), counts (frames,) and optionally colours and normals (all, 3)."""
     points, counts = arrays.load("points"), arrays.load("counts").reshape(-1)
     if counts.dtype.kind not in "iu" or (counts < 0).any() or int(counts.sum()) != len(points):
-        raise BadInput(f"{arrays.path}: 'counts' must say how many of {len(points)} points each frame has")
+        raise BadInput(f"{arrays.path}: 'counts' must be whole numbers whose sum is the {len(points)} points")
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise BadInput(f"{arrays.path}: 'points' must be numbers (all, 3), not {points.dtype} {points.shape}")
     ends = np.cumsum(counts)[:-1]
@@ -166,44 +189,40 @@ def _clouds(arrays: _Arrays, rate: float | None, unit: str | None, up: str | Non
             return None
         values = arrays.load(name)
         if values.shape != points.shape or (dtype == np.uint8 and values.dtype != np.uint8):
-            raise BadInput(f"{arrays.path}: {name!r} must be {np.dtype(dtype)} {points.shape}, as the points are")
+            raise BadInput(f"{arrays.path}: {name!r} must be {np.dtype(dtype)} {points.shape}, like the points")
         return np.split(values.astype(dtype), ends)
 
     if rate is None:
         rate_key = arrays.first(RATES)
         if rate_key is None:
-            raise BadInput(f"{arrays.path}: does not say its rate; say it with rate= (known keys: {', '.join(RATES)})")
+            raise BadInput(f"{arrays.path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
         rate = float(arrays.single(rate_key))
     if unit is None:
         unit = str(arrays.single("unit")) if "unit" in arrays.names else "m"
-    if unit.lower() not in UNITS_M:
-        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
-    unit_m = UNITS_M[unit.lower()]
+    units, unit_m = unit_option(unit)
     positions = np.split(points.astype(np.float64) * unit_m, ends)
     up = up or (str(arrays.single("up")) if "up" in arrays.names else "y")
-    source = {"format": "npz", "units": unit, "unit_m": unit_m}
+    source = {"format": "npz", "units": units, "unit_m": unit_m}
     return PointClouds(positions, rate, split("colours", np.uint8), split("normals", np.float64), up, source)
 
 
-def _unit(arrays: _Arrays, key: str, positions: NDArray[np.float64], unit: str | None) -> tuple[str, float]:
+def _unit(arrays: _Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
         unit = str(arrays.single("unit"))
     if unit is None:
-        there = positions[~np.isnan(positions[:, :, 0])]
-        unit = "mm" if key == "markers" and there.size and np.ptp(there, axis=0).max() > 100 else "m"
-    if unit.lower() not in UNITS_M:
-        raise BadInput(f"{arrays.path}: unknown unit {unit!r}; known: {', '.join(UNITS_M)}")
-    return unit, UNITS_M[unit.lower()]
+        finite = positions[~np.isnan(positions[:, :, 0])]
+        unit = "mm" if key == "markers" and finite.size and np.ptp(finite, axis=0).max() > 100 else "m"
+    return unit_option(unit)
 
 
 def write(path: str | Path, motion: Motion | PointClouds) -> None:
-    """Write positions (float64, metres, gaps NaN), rate, names, up and, where there are any, skeleton and rotations; of
-    point clouds, points, counts and colours.
+    """Write positions (float64, metres, gaps NaN), rate, names, up and, if present, skeleton and rotations; of point
+    clouds points, counts, colours and normals.
 
-    `source` goes along as JSON; extras (analog channels, events, parameters) have no place in an NPZ.
+    `source` is stored as JSON; extras (analog channels, events, parameters) are left out.
     """
     if isinstance(motion, PointClouds):
-        _save(path, _arrays_of(motion))
+        _save(path, _cloud_arrays(motion))
         return
     arrays: dict[str, NDArray[Any]] = {
         "positions": motion.positions,
@@ -225,7 +244,7 @@ def write(path: str | Path, motion: Motion | PointClouds) -> None:
     _save(path, arrays)
 
 
-def _arrays_of(clouds: PointClouds) -> dict[str, NDArray[Any]]:
+def _cloud_arrays(clouds: PointClouds) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {
         "points": np.concatenate([np.zeros((0, 3)), *clouds.positions]),
         "counts": np.array([len(p) for p in clouds.positions], np.int64),

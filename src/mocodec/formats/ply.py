@@ -1,9 +1,9 @@
-"""PLY: frames of coloured points, one file a frame, in a folder, a glob or a single file.
+"""PLY: frames of coloured points, one file per frame, in a folder, a glob or a single file.
 
     folder | glob | file.ply ──read──► PointClouds ──write──► folder of frame_000000.ply | one file.ply
 
-PLY carries neither time nor unit: `fps` and `unit` are given to the reader, or stand in the comments that `write`
-leaves (`comment rate 15`, `comment units m`).
+PLY stores neither rate nor unit: they are options of the reader, or comments that `write` adds (`comment rate 15`,
+`comment units m`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ import numpy as np
 
 from ..errors import BadInput, Truncated
 from ..pointcloud import PointClouds
+from ..typing import Bytes, Floats
+from .conventions import unit_option
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -28,12 +30,14 @@ TYPES = {
 }  # fmt: skip
 POSITION, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
-HEADER_LIMIT = 1 << 16
-UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+MAX_HEADER_BYTES = 1 << 16
+MAX_ELEMENTS = 1 << 40
+MAX_UNIT_COLOUR = 1.01
+"""The largest float colour of files whose colours are 0 … 1; rounding may exceed 1."""
 
 
 class Element(NamedTuple):
-    """One element of a PLY header: its fields as NumPy types; of lists, that of the count and that of the items."""
+    """One element of a PLY header. fields: (name, NumPy type); lists: (name, type of the count, type of the items)."""
 
     name: str
     size: int
@@ -42,6 +46,8 @@ class Element(NamedTuple):
 
 
 class Header(NamedTuple):
+    """A PLY header; size: its bytes."""
+
     encoding: str
     elements: list[Element]
     comments: dict[str, str]
@@ -49,50 +55,60 @@ class Header(NamedTuple):
 
 
 def read(
-    path: str | PathLike[str], *, fps: float | None = None, unit: str | None = None, up: str | None = None
+    path: str | PathLike[str],
+    *,
+    fps: float | None = None,
+    rate: float | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
 ) -> PointClouds:
     """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
 
-    fps: frames a second. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, "y" unless given. All
-    three may stand in the files' comments. Points whose coordinates are NaN are kept; properties that are neither
-    position, colour nor normal are listed in `source["ignored"]`, and `source["missing_numbers"]` counts the gaps in
-    the numbers of the files, which are taken as one frame after another. Raises BadInput, Truncated.
+    fps or rate: hertz. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, by default "y". All
+    three may be comments of the files instead. Points with NaN coordinates are kept; properties other than position,
+    colour and normal are listed in `source["ignored"]`; `source["missing_numbers"]` counts missing file numbers, whose
+    frames are skipped. Raises BadInput, Truncated.
     """
     files = frame_files(path)
     frames = [read_frame(file) for file in files]
     comments = frames[0][1].comments
-    rate = fps if fps is not None else comments.get("rate")
-    if rate is None:
-        raise BadInput(f"{path}: PLY files carry no frame rate; say it, for instance fps=15 (--fps 15)")
-    units = unit or comments.get("units", "m")
-    if units not in UNITS_M:
-        raise BadInput(f"{path}: unknown unit {units!r}; known are {', '.join(UNITS_M)}")
+    hertz = next((given for given in (fps, rate, comments.get("rate")) if given is not None), None)
+    if hertz is None:
+        raise BadInput(f"{path}: PLY files store no frame rate; give it, for instance fps=15 (--fps 15)")
+    try:
+        units, unit_m = unit_option(unit or comments.get("units", "m"))
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
     first = frames[0][0].dtype
     names = first.names or ()
     colour = next((c for c in COLOURS if set(c) <= set(names)), None)
     normal = NORMAL if set(NORMAL) <= set(names) else None
     for file, (values, _) in zip(files, frames, strict=True):
-        for what in filter(None, (POSITION, colour, normal)):
-            if not set(what) <= set(values.dtype.names or ()):
-                raise BadInput(f"{file}: has no {', '.join(what)}, which the first frame has")
-            if not all(np.isfinite(values[name]).all() for name in what if what is colour):
-                raise BadInput(f"{file}: has colours that are not numbers")
-    positions = [columns(values, POSITION) * UNITS_M[units] for values, _ in frames]
+        _require_properties(file, values, colour, normal)
+    positions = [columns(values, POSITION) * unit_m for values, _ in frames]
+    normals = [columns(values, normal) for values, _ in frames] if normal else None
+    notes: list[str] = []
+    colours = _colours([values for values, _ in frames], colour, notes) if colour else None
+    for name, frames_of_vectors in (("points", positions), ("normals", normals or [])):
+        if missing := sum(int(np.isnan(vectors).any(axis=1).sum()) for vectors in frames_of_vectors):
+            notes.append(f"{missing} {name} are NaN; codecs of point clouds may leave them out")
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
-        "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": UNITS_M[units],
+        "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": unit_m,
         "double": bool(first["x"].itemsize == 8),
     }  # fmt: skip
     if missing := missing_numbers(files):
         source["missing_numbers"] = missing
     if ignored := [n for n in names if n not in used]:
         source["ignored"] = ignored
+    if notes:
+        source["notes"] = notes
     try:
         return PointClouds(
             positions=positions,
-            rate=float(rate),
-            colours=[as_bytes(columns(values, colour)) for values, _ in frames] if colour else None,
-            normals=[columns(values, normal) for values, _ in frames] if normal else None,
+            rate=float(hertz),
+            colours=colours,
+            normals=normals,
             up=up or comments.get("up", "y"),
             source=source,
         )
@@ -100,14 +116,35 @@ def read(
         raise BadInput(f"{path}: {error}") from None
 
 
+def _require_properties(
+    file: Path, values: np.ndarray[Any, np.dtype[Any]], colour: tuple[str, ...] | None, normal: tuple[str, ...] | None
+) -> None:
+    """Raises BadInput for a frame without properties of the first frame, and for colours that are not finite."""
+    for properties in filter(None, (POSITION, colour, normal)):
+        if not set(properties) <= set(values.dtype.names or ()):
+            raise BadInput(f"{file}: has no {', '.join(properties)}, which the first frame has")
+    if not all(np.isfinite(values[name]).all() for name in colour or ()):
+        raise BadInput(f"{file}: has colours that are not finite")
+
+
+def _colours(frames: list[np.ndarray[Any, np.dtype[Any]]], names: tuple[str, ...], notes: list[str]) -> list[Bytes]:
+    """Colours of all frames as bytes. Floats are 0 … 1 by custom; if any is larger, all are taken as 0 … 255."""
+    floats = (frame[name] for frame in frames for name in names if frame.dtype[name].kind == "f")
+    largest = max((float(values.max(initial=0)) for values in floats), default=0.0)
+    full_scale = 255.0
+    if largest > MAX_UNIT_COLOUR:
+        full_scale = 1.0
+        notes.append(f"its colours are floats up to {largest:g}: they are taken as 0 to 255, not as 0 to 1")
+    return [as_bytes(columns(frame, names, full_scale)) for frame in frames]
+
+
 def write(
     path: str | PathLike[str], clouds: PointClouds, *, encoding: str | None = None, overwrite: bool = False
 ) -> None:
     """Write frames as `frame_000000.ply` … into a folder, or a single frame as one .ply file.
 
-    encoding: "ascii", "binary_little_endian" or "binary_big_endian"; as the source was, unless given. Coordinates go
-    back to the source's unit. Raises BadInput where the folder already holds .ply files, unless `overwrite`, which
-    removes them.
+    encoding: "ascii", "binary_little_endian" or "binary_big_endian"; by default the source's. Coordinates are in the
+    source's unit. overwrite: remove .ply files that are in the folder; otherwise they raise BadInput.
     """
     from . import replace_whole
 
@@ -125,7 +162,7 @@ def write(
     target.mkdir(parents=True, exist_ok=True)
     if old := sorted(target.glob("*.ply")):
         if not overwrite:
-            raise BadInput(f"{target}: already holds {len(old)} .ply files; name an empty folder or say overwrite")
+            raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
         for file in old:
             file.unlink()
     for frame in range(len(clouds)):
@@ -133,7 +170,7 @@ def write(
 
 
 def frame_files(path: str | PathLike[str]) -> list[Path]:
-    """The .ply files that a folder, glob or single path names, in natural order: frame_2 before frame_10."""
+    """The .ply files of a folder, glob or single path, in natural order: frame_2 before frame_10."""
     text = os.fspath(path)
     if Path(text).is_dir():
         files = [p for p in Path(text).iterdir() if p.suffix.lower() == ".ply" and p.is_file()]
@@ -143,17 +180,17 @@ def frame_files(path: str | PathLike[str]) -> list[Path]:
         files = [Path(p) for p in glob.glob(text) if p.lower().endswith(".ply")]
     if not files:
         raise BadInput(f"{text}: no .ply file there")
-    return sorted(files, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+    return sorted(files, key=lambda p: [int(s) if i % 2 else s for i, s in enumerate(re.split(r"([0-9]+)", p.name))])
 
 
 def missing_numbers(files: list[Path]) -> int:
-    """How many numbers are missing between the first and the last of files that are numbered one by one."""
-    numbers = [re.findall(r"\d+", file.stem)[-1:] for file in files]
+    """How many numbers are missing between the first and the last file of a numbered sequence."""
+    numbers = [re.findall(r"[0-9]+", file.stem)[-1:] for file in files]
     if len(files) < 3 or not all(numbers):
         return 0
     steps = np.diff([int(number[0]) for number in numbers])
-    usual = int(np.median(steps))
-    return int((steps // usual - 1).sum()) if usual > 0 and (steps > 0).all() else 0
+    step = int(np.median(steps))
+    return int((steps // step - 1).sum()) if step > 0 and (steps > 0).all() else 0
 
 
 def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
@@ -185,11 +222,11 @@ def read_frame(path: Path) -> tuple[np.ndarray[Any, np.dtype[Any]], Header]:
 
 
 def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
-    """How many bytes an element that starts `body` takes; of lists, those of one length only: triangles, or quads."""
+    """Bytes of an element at the start of `body`; lists must all have one length (triangles, or quads)."""
     if not element.lists or not element.size:
         return element.size * record(element, order).itemsize
     if element.fields or len(element.lists) > 1:
-        raise BadInput(f"{path}: {element.name} with lists stands before the vertices; save the vertices first")
+        raise BadInput(f"{path}: {element.name} with lists comes before the vertices; save vertices first")
     _, count, kind = element.lists[0]
     width = np.dtype(count).itemsize
     items = int(np.frombuffer(body, order + count, 1)[0]) if len(body) >= width else 0
@@ -198,12 +235,12 @@ def bytes_of(element: Element, body: bytes, order: str, path: Path) -> int:
         raise Truncated(f"{path}: ends before its {element.size} {element.name} elements")
     counts = np.frombuffer(body, np.dtype([("count", order + count), ("rest", f"V{row - width}")]), element.size)
     if (counts["count"] != items).any():
-        raise BadInput(f"{path}: {element.name} of different sizes stand before the vertices; save the vertices first")
+        raise BadInput(f"{path}: {element.name} of different sizes come before the vertices; save vertices first")
     return element.size * row
 
 
 def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) -> np.ndarray[Any, np.dtype[Any]]:
-    """Vertices of an ASCII file, all numbers parsed at once."""
+    """Vertices of an ASCII file, all numbers parsed in one call."""
     width = len(vertex.fields)
     if vertex.size * width * 2 > len(body) + 1:
         raise Truncated(f"{path}: ends before its {vertex.size} vertices")
@@ -221,7 +258,7 @@ def ascii_vertices(body: bytes, skip_lines: int, vertex: Element, path: Path) ->
         if kind[0] in "iu":
             limits = np.iinfo(kind)
             if not ((column >= limits.min) & (column <= limits.max)).all():
-                raise BadInput(f"{path}: {name} outside what its type holds")
+                raise BadInput(f"{path}: {name} is outside the range of its type")
         values[name] = column.astype(kind)
     return values
 
@@ -232,7 +269,7 @@ def parse_header(data: bytes, path: Path) -> Header:
         raise Truncated(f"{path}: is empty")
     if data[:3] != b"ply":
         raise BadInput(f"{path}: not a PLY file")
-    end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:HEADER_LIMIT])
+    end = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", data[:MAX_HEADER_BYTES])
     if not end:
         raise Truncated(f"{path}: the header does not end")
     encoding, elements, comments = "", list[Element](), dict[str, str]()
@@ -246,7 +283,7 @@ def parse_header(data: bytes, path: Path) -> Header:
                     comments.setdefault(key, value)
                 case ["element", name, count]:
                     elements.append(Element(name, int(count), [], []))
-                    if int(count) < 0:
+                    if not 0 <= int(count) <= MAX_ELEMENTS:
                         raise ValueError
                 case ["property", "list", count, kind, name]:
                     if TYPES[count][0] == "f":
@@ -266,23 +303,27 @@ def parse_header(data: bytes, path: Path) -> Header:
 
 
 def record(element: Element, order: str) -> np.dtype[Any]:
+    """The dtype of one item of an element; order: "<" or ">"."""
     return np.dtype([(name, order + kind) for name, kind in element.fields])
 
 
-def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(n, 3) float64 of three named fields; colours in their own type's range become 0 to 255."""
-    out = np.empty((len(values), len(names)))
+def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...], full_scale: float = 255.0) -> Floats:
+    """(n, 3) float64 of three named fields; colours are scaled from the range of their type to 0 … 255.
+
+    full_scale: what a colour of 1.0 becomes.
+    """
+    result = np.empty((len(values), len(names)))
     for i, name in enumerate(names):
-        with np.errstate(invalid="ignore"):  # a signalling NaN is still a NaN
-            out[:, i] = values[name]
+        with np.errstate(invalid="ignore"):  # of signalling NaNs
+            result[:, i] = values[name]
         if values.dtype[name].kind == "f" and name not in POSITION + NORMAL:
-            out[:, i] *= 255.0
+            result[:, i] *= full_scale
         elif values.dtype[name].kind == "u" and values.dtype[name].itemsize == 2:
-            out[:, i] /= 257.0
-    return out
+            result[:, i] /= 257.0
+    return result
 
 
-def as_bytes(colours: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def as_bytes(colours: Floats) -> Bytes:
     """Colours 0 to 255 as uint8; NaN becomes black."""
     return np.clip(np.rint(np.nan_to_num(colours)), 0, 255).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Text of the field's files: bytes to text, and whole blocks of numbers at once."""
+"""Text files: bytes to text, and blocks of numbers parsed in one call."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BadInput
-from ..motion import Floats
+from ..typing import Floats
 
 
-def decoded(path: str | Path) -> str:
-    """A text file, with or without a byte-order mark, its lines ended by "\n". Raises BadInput for what is not text."""
+def read_text(path: str | Path) -> str:
+    """The text of a file, without byte-order mark, lines ended by "\n". Raises BadInput for binary files."""
     data = Path(path).read_bytes().replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\0" in data[:4096]:
-        raise BadInput(f"{path}: this is not a text file")
+        raise BadInput(f"{path}: not a text file")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -23,7 +23,7 @@ def decoded(path: str | Path) -> str:
 
 
 def numbers(text: str, path: str | Path) -> Floats:
-    """All numbers of a text, separated by white space. Raises BadInput for a word that is not a finite number."""
+    """All numbers of a text, separated by white space. Raises BadInput for words that are not finite numbers."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -31,11 +31,12 @@ def numbers(text: str, path: str | Path) -> Floats:
         except (DeprecationWarning, ValueError):
             values = np.array([np.nan])
     if not np.isfinite(values).all():
-        raise BadInput(f"{path}: {_first_bad(text)!r} stands where a number should be")
+        raise BadInput(f"{path}: {_first_invalid(text)!r} is not a number")
     return values
 
 
-def _first_bad(text: str) -> str:
+def _first_invalid(text: str) -> str:
+    """The first word that is not a finite number."""
     for word in text.split():
         try:
             if np.isfinite(float(word)):

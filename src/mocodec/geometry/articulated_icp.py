@@ -1,8 +1,8 @@
 """ARTICP: a skeleton of cylinders fitted to points link by link, then as a whole (Lien and Bajcsy 2006, section 3).
 
-data ──cluster──► tree ──► queue from the root: ICP of each link about its joint, its transform applied to all below
+data ──cluster──► tree ──► from the root down: ICP of each link about its joint, applied to its whole subtree
                                │
-                 segment the data, compare third moments with the model's ──► ICP again of the links that are off
+                 segment the data, compare third moments with the model's ──► ICP again for links with large errors
 """
 
 from __future__ import annotations
@@ -10,50 +10,67 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..typing import AnyInteger, Booleans, Bytes, Floats
 from . import icp
-from .articulation import Body, Floats, Pose, from_world, joints_of, transforms
+from .articulation import Body, Pose, joint_positions, pose_from_world, transforms
 from .normals import estimate, outward
 
-Labels = NDArray[Any]
-ROUNDS = 5  # of fitting surfaces to links and giving points to the nearest
+CYLINDER_ROUNDS, SHAPE_ROUNDS = 3, 5
+"""Rounds of assigning points to links and fitting the links' surfaces: to cylinders, then to harmonic shapes."""
+MIN_SHAPE_POINTS = 30
+"""Points that a link must have for a shape of its own; otherwise it is a cylinder."""
+SHAPE_NOISE_M = 0.02
+"""Residual at which a point counts half when a shape is fitted, metres."""
+MIN_CYLINDER_POINTS = 20
+"""Points that a link must have for its radius to be fitted."""
+MIN_RADIUS_M, MAX_RADIUS_M, MIN_LENGTH_M = 0.02, 0.25, 0.04
+"""Limits of fitted cylinders, metres."""
+PAIR_RADIUS_RATIO = 1.1
+"""A limb is at most this much thicker than its mirrored one."""
+MIN_ICP_POINTS = 6
+"""Model points that a link must have for an ICP."""
+MIN_GLOBAL_POINTS, MIN_REFIT_POINTS = 8, 10
+"""Data points that a link must have for a global error, and to be fitted again because of it."""
+MIN_FRAME_POINTS = 10
+"""A frame of fewer points leaves the pose as it is."""
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """Points P of the first frame with their links: positions (n, 3) and normals in the canonical pose, colours,
-    links (n,).
+class CylinderModel:
+    """Points P of the first frame: positions (n, 3), metres, and normals (n, 3) in the canonical pose, colours (n, 3),
+    and the link of each (n,).
     """
 
     points: Floats
     normals: Floats
-    colours: NDArray[np.uint8] | None
-    links: Labels
+    colours: Bytes | None
+    links: AnyInteger
 
 
 def closeness(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> Floats:
-    """(links, n): equation (4), how close each point is to each link: 1 inside the cylinder, falling to 0 away from it.
+    """(links, n): equation (4), the closeness of each point to each link: 1 inside the cylinder, falling to 0 outside.
 
-    0 where the normal points at the link. Among links that a point lies inside of, the one whose axis is nearest by
-    its radius counts most: the paper leaves ties open, so 1 becomes 1 + the share of the radius that is left.
+    0 if the normal points towards the link's axis. The paper leaves open to which of several overlapping cylinders a
+    point belongs. Here closeness inside rises to 2 at the axis, so that the cylinder counts in which the point is
+    deepest, relative to the radius.
     """
-    away, foot, beyond = _cylindrical(body, a, b, points)
+    radial, foot, beyond = _cylindrical(body, a, b, points)
     radii = body.radii[:, None]
-    distance = np.hypot(np.maximum(away - radii, 0), beyond)
-    result = np.where(distance <= 0, 1.0 + np.maximum(1 - away / radii, 0), np.exp(-distance / radii))
+    distance = np.hypot(np.maximum(radial - radii, 0), beyond)
+    result = np.where(distance <= 0, 1.0 + np.maximum(1 - radial / radii, 0), np.exp(-distance / radii))
     if normals is not None:
         result[_facing(body, a, b, points, normals, foot) <= 0] = 0.0
     return result
 
 
 def _cylindrical(body: Body, a: Floats, b: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """(links, n) each: points' distance from each link's line, the place of the closest point on its axis, and how far
-    they are beyond the axis's ends."""
-    origins, axes = joints_of(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    """(links, n) each, metres: points' distance from the line through each link's axis, the place along the axis that
+    is closest to them, and how far they are beyond the axis's ends.
+    """
+    origins, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
     along = axes @ points.T - np.sum(axes * origins, axis=1)[:, None]
     square = np.sum(points**2, axis=1) - 2 * origins @ points.T + np.sum(origins**2, axis=1)[:, None]
     foot = np.clip(along, 0, body.lengths[:, None])
@@ -61,76 +78,76 @@ def _cylindrical(body: Body, a: Floats, b: Floats, points: Floats) -> tuple[Floa
 
 
 def _facing(body: Body, a: Floats, b: Floats, points: Floats, directions: Floats, foot: Floats) -> Floats:
-    """(links, n): how far directions (n, 3) lead away from the links' axes, of which `foot` are the closest points."""
-    origins, axes = joints_of(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    """(links, n): positive where directions (n, 3) point away from a link's axis; `foot` as `_cylindrical` gives it."""
+    origins, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
     return np.sum(points * directions, axis=1) - origins @ directions.T - foot * (axes @ directions.T)
 
 
-def turned_out(body: Body, a: Floats, b: Floats, points: Floats, among: Floats | None = None) -> Floats:
-    """(n, 3) unit normals, estimated among all the points of the frame, that turn away from the axis of the link whose
-    surface is nearest.
+def outward_normals(body: Body, a: Floats, b: Floats, points: Floats, among: Floats | None = None) -> Floats:
+    """(n, 3): unit normals of points (n, 3), pointing away from the axis of the link with the nearest surface.
+
+    among (m, 3): all the points of the frame, from which normals are estimated; `points` unless given.
     """
     n = estimate(points, among)
-    away, foot, beyond = _cylindrical(body, a, b, points)
-    nearest = (np.hypot(away, beyond) - body.radii[:, None]).argmin(axis=0)
+    radial, foot, beyond = _cylindrical(body, a, b, points)
+    nearest = (np.hypot(radial, beyond) - body.radii[:, None]).argmin(axis=0)
     facing = np.take_along_axis(_facing(body, a, b, points, n, foot), nearest[None], axis=0)[0]
     return np.where(facing[:, None] < 0, -n, n)
 
 
-def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> Labels:
-    """(n,): the link that each point is associated with: the one of greatest closeness (section 3.1).
+def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | None) -> AnyInteger:
+    """(n,): the link of greatest closeness to each point (section 3.1).
 
-    A point that turns away from every link goes to the closest, as if it had no normal.
+    For a point whose normal faces every link's axis, the normal is ignored.
     """
     close = closeness(body, a, b, points, normals)
-    lost = close.max(axis=0) <= 0
-    if lost.any():
-        close[:, lost] = closeness(body, a, b, points[lost], None)
+    faces_all = close.max(axis=0) <= 0
+    if faces_all.any():
+        close[:, faces_all] = closeness(body, a, b, points[faces_all], None)
     return close.argmax(axis=0)
 
 
 def make_model(
     body: Body,
     points: Floats,
-    colours: NDArray[np.uint8] | None,
+    colours: Bytes | None,
     normals: Floats | None = None,
     by_surface: bool = False,
     among: Floats | None = None,
-) -> tuple[Body, Model]:
-    """The model of the first frame: its points by links; and the body with radii and lengths that fit them.
+) -> tuple[Body, CylinderModel]:
+    """The body with radii and lengths fitted to the points (n, 3) of the first frame, and the model of these points.
 
-    among (m, 3): all the points of the frame, from which normals are estimated where there are none.
-
-    by_surface: points go to the link whose surface is nearest, in metres, not by equation (4), which favours thick
-    links and gives them a hand that hangs beside a thigh.
+    normals (n, 3): estimated from `among` (m, 3), all the points of the frame, unless given. by_surface: assign points
+    to the link with the nearest surface in metres, and not by equation (4), which favours thick links: it would assign
+    a hand beside the thigh to the thigh.
     """
     a, b = transforms(body, Pose.canonical(len(body)))
     if by_surface:
         n = outward(points, neighbours=10) if normals is None else normals
-        for _ in range(3):
+        for _ in range(CYLINDER_ROUNDS):
             links = nearest_surface(body, points, n)
             body = fit_cylinders(body, points, links, paired=True)
         links = nearest_surface(body, points, n)
-        for _ in range(ROUNDS):
+        for _ in range(SHAPE_ROUNDS):
             links = nearest_surface(body, points, n, surface_shapes(body, points, links))
-        return fit_cylinders(body, points, links, paired=True), Model(points, n, colours, links)
-    n = turned_out(body, a, b, points, among) if normals is None else normals
+        return fit_cylinders(body, points, links, paired=True), CylinderModel(points, n, colours, links)
+    n = outward_normals(body, a, b, points, among) if normals is None else normals
     for _ in range(2):
         body = fit_cylinders(body, points, segment(body, a, b, points, n))
-    return body, Model(points, n, colours, segment(body, a, b, points, n))
+    return body, CylinderModel(points, n, colours, segment(body, a, b, points, n))
 
 
-def is_near(body: Body, points: Floats, within: float = 0.15) -> NDArray[np.bool_]:
-    """(n,): whether canonical points are within so many metres of a link's cylinder."""
+def is_near(body: Body, points: Floats, within: float = 0.15) -> Booleans:
+    """(n,): whether canonical points (n, 3) are within a distance of any link's cylinder, metres."""
     offset = points[None] - body.origins[:, None]
     foot = np.clip(np.einsum("lni,li->ln", offset, body.axes), 0, body.lengths[:, None])
     away = np.linalg.norm(offset - foot[..., None] * body.axes[:, None], axis=2)
     return (away - body.radii[:, None]).min(axis=0) < within
 
 
-def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats | None = None) -> Labels:
-    """(n,): the link whose surface each canonical point is nearest to, and on whose outside it is: its cylinder's, or
-    that of `surface_shapes`.
+def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats | None = None) -> AnyInteger:
+    """(n,): the link with the nearest surface to each canonical point (n, 3): a cylinder, or of `shapes` as
+    `surface_shapes` returns them. Links whose surface faces across the point's normal count as farther.
     """
     offset = points[None] - body.origins[:, None]
     along = np.einsum("lni,li->ln", offset, body.axes)
@@ -145,49 +162,49 @@ def nearest_surface(body: Body, points: Floats, normals: Floats, shapes: Floats 
     return (distance + 0.05 * (1 - np.abs(facing))).argmin(axis=0)
 
 
-def surface_shapes(body: Body, points: Floats, links: Labels, stiff: float = 12.0) -> Floats:
-    """(links, 10): each link's distance of surface from axis as harmonics around and along it, from its points.
+def surface_shapes(body: Body, points: Floats, links: AnyInteger, prior_points: float = 12.0) -> Floats:
+    """(links, 10): the distance of each link's surface from its axis as coefficients of harmonics around and along it.
 
-    A trunk is no cylinder: where a forearm rests on it, this says which points are still trunk's. Robust; what differs
-    from a cylinder is held back as `stiff` points would.
+    A trunk is not a cylinder: its shape separates its own points from those of a forearm that rests on it. Fitted
+    robustly, with a prior towards the cylinder that weighs as much as `prior_points` points.
     """
     shapes = np.zeros((len(body), 10))
     shapes[:, 0] = body.radii
     order = np.argsort(links, kind="stable")
     offset, axes, lengths = (points - body.origins[links])[order], body.axes[links[order]], body.lengths[links[order]]
     foot = np.clip(np.sum(offset * axes, axis=1), 0, lengths)
-    away = np.linalg.norm(offset - foot[:, None] * axes, axis=1)
-    harmonics, ridge = _harmonics(offset, axes, lengths), np.diag([0.1, *[stiff] * 9])
+    radial = np.linalg.norm(offset - foot[:, None] * axes, axis=1)
+    harmonics, ridge = _harmonics(offset, axes, lengths), np.diag([0.1, *[prior_points] * 9])
     ends = np.searchsorted(links[order], np.arange(len(body) + 1))
     for link in range(len(body)):
         own = slice(ends[link], ends[link + 1])
-        if own.stop - own.start < 30:
+        if own.stop - own.start < MIN_SHAPE_POINTS:
             continue
         basis, target = harmonics[:, own], ridge @ shapes[link]
         for _ in range(4):
-            off = away[own] - shapes[link] @ basis
-            weighted = basis / (1 + (off / 0.02) ** 2)
-            shapes[link] = np.linalg.solve(weighted @ basis.T + ridge, weighted @ away[own] + target)
+            residual = radial[own] - shapes[link] @ basis
+            weighted = basis / (1 + (residual / SHAPE_NOISE_M) ** 2)
+            shapes[link] = np.linalg.solve(weighted @ basis.T + ridge, weighted @ radial[own] + target)
     return shapes
 
 
 def _harmonics(offset: Floats, axes: Floats, lengths: Floats) -> Floats:
-    """(10, …): 1, cos, sin, cos 2θ, sin 2θ around links' axes (…, 3), then times the place along them, −1 to 1, of
-    offsets (…, 3) from their origins.
+    """(10, …): 1, cos θ, sin θ, cos 2θ, sin 2θ, then these times the place along the axis, −1 to 1, of offsets (…, 3)
+    from the origins of links with axes (…, 3) and lengths (…).
     """
     side = np.cross(axes, np.where(np.abs(axes[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
     side /= np.linalg.norm(side, axis=-1, keepdims=True)
     x, y, along = (np.einsum("...i,...i->...", offset, u) for u in (side, np.cross(axes, side), axes))
     share = np.clip(along / lengths, 0, 1) * 2 - 1
-    away = np.sqrt(x * x + y * y)
-    some = np.where(away > 0, away, 1.0)
-    cos, sin = np.where(away > 0, x, 1.0) / some, y / some
+    radial = np.sqrt(x * x + y * y)
+    divisor = np.where(radial > 0, radial, 1.0)
+    cos, sin = np.where(radial > 0, x, 1.0) / divisor, y / divisor
     around = np.stack([np.ones_like(x), cos, sin, cos * cos - sin * sin, 2 * sin * cos])
     return np.concatenate([around, around * share])
 
 
-def mirrored(body: Body) -> list[tuple[int, int]]:
-    """Pairs of links that are left and right of each other: as deep in the tree, as long, with as much below."""
+def mirrored_links(body: Body) -> list[tuple[int, int]]:
+    """Pairs of links that are left and right of each other: of equal depth, equal length and equally large subtrees."""
     depth = np.zeros(len(body), int)
     for link, parent in enumerate(body.parents):
         depth[link] = depth[parent] + 1 if parent >= 0 else 0
@@ -201,64 +218,61 @@ def mirrored(body: Body) -> list[tuple[int, int]]:
     return pairs
 
 
-def fit_cylinders(body: Body, points: Floats, links: Labels, paired: bool = False) -> Body:
-    """The body with each link's radius the median distance of its points from its axis; links without points stay.
+def fit_cylinders(body: Body, points: Floats, links: AnyInteger, paired: bool = False) -> Body:
+    """The body with each link's radius set to the median distance of its points from its axis, and each leaf's length
+    to the extent of its points; links with few points keep theirs.
 
-    paired: an arm or leg is hardly thicker than the other: what it touches has been taken for a part of it.
+    paired: limit the radius of a limb by that of its mirrored one: a thicker limb has points of what it touches.
     """
     radii, tips = body.radii.copy(), body.tips.copy()
     fitted = np.zeros(len(body), bool)
     leaf = ~np.isin(np.arange(len(body)), body.parents)
     for link in range(len(body)):
         own = points[links == link] - body.origins[link]
-        if len(own) < 20:
+        if len(own) < MIN_CYLINDER_POINTS:
             continue
         along = own @ body.axes[link]
-        away = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
-        radii[link] = np.clip(np.median(away), 0.02, 0.25)
+        radial = np.linalg.norm(own - along[:, None] * body.axes[link], axis=1)
+        radii[link] = np.clip(np.median(radial), MIN_RADIUS_M, MAX_RADIUS_M)
         fitted[link] = True
         if leaf[link]:
-            length = np.clip(np.percentile(along, 97), 0.04, 2.0 * body.lengths[link])
+            length = np.clip(np.percentile(along, 97), MIN_LENGTH_M, 2.0 * body.lengths[link])
             tips[link] = body.origins[link] + length * body.axes[link]
     if paired:
-        for one, other in mirrored(body):
+        for one, other in mirrored_links(body):
             if fitted[one] and fitted[other]:
-                radii[[one, other]] = np.minimum(radii[[one, other]], 1.1 * radii[[other, one]])
+                radii[[one, other]] = np.minimum(radii[[one, other]], PAIR_RADIUS_RATIO * radii[[other, one]])
     return Body(body.names, body.parents, body.origins, tips, radii, body.joints)
 
 
-def third_moments(points: Floats, links: Labels, count: int) -> Floats:
-    """(count, 3, 3, 3): μ3 of every link's points (n, 3), which are given from its middle: the mean of x ⊗ x ⊗ x, cubic
-    metres; zero without points."""
-    moments, many = np.empty((count, 3, 3, 3)), np.maximum(np.bincount(links, minlength=count), 1)
+def third_moments(points: Floats, links: AnyInteger, count: int) -> Floats:
+    """(count, 3, 3, 3): μ3 of every link, cubic metres: the mean of x ⊗ x ⊗ x over its points (n, 3), relative to the
+    link's centre; zero without points.
+    """
+    moments, points_of = np.empty((count, 3, 3, 3)), np.maximum(np.bincount(links, minlength=count), 1)
     for i, j, k in itertools.combinations_with_replacement(range(3), 3):
         product = points[:, i] * points[:, j] * points[:, k]
-        mean = np.bincount(links, product, count) / many
+        mean = np.bincount(links, product, count) / points_of
         for order in itertools.permutations((i, j, k)):
             moments[:, *order] = mean
     return moments
 
 
-def global_errors(
-    body: Body, a: Floats, b: Floats, moments: Floats, points: Floats, links: Labels, *, fewest: int = 8
-) -> Floats:
-    """(links,): equation (5) by links, |μ3(P_l) − μ3(Q_l)| in the link's own frame; its cube root, by the link's size.
-
-    moments (links, 3, 3, 3): of the model. Links with fewer than `fewest` data points count as ∞.
+def global_errors(body: Body, a: Floats, b: Floats, moments: Floats, points: Floats, links: AnyInteger) -> Floats:
+    """(links,): equation (5) for each link, |μ3(P_l) − μ3(Q_l)| in the link's own frame, as a cube root relative to the
+    link's size; ∞ for links with few data points. moments (links, 3, 3, 3): of the model.
     """
     local = np.einsum("nji,nj->ni", a[links], points - b[links]) - ((body.origins + body.tips) / 2)[links]
     difference = third_moments(local, links, len(body)) - moments
     errors = np.cbrt(np.linalg.norm(difference.reshape(len(body), -1), axis=1)) / np.hypot(body.lengths / 2, body.radii)
-    return np.where(np.bincount(links, minlength=len(body)) >= fewest, errors, np.inf)
-
-
-FEWEST = 6  # points that a link must have to be fitted
+    return np.where(np.bincount(links, minlength=len(body)) >= MIN_GLOBAL_POINTS, errors, np.inf)
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How ARTICP runs. threshold: links whose global error is above it are fitted again, and two samples of one surface
-    differ by much of it; rounds: how often at most.
+class ArticpSettings:
+    """How ARTICP runs. iterations: of each ICP. threshold: links with a global error above it are fitted again; two
+    samples of the same surface differ by a good part of it. rounds: of that, at most. articulation: links turn about
+    their joints; otherwise they move freely. global_fitting: section 3.4.
     """
 
     iterations: int = 12
@@ -268,84 +282,88 @@ class Settings:
     global_fitting: bool = True
 
 
-class Tracker:
-    """Follows the body of a model through frames of points: ARTICP(S, Q) for each, from where the last one left it."""
+class ArticpTracker:
+    """Follows the body of a model through frames of points: ARTICP(S, Q) for each, from the pose of the last."""
 
-    def __init__(self, body: Body, model: Model, settings: Settings | None = None) -> None:
-        self.body, self.model, self.settings = body, model, settings or Settings()
+    def __init__(self, body: Body, model: CylinderModel, settings: ArticpSettings | None = None) -> None:
+        self.body, self.model, self.settings = body, model, settings or ArticpSettings()
         self.pose = Pose.canonical(len(body))
-        self.below = body.ancestors
+        self.subtrees = body.ancestors
         depth = body.ancestors.sum(axis=0)
         self.levels = [np.flatnonzero(depth == level).tolist() for level in range(1, depth.max() + 1)]
-        self.members = [np.flatnonzero(model.links == link) for link in range(len(body))]
+        self.rows_of_link = [np.flatnonzero(model.links == link) for link in range(len(body))]
         centres = (body.origins + body.tips) / 2
         self.moments = third_moments(model.points - centres[model.links], model.links, len(body))
 
     def fit(
         self,
         points: Floats,
-        colours: NDArray[np.uint8] | None,
+        colours: Bytes | None,
         normals: Floats | None = None,
         among: Floats | None = None,
     ) -> Pose:
-        """Algorithm 3.1 on one frame of points (n, 3), metres. Frames of fewer than 10 points leave the pose as it
-        was.
+        """Algorithm 3.1 on one frame of points (n, 3), metres; a frame of fewer than 10 points leaves the pose as it
+        is.
 
-        among (m, 3): all the points of the frame, from which normals are estimated where there are none.
+        normals (n, 3): estimated from `among` (m, 3), all the points of the frame, unless given.
         """
-        if len(points) < 10:
+        if len(points) < MIN_FRAME_POINTS:
             return self.pose
         body, model = self.body, self.model
         a, b = transforms(body, self.pose)
-        n = turned_out(body, a, b, points, among) if normals is None else normals
-        turned = np.einsum("nij,nj->ni", a[model.links], model.normals)
-        label = icp.labels(turned, None if colours is None else model.colours, len(model.points))
+        n = outward_normals(body, a, b, points, among) if normals is None else normals
+        model_normals = np.einsum("nij,nj->ni", a[model.links], model.normals)
+        label = icp.labels(model_normals, None if colours is None else model.colours, len(model.points))
         tree = icp.ClusteredTree.build(points, n, None if model.colours is None else colours, label)
-        for links in self.levels:  # the queue, a parent before its children: links of a level do not move one another
+        for links in self.levels:  # the paper's queue; links of one level do not move one another
             self._fit_links(links, a, b, label, tree)
         if self.settings.global_fitting:
             self._fit_globally(a, b, points, n, colours, label)
         self.pose = self._to_pose(a, b)
         return self.pose
 
-    def _fit_links(self, links: Sequence[int], a: Floats, b: Floats, label: Labels, tree: icp.ClusteredTree) -> None:
-        """ICP of links; the transform of each moves it and all below it."""
-        links = [link for link in links if len(self.members[link]) >= FEWEST]
+    def _fit_links(
+        self, links: Sequence[int], a: Floats, b: Floats, label: AnyInteger, tree: icp.ClusteredTree
+    ) -> None:
+        """ICP of links that are not ancestors of one another; the transform of each moves its whole subtree, in
+        place.
+        """
+        links = [link for link in links if len(self.rows_of_link[link]) >= MIN_ICP_POINTS]
         if not links:
             return
-        rows = np.concatenate([self.members[link] for link in links])
+        rows = np.concatenate([self.rows_of_link[link] for link in links])
         owner = self.model.links[rows]
         moved = np.einsum("nij,nj->ni", a[owner], self.model.points[rows]) + b[owner]
         pivots = np.einsum("lij,lj->li", a[links], self.body.origins[links]) + b[links]
         pivots[[not (link and self.settings.articulation) for link in links]] = np.nan
-        sizes = [len(self.members[link]) for link in links]
+        sizes = [len(self.rows_of_link[link]) for link in links]
         r, t, _ = icp.icp_many(moved, label[rows], sizes, tree, pivots, iterations=self.settings.iterations)
         for i, link in enumerate(links):
-            below = self.below[link]
-            a[below], b[below] = r[i] @ a[below], b[below] @ r[i].T + t[i]
+            subtree = self.subtrees[link]
+            a[subtree], b[subtree] = r[i] @ a[subtree], b[subtree] @ r[i].T + t[i]
 
     def _fit_globally(
-        self, a: Floats, b: Floats, points: Floats, normals: Floats, colours: NDArray[Any] | None, label: Labels
+        self, a: Floats, b: Floats, points: Floats, normals: Floats, colours: Bytes | None, label: AnyInteger
     ) -> None:
-        """Section 3.4: segment the data, and match links with intolerable errors to the points that are theirs.
+        """Section 3.4: segment the data, and fit links with large errors to their own points, in place.
 
-        Of the states on the way the one with the least error stays: a step that makes it larger is taken back.
+        Stops when the total error rises, and restores the transforms with the smallest error.
         """
-        best, kept = np.inf, (a.copy(), b.copy())
-        for turn in range(self.settings.rounds + 1):
+        best, best_transforms = np.inf, (a.copy(), b.copy())
+        for number in range(self.settings.rounds + 1):
             links = segment(self.body, a, b, points, normals)
             errors = global_errors(self.body, a, b, self.moments, points, links)
             total = float(np.minimum(errors, 1.0).sum())
             if total >= best:
                 break
-            best, kept = total, (a.copy(), b.copy())
-            bad = (errors > self.settings.threshold) & (np.bincount(links, minlength=len(errors)) >= 10)
-            if turn == self.settings.rounds or not bad.any():
+            best, best_transforms = total, (a.copy(), b.copy())
+            bad = (errors > self.settings.threshold) & (np.bincount(links, minlength=len(errors)) >= MIN_REFIT_POINTS)
+            if number == self.settings.rounds or not bad.any():
                 break
             own = icp.ClusteredTree.of_groups(points, links, len(errors))
             for level in self.levels:
                 self._fit_links([link for link in level if bad[link]], a, b, self.model.links, own)
-        a[:], b[:] = kept
+        a[:], b[:] = best_transforms
 
     def _to_pose(self, a: Floats, b: Floats) -> Pose:
-        return from_world(self.body, a, a[0] @ self.body.origins[0] + b[0])
+        return pose_from_world(self.body, a, a[0] @ self.body.origins[0] + b[0])

@@ -1,25 +1,20 @@
 """An articulated body: links in a tree, posed by a rotation at each joint and a translation of the root.
 
-    Body (canonical pose) + Pose ──transforms──► one rigid transform a link ──skin──► points where the pose puts them
+    Body (canonical pose) + Pose ──transforms──► a rigid transform per link ──skinning──► points of the posed body
 
-All coordinates are metres in the world. The canonical pose is whatever pose the body was taken in: every rotation there
-is the identity, so that a point x of link l stands at A_l x + b_l.
+All coordinates are metres in the world. The canonical pose is the pose that the body was defined in: every rotation
+there is the identity, and a canonical point x of link l is at A_l x + b_l in another pose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import BadInput
-
-Floats = NDArray[np.float64]
-Ints = NDArray[Any]
-Labels = NDArray[Any]
+from ..typing import AnyInteger, Booleans, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +22,8 @@ class Body:
     """Links of a body in its canonical pose.
 
     Each link turns about its origin (the joint with its parent) and has the shape of a cylinder from `origins` to
-    `tips` (both (links, 3)) with radius `radii` (links,). A parent stands before its children; link 0 is the root,
-    the torso. joints: for each link, the index of its joint in the skeleton that the body was made from.
+    `tips` (both (links, 3)) with radius `radii` (links,), metres. Parents come before their children; link 0 is the
+    root, the torso. joints: for each link, the index of its joint in the skeleton that the body was made from.
     """
 
     names: tuple[str, ...]
@@ -43,7 +38,7 @@ class Body:
 
     @property
     def lengths(self) -> Floats:
-        """(links,) from origin to tip, at least a centimetre."""
+        """(links,): metres from origin to tip, at least a centimetre."""
         return np.maximum(np.linalg.norm(self.tips - self.origins, axis=1), 0.01)
 
     @property
@@ -52,8 +47,8 @@ class Body:
         return (self.tips - self.origins) / self.lengths[:, None]
 
     @property
-    def ancestors(self) -> NDArray[np.bool_]:
-        """(links, links): [a, l] is True where turning at a moves l, itself included."""
+    def ancestors(self) -> Booleans:
+        """(links, links): [a, l] is true if a is l or an ancestor of l: a rotation of a moves l."""
         moves = np.eye(len(self), dtype=bool)
         for link, parent in enumerate(self.parents):
             if parent >= 0:
@@ -61,7 +56,7 @@ class Body:
         return moves
 
     def scaled(self, factor: float) -> Body:
-        """The body made larger about the world's origin."""
+        """The body scaled about the world's origin."""
         return replace(self, origins=self.origins * factor, tips=self.tips * factor, radii=self.radii * factor)
 
 
@@ -78,7 +73,7 @@ class Pose:
 
 
 def transforms(body: Body, pose: Pose) -> tuple[Floats, Floats]:
-    """A (…, links, 3, 3) and b (…, links, 3): a canonical point x of link l stands at A_l x + b_l. Leading axes are
+    """A (…, links, 3, 3) and b (…, links, 3), metres: a canonical point x of link l is at A_l x + b_l. Leading axes are
     free: a pose may hold those of many frames.
     """
     rotations, root = pose.rotations, pose.root
@@ -95,19 +90,19 @@ def transforms(body: Body, pose: Pose) -> tuple[Floats, Floats]:
     return a, b
 
 
-def joints_of(body: Body, a: Floats, b: Floats) -> Floats:
-    """(links, 3): where the links' origins stand."""
+def joint_positions(body: Body, a: Floats, b: Floats) -> Floats:
+    """(links, 3): the links' origins under transforms a (links, 3, 3), b (links, 3)."""
     return np.einsum("lij,lj->li", a, body.origins) + b
 
 
-def from_world(body: Body, a: Floats, root_origin: Floats) -> Pose:
+def pose_from_world(body: Body, a: Floats, root_origin: Floats) -> Pose:
     """The pose whose links have world rotations a (links, 3, 3), with the root's joint at root_origin (3,)."""
     rotations = np.stack([a[i] if p < 0 else a[p].T @ a[i] for i, p in enumerate(body.parents)])
     return Pose(rotations, root_origin - body.origins[0])
 
 
-def depth_first(parents: Sequence[int]) -> list[int]:
-    """The links in an order in which each is followed by all below it, as BVH files need them."""
+def depth_first_order(parents: Sequence[int]) -> list[int]:
+    """The links in an order in which each is followed by its whole subtree, as in BVH files."""
     order, waiting = list[int](), [i for i, p in enumerate(parents) if p < 0][::-1]
     while waiting:
         order.append(waiting.pop())
@@ -132,7 +127,7 @@ def log(matrices: Floats) -> Floats:
     """Rotation vectors (…, 3), of at most π radians, of rotation matrices (…, 3, 3)."""
     m = matrices
     trace = np.einsum("...ii->...", m)
-    # unit quaternion by the largest of its components: exact near π too
+    # the unit quaternion through its largest component: exact near π too
     squares = np.stack([1 + trace, *(1 - trace + 2 * m[..., i, i] for i in range(3))], -1)
     w = np.stack(
         [squares[..., 0], m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1
@@ -149,44 +144,48 @@ def log(matrices: Floats) -> Floats:
     return q[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
 
 
-def between(directions: Floats, onto: Floats) -> Floats:
-    """(…, 3, 3): the smallest rotations that carry unit vectors `directions` (…, 3) onto unit vectors `onto` (…, 3)."""
+def rotation_between(directions: Floats, onto: Floats) -> Floats:
+    """(…, 3, 3): the smallest rotations that turn unit vectors `directions` (…, 3) onto unit vectors `onto` (…, 3)."""
     axis = np.cross(directions, onto)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     cosine = np.sum(directions * onto, axis=-1, keepdims=True)
-    spare = np.cross(directions, np.where(np.abs(directions[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
-    spare /= np.linalg.norm(spare, axis=-1, keepdims=True)
-    unit = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-9), spare)
+    normal = np.cross(directions, np.where(np.abs(directions[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)  # the axis for opposite directions
+    unit = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-9), normal)
     return exp(unit * np.arctan2(sine, cosine))
 
 
 def from_skeleton(
     names: Sequence[str], parents: Sequence[int], positions: Floats, *, one_trunk: bool = False, shortest: float = 0.085
 ) -> Body:
-    """The links of a skeleton that stands in a pose: bones too small to be seen in points are joined to their parents.
+    """The links of a skeleton in a pose; bones too small to be tracked in points are merged with their parents.
 
-    names, parents: of its joints, a parent before its children. positions (joints, 3): metres. A joint turns a link of
-    its own if a chain of at least `shortest` of the body's size hangs on it: fingers and toes do not. one_trunk: hips,
-    spine and collars are one cylinder as far as the arms, as in Lien and Bajcsy 2006, section 3.1, and so are neck and
-    head, and hand and fingers; otherwise every bone of the spine turns. Radii are a guess from the lengths. Raises
-    BadInput where there is no body in it.
+    names, parents: of its joints, parents before children. positions (joints, 3): metres. A joint becomes a link if a
+    chain of at least `shortest` of the body's size hangs on it: fingers and toes do not. one_trunk: hips, spine and
+    collars are one cylinder as far as the arms, as in Lien and Bajcsy 2006, section 3.1, and so are neck and head, and
+    hand and fingers; otherwise every bone of the spine is a link. Radii are estimated from the lengths. Raises BadInput
+    for fewer than two joints, or joints all within 5 cm.
     """
     positions = np.asarray(positions, np.float64)
     count = len(names)
     size = float(np.ptp(positions, axis=0).max()) if count and np.isfinite(positions).all() else 0.0
     if count < 2 or size <= 0.05:
-        raise BadInput(f"a skeleton of {count} joints within {size:.2f} m is not a body")
+        raise BadInput(
+            f"a skeleton of {count} joints within {size:.2f} m is not a body: two joints or more are needed, in metres"
+        )
     bones = np.array([0.0 if p < 0 else np.linalg.norm(positions[j] - positions[p]) for j, p in enumerate(parents)])
     if one_trunk:
-        size = min(size, 4 * float(bones.max()))  # raised arms make a pose larger, not its bones
+        size = min(size, 4 * float(bones.max()))  # raised arms make the pose taller, not the bones
     leaf = np.array([joint not in set(parents) for joint in range(count)])
-    below = np.where(leaf, np.clip(bones, 0.03 * size, 0.07 * size), 0.0)  # the longest chain that hangs on each joint
+    below = np.where(
+        leaf, np.clip(bones, 0.03 * size, 0.07 * size), 0.0
+    )  # length of the longest chain below each joint
     long_bone = np.zeros(count, bool)
     for joint in range(count - 1, 0, -1):
         if (parent := parents[joint]) >= 0:
             below[parent] = max(below[parent], below[joint] + bones[joint])
             long_bone[parent] |= bones[joint] > 0.13 * size
-    chains = np.zeros(count, int)  # arms and legs below each joint, counted at their last long bone
+    chains = np.zeros(count, int)  # number of arms and legs below each joint, counted at their last long bone
     for joint in range(count - 1, -1, -1):
         chains[joint] += bool(long_bone[joint] and chains[joint] == 0)
         if parents[joint] >= 0:
@@ -197,15 +196,15 @@ def from_skeleton(
         parent = max(parents[joint], 0)
         in_limb[joint] = chains[joint] < 2 and (long_bone[joint] or in_limb[parent])
         in_trunk = parent == 0 or chains[parent] >= 2
-        turns = below[joint] >= shortest * size and not (leaf[joint] and bones[joint] < 0.04 * size)
+        is_link = below[joint] >= shortest * size and not (leaf[joint] and bones[joint] < 0.04 * size)
         nested = chains[joint] == 1 and not in_limb[joint]
         if nested and np.linalg.norm(positions[joint] - positions[kept[link_of[parent]]]) < 0.01 * size:
-            turns = False  # a second joint in one place, as CMU's BVH files have at the hips
+            is_link = False  # a second joint in one place, as at the hips in CMU's BVH files
         if one_trunk:
-            turns &= (in_limb[joint] and bones[joint] > 0.04 * size) or (chains[joint] == 0 and in_trunk)
-        if turns:
+            is_link &= (in_limb[joint] and bones[joint] > 0.04 * size) or (chains[joint] == 0 and in_trunk)
+        if is_link:
             kept.append(joint)
-        link_of[joint] = len(kept) - 1 if turns else link_of[parent]
+        link_of[joint] = len(kept) - 1 if is_link else link_of[parent]
     trunk = [joint for joint in range(count) if one_trunk and link_of[joint] == 0 and chains[joint] >= 2]
     return _links(names, parents, positions, kept, link_of, size, trunk)
 
@@ -215,11 +214,11 @@ def _links(
     parents: Sequence[int],
     positions: Floats,
     kept: list[int],
-    link_of: Ints,
+    link_of: AnyInteger,
     size: float,
     trunk: Sequence[int],
 ) -> Body:
-    """Kept joints as links: the axis of each runs to where it carries most; the root's through all of `trunk`."""
+    """A link per kept joint, whose axis runs to the joint that carries most below it; the root's to one of `trunk`."""
     above = [-1 if i == 0 else int(link_of[max(parents[joint], 0)]) for i, joint in enumerate(kept)]
     carried = np.ones(len(names), int)
     for joint in range(len(names) - 1, 0, -1):
@@ -243,7 +242,7 @@ def _links(
 
 
 def quaternions(matrices: Floats) -> Floats:
-    """Unit quaternions (…, 4), w first and not negative, of rotation matrices (…, 3, 3)."""
+    """Unit quaternions (…, 4), w first and w ≥ 0, of rotation matrices (…, 3, 3)."""
     vectors = log(matrices)
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.concatenate([np.cos(angle / 2), vectors * 0.5 * np.sinc(angle / (2 * np.pi))], axis=-1)

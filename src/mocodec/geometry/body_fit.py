@@ -1,109 +1,127 @@
-"""A first pose without a skeleton: a body of ordinary build fitted to one frame of points.
+"""A first pose without a skeleton: the stock body fitted to one frame of points, in pose and proportions.
 
-    points ──► poses that could be it (pose_search) ──each──► all joints and proportions at once ──best──► Figure
+    points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► FittedSkeleton
 
-Any standing pose will do, and any heading. It takes seconds, once.
+Works for any standing pose and any heading, and takes some seconds.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import BadInput, CannotEncode
+from ..typing import AnyInteger, Floats
 from . import articulation, pose_search, stock_body
-from .articulation import Body, Floats
-from .capsules import gaps
-from .pose_search import Poses
+from .articulation import Body
+from .capsules import surface_distances
+from .gauss_newton import CROSS
+from .pose_search import TRUNCATION_M, PoseHypotheses, PoseSearch
 
-Ints = NDArray[Any]
-FARTHEST = 0.3  # metres: a skeleton whose links are farther from the points than this is somewhere else
-WORST = 0.08  # metres: a fit whose points are farther from the body than this on average is no fit
+MAX_SKELETON_DISTANCE_M = 0.3
+"""A skeleton is elsewhere if the median distance of its links from the points is more than this, metres."""
+MAX_FIT_ERROR_M = 0.08
+"""A fit is rejected if the points' mean distance from the body is more than this, metres."""
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.4, 3.0
+"""Height of a standing person, metres."""
+CANDIDATES, FINALISTS = 8, 3
+"""Hypotheses that are refined coarsely, and of these in full."""
+BACK_WEIGHT = 0.3
+"""Weight of the surface samples' distances from the points, against the points' distances from the surface."""
+PROPORTION_STEP = 0.01
+"""Relative change of a proportion for its numerical derivative."""
+INDEPENDENT, NOISE_M = 150.0, 0.02
+"""Neighbouring distances are correlated: all together count as this number of independent ones, of this noise in
+metres."""
+PROPORTION_SPREAD, PROPORTION_COST = 0.07, 2e-5
+"""Standard deviation of a proportion about the mean of all, as a logarithm; the cost of one of them, square metres."""
+MAX_TURN, MAX_GROWTH = 0.4, 0.05
+"""Change of a joint, radians, and of a proportion, as a logarithm, in one step, at most."""
+HINGE_SPREAD = 0.1
+"""Standard deviation of a knee or elbow that bends the wrong way, radians."""
+WIDTHS = tuple(np.geomspace(0.15, 0.03, 24).tolist())
+"""Widths of the robust weight, metres, one an iteration."""
+EXPECTED_TURN = {
+    "LowerBack": 0.12, "Spine": 0.12, "Spine1": 0.12, "Neck": 0.15, "Neck1": 0.15, "Head": 0.2, "Shoulder": 0.15,
+    "Hand": 0.3, "Foot": 0.35, "Arm": 1.5, "ForeArm": 1.0, "UpLeg": 1.2, "Leg": 1.0,
+}  # fmt: skip
+"""Standard deviation of a joint about the stock body's pose, radians."""
+OTHER_TURN, ROOT_TURN = 4.0, 10.0
+"""The same of all other joints, and of the root."""
 UPRIGHT = {
     "x": np.array([[0, 1.0, 0], [1, 0, 0], [0, 0, -1]]),
     "y": np.eye(3),
     "z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
-"""What turns each vertical axis into y."""
+"""The rotation that turns each vertical axis to y."""
 
 
-class Figure(NamedTuple):
-    """A skeleton in the pose of a frame: names, parents and places (joints, 3) of its joints, and how far it is off."""
+class FittedSkeleton(NamedTuple):
+    """A skeleton in the pose of a frame: names, parents and positions (joints, 3) of its joints, metres; error_m: the
+    points' mean distance from the fitted body.
+    """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    places: Floats
+    positions: Floats
     error_m: float
 
     def body(self, one_trunk: bool = False, shortest: float = 0.085) -> Body:
-        """Its links."""
-        return articulation.from_skeleton(self.names, self.parents, self.places, one_trunk=one_trunk, shortest=shortest)
+        """The links of the skeleton; see `articulation.from_skeleton`."""
+        return articulation.from_skeleton(
+            self.names, self.parents, self.positions, one_trunk=one_trunk, shortest=shortest
+        )
 
 
-def first_pose(points: Floats, up: str = "y") -> Figure:
-    """The figure that stands in points (n, 3), metres. Raises CannotEncode where none of ordinary build does."""
+def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
+    """The figure of the standing person in points (n, 3), metres. Raises CannotEncode if there is none."""
     turn = UPRIGHT[up]
     upright = largest_group(points @ turn.T)
     low, high = np.percentile(upright, [0.5, 99.5], axis=0)
     height = float(high[1] - low[1])
-    if not 0.4 < height < 3.0:
-        unit = "say their unit (--unit mm)" if height > 100 else "give a skeleton"
+    if not MIN_HEIGHT_M < height < MAX_HEIGHT_M:
+        unit = "give the unit of the points (--unit mm)" if height > 100 else "give a skeleton (--skeleton)"
         raise CannotEncode(f"the first frame is {height:.4g} m high: not a standing person in metres; {unit}")
-    search = pose_search.Search(upright)
-    person = Person(upright, search)
-    found = search.best(CANDIDATES)
-    rough = sorted((person.settled(begin(found, row), WIDTHS[::2]) for row in range(len(found.cost))), key=cost_of)
-    best = min((person.settled(person.with_limbs_anew(stand), WIDTHS) for stand in rough[:FINALISTS]), key=cost_of)
-    best = min(best, person.settled(person.turned_around(best), WIDTHS), key=cost_of)
-    figure = person.figure(best, turn)
-    if figure.error_m > WORST:
+    search = PoseSearch(upright)
+    fitter = StockBodyFitter(upright, search)
+    poses = search.best(CANDIDATES)
+    starts = [estimate_of(poses, row) for row in range(len(poses.cost))]
+    coarse = sorted((fitter.refine(start, WIDTHS[::2]) for start in starts), key=cost_of)
+    best = min((fitter.refine(fitter.resample_limbs(one), WIDTHS) for one in coarse[:FINALISTS]), key=cost_of)
+    best = min(best, fitter.refine(fitter.turned_around(best), WIDTHS), key=cost_of)
+    figure = fitter.figure(best, turn)
+    if figure.error_m > MAX_FIT_ERROR_M:
         raise CannotEncode(
             f"no standing figure fits the first frame ({figure.error_m * 100:.0f} cm off): give a skeleton"
         )
     return figure
 
 
-def largest_group(points: Floats, apart: float = 0.15) -> Floats:
-    """Those of points (n, 3) that hang together with the most others across gaps of `apart` metres or less: one person
-    of several, without what flies about."""
+def largest_group(points: Floats, gap: float = 0.15) -> Floats:
+    """The largest connected group of points (n, 3), where gaps of about `gap` metres still connect: one person of
+    several, without outliers. Points more than seven metres from the others are ignored.
+    """
     from scipy.ndimage import label
 
     low = np.percentile(points, 1, axis=0) - 2.0
-    cell = np.clip((points - low) / apart, 0, 60).astype(np.int64)  # nine metres: what is outside is not the person
+    cell = np.clip((points - low) / gap, 0, 60).astype(np.int64)  # nine metres
     filled = np.zeros((61, 61, 61), bool)
     filled[tuple(cell.T)] = True
-    names = np.empty(filled.shape, np.int32)
-    label(filled, np.ones((3, 3, 3)), names)
+    labels = np.empty(filled.shape, np.int32)
+    label(filled, np.ones((3, 3, 3)), labels)
     inside = ((cell > 0) & (cell < 60)).all(axis=1)
-    group = np.where(inside, names[tuple(cell.T)], 0)
+    group = np.where(inside, labels[tuple(cell.T)], 0)
     count = np.bincount(group)
     count[0] = 0
-    mine = group == count.argmax()
-    return points[mine] if mine.any() else points
+    is_largest = group == count.argmax()
+    return points[is_largest] if is_largest.any() else points
 
 
-CANDIDATES, FINALISTS = 8, 3
-BACK = 0.3  # weight of the distances from the body to the points
-GROW = 0.01  # by which a proportion changes for its slope
-ALIKE, NOISE_M = 150.0, 0.02  # how many distances are as good as independent, and how much each is usually off
-SPREAD, ODD = 0.07, 2e-5  # of a proportion about the average of them all, and the square metres that it costs
-REACH = pose_search.REACH
-CROSS = np.zeros((3, 3, 3))  # CROSS · y is the matrix of ω ↦ ω × y
-CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0
-CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = -1.0
-WIDTHS = tuple(np.geomspace(0.15, 0.03, 24).tolist())  # metres, of the robust weight, one an iteration
-STIFF = {
-    "LowerBack": 0.12, "Spine": 0.12, "Spine1": 0.12, "Neck": 0.15, "Neck1": 0.15, "Head": 0.2, "Shoulder": 0.15,
-    "Hand": 0.3, "Foot": 0.35, "Arm": 1.5, "ForeArm": 1.0, "UpLeg": 1.2, "Leg": 1.0,
-}  # fmt: skip
-"""Radians that a joint usually turns, from the stock body's pose."""
-
-
-class Stand(NamedTuple):
-    """A pose and a build: rotations (links, 3, 3), root (3,) of the hips, build (stock_body.BUILD,), cost, square
-    metres."""
+class BodyEstimate(NamedTuple):
+    """A pose and a build: rotations (links, 3, 3), root (3,) of the hips in metres, build (PROPORTIONS,) as factors,
+    cost in square metres.
+    """
 
     rotations: Floats
     root: Floats
@@ -111,17 +129,18 @@ class Stand(NamedTuple):
     cost: float
 
 
-def begin(poses: Poses, row: int) -> Stand:
-    """One of the poses found, all proportions alike."""
-    return Stand(poses.rotations[row], poses.root[row], np.full(len(stock_body.BUILD), poses.size[row]), np.inf)
+def estimate_of(poses: PoseHypotheses, row: int) -> BodyEstimate:
+    """One of several hypotheses, with all proportions equal to its size."""
+    build = np.full(len(stock_body.PROPORTIONS), poses.size[row])
+    return BodyEstimate(poses.rotations[row], poses.root[row], build, np.inf)
 
 
-def cost_of(stand: Stand) -> float:
-    return stand.cost
+def cost_of(estimate: BodyEstimate) -> float:
+    return estimate.cost
 
 
-class Placed(NamedTuple):
-    """World rotations a (links, 3, 3), joints (…, links, 3), and the capsules' ends (…, c, 2, 3), radii (…, c, 2)."""
+class PosedCapsules(NamedTuple):
+    """World rotations a (links, 3, 3), joints (…, links, 3), capsule ends (…, c, 2, 3) and radii (…, c, 2), metres."""
 
     a: Floats
     joints: Floats
@@ -129,174 +148,214 @@ class Placed(NamedTuple):
     radii: Floats
 
 
-class Person:
-    """Fits pose and proportions of the stock body's capsules to points (n, 3), y up, by Gauss–Newton."""
+class Correspondences(NamedTuple):
+    """Pairs of a place on a capsule and a point. capsules (p,), shares (p, 1) of their axes, and normals (p, 3)
+    determine the places; targets (p, 3): the points. The first `points` pairs belong to points, the others to surface
+    samples.
+    """
 
-    def __init__(self, points: Floats, search: pose_search.Search, most: int = 1200) -> None:
+    capsules: AnyInteger
+    shares: Floats
+    normals: Floats
+    targets: Floats
+    points: int
+
+    def places(self, ends: Floats, radii: Floats) -> Floats:
+        """(…, p, 3): the places on capsules with ends (…, c, 2, 3) and radii (…, c, 2)."""
+        p, r = ends[..., self.capsules, :, :], radii[..., self.capsules, :]
+        radius = r[..., :1] + self.shares * (r[..., 1:] - r[..., :1])
+        return p[..., 0, :] + self.shares * (p[..., 1, :] - p[..., 0, :]) + radius * self.normals
+
+
+class StockBodyFitter:
+    """Fits pose and proportions of the stock body's capsules to points (n, 3), y up, by Gauss–Newton; at most
+    `max_points` of them are used. search: the pose search on the same points.
+    """
+
+    def __init__(self, points: Floats, search: PoseSearch, max_points: int = 1200) -> None:
         from scipy.spatial import KDTree
 
-        self.body, self.flesh, self.field = search.body, search.flesh, search.field
-        some = np.random.default_rng(3).permutation(len(points))[:most]
-        self.points = points[some]
+        self.body, self.model, self.field = search.body, search.model, search.field
+        rows = np.random.default_rng(3).permutation(len(points))[:max_points]
+        self.points = points[rows]
         self.tree = KDTree(self.points)
-        self.moves = self.body.ancestors
-        bare = [name.removeprefix("Left").removeprefix("Right") for name in self.body.names]
-        self.stiff = np.array([STIFF.get(name, 4.0) for name in bare])
-        self.stiff[0] = 10.0
+        self.is_ancestor = self.body.ancestors
+        without_side = [name.removeprefix("Left").removeprefix("Right") for name in self.body.names]
+        self.expected_turn = np.array([EXPECTED_TURN.get(name, OTHER_TURN) for name in without_side])
+        self.expected_turn[0] = ROOT_TURN
 
-    def with_limbs_anew(self, stand: Stand) -> Stand:
-        """The stand with other limbs where a search of its own build finds better ones."""
-        search = pose_search.Search(self.points, stand.build, self.field, most=500)
-        pose = Poses(stand.rotations[None], stand.root[None], np.ones(1), np.zeros(1))
-        found = search.with_limbs_anew(pose)
-        return stand._replace(rotations=found.rotations[0])
+    def resample_limbs(self, estimate: BodyEstimate) -> BodyEstimate:
+        """The estimate with better limbs, if a random search with its proportions finds any."""
+        search = PoseSearch(self.points, estimate.build, self.field, max_points=500)
+        pose = PoseHypotheses(estimate.rotations[None], estimate.root[None], np.ones(1), np.zeros(1))
+        return estimate._replace(rotations=search.resample_limbs(pose).rotations[0])
 
-    def turned_around(self, stand: Stand) -> Stand:
-        """The body facing the other way, its right limbs where the left ones were."""
+    def turned_around(self, estimate: BodyEstimate) -> BodyEstimate:
+        """The body facing the other way, with its right limbs where the left ones were."""
         body = self.body
-        a = self._stand(stand.rotations, stand.root, stand.build).a
-        around = np.diag([-1.0, 1, -1])
+        a = self._posed(estimate.rotations, estimate.root, estimate.build).a
+        half_turn = np.diag([-1.0, 1, -1])
         world = np.array(a)
         for link, (name, parent) in enumerate(zip(body.names, body.parents, strict=True)):
-            other = pose_search.other_side(name)
+            other = pose_search.mirrored_name(name)
             if parent < 0:
-                world[link] = a[link] @ around
+                world[link] = a[link] @ half_turn
             elif other != name and not name.endswith(("Shoulder", "Hand", "Foot")):
-                way = a[body.names.index(other)] @ body.axes[body.names.index(other)]
-                near = world[parent] @ body.axes[link]
-                world[link] = articulation.between(near, way) @ world[parent]
+                direction = a[body.names.index(other)] @ body.axes[body.names.index(other)]
+                now = world[parent] @ body.axes[link]
+                world[link] = articulation.rotation_between(now, direction) @ world[parent]
             else:
                 world[link] = world[parent]
         rotations = [world[link] if p < 0 else world[p].T @ world[link] for link, p in enumerate(body.parents)]
-        return stand._replace(rotations=np.array(rotations))
+        return estimate._replace(rotations=np.array(rotations))
 
-    def settled(self, stand: Stand, widths: tuple[float, ...]) -> Stand:
-        """The best near a stand, by so many steps."""
+    def refine(self, estimate: BodyEstimate, widths: tuple[float, ...]) -> BodyEstimate:
+        """The estimate after one Gauss–Newton step per width, with its cost."""
         for width in widths:
-            stand = self._step(stand, width)
-        return stand._replace(cost=self._cost(stand))
+            estimate = self._step(estimate, width)
+        return estimate._replace(cost=self._cost(estimate))
 
-    def _stand(self, rotations: Floats, root: Floats, build: Floats) -> Placed:
-        """Where a pose (links, 3, 3), (3,) puts people of builds (…, BUILD)."""
-        places, body, flesh = self.flesh.places(build), self.body, self.flesh
+    def _posed(self, rotations: Floats, root: Floats, build: Floats) -> PosedCapsules:
+        """The capsules of people of builds (…, PROPORTIONS) in a pose (links, 3, 3), (3,)."""
+        positions, body, model = self.model.joint_positions(build), self.body, self.model
         a, b = np.empty((len(body), 3, 3)), np.empty((*build.shape[:-1], len(body), 3))
         for link, (parent, joint) in enumerate(zip(body.parents, body.joints, strict=True)):
             a[link] = rotations[link] if parent < 0 else a[parent] @ rotations[link]
-            turned = places[..., joint, :] @ ((a[parent] if parent >= 0 else 0.0) - a[link]).T
-            b[..., link, :] = turned + (b[..., parent, :] if parent >= 0 else root)
-        ends = np.einsum("cij,...cej->...cei", a[flesh.link], places[..., flesh.ends, :]) + b[..., flesh.link, None, :]
-        joints = np.einsum("lij,...lj->...li", a, places[..., list(body.joints), :]) + b
-        return Placed(a, joints, ends, flesh.radii(build))
+            shift = positions[..., joint, :] @ ((a[parent] if parent >= 0 else 0.0) - a[link]).T
+            b[..., link, :] = shift + (b[..., parent, :] if parent >= 0 else root)
+        ends = np.einsum("cij,...cej->...cei", a[model.link], positions[..., model.ends, :])
+        ends = ends + b[..., model.link, None, :]
+        joints = np.einsum("lij,...lj->...li", a, positions[..., list(body.joints), :]) + b
+        return PosedCapsules(a, joints, ends, model.radii(build))
 
-    def _step(self, stand: Stand, width: float) -> Stand:
-        """One step: a turn of every joint, in the world, a move of the root, and the logarithms of the proportions.
+    def _step(self, estimate: BodyEstimate, width: float) -> BodyEstimate:
+        """One step: a rotation of every joint, in the world, a translation of the root, and the logarithms of the
+        proportions.
 
-        Distances of points from the capsules count across the surface; those of places of the capsules from the points
-        in every direction, so that a limb in empty air is drawn to where there are points.
+        Distances of points from the capsules count across the surface (point-to-plane). Distances of surface samples
+        from the points count in every direction, so that a limb in empty air is drawn to the points.
         """
         body, links = self.body, len(self.body)
-        now = self._stand(stand.rotations, stand.root, stand.build)
-        capsule, share, normal = self._feet(now.ends, now.radii)
-        places, out = self.flesh.surface(now.a, now.ends, now.radii)
-        distance, index = self.tree.query(places)
-        near = np.flatnonzero(distance < 3 * width)
-        capsules = np.concatenate([capsule, self.flesh.part[near]])
-        shares = np.concatenate([share, self.flesh.shares[near]])[:, None]
-        outs = np.concatenate([normal, out[near]])
-
-        def surface(ends: Floats, radii: Floats) -> Floats:
-            p, r = ends[..., capsules, :, :], radii[..., capsules, :]
-            radius = r[..., :1] + shares * (r[..., 1:] - r[..., :1])
-            return p[..., 0, :] + shares * (p[..., 1, :] - p[..., 0, :]) + radius * outs
-
-        y = surface(now.ends, now.radii)
-        larger = self._stand(stand.rotations, stand.root, stand.build * (1 + GROW * np.eye(len(stand.build))))
-        gap = np.concatenate([self.points, self.points[np.asarray(index)[near]]]) - y
+        posed = self._posed(estimate.rotations, estimate.root, estimate.build)
+        pairs = self._correspondences(posed, width)
+        y = pairs.places(posed.ends, posed.radii)
+        gap = pairs.targets - y
         weight = (width**2 / (width**2 + np.einsum("ni,ni->n", gap, gap))) ** 2
-        jacobian = np.zeros((len(y), 3, 3 + 3 * links + len(stand.build)))
-        jacobian[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        levers = (y[:, None] - now.joints[None]) * self.moves[:, self.flesh.link[capsules]].T[..., None]
-        jacobian[:, :, 3 : 3 + 3 * links] = np.einsum("ijk,nlj->nilk", CROSS, levers).reshape(len(y), 3, 3 * links)
-        jacobian[:, :, 3 + 3 * links :] = ((surface(larger.ends, larger.radii) - y) / GROW).transpose(1, 2, 0)
-        first = len(share)
-        across = np.einsum("npi,np->ni", jacobian[:first], outs[:first]) * weight[:first, None]
-        every = jacobian[first:] * (BACK * first / len(places) * weight[first:])[:, None, None]
-        alike = ALIKE / first / NOISE_M**2  # neighbours err alike: so many of them count as one
-        h = across.T @ np.einsum("npi,np->ni", jacobian[:first], outs[:first])
-        h += np.einsum("npi,npj->ij", every, jacobian[first:], optimize=True)
-        g = across.T @ np.einsum("ni,ni->n", outs[:first], gap[:first]) + np.einsum("npi,np->i", every, gap[first:])
-        h, g = h * alike, g * alike
-        above = np.stack([now.a[p] if p >= 0 else np.eye(3) for p in body.parents])
-        self._add_priors(h, g, stand, above)
+        jacobian = self._jacobian(estimate, posed, pairs, y)
+        n, normals = pairs.points, pairs.normals[: pairs.points]
+        across = np.einsum("npi,np->ni", jacobian[:n], normals) * weight[:n, None]
+        samples = jacobian[n:] * (BACK_WEIGHT * n / len(self.model.shares) * weight[n:])[:, None, None]
+        scale = INDEPENDENT / n / NOISE_M**2
+        h = across.T @ np.einsum("npi,np->ni", jacobian[:n], normals)
+        h += np.einsum("npi,npj->ij", samples, jacobian[n:], optimize=True)
+        g = across.T @ np.einsum("ni,ni->n", normals, gap[:n]) + np.einsum("npi,np->i", samples, gap[n:])
+        h, g = h * scale, g * scale
+        parents = np.stack([posed.a[p] if p >= 0 else np.eye(3) for p in body.parents])
+        self._add_priors(h, g, estimate, parents)
         step = np.linalg.solve(h, g)
         turns = step[3 : 3 + 3 * links].reshape(-1, 3)
-        turns *= np.minimum(1.0, 0.4 / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), 1e-9))
-        rotations = articulation.exp(np.einsum("lji,lj->li", above, turns)) @ stand.rotations
-        build = stand.build * np.exp(np.clip(step[3 + 3 * links :], -0.05, 0.05))
-        return Stand(rotations, stand.root + step[:3], build, np.inf)
+        turns *= np.minimum(1.0, MAX_TURN / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), 1e-9))
+        rotations = articulation.exp(np.einsum("lji,lj->li", parents, turns)) @ estimate.rotations
+        build = estimate.build * np.exp(np.clip(step[3 + 3 * links :], -MAX_GROWTH, MAX_GROWTH))
+        return BodyEstimate(rotations, estimate.root + step[:3], build, np.inf)
 
-    def _add_priors(self, h: Floats, g: Floats, stand: Stand, above: Floats) -> None:
-        """Joints turn little from the stock body's pose, the trunk's least; knees and elbows one way; proportions are
-        alike."""
-        vectors = articulation.log(stand.rotations)
+    def _correspondences(self, posed: PosedCapsules, width: float) -> Correspondences:
+        """The nearest capsule of each point; and the nearest point of each surface sample, within three widths."""
+        capsule, share, normal = self._nearest_capsules(posed.ends, posed.radii)
+        samples, outward = self.model.surface_samples(posed.a, posed.ends, posed.radii)
+        distance, index = self.tree.query(samples)
+        near = np.flatnonzero(distance < 3 * width)
+        return Correspondences(
+            np.concatenate([capsule, self.model.capsule[near]]),
+            np.concatenate([share, self.model.shares[near]])[:, None],
+            np.concatenate([normal, outward[near]]),
+            np.concatenate([self.points, self.points[np.asarray(index)[near]]]),
+            len(share),
+        )
+
+    def _jacobian(self, estimate: BodyEstimate, posed: PosedCapsules, pairs: Correspondences, y: Floats) -> Floats:
+        """(p, 3, 3 + 3 links + PROPORTIONS): derivatives of the places y (p, 3); by the proportions numerically."""
+        links, build = len(self.body), estimate.build
+        jacobian = np.zeros((len(y), 3, 3 + 3 * links + len(build)))
+        jacobian[:, [0, 1, 2], [0, 1, 2]] = 1.0
+        moved_by = self.is_ancestor[:, self.model.link[pairs.capsules]].T[..., None]
+        levers = (y[:, None] - posed.joints[None]) * moved_by
+        jacobian[:, :, 3 : 3 + 3 * links] = np.einsum("ijk,nlj->nilk", CROSS, levers).reshape(len(y), 3, 3 * links)
+        larger = self._posed(estimate.rotations, estimate.root, build * (1 + PROPORTION_STEP * np.eye(len(build))))
+        growth = (pairs.places(larger.ends, larger.radii) - y) / PROPORTION_STEP
+        jacobian[:, :, 3 + 3 * links :] = growth.transpose(1, 2, 0)
+        return jacobian
+
+    def _add_priors(self, h: Floats, g: Floats, estimate: BodyEstimate, parents: Floats) -> None:
+        """Add penalties to h and g, in place: of rotations from the stock body's pose, of knees and elbows that bend
+        the wrong way, and of differences between the proportions. parents (links, 3, 3): world rotations of the
+        parents.
+        """
+        vectors = articulation.log(estimate.rotations)
         at = np.arange(3, 3 + 3 * len(self.body))
-        h[at, at] += np.repeat(self.stiff**-2, 3)
-        g[at] -= (np.einsum("lij,lj->li", above, vectors) * self.stiff[:, None] ** -2).ravel()
+        h[at, at] += np.repeat(self.expected_turn**-2, 3)
+        g[at] -= (np.einsum("lij,lj->li", parents, vectors) * self.expected_turn[:, None] ** -2).ravel()
         for link, hinge in pose_search.hinges(self.body):
-            bent = float(vectors[link] @ hinge)
-            if bent < 0:
-                axis = above[link] @ hinge
+            bend = float(vectors[link] @ hinge)
+            if bend < 0:
+                axis = parents[link] @ hinge
                 rows = slice(3 + 3 * link, 6 + 3 * link)
-                h[rows, rows] += np.outer(axis, axis) / 0.1**2
-                g[rows] -= axis * bent / 0.1**2
-        level = np.eye(len(stand.build)) - 1 / len(stand.build)  # their average is free
+                h[rows, rows] += np.outer(axis, axis) / HINGE_SPREAD**2
+                g[rows] -= axis * bend / HINGE_SPREAD**2
+        deviation = np.eye(len(estimate.build)) - 1 / len(estimate.build)  # from the mean, which is free
         rows = slice(3 + 3 * len(self.body), None)
-        h[rows, rows] += level / SPREAD**2 + 0.1 * np.eye(len(level))
-        g[rows] -= level @ np.log(stand.build) / SPREAD**2
+        h[rows, rows] += deviation / PROPORTION_SPREAD**2 + 0.1 * np.eye(len(deviation))
+        g[rows] -= deviation @ np.log(estimate.build) / PROPORTION_SPREAD**2
 
-    def _feet(self, ends: Floats, radii: Floats) -> tuple[Ints, Floats, Floats]:
-        """For each point the nearest capsule, the share of its axis where the point stands, and the way out there."""
+    def _nearest_capsules(self, ends: Floats, radii: Floats) -> tuple[AnyInteger, Floats, Floats]:
+        """For each point the capsule with the nearest surface (n,), the share of its axis nearest to the point (n,),
+        and the normal there (n, 3).
+        """
         along = ends[:, 1] - ends[:, 0]
         share = np.einsum("cni,ci->cn", self.points[None] - ends[:, :1], along)
         share = np.clip(share / np.maximum(np.sum(along**2, axis=1), 1e-9)[:, None], 0, 1)
         out = self.points[None] - ends[:, :1] - share[..., None] * along[:, None]
-        away = np.linalg.norm(out, axis=2)
-        gap = np.abs(away - radii[:, :1] - share * (radii[:, 1:] - radii[:, :1]))
-        best = gap.argmin(axis=0)
+        radial = np.linalg.norm(out, axis=2)
+        distance = np.abs(radial - radii[:, :1] - share * (radii[:, 1:] - radii[:, :1]))
+        best = distance.argmin(axis=0)
         n = np.arange(len(self.points))
-        return best, share[best, n], out[best, n] / np.maximum(away[best, n], 1e-6)[:, None]
+        return best, share[best, n], out[best, n] / np.maximum(radial[best, n], 1e-6)[:, None]
 
-    def _gaps(self, placed: Placed) -> Floats:
-        """(n,): the points' distances from the body."""
-        return gaps(self.points, placed.ends[None], placed.radii[None])[0]
+    def _point_distances(self, posed: PosedCapsules) -> Floats:
+        """(n,): distances of the points from the body, metres."""
+        return surface_distances(self.points, posed.ends[None], posed.radii[None])[0]
 
-    def _cost(self, stand: Stand) -> float:
-        placed = self._stand(stand.rotations, stand.root, stand.build)
-        back = self.field(self.flesh.surface(placed.a, placed.ends, placed.radii)[0])
-        cost = np.mean(np.minimum(self._gaps(placed), REACH) ** 2) + np.mean(np.minimum(back, REACH) ** 2)
-        cost += ODD * np.sum(((np.log(stand.build) - np.log(stand.build).mean()) / SPREAD) ** 2)
-        return float(cost + pose_search.oddness(self.body, stand.rotations[None])[0])
+    def _cost(self, estimate: BodyEstimate) -> float:
+        posed = self._posed(estimate.rotations, estimate.root, estimate.build)
+        samples = self.field(self.model.surface_samples(posed.a, posed.ends, posed.radii)[0])
+        cost = np.mean(np.minimum(self._point_distances(posed), TRUNCATION_M) ** 2)
+        cost = cost + np.mean(np.minimum(samples, TRUNCATION_M) ** 2)
+        log_build = np.log(estimate.build)
+        cost += PROPORTION_COST * np.sum(((log_build - log_build.mean()) / PROPORTION_SPREAD) ** 2)
+        return float(cost + pose_search.hinge_penalty(self.body, estimate.rotations[None])[0])
 
-    def figure(self, stand: Stand, turn: Floats) -> Figure:
-        """The skeleton, turned back to the file's axes."""
-        placed, body = self._stand(stand.rotations, stand.root, stand.build), self.body
-        ends = [link for link in range(len(body)) if link not in body.parents]
-        places = self.flesh.places(stand.build)
+    def figure(self, estimate: BodyEstimate, turn: Floats) -> FittedSkeleton:
+        """The skeleton in the file's axes. turn (3, 3): the rotation from these to y up."""
+        posed, body = self._posed(estimate.rotations, estimate.root, estimate.build), self.body
+        leaves = [link for link in range(len(body)) if link not in body.parents]
+        positions = self.model.joint_positions(estimate.build)
         tips = list[Floats]()
-        for link in ends:
-            stop = int(np.argmin(np.linalg.norm(self.flesh.stock - body.tips[link], axis=1)))
-            tips.append(placed.a[link] @ (places[stop] - places[body.joints[link]]) + placed.joints[link])
-        names = (*body.names, *(f"{body.names[link]}Tip" for link in ends))
-        error = float(np.minimum(self._gaps(placed), 0.3).mean())
-        return Figure(names, (*body.parents, *ends), np.concatenate([placed.joints, np.array(tips)]) @ turn, error)
+        for link in leaves:
+            stop = int(np.argmin(np.linalg.norm(self.model.stock - body.tips[link], axis=1)))
+            tips.append(posed.a[link] @ (positions[stop] - positions[body.joints[link]]) + posed.joints[link])
+        names = (*body.names, *(f"{body.names[link]}Tip" for link in leaves))
+        error = float(np.minimum(self._point_distances(posed), 0.3).mean())
+        return FittedSkeleton(
+            names, (*body.parents, *leaves), np.concatenate([posed.joints, np.array(tips)]) @ turn, error
+        )
 
 
 def require_near(body: Body, points: Floats) -> None:
-    """Raises BadInput for a skeleton that does not stand in the points (n, 3)."""
+    """Raises BadInput for a skeleton that is not among the points (n, 3), metres."""
     from scipy.spatial import KDTree
 
-    middles = (body.origins + body.tips) / 2
-    away, _ = KDTree(points).query(middles)
-    if np.median(away) > FARTHEST:
-        gap = f"{np.median(away):.4g} m"
+    centres = (body.origins + body.tips) / 2
+    distance, _ = KDTree(points).query(centres)
+    if np.median(distance) > MAX_SKELETON_DISTANCE_M:
+        gap = f"{np.median(distance):.4g} m"
         raise BadInput(f"the skeleton is {gap} from the first frame's points: it must have its place, pose and unit")

@@ -1,9 +1,10 @@
 """Iterative closest points (Besl and McKay, as in Lien and Bajcsy 2006, section 2), over an (n, c)-clustered k-d tree.
 
-    model points ──closest, among like normals and colours──► pairs ──rigid──► transform ──► moved model points, again
+    model points ──closest with similar normal and colour──► correspondences ──rigid──► transform ──► model points,
+    again
 
-Each model point looks in one fixed set of clusters of the data for as long as an ICP runs, so every step can only
-lower the error: theorem 3.1.
+Each model point is matched within the same clusters of the data throughout an ICP, so the error never rises:
+theorem 3.1.
 """
 
 from __future__ import annotations
@@ -13,52 +14,58 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Labels = NDArray[Any]
+from ..typing import AnyInteger, Booleans, Floats
 
-LATITUDES, LONGITUDES = 3, 6  # the poles are one cluster each
-HUES, GREY = 6, 6  # hue clusters 0 to 5; 6 is what has too little saturation to have a hue
+LONGITUDES = 6
+"""Clusters of normals between the poles; each pole is one more."""
+POLE = 0.8
+"""A normal with a y of more than this, or less than its negative, belongs to a pole."""
+HUES, GREY = 6, 6
+"""Clusters of hue are 0 to 5; 6 is for colours of low saturation."""
+MIN_SATURATION = 0.2
 NORMAL_CLUSTERS, COLOUR_CLUSTERS = LONGITUDES + 2, HUES + 1
-APART = 1e3  # metres between neighbourhoods along the tree's fourth axis
+SEPARATION_M = 1e3
+"""Distance between neighbourhoods along the tree's fourth axis, metres: larger than any recording."""
+MIN_NEIGHBOURHOOD = 3
+"""Data points that a neighbourhood must have; otherwise all points are searched."""
 
 
 def rigid(p: Floats, q: Floats, pivot: Floats | None = None) -> tuple[Floats, Floats]:
-    """R (3, 3), t (3,) that carry points p (n, 3) closest to their pairs q (n, 3): equations (1) and (2).
+    """R (3, 3), t (3,): the rigid transform that moves points p (n, 3) closest to q (n, 3): equations (1) and (2).
 
-    pivot (3,): a joint that must stay where it is; it stands in place of both centres (section 3.2).
+    pivot (3,): a joint that must not move; it replaces both centres of mass (section 3.2).
     """
     centre_p, centre_q = (p.mean(axis=0), q.mean(axis=0)) if pivot is None else (pivot, pivot)
     r = rotations((p - centre_p).T @ (q - centre_q) / max(len(p), 1))
     return r, centre_q - r @ centre_p
 
 
-def normal_cluster(normals: Floats) -> Labels:
-    """Clusters in geographic coordinates: the poles and LONGITUDES sectors between them."""
+def normal_cluster(normals: Floats) -> AnyInteger:
+    """(n,): clusters of unit normals (n, 3): 0 to 5 by longitude, 6 and 7 for the poles +y and −y."""
     longitude = np.arctan2(normals[:, 2], normals[:, 0]) % (2 * np.pi)
     sector = np.minimum((longitude / (2 * np.pi) * LONGITUDES).astype(np.int64), LONGITUDES - 1)
-    return np.where(normals[:, 1] > 0.8, LONGITUDES, np.where(normals[:, 1] < -0.8, LONGITUDES + 1, sector))
+    return np.where(normals[:, 1] > POLE, LONGITUDES, np.where(normals[:, 1] < -POLE, LONGITUDES + 1, sector))
 
 
-def colour_cluster(colours: NDArray[Any]) -> Labels:
-    """Clusters of hue, and one of what has little saturation."""
+def colour_cluster(colours: AnyInteger) -> AnyInteger:
+    """(n,): clusters of colours (n, 3) by hue, 0 to 5, and 6 for low saturation."""
     c = np.asarray(colours, np.float64)
     high, low = c.max(axis=1), c.min(axis=1)
     chroma = np.maximum(high - low, 1e-9)
     r, g, b = c.T
     hue = np.where(high == r, ((g - b) / chroma) % 6, np.where(high == g, (b - r) / chroma + 2, (r - g) / chroma + 4))
-    return np.where(chroma < 0.2 * np.maximum(high, 1), GREY, np.minimum(hue.astype(np.int64) % 6, HUES - 1))
+    return np.where(chroma < MIN_SATURATION * np.maximum(high, 1), GREY, np.minimum(hue.astype(np.int64) % 6, HUES - 1))
 
 
-def _near_normals() -> NDArray[np.bool_]:
+def _near_normals() -> Booleans:
     near = np.eye(NORMAL_CLUSTERS, dtype=bool)
     for i in range(LONGITUDES):
         near[i, [(i + 1) % LONGITUDES, (i - 1) % LONGITUDES, LONGITUDES, LONGITUDES + 1]] = True
     return near | near.T
 
 
-def _near_colours() -> NDArray[np.bool_]:
+def _near_colours() -> Booleans:
     near = np.eye(COLOUR_CLUSTERS, dtype=bool)
     for i in range(HUES):
         near[i, [(i + 1) % HUES, (i - 1) % HUES, GREY]] = True
@@ -70,19 +77,22 @@ NEAR_NORMALS, NEAR_COLOURS = _near_normals(), _near_colours()
 
 @dataclass(frozen=True, eq=False)
 class ClusteredTree:
-    """Data points by neighbourhoods of like normal and colour; one k-d tree holds them all, APART along a fourth
-    axis.
+    """Data points by neighbourhoods of similar normal and colour, in one k-d tree that separates the neighbourhoods
+    along a fourth axis.
+
+    points (n, 3): metres. rows: the data point of each of the tree's entries. filled: whether the neighbourhood of a
+    label has enough points; otherwise queries search all points.
     """
 
     points: Floats
     tree: Any
-    rows: Labels
-    filled: NDArray[np.bool_]
+    rows: AnyInteger
+    filled: Booleans
 
     @staticmethod
-    def build(points: Floats, normals: Floats | None, colours: NDArray[Any] | None, wanted: Labels) -> ClusteredTree:
-        """The tree of points (n, 3) for queries with the labels in `wanted`; without normals or colours, all are
-        alike.
+    def build(points: Floats, normals: Floats | None, colours: AnyInteger | None, wanted: AnyInteger) -> ClusteredTree:
+        """The tree of points (n, 3) for queries with the labels `wanted`. Without normals or colours, all points count
+        as similar in them.
         """
         n_label = np.zeros(len(points), np.int64) if normals is None else normal_cluster(normals)
         c_label = np.zeros(len(points), np.int64) if colours is None else colour_cluster(colours)
@@ -91,7 +101,7 @@ class ClusteredTree:
         near_normals = NEAR_NORMALS if normals is not None else np.ones_like(NEAR_NORMALS)
         near_colours = NEAR_COLOURS if colours is not None else np.ones_like(NEAR_COLOURS)
         inside = near_normals[n][:, n_label] & near_colours[c][:, c_label]
-        enough = inside.sum(axis=1) >= 3
+        enough = inside.sum(axis=1) >= MIN_NEIGHBOURHOOD
         filled = np.zeros(NORMAL_CLUSTERS * COLOUR_CLUSTERS, bool)
         filled[keys] = enough
         keys, inside = keys[enough], inside[enough]
@@ -101,30 +111,31 @@ class ClusteredTree:
         return ClusteredTree(points, _tree(points[row], keys[key]), row, filled)
 
     @staticmethod
-    def of_groups(points: Floats, groups: Labels, count: int) -> ClusteredTree:
-        """The tree of points (n, 3) of which each is in one group (n,), 0 to count − 1: for queries labelled by group,
-        of groups that have points."""
+    def of_groups(points: Floats, groups: AnyInteger, count: int) -> ClusteredTree:
+        """The tree of points (n, 3) in disjoint groups (n,), 0 to count − 1. Queries are labelled by group; those of a
+        group without points are not allowed.
+        """
         filled = np.bincount(groups, minlength=count) > 0
         return ClusteredTree(points, _tree(points, groups), np.arange(len(points)), filled)
 
-    def placed(self, points: Floats, labels: Labels) -> Floats:
-        """(n, 4): points in the neighbourhoods of their labels, as `closest` takes them."""
-        return np.column_stack([points, np.where(self.filled[labels], labels, -1) * APART])
+    def queries(self, points: Floats, labels: AnyInteger) -> Floats:
+        """(n, 4): points (n, 3) with the coordinate of their label's neighbourhood, as `closest` takes them."""
+        return np.column_stack([points, np.where(self.filled[labels], labels, -1) * SEPARATION_M])
 
-    def closest(self, placed: Floats) -> tuple[Labels, Floats]:
-        """For each of `placed` (n, 4), the row and the distance of the closest data point in its neighbourhood."""
-        distance, index = self.tree.query(placed)
+    def closest(self, queries: Floats) -> tuple[AnyInteger, Floats]:
+        """For each of queries (n, 4), the row and the distance of the closest data point in its neighbourhood."""
+        distance, index = self.tree.query(queries)
         return self.rows[index], distance
 
 
-def _tree(points: Floats, keys: Labels) -> Any:
-    from scipy.spatial import cKDTree  # type: ignore[attr-defined]  # KDTree checks every query at length
+def _tree(points: Floats, keys: AnyInteger) -> Any:
+    from scipy.spatial import cKDTree  # type: ignore[attr-defined]  # KDTree's checks of each query take long
 
-    return cKDTree(np.column_stack([points, keys * APART]), 16, compact_nodes=False, balanced_tree=False)
+    return cKDTree(np.column_stack([points, keys * SEPARATION_M]), 16, compact_nodes=False, balanced_tree=False)
 
 
-def labels(normals: Floats | None, colours: NDArray[Any] | None, count: int) -> Labels:
-    """The neighbourhood that each model point looks in."""
+def labels(normals: Floats | None, colours: AnyInteger | None, count: int) -> AnyInteger:
+    """(n,): the label of each model point: the neighbourhood in which it is matched."""
     n = np.zeros(count, np.int64) if normals is None else normal_cluster(normals)
     c = np.full(count, GREY) if colours is None else colour_cluster(colours)
     return n * COLOUR_CLUSTERS + c
@@ -132,18 +143,18 @@ def labels(normals: Floats | None, colours: NDArray[Any] | None, count: int) -> 
 
 def icp(
     points: Floats,
-    label: Labels,
+    label: AnyInteger,
     data: ClusteredTree,
     *,
     pivot: Floats | None = None,
     iterations: int = 12,
     tolerance: float = 2e-4,
 ) -> tuple[Floats, Floats, list[float]]:
-    """Algorithm 2.1: R (3, 3), t (3,) that carry model points (n, 3) onto the data, and the error of equation (1) a
-    step.
+    """Algorithm 2.1: R (3, 3), t (3,) that move model points (n, 3) onto the data, and the error of equation (1) before
+    each step.
 
-    The errors, mean squared distances in square metres, never rise. Stops when the root of the error falls by less
-    than `tolerance` metres.
+    The errors are mean squared distances in square metres, and never rise. Stops when the root of the error falls by
+    less than `tolerance` metres. pivot (3,): a joint that must not move.
     """
     pivots = np.full((1, 3), np.nan) if pivot is None else pivot[None]
     r, t, errors = icp_many(points, label, [len(points)], data, pivots, iterations=iterations, tolerance=tolerance)
@@ -152,7 +163,7 @@ def icp(
 
 def icp_many(
     points: Floats,
-    label: Labels,
+    label: AnyInteger,
     sizes: Sequence[int],
     data: ClusteredTree,
     pivots: Floats,
@@ -160,47 +171,47 @@ def icp_many(
     iterations: int = 12,
     tolerance: float = 2e-4,
 ) -> tuple[Floats, Floats, list[list[float]]]:
-    """`icp` of several rigid parts that do not move one another, step by step side by side.
+    """`icp` of several independent rigid parts at once, vectorised over the parts.
 
-    points (n, 3): of one part after another, `sizes` of each, none of them empty. pivots (parts, 3): joints that stay
-    where they are; NaN for a part that is free. Returns R (parts, 3, 3), t (parts, 3), the errors of each part.
+    points (n, 3): of one part after another; `sizes` of them each, at least one. pivots (parts, 3): joints that must
+    not move; NaN for a free part. Returns R (parts, 3, 3), t (parts, 3), the errors of each part.
     """
     count = len(sizes)
-    many = np.array(sizes)
+    lengths = np.array(sizes)
     r, t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     errors = [list[float]() for _ in range(count)]
-    placed, free = data.placed(points, label), np.isnan(pivots[:, :1])
-    active, part_of = np.arange(count), np.repeat(np.arange(count), many)
+    queries, free = data.queries(points, label), np.isnan(pivots[:, :1])
+    active, part_of = np.arange(count), np.repeat(np.arange(count), lengths)
     last = np.full(count, np.inf)
     for _ in range(iterations):
-        starts = np.cumsum(many) - many
-        row, distance = data.closest(placed)
-        error = np.add.reduceat(distance**2, starts) / many
+        starts = np.cumsum(lengths) - lengths
+        row, distance = data.closest(queries)
+        error = np.add.reduceat(distance**2, starts) / lengths
         for part, value in zip(active, error.tolist(), strict=True):
             errors[part].append(value)
         root = np.sqrt(error)
-        going = last - root >= tolerance
-        if not going.all():
-            if not going.any():
+        improves = last - root >= tolerance
+        if not improves.all():
+            if not improves.any():
                 break
-            stay = going[part_of]
-            placed, row = placed[stay], row[stay]
-            active, many, root = active[going], many[going], root[going]
-            starts, part_of = np.cumsum(many) - many, np.repeat(np.arange(len(active)), many)
+            kept = improves[part_of]
+            queries, row = queries[kept], row[kept]
+            active, lengths, root = active[improves], lengths[improves], root[improves]
+            starts, part_of = np.cumsum(lengths) - lengths, np.repeat(np.arange(len(active)), lengths)
         last = root
-        p, q, each = placed[:, :3], data.points[row], many[:, None]
+        p, q, each = queries[:, :3], data.points[row], lengths[:, None]
         centre_p, centre_q = (np.where(free[active], np.add.reduceat(x, starts) / each, pivots[active]) for x in (p, q))
         off_p, off_q = p - centre_p[part_of], q - centre_q[part_of]
         products = (off_p[:, :, None] * off_q[:, None, :]).reshape(-1, 9)
         step = rotations((np.add.reduceat(products, starts) / each).reshape(-1, 3, 3))
         move = centre_q - np.einsum("pij,pj->pi", step, centre_p)
-        placed[:, :3] = np.einsum("nij,nj->ni", step[part_of], p) + move[part_of]
+        queries[:, :3] = np.einsum("nij,nj->ni", step[part_of], p) + move[part_of]
         r[active], t[active] = step @ r[active], np.einsum("pij,pj->pi", step, t[active]) + move
     return r, t, errors
 
 
 def rotations(covariance: Floats) -> Floats:
-    """(…, 3, 3): the rotations that carry p closest to q, from their cross-covariances Σ p qᵀ (…, 3, 3)."""
+    """(…, 3, 3): the rotations that turn p closest to q, from their cross-covariances Σ p qᵀ (…, 3, 3)."""
     u, _, vt = np.linalg.svd(covariance)
     u[..., :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[..., None]
     return np.asarray((u @ vt).swapaxes(-1, -2), np.float64)

@@ -1,10 +1,10 @@
-"""How far the links of a body may turn: what a skeleton says of its joints, in the terms of a tracker.
+"""Joint limits of a tracked body: the limits of a skeleton's joints as limits of the body's links.
 
-    limits of joints, first pose ──of_links──► limits of links ──nearest──► the rotation nearest to one that is allowed
+    limits of joints, first pose ──of_links──► limits of links ──nearest_allowed──► rotations within the limits
 
 A link l turns by R_l from the first pose, against its parent. If it moves as joint c does, and its parent as joint d,
-then c has turned against d by W_d⁻¹ R_l W_c, W being their rotations against the world in the first pose; and in the
-axis frame of c that is Rx(α) Ry(β) Rz(γ), axes exchanged where its order is another. Angles are clamped to ranges.
+then c has turned against d by W_d⁻¹ R_l W_c, where W are their world rotations in the first pose. In the axis frame of
+c that is Rx(α) Ry(β) Rz(γ), with the axes permuted for another rotation order. Each angle is clamped to its range.
 """
 
 from __future__ import annotations
@@ -12,37 +12,41 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..motion import Limits, Motion
+from ..typing import AnyInteger, Booleans, Floats
 from . import kinematics, rigid
-from .articulation import Body, Floats, Labels
+from .articulation import Body
 
-GIVE = 0.1  # radians by which every range is wider than its source says: surfaces say no better how a joint is turned
-ROUNDING = 1e-9  # radians beyond a range that do not count
-SWEEPS = 4  # over the three angles, to bring a clamped rotation as near as it gets
+TOLERANCE_RAD = 0.1
+"""By which every range is widened at either end, radians: tracked surfaces determine rotations no better than that."""
+ROUNDING_RAD = 1e-9
+"""An angle is within its range if it is beyond it by this or less, radians."""
+SWEEPS = 4
+"""Of coordinate descent over the three angles of a clamped rotation."""
 
 
 class LinkLimits(NamedTuple):
-    """links (k,) that have limits. The rotation of such a link is allowed where before · R · after (k, 3, 3 each) is
-    Rx Ry Rz by angles that are all within `half` (k, 3) of `middle` (k, 3), radians; half is infinite where any is.
+    """links (k,): those with limits. The rotation R of such a link is allowed if before · R · after (k, 3, 3 each) is
+    Rx Ry Rz by angles within `half_width` (k, 3) of `centre` (k, 3), radians. A half width is infinite for a free
+    angle.
     """
 
-    links: Labels
+    links: AnyInteger
     before: Floats
     after: Floats
-    middle: Floats
-    half: Floats
+    centre: Floats
+    half_width: Floats
 
     @property
     def table(self) -> Floats:
-        """(k, 24): what says which rotations are allowed, a link a row."""
+        """(k, 24): all but `links` as one row per link, for the compiled kernel."""
         return np.concatenate([array.reshape(len(array), int(np.prod(array.shape[1:]))) for array in self[1:]], axis=1)
 
-    def of(self, links: Labels) -> LinkLimits:
-        """Those of some links."""
-        some = np.isin(self.links, links)
-        return LinkLimits(*(array[some] for array in self))
+    def subset(self, links: AnyInteger) -> LinkLimits:
+        """The limits of some links."""
+        chosen = np.isin(self.links, links)
+        return LinkLimits(*(array[chosen] for array in self))
 
 
 NO_LIMITS = LinkLimits(np.zeros(0, np.int64), *np.zeros((2, 0, 3, 3)), *np.zeros((2, 0, 3)))
@@ -51,8 +55,8 @@ NO_LIMITS = LinkLimits(np.zeros(0, np.int64), *np.zeros((2, 0, 3, 3)), *np.zeros
 def of_links(body: Body, motion: Motion) -> LinkLimits:
     """Limits of the links of a body that was made from the first frame of a motion, widened to contain that pose.
 
-    A link has limits where it and its parent each move as one joint does, and nothing turns between the two: where
-    several joints that turn were merged into one link, no one of them says how far that may.
+    A link has limits if it and its parent each move as a single joint does, and no joint turns between the two. A link
+    that merges several moving joints has none: no single joint determines how far it may turn.
     """
     skeleton, rotations = motion.skeleton, motion.rotations
     if skeleton is None or skeleton.limits is None or rotations is None:
@@ -61,7 +65,7 @@ def of_links(body: Body, motion: Motion) -> LinkLimits:
     fixed = (limits.ranges == 0).all(axis=(1, 2))
     carriers = _carriers(body, skeleton.parents, fixed, motion.source.get("format") == "amc")
     world = rigid.to_matrix(kinematics.world_rotations(skeleton, rotations[:1])[0])
-    found = list[tuple[int, Floats, Floats, Floats, Floats]]()
+    limited = list[tuple[int, Floats, Floats, Floats, Floats]]()
     for link, parent in enumerate(body.parents):
         joint, above = carriers[link], carriers[max(parent, 0)]
         if parent < 0 or joint is None or above is None:
@@ -71,21 +75,22 @@ def of_links(body: Body, motion: Motion) -> LinkLimits:
             between = skeleton.parents[between]
         if between != above:
             continue
-        frame = _in_order(limits, joint)
+        frame = _permuted_axes(limits, joint)
         before, after = (world[above] @ frame).T, world[joint] @ frame
-        middle, half = _around(_ranges(limits, joint), before @ after)
-        if np.isfinite(half).any():
-            found.append((link, before, after, middle, half))
-    if not found:
+        centre, half_width = _widened(_ranges(limits, joint), before @ after)
+        if np.isfinite(half_width).any():
+            limited.append((link, before, after, centre, half_width))
+    if not limited:
         return NO_LIMITS
-    links, *arrays = zip(*found, strict=True)
+    links, *arrays = zip(*limited, strict=True)
     return LinkLimits(np.array(links, np.int64), *(np.stack(array) for array in arrays))
 
 
-def _carriers(body: Body, parents: tuple[int, ...], fixed: NDArray[np.bool_], own_frame: bool) -> list[int | None]:
-    """For each link the joint of the skeleton that it moves as; None where it moves as none, or as several.
+def _carriers(body: Body, parents: tuple[int, ...], fixed: Booleans, own_frame: bool) -> list[int | None]:
+    """For each link the joint of the skeleton that it moves as; None if it moves as no single joint.
 
-    own_frame: a joint is the end of the bone that it turns, so that a link moves as the bones that begin in its joint.
+    own_frame: a joint is the end of the bone that it turns (ASF/AMC), so that a link moves as the bones that begin in
+    its joint.
     """
     link_of, carried = dict(zip(body.joints, range(len(body)), strict=True)), [list[int]() for _ in body.names]
     for joint, parent in enumerate(parents):
@@ -99,67 +104,74 @@ def _carriers(body: Body, parents: tuple[int, ...], fixed: NDArray[np.bool_], ow
     return carriers
 
 
-def _in_order(limits: Limits, joint: int) -> Floats:
-    """(3, 3): the joint's axis frame, turned so that its three turns are about x, y and z, or against them."""
+def _permuted_axes(limits: Limits, joint: int) -> Floats:
+    """(3, 3): the joint's axis frame with its axes permuted, so that its rotations are about x, y and z in that order;
+    for an odd rotation order the axes are negated.
+    """
     order = ["xyz".index(axis) for axis in limits.orders[joint]]
-    exchanged = np.eye(3)[:, order]
-    return rigid.to_matrix(limits.axes[joint]) @ exchanged * np.linalg.det(exchanged)
+    permutation = np.eye(3)[:, order]
+    return rigid.to_matrix(limits.axes[joint]) @ permutation * np.linalg.det(permutation)
 
 
 def _ranges(limits: Limits, joint: int) -> Floats:
-    """(3, 2): ranges in the frame that `_in_order` gives: an odd order turns against its axes."""
+    """(3, 2): ranges in the frame of `_permuted_axes`: negated for an odd rotation order."""
     ranges = limits.ranges[joint]
     return ranges if limits.orders[joint] in ("xyz", "yzx", "zxy") else -ranges[:, ::-1]
 
 
-def _around(ranges: Floats, first: Floats) -> tuple[Floats, Floats]:
-    """Middle and half width (3,) of ranges (3, 2), widened to contain a rotation (3, 3) and by what joints give."""
-    free = ranges[:, 1] - ranges[:, 0] >= 2 * np.pi  # without an end on one side too: whole turns do not show
+def _widened(ranges: Floats, first: Floats) -> tuple[Floats, Floats]:
+    """Centre and half width (3,) of ranges (3, 2), widened to contain the rotation `first` (3, 3), and by the
+    tolerance.
+
+    A range of a whole turn or more, or without an end, is free: whole turns cannot be told from none.
+    """
+    free = ranges[:, 1] - ranges[:, 0] >= 2 * np.pi
     known = np.where(free[:, None], 0.0, ranges)
-    middle, half = known.mean(axis=1), np.where(free, np.inf, np.ptp(known, axis=1) / 2)
-    away = min(_wrapped(_euler(first) - middle), key=lambda one: float(np.maximum(np.abs(one) - half, 0).sum()))
-    below, above = np.minimum(away + half, 0), np.maximum(away - half, 0)
-    return middle + (below + above) / 2, half + (above - below) / 2 + GIVE
+    centre, half_width = known.mean(axis=1), np.where(free, np.inf, np.ptp(known, axis=1) / 2)
+    offsets = _wrapped(_euler(first) - centre)
+    offset = min(offsets, key=lambda triple: float(np.maximum(np.abs(triple) - half_width, 0).sum()))
+    below, above = np.minimum(offset + half_width, 0), np.maximum(offset - half_width, 0)
+    return centre + (below + above) / 2, half_width + (above - below) / 2 + TOLERANCE_RAD
 
 
-def nearest(limits: LinkLimits, rotations: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """The allowed rotation nearest to each of rotations (…, k, 3, 3) of the limited links, and which (…, k) were not
-    allowed.
+def nearest_allowed(limits: LinkLimits, rotations: Floats) -> tuple[Floats, Booleans]:
+    """The allowed rotation nearest to each of rotations (…, k, 3, 3) of the limited links, and a mask (…, k) of those
+    that were beyond their limits.
 
-    Both triples of angles of a rotation are clamped, and the nearer result is taken. Where the outer two angles turn
-    about almost the same axis, one may be clamped in vain that the other could make up for; so each angle in turn is
-    then put where it brings the rotation nearest, given the others.
+    Both triples of Euler angles of a rotation are clamped, each is improved by coordinate descent (each angle in turn
+    is set to the best value within its range, given the other two), and the nearer result is taken. Clamping alone is
+    not enough near gimbal lock, where one outer angle can compensate for the other.
     """
     turn = limits.before @ rotations @ limits.after
-    away = _wrapped(_euler(turn) - limits.middle)
-    clamped = np.clip(away, -limits.half, limits.half)
-    one, other = (np.abs(triple) > limits.half + ROUNDING for triple in away)
+    offset = _wrapped(_euler(turn) - limits.centre)
+    clamped = np.clip(offset, -limits.half_width, limits.half_width)
+    one, other = (np.abs(triple) > limits.half_width + ROUNDING_RAD for triple in offset)
     outside = np.asarray(one.any(axis=-1)) & np.asarray(other.any(axis=-1))
     if not outside.any():
         return rotations, outside
     result, row = rotations.copy(), np.nonzero(outside)[-1]
-    before, after, middle, half = (array[row] for array in limits[1:])
-    wanted, angles = turn[outside], middle + clamped[:, outside]
+    before, after, centre, half_width = (array[row] for array in limits[1:])
+    target, angles = turn[outside], centre + clamped[:, outside]
     for _ in range(SWEEPS):
         for axis in range(3):
-            alone = np.swapaxes(wanted, -1, -2)
+            alone = np.swapaxes(target, -1, -2)
             for other in range(axis):
                 alone = alone @ _about(other, angles[..., other])
             for other in range(2, axis, -1):
                 alone = _about(other, angles[..., other]) @ alone
             i, j = (axis + 1) % 3, (axis + 2) % 3
             best = np.arctan2(alone[..., i, j] - alone[..., j, i], alone[..., i, i] + alone[..., j, j])
-            best = np.clip(_wrapped(best - middle[:, axis]), -half[:, axis], half[:, axis])
-            angles[..., axis] = middle[:, axis] + best
-    made = _about(0, angles[..., 0]) @ _about(1, angles[..., 1]) @ _about(2, angles[..., 2])
-    likeness = np.einsum("cnij,nij->cn", made, wanted)
-    made = made[likeness.argmax(axis=0), np.arange(len(row))]
-    result[outside] = np.swapaxes(before, -1, -2) @ made @ np.swapaxes(after, -1, -2)
+            best = np.clip(_wrapped(best - centre[:, axis]), -half_width[:, axis], half_width[:, axis])
+            angles[..., axis] = centre[:, axis] + best
+    products = _about(0, angles[..., 0]) @ _about(1, angles[..., 1]) @ _about(2, angles[..., 2])
+    similarity = np.einsum("cnij,nij->cn", products, target)  # greatest for the rotation nearest to the target
+    nearest = products[similarity.argmax(axis=0), np.arange(len(row))]
+    result[outside] = np.swapaxes(before, -1, -2) @ nearest @ np.swapaxes(after, -1, -2)
     return result, outside
 
 
 def _euler(turn: Floats) -> Floats:
-    """(2, …, 3): both triples of angles whose Rx Ry Rz is a rotation (…, 3, 3)."""
+    """(2, …, 3): the two triples of angles for which Rx Ry Rz is a rotation (…, 3, 3), radians."""
     sine, cosine = turn[..., 0, 2], np.hypot(turn[..., 0, 0], turn[..., 0, 1])
     angles = np.stack([
         np.arctan2(-turn[..., 1, 2], turn[..., 2, 2]),
@@ -170,10 +182,10 @@ def _euler(turn: Floats) -> Floats:
 
 
 def _about(axis: int, angle: Floats) -> Floats:
-    """(…, 3, 3): rotations about one of the axes by angles (…)."""
+    """(…, 3, 3): rotations about a coordinate axis (0, 1 or 2) by angles (…), radians."""
     return rigid.to_matrix(rigid.about_axis("xyz"[axis], angle))
 
 
 def _wrapped(angles: Floats) -> Floats:
-    """The same turns, from −π to π."""
+    """The same angles between −π and π."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))

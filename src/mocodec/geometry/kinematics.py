@@ -1,7 +1,7 @@
-"""Forward kinematics: where the joints are, given how each is turned against its parent.
+"""Forward kinematics: joint positions from joint rotations.
 
-world turn of a joint  =  world turn of its parent · its own turn
-place of a joint       =  place of its parent + (world turn of the parent) applied to the joint's offset
+world rotation of a joint  =  world rotation of its parent · its own rotation
+position of a joint        =  position of its parent + its offset, rotated by the world rotation of the parent
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..motion import Floats, Skeleton
+from ..motion import Skeleton
+from ..typing import Floats
 from . import rigid
 
 
@@ -22,34 +23,36 @@ def forward(
     own_frame: bool = False,
     translations: Mapping[int, Floats] | None = None,
 ) -> Floats:
-    """Places of all joints (frames, joints, 3), metres: one pass over the joints, all frames at once.
+    """Positions of all joints (frames, joints, 3), metres.
 
-    rotations (frames, joints, 4): from the parent's frame. root_positions (frames, 3): places of the roots' parent, so
-    that a root stands at root_position + its offset. own_frame: a joint is the end of a bone that it turns itself
-    (ASF/AMC): its offset is in its own frame, not in its parent's. translations: joint to (frames, 3), for joints that
-    slide against their parent (BVH with positions): these stand in the place of the joint's offset.
+    rotations (frames, joints, 4): quaternions against the parent. root_positions (frames, 3): added to the offset of
+    each root. own_frame: a joint is the end of the bone that it rotates (ASF/AMC), so its offset is in its own frame
+    and not in its parent's. translations: by joint, (frames, 3) in place of the offset, for joints that move against
+    their parent (BVH with position channels).
     """
-    sliding = translations or {}
+    moving = translations or {}
     frames, joints = len(rotations), len(skeleton)
     positions = np.empty((frames, joints, 3))
-    turns = np.empty((joints, frames, 4))
+    world = np.empty((joints, frames, 4))  # rotations
     for joint, parent in enumerate(skeleton.parents):
         own = rotations[:, joint]
-        offset = sliding[joint] if joint in sliding else skeleton.offsets[joint]
+        offset = moving[joint] if joint in moving else skeleton.offsets[joint]
         if parent < 0:
             positions[:, joint] = root_positions + offset
-            turns[joint] = own
+            world[joint] = own
         else:
-            turns[joint] = rigid.multiply(turns[parent], own)
-            carrier = turns[joint if own_frame else parent]
+            world[joint] = rigid.multiply(world[parent], own)
+            carrier = world[joint if own_frame else parent]
             positions[:, joint] = positions[:, parent] + rigid.rotate(carrier, offset)
     return positions
 
 
 def world_rotations(skeleton: Skeleton, rotations: Floats) -> Floats:
-    """Turns against the world (frames, joints, 4) of joints that are given as turned against their parents."""
-    turns = np.array(rotations)
+    """Rotations of joints against the world (frames, joints, 4), from those against their parents (frames, joints,
+    4).
+    """
+    world = np.array(rotations)
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0:
-            turns[:, joint] = rigid.multiply(turns[:, parent], rotations[:, joint])
-    return turns
+            world[:, joint] = rigid.multiply(world[:, parent], rotations[:, joint])
+    return world

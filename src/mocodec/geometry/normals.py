@@ -1,18 +1,21 @@
-"""Normals of points of a surface: the direction of least spread among each point's neighbours, turned outwards."""
+"""Normals of surface points: the direction of least variance among each point's neighbours, oriented outwards."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-ROUNDS = 8  # of asking the neighbours which way is out
+from ..typing import Floats
+
+VOTING_ROUNDS = 8
+"""Rounds in which neighbours vote on a normal's orientation."""
+MAX_CELLS = 99
+"""Cells of a side of the density grid, at most: five metres; points beyond count as in the last cell."""
 
 
 def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) -> Floats:
-    """(n, 3) unit normals of (n, 3) points, of either sign; +y where there are fewer than three points.
+    """(n, 3): unit normals of points (n, 3), of either orientation; +y for fewer than three points.
 
-    among (m, 3): all the points of the surface, where `points` are some of them.
+    among (m, 3): all the points of the surface, if `points` are a subset.
     """
     from scipy.spatial import KDTree
 
@@ -22,14 +25,14 @@ def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) 
     tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
     spread = among[tree.query(points, k=min(neighbours, len(among)))[1]] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
-    return least(spread.transpose(0, 2, 1) @ spread)
+    return smallest_eigenvectors(spread.transpose(0, 2, 1) @ spread)
 
 
 def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
-    """(n, 3) unit normals that point away from where the other points around are, which is inside a body.
+    """(n, 3): unit normals that point away from the local centre of mass, which is inside a body.
 
-    The middle of what is within some 15 cm, weighted by a bell, comes from sums over cells of `cell` metres; then what
-    neighbours say counts too.
+    The centre is a Gaussian-weighted mean of the points within about 15 cm, computed on a grid with cells of `cell`
+    metres. Neighbours with similar normals then vote on the orientation.
     """
     from scipy.ndimage import gaussian_filter
     from scipy.spatial import KDTree
@@ -40,27 +43,27 @@ def outward(points: Floats, neighbours: int = 8, cell: float = 0.05) -> Floats:
     index = np.asarray(tree.query(points, k=min(neighbours, len(points)))[1], np.int64)
     spread = points[index] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)
-    normals = least(spread.transpose(0, 2, 1) @ spread)
+    normals = smallest_eigenvectors(spread.transpose(0, 2, 1) @ spread)
     low = np.percentile(points, 1, axis=0) - 0.5
-    place = np.clip((points - low) / cell, 0, 99).astype(np.int64)  # five metres: what flies beyond is no matter
+    place = np.clip((points - low) / cell, 0, MAX_CELLS).astype(np.int64)
     shape = place.max(axis=0) + 1
     flat = np.asarray((place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2])
     sums = [np.bincount(flat, weight, int(shape.prod())) for weight in (None, *(points - low).T)]
     wide = [gaussian_filter(s.reshape(shape).astype(np.float32), 1.5, mode="constant", truncate=2.0) for s in sums]
-    count, *middle = (np.asarray(w, np.float64).ravel()[flat] for w in wide)
-    vote = np.sum((points - low - np.stack(middle, 1) / count[:, None]) * normals, axis=1)
-    alike = np.einsum("nki,ni->nk", normals[index], normals)
-    alike *= np.abs(alike) / len(index[0])
-    for _ in range(ROUNDS):
-        vote = np.einsum("nk,nk->n", alike, vote[index])
+    count, *moments = (np.asarray(w, np.float64).ravel()[flat] for w in wide)
+    vote = np.sum((points - low - np.stack(moments, 1) / count[:, None]) * normals, axis=1)
+    similarity = np.einsum("nki,ni->nk", normals[index], normals)
+    similarity *= np.abs(similarity) / len(index[0])
+    for _ in range(VOTING_ROUNDS):
+        vote = np.einsum("nk,nk->n", similarity, vote[index])
     return np.where(vote[:, None] < 0, -normals, normals)
 
 
-def least(covariance: Floats) -> Floats:
-    """(n, 3) unit eigenvectors of the smallest eigenvalues of symmetric matrices (n, 3, 3), in closed form.
+def smallest_eigenvectors(covariance: Floats) -> Floats:
+    """(n, 3): unit eigenvectors of the smallest eigenvalues of symmetric positive matrices (n, 3, 3).
 
-    Two steps of inverse iteration on the adjugate, which needs no eigensolver: the adjugate's own largest eigenvalue
-    belongs to the smallest of the matrix.
+    By repeated squaring of the adjugate, which needs no eigensolver: the adjugate has the same eigenvectors, and its
+    largest eigenvalue belongs to the smallest of the matrix.
     """
     scale = np.trace(covariance, axis1=1, axis2=2)[:, None, None]
     m = covariance / np.maximum(scale, 1e-30) + 1e-6 * np.eye(3)

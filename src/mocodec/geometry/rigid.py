@@ -1,6 +1,6 @@
-"""Rotations as unit quaternions, w first; the last axis holds the four numbers, leading axes are free.
+"""Rotations as unit quaternions, w first, in the last axis of an array; leading axes are free.
 
-Euler angles are read from left to right as intrinsic turns: order "zyx" is Rz · Ry · Rx (BVH's channels as written).
+Euler angles are intrinsic rotations in the order of their letters: "zyx" is Rz · Ry · Rx (as BVH lists its channels).
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import BadInput
-from ..motion import Floats
+from ..typing import Floats
 
 
 def multiply(a: Floats, b: Floats) -> Floats:
-    """a · b: first turn by b, then by a. (…, 4) each, broadcast."""
+    """a · b (…, 4): the rotation b, then a; leading axes broadcast."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -27,18 +27,18 @@ def multiply(a: Floats, b: Floats) -> Floats:
 
 
 def inverse(q: Floats) -> Floats:
-    """The opposite turn of a unit quaternion (…, 4)."""
+    """The inverse rotations of unit quaternions (…, 4)."""
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def rotate(q: Floats, v: Floats) -> Floats:
-    """Vectors v (…, 3) turned by q (…, 4): v + 2 u × (u × v + w v), with u the vector part of q."""
+    """Vectors v (…, 3) rotated by q (…, 4): v + 2 u × (u × v + w v), with u the vector part of q."""
     u = q[..., 1:]
     return v + 2.0 * np.cross(u, np.cross(u, v) + q[..., :1] * v)
 
 
 def about_axis(axis: str, angle: Floats) -> Floats:
-    """Turns by `angle` (…), radians, about "x", "y" or "z"; (…, 4)."""
+    """(…, 4): rotations by `angle` (…), radians, about "x", "y" or "z". Raises BadInput for another axis."""
     result = np.zeros((*np.shape(angle), 4))
     result[..., 0] = np.cos(np.asarray(angle) / 2)
     result[..., 1 + _axis(axis)] = np.sin(np.asarray(angle) / 2)
@@ -46,20 +46,20 @@ def about_axis(axis: str, angle: Floats) -> Floats:
 
 
 def from_euler(order: str, angles: Floats) -> Floats:
-    """Quaternions (…, 4) of turns about the axes of `order`, any number of them; angles (…, len(order)) in radians."""
+    """Quaternions (…, 4) of angles (…, len(order)), radians, about the axes of `order`, any number of them."""
     result = np.zeros((*angles.shape[:-1], 4))
     result[..., 0] = 1.0
     for i, axis in enumerate(order):
-        turn = about_axis(axis, angles[..., i])
-        result = turn if i == 0 else multiply(result, turn)
+        rotation = about_axis(axis, angles[..., i])
+        result = rotation if i == 0 else multiply(result, rotation)
     return result
 
 
 def to_euler(order: str, q: Floats) -> Floats:
-    """Angles (…, len(order)) in radians whose `from_euler` is q, for an order of one to three different axes.
+    """Angles (…, len(order)), radians, whose `from_euler` is q (…, 4), for an order of at most three different axes.
 
-    Of three, the middle angle is within ±π/2; at ±π/2, where the outer two turn about the same axis, the last is 0.
-    Raises BadInput where fewer than three axes cannot make the turn.
+    The middle one of three angles is within ±π/2; at ±π/2 (gimbal lock) the last angle is 0. Raises BadInput for axes
+    that repeat, and for rotations that fewer than three axes cannot represent.
     """
     order = order.lower()
     if len(set(order)) != len(order) or not set(order) <= set("xyz"):
@@ -67,7 +67,7 @@ def to_euler(order: str, q: Floats) -> Floats:
     if len(order) < 3:
         angles = _to_fewer(order, q)
         if np.abs(np.abs(np.sum(from_euler(order, angles) * q, axis=-1)) - 1.0).max(initial=0.0) > 1e-6:
-            raise BadInput(f"turns about {' and '.join(order) or 'no axis'} alone do not make these rotations")
+            raise BadInput(f"rotations about {' and '.join(order) or 'no axis'} alone do not make these rotations")
         return angles
     i, j, k = (_axis(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
@@ -84,7 +84,7 @@ def to_euler(order: str, q: Floats) -> Floats:
 
 
 def _to_fewer(order: str, q: Floats) -> Floats:
-    """Angles about no, one or two axes; of two, the axis between them stands still, so both have the whole circle."""
+    """Angles about at most two axes, in the whole circle; of two, as an order of three whose middle angle is 0."""
     if len(order) == 2:
         between = next(axis for axis in "xyz" if axis not in order)
         return to_euler(order[0] + between + order[1], q)[..., ::2]
@@ -111,12 +111,13 @@ def _axis(letter: str) -> int:
 
 
 def to_euler_along_time(order: str, q: Floats) -> Floats:
-    """As `to_euler` of q (frames, 4), but of all angles that make the same turns those nearest to the frame before:
-    angles that ran on past ±π, or past ±π/2 in the middle, come back as they were."""
+    """As `to_euler` of q (frames, 4), but continuous over time: of all angles for a rotation those nearest to the frame
+    before, also beyond ±π, and beyond ±π/2 for the middle angle.
+    """
     angles = to_euler(order, q)
     if len(order) != 3 or np.abs(np.diff(angles, axis=0)).sum(axis=1).max(initial=0.0) < np.pi / 2:
         return angles
-    others = np.pi + angles * [1.0, -1.0, 1.0]  # the other triple of angles of a turn
+    others = np.pi + angles * [1.0, -1.0, 1.0]  # the other triple of angles of the same rotation
     before = angles[0]
     for frame, choices in enumerate(np.stack([angles, others], axis=1)):
         choices = choices + 2 * np.pi * np.rint((before - choices) / (2 * np.pi))

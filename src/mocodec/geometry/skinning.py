@@ -1,8 +1,7 @@
-"""Points of a body that follow its links, each two of them near a joint: linear blend skinning with weights from the
-body alone.
+"""Linear blend skinning of a body's surface points, with weights that follow from the body and the points alone.
 
-The weights follow from where a point lies between two links' axes, so that they cost no bytes: encoder and decoder
-derive the same ones from the same body and points.
+Near a joint a point follows two links, otherwise one. The weights cost no bytes: encoder and decoder derive the same
+ones from the same body and points.
 """
 
 from __future__ import annotations
@@ -11,43 +10,44 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .articulation import Body, Floats
+from ..typing import AnyInteger, Floats
+from .articulation import Body
 
-Labels = NDArray[Any]
+RADIUS = 0.0375
+"""Radius of the neighbourhood over which `blended` averages, as a share of the body's size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """points (n, 3) in the canonical pose; links (n, 2) that each follows, weights (n,) of the first of the two."""
+    """points (n, 3) in the canonical pose, metres; the two links of each (n, 2); the weight (n,) of the first of
+    them.
+    """
 
     points: Floats
-    links: Labels
+    links: AnyInteger
     weights: Floats
 
-    def blend(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
-        """(n, 3, 4): the transform of each point, or of those of `rows`."""
+    def blend(self, a: Floats, b: Floats, rows: AnyInteger | slice = slice(None)) -> Floats:
+        """(n, 3, 4): the blended transform of each point, or of those of `rows`."""
         links, weight = self.links[rows], self.weights[rows, None]
         packed = np.concatenate([a, b[:, :, None]], axis=2)
         blend = packed[links[:, 0]] * weight[..., None]
         blend += packed[links[:, 1]] * (1 - weight)[..., None]
         return blend
 
-    def posed(self, a: Floats, b: Floats, rows: Labels | slice = slice(None)) -> Floats:
-        """(n, 3): where transforms a (links, 3, 3), b (links, 3) put the points, or those of `rows`."""
+    def posed(self, a: Floats, b: Floats, rows: AnyInteger | slice = slice(None)) -> Floats:
+        """(n, 3): the points, or those of `rows`, under transforms a (links, 3, 3), b (links, 3)."""
         blend = self.blend(a, b, rows)
         return np.einsum("nij,nj->ni", blend[:, :, :3], self.points[rows]) + blend[:, :, 3]
 
-    def unposed(self, a: Floats, b: Floats, rows: Labels, places: Floats) -> Floats:
-        """(n, 3): places in the world brought back into the canonical pose, as if they moved with the points of
-        `rows`.
-        """
+    def unposed(self, a: Floats, b: Floats, rows: AnyInteger, places: Floats) -> Floats:
+        """(n, 3): places (n, 3) of the world in the canonical pose, by the inverse transforms of the points `rows`."""
         blend = self.blend(a, b, rows)
         return np.asarray(np.linalg.solve(blend[:, :, :3], (places - blend[:, :, 3])[..., None])[..., 0], np.float64)
 
     def shares(self, links: int) -> Floats:
-        """(n, links): the weight of every link at every point."""
+        """(n, links): the weight of each link at each point."""
         shares = np.zeros((len(self.points), links))
         rows = np.arange(len(self.points))
         np.add.at(shares, (rows, self.links[:, 0]), self.weights)
@@ -55,12 +55,12 @@ class Skin:
         return shares
 
 
-def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Skin:
-    """Weights of points (n, 3), canonical, that belong to links (n,).
+def skin(body: Body, points: Floats, links: AnyInteger, softness: float = 0.9) -> Skin:
+    """The skin of canonical points (n, 3) assigned to links (n,).
 
-    Across each joint the weight passes from one link to the other over `softness` of the thinner link's radius to
-    either side of the plane that halves the angle between their axes. A point near two joints follows the nearer of
-    them.
+    Across each joint the weight changes linearly from one link to the other, within `softness` of the thinner link's
+    radius on either side of the plane that bisects the angle between their axes. A point near two joints is blended at
+    the nearer one.
     """
     partner, weight = links.copy(), np.ones(len(points))
     axes, radii = body.axes, body.radii
@@ -68,7 +68,7 @@ def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Sk
         if parent < 0:
             continue
         across = axes[child] + axes[parent]
-        if np.linalg.norm(across) < 0.3:  # folded back on itself: the child's own direction
+        if np.linalg.norm(across) < 0.3:  # a folded joint: the child's own direction
             across = axes[child]
         across = across / np.linalg.norm(across)
         width = softness * min(radii[child], radii[parent])
@@ -82,13 +82,12 @@ def skin(body: Body, points: Floats, links: Labels, softness: float = 0.9) -> Sk
     return Skin(points, np.stack([links, partner], axis=1), weight)
 
 
-AROUND = 0.0375  # of the body's size: as far as a point's weights come from
+def blended(body: Body, points: Floats, links: AnyInteger, normals: Floats) -> Skin:
+    """The skin of canonical points (n, 3) assigned to links (n,), with weights averaged over neighbours whose unit
+    normals (n, 3) point the same way.
 
-
-def blended(body: Body, points: Floats, links: Labels, normals: Floats) -> Skin:
-    """Weights of points (n, 3), canonical, that belong to links (n,), from what those around them belong to, where
-    their unit normals (n, 3) point the same way: across a seam of the surface, wherever it lies, weights pass over
-    gradually, and an arm that lies at the trunk does not hang on it.
+    Weights change gradually across every boundary between links, wherever it lies, but not from an arm to the trunk
+    that it touches.
     """
     kernel = neighbourhood(body, points, normals)
     shares = np.zeros((len(points), len(body)))
@@ -101,13 +100,13 @@ def blended(body: Body, points: Floats, links: Labels, normals: Floats) -> Skin:
 
 
 def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
-    """Weights (n, n), sparse, that average over what lies around each point: none at its rim, and none where the
-    surface faces away.
+    """(n, n), sparse: weights that average over the neighbourhood of each point, falling to zero at its radius and for
+    normals at a right angle or more.
     """
     from scipy.sparse import coo_array
     from scipy.spatial import KDTree
 
-    radius = AROUND * float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
+    radius = RADIUS * float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
     pairs = KDTree(points).query_pairs(radius, output_type="ndarray")
     own = np.arange(len(points))
     i, j = (np.concatenate([pairs[:, k], pairs[:, 1 - k], own]) for k in (0, 1))
@@ -119,22 +118,24 @@ def neighbourhood(body: Body, points: Floats, normals: Floats) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """A skin as one sparse matrix (n, 4 links) of weighted points, so that posing it is a product with the links'
-    transforms: for many points that are posed often.
+class SkinMatrix:
+    """A skin as one sparse matrix (n, 4 links) of weighted points: posing is a product with the links' transforms.
+    Faster than `Skin.posed` for many points in many poses.
     """
 
     skin: Skin
     matrix: Any
 
     @staticmethod
-    def of(skin: Skin, links: int) -> Rig:
+    def build(skin: Skin, links: int) -> SkinMatrix:
         from scipy.sparse import csr_array
 
         count = len(skin.points)
         columns = (4 * skin.links[:, :, None] + np.arange(4)).reshape(-1)
-        matrix = csr_array((Rig._values(skin), columns, np.arange(0, 8 * count + 1, 8)), shape=(count, 4 * links))
-        return Rig(skin, matrix)
+        matrix = csr_array(
+            (SkinMatrix._values(skin), columns, np.arange(0, 8 * count + 1, 8)), shape=(count, 4 * links)
+        )
+        return SkinMatrix(skin, matrix)
 
     @staticmethod
     def _values(skin: Skin) -> Floats:
@@ -142,15 +143,15 @@ class Rig:
         ones = np.ones((len(skin.points), 1))
         return (weights[:, :, None] * np.concatenate([skin.points, ones], axis=1)[:, None]).reshape(-1)
 
-    def carrying(self, points: Floats) -> Rig:
-        """The same weights on other points (n, 3)."""
+    def with_points(self, points: Floats) -> SkinMatrix:
+        """The matrix of other canonical points (n, 3) with the same weights."""
         matrix = self.matrix.copy()
         skin = Skin(points, self.skin.links, self.skin.weights)
-        matrix.data = Rig._values(skin)
-        return Rig(skin, matrix)
+        matrix.data = SkinMatrix._values(skin)
+        return SkinMatrix(skin, matrix)
 
     def posed(self, a: Floats, b: Floats) -> Floats:
-        """(…, n, 3): where transforms a (…, links, 3, 3), b (…, links, 3) put the points."""
+        """(…, n, 3): the points under transforms a (…, links, 3, 3), b (…, links, 3)."""
         lead = a.shape[:-3]
         both = np.concatenate([np.swapaxes(a, -1, -2), b[..., None, :]], axis=-2)  # (…, links, 4, 3)
         flat = both.reshape(-1, 4 * a.shape[-3], 3)

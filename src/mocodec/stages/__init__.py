@@ -1,1 +1,1 @@
-"""The arithmetic of coding: pairs of functions, arrays in, arrays out."""
+"""The stages of coding: pairs of functions, forward and inverse, arrays in, arrays out."""

@@ -4,26 +4,22 @@
     variances, noise ─precisions─► how finely to round each component
     basis, precision ─pack─► bytes ─unpack─► basis', orthonormal to the last bits of a float
 
-A component of variance λ turns an error δ of one of its entries into an error of variance λδ² in every sample.
-Coefficients rounded to steps of Δ, over T samples, spend their bits well when the entries are rounded to steps of
-Δ/√(λT): one more bit then buys the same error wherever it is spent. A weak component costs a bit or two an entry,
-where 16 were usual.
+A component of variance λ turns an error δ of one of its entries into an error of variance λδ² in every sample. For
+coefficients with a quantisation step Δ over T samples, the best step of the entries is Δ/√(λT): one more bit then buys
+the same error in entries and coefficients. A weak component takes one or two bits an entry instead of the usual 16.
 
-Orthogonality is used, not stored: each component is written in the coordinates that the Householder reflections of the
-components before it leave free, which is one number fewer each time and makes any rounded basis exactly orthonormal.
-Both ends must use the basis that comes out of `unpack`.
+Orthogonality is not stored but follows: each component is written in the coordinates that the Householder reflections
+of the components before it leave free. Each takes one number fewer than the one before, and any rounded basis is
+exactly orthonormal. Encoder and decoder must both use the basis that `unpack` returns.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..entropy import coder, varint
 from ..errors import Corrupt
-from ..motion import Floats
-
-Integers = NDArray[np.int64]
+from ..typing import Floats, Integers
 
 FINEST = 96
 """The largest precision: entries are multiples of 2^(−precision / 2), here of 2^−48."""
@@ -49,6 +45,27 @@ def fit_rows(rows: Floats, components: int | None = None) -> tuple[Floats, Float
     return _signed(rows.T @ weights / np.sqrt(variances)), variances
 
 
+def completed(basis: Floats, components: int | None = None, excluded: Floats | None = None) -> Floats:
+    """Orthonormal columns (n, k), k ≤ n, followed by more orthonormal columns, (n, components); all n by default.
+
+    excluded (n, m): orthonormal columns, orthogonal to the basis, that none of the new columns has a part in; there are
+    then n − m columns at most. The new columns are those of the identity that the Householder reflections of the given
+    ones leave. They depend on sums of floats, so no entropy coder may depend on them.
+    """
+    known = basis if excluded is None else np.concatenate([basis, excluded], axis=1)
+    rest, mirrors = known.copy(), list[Floats]()
+    for i in range(known.shape[1]):
+        mirror = rest[i:, i].copy()
+        mirror[0] += 1.0 if mirror[0] >= 0 else -1.0
+        mirror /= np.sqrt(mirror @ mirror)
+        _reflect(rest[i:], mirror)
+        mirrors.append(mirror)
+    missing = np.eye(len(known))[:, known.shape[1] :]
+    for i, mirror in reversed(list(enumerate(mirrors))):
+        _reflect(missing[i:], mirror)
+    return np.concatenate([basis, missing], axis=1)[:, :components]
+
+
 def precisions(variances: Floats, noise: float) -> Integers:
     """How finely to round each component, (k,): its entries are multiples of 2^(−precision / 2).
 
@@ -69,7 +86,7 @@ def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> b
     """Bytes of an orthonormal basis (n, k), rounded to `precision` (k,). Neither n nor the precision is stored.
 
     alike (n,): for each dimension an earlier one that moves much the same (the same axis of the point next to it on the
-    body), or −1: the leading components are stored as differences between them, as many as that pays for.
+    body), or −1. Leading components are stored as differences between them, for as many components as this saves bytes.
     """
     entries = _decompose(basis, precision)
     differences = _differences(entries, alike)
@@ -95,7 +112,7 @@ def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | 
 
 
 def _decompose(basis: Floats, precision: Integers) -> Integers:
-    """Rounded entries, (n, k), zero above the diagonal: row r of column i is in the coordinates that i mirrors left."""
+    """Rounded entries, (n, k), zero above the diagonal; column i is in the coordinates that i reflections leave."""
     n, k = basis.shape
     rest = np.array(basis, np.float64)
     entries = np.zeros((n, k), np.int64)
@@ -153,4 +170,5 @@ def _mirror(entries: Integers) -> Floats:
 
 
 def _reflect(columns: Floats, mirror: Floats) -> None:
+    """Apply I − 2uuᵀ to the columns, in place."""
     columns -= np.outer(2 * mirror, mirror @ columns)

@@ -1,17 +1,17 @@
-"""A hard bound on the error: corrections of a prediction, so that no point is farther than max_error from where it was.
+"""A hard bound on the error: corrections of a decoded motion, so that no point is farther off than max_error.
 
-    original − prediction ─correct─► whole numbers of a lattice ─pack─► bytes, of the cheaper form
-    prediction + lattice  ◄──────────────────────────────── unpack
+    original − prediction ─► lattice points ─pack─► bytes, in the shorter of two forms
+    prediction + lattice points ◄──────────unpack── bytes
 
-The lattice is cubic with its diagonal twice the bound, so that a lattice point lies within the bound (a 3-D Euclidean
-distance) of every error. Most errors are within it already and need nothing. Where one is not, its correction is chosen
-to hold for as many frames as it can, since errors of a transform coder are slow:
+The lattice is cubic, and the diagonal of its cells is twice the bound, so every error is within the bound (a 3-D
+Euclidean distance) of a lattice point. Most errors are within the bound as they are and need no correction. The errors
+of a transform coder change slowly, so a correction is chosen to stay valid for as many frames as possible:
 
-    runs    a few stretches of a constant correction: where it starts, how long it lasts, what it is
-    dense   every error to the nearest lattice point, where most points need a correction
+    runs    runs of frames with one constant correction: first frame, length, lattice point
+    dense   the nearest lattice point of every sample, where most of them need a correction
 
-The prediction must come from the real decoder; its floats agree to 1e-12 m between machines, and the bound keeps a
-slack of 1e-9 m for that.
+The prediction must be what the decoder makes: its floats agree to 1e-12 m between machines, and the bound leaves 1e-9 m
+for that.
 """
 
 from __future__ import annotations
@@ -20,42 +20,40 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..entropy import coder, varint
 from ..errors import CannotEncode, Corrupt
-from ..motion import Floats
-
-Integers = NDArray[np.int64]
+from ..typing import Booleans, Floats, Integers
 
 RUNS, DENSE = 0, 1
-"""The first byte of a layer that is not empty."""
+"""The two forms: the first byte of corrections that are not empty. Never change them."""
 
 RUNS_UP_TO, DENSE_FROM = 0.5, 0.1
-"""Shares of samples outside the bound between which both forms are tried."""
+"""Runs are tried up to this share of samples outside the bound, the dense form from this share on."""
 
 BLOCK = 128
-"""Frames in which runs are looked for together."""
+"""Runs are found in blocks of this many frames, which are independent of each other."""
 
 NEIGHBOURS = np.array([(x, y, z) for x in (0, -1, 1) for y in (0, -1, 1) for z in (0, -1, 1)], np.int64)
 NEIGHBOURS = NEIGHBOURS[np.argsort(np.abs(NEIGHBOURS).sum(axis=1), kind="stable")]
-"""The lattice points that are tried for a run, nearest first."""
+"""The lattice points that a run may have, nearest to zero first."""
 
 
 def tolerance(max_error: float) -> float:
-    """The bound that the encoder works to: less than max_error by 1e-9 m, or by a thousandth of very small bounds."""
+    """The bound of the encoder, metres: less than max_error by 1e-9 m, or by a thousandth of it if that is less."""
     return max_error - min(1e-9, max_error / 1000)
 
 
 def lattice(max_error: float) -> float:
-    """The lattice's spacing in metres: no point of space is farther than `tolerance` from it."""
+    """The lattice's spacing, metres: no point of space is farther than `tolerance` from a lattice point."""
     return 2 / math.sqrt(3) * tolerance(max_error)
 
 
 def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
-    """Bytes of the corrections; b"" where none is needed. Positions (frames, points, 3); NaN of the original is a gap.
+    """The bytes of the corrections; b"" where none is needed.
 
-    max_error: metres, positive. Raises CannotEncode where the bound is too small for the numbers at hand.
+    original, prediction: positions (frames, points, 3), metres; NaN in the original is a gap. max_error: metres,
+    positive. Raises CannotEncode for a bound of less than 2^−40 of the largest position.
     """
     error = np.nan_to_num(original - prediction, nan=0.0)
     outside = np.einsum("fpc,fpc->fp", error, error) > tolerance(max_error) ** 2
@@ -69,7 +67,7 @@ def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
     forms: list[bytes] = []
     share = outside.mean()
     if share < RUNS_UP_TO:
-        forms.append(bytes([RUNS]) + _pack_runs(_held(error / step, nearest, outside)))
+        forms.append(bytes([RUNS]) + _pack_runs(_lasting_corrections(error / step, nearest, outside)))
     if share > DENSE_FROM:
         forms.append(bytes([DENSE]) + coder.pack(nearest.reshape(len(nearest), -1)))
     return min(forms, key=len)
@@ -85,15 +83,16 @@ def unpack(data: bytes, prediction: Floats, max_error: float) -> Floats:
     elif data[0] == RUNS:
         corrections = _unpack_runs(data[1:], frames, points)
     else:
-        raise Corrupt(f"a residual layer of unknown form {data[0]}")
+        raise Corrupt(f"corrections of an unknown form {data[0]}")
     return prediction + corrections * lattice(max_error)
 
 
-def _held(error: Floats, nearest: Integers, outside: NDArray[np.bool_]) -> Integers:
-    """A correction for every frame of every point, (frames, points, 3) in lattice units, changed as seldom as can be.
+def _lasting_corrections(error: Floats, nearest: Integers, outside: Booleans) -> Integers:
+    """A correction for every sample, (frames, points, 3) in lattice units, that changes as seldom as possible.
 
-    error: in lattice units, where the bound is √3/2. Each correction is kept until it no longer holds, and followed by
-    the one of the neighbours of zero that then holds longest. All blocks of frames of all points go side by side.
+    error: in lattice units, in which the bound is √3/2. nearest: lattice points. outside (frames, points): whether the
+    error is beyond the bound. A correction stays until it is no longer valid; then comes the lattice point of
+    `NEIGHBOURS` that is valid for the most frames from there on. All blocks of all points are computed side by side.
     """
     frames, points, _ = error.shape
     blocks = -(-frames // BLOCK)
@@ -103,37 +102,38 @@ def _held(error: Floats, nearest: Integers, outside: NDArray[np.bool_]) -> Integ
     n = np.pad(nearest, pad).reshape(shape).transpose(1, 0, 2, 3).reshape(BLOCK, -1, 3)
     lanes = np.pad(outside, pad[:2]).reshape(shape[:3]).any(axis=1).ravel()
     corrections = np.zeros((BLOCK, blocks * points, 3), np.int64)
-    corrections[:, lanes] = _held_in_block(e[:, lanes], n[:, lanes])
+    corrections[:, lanes] = _longest_lasting(e[:, lanes], n[:, lanes])
     return corrections.reshape(BLOCK, blocks, points, 3).transpose(1, 0, 2, 3).reshape(-1, points, 3)[:frames]
 
 
-def _held_in_block(error: Floats, nearest: Integers) -> Integers:
-    """Corrections (frames, lanes, 3) from none before the first frame."""
-    bound = 0.75
+def _longest_lasting(error: Floats, nearest: Integers) -> Integers:
+    """Corrections (frames, lanes, 3) of one block; before its first frame the correction is zero."""
+    squared_bound = 0.75
     frames, lanes, _ = error.shape
     squares = (error**2).sum(axis=2)
-    offers = (NEIGHBOURS**2).sum(axis=1) - 2 * (error @ NEIGHBOURS.T.astype(np.float64))
-    holds = offers <= (bound - squares)[:, :, None]
+    distances = (NEIGHBOURS**2).sum(axis=1) - 2 * (error @ NEIGHBOURS.T.astype(np.float64))
+    valid = distances <= (squared_bound - squares)[:, :, None]
     lasts = np.zeros((lanes, len(NEIGHBOURS)), np.int16)
     best = np.zeros((frames, lanes), np.int64)
     for frame in reversed(range(frames)):
         lasts += 1
-        lasts *= holds[frame]
+        lasts *= valid[frame]
         best[frame] = lasts.argmax(axis=1)
-    fresh = np.where(holds.any(axis=2)[:, :, None], NEIGHBOURS[best], nearest)
+    fresh = np.where(valid.any(axis=2)[:, :, None], NEIGHBOURS[best], nearest)
     corrections = np.empty_like(nearest)
     current = np.zeros((lanes, 3), np.int64)
     for frame in range(frames):
-        still = ((error[frame] - current) ** 2).sum(axis=1) <= bound
-        current = np.where(still[:, None], current, fresh[frame])
+        stays = ((error[frame] - current) ** 2).sum(axis=1) <= squared_bound
+        current = np.where(stays[:, None], current, fresh[frame])
         corrections[frame] = current
     return corrections
 
 
 def _pack_runs(corrections: Integers) -> bytes:
-    """Stretches of an equal correction, zero left out, point after point.
+    """The runs of equal corrections that are not zero, point after point.
 
-    A bit for each says whether it follows the last at once; then the frames between the others, lengths, corrections.
+    One bit a run says whether there are frames between it and the run before; then follow the numbers of those frames,
+    the lengths of the runs, and their corrections.
     """
     frames, points, _ = corrections.shape
     track = corrections.transpose(1, 0, 2)
@@ -142,11 +142,11 @@ def _pack_runs(corrections: Integers) -> bytes:
     starts = np.flatnonzero(changes)
     values = track.reshape(-1, 3)[starts]
     lengths = np.diff(starts, append=points * frames)
-    some = values.any(axis=1)
-    starts, values, lengths = starts[some], values[some], lengths[some]
-    waits = starts - np.append(0, starts + lengths)[:-1]
-    apart = waits > 0
-    parts = [coder.pack(waits[apart][:, None] - 1), coder.pack(lengths[:, None] - 1)]
+    nonzero = values.any(axis=1)
+    starts, values, lengths = starts[nonzero], values[nonzero], lengths[nonzero]
+    pauses = starts - np.append(0, starts + lengths)[:-1]
+    apart = pauses > 0
+    parts = [coder.pack(pauses[apart][:, None] - 1), coder.pack(lengths[:, None] - 1)]
     sizes = varint.write([len(starts), *map(len, parts)])
     return sizes + np.packbits(apart).tobytes() + b"".join(parts) + coder.pack(values)
 
@@ -154,19 +154,19 @@ def _pack_runs(corrections: Integers) -> bytes:
 def _unpack_runs(data: bytes, frames: int, points: int) -> Integers:
     (count, *sizes), at = varint.read(data, 3)
     if count > frames * points or at + -(-count // 8) + sum(sizes) > len(data):
-        raise Corrupt("a residual layer of more corrections than there are samples")
+        raise Corrupt("more runs of corrections than samples")
     ends = np.cumsum([at, -(-count // 8), *sizes]).tolist()
-    bits, waits_part, lengths_part = (data[a:b] for a, b in pairwise(ends))
+    bits, pauses_part, lengths_part = (data[a:b] for a, b in pairwise(ends))
     apart = np.unpackbits(np.frombuffer(bits, np.uint8))[:count].astype(bool)
-    waits = np.zeros(count, np.int64)
-    waits[apart] = coder.unpack(waits_part, (int(apart.sum()), 1))[:, 0] + 1
+    pauses = np.zeros(count, np.int64)
+    pauses[apart] = coder.unpack(pauses_part, (int(apart.sum()), 1))[:, 0] + 1
     lengths = coder.unpack(lengths_part, (count, 1))[:, 0] + 1
     values = coder.unpack(data[ends[-1] :], (count, 3))
-    if count and (waits.min() < 0 or lengths.min() < 1 or max(waits.max(), lengths.max()) > frames * points):
-        raise Corrupt("a residual layer with a correction outside the frames")
-    stops = np.cumsum(waits + lengths)
+    if count and (pauses.min() < 0 or lengths.min() < 1 or max(pauses.max(), lengths.max()) > frames * points):
+        raise Corrupt("a correction outside the frames")
+    stops = np.cumsum(pauses + lengths)
     if count and stops[-1] > frames * points:
-        raise Corrupt("a residual layer with a correction outside the frames")
+        raise Corrupt("a correction outside the frames")
     track = np.zeros((points * frames, 3), np.int64)
     inside = np.repeat(stops - np.cumsum(lengths), lengths) + np.arange(lengths.sum())
     track[inside] = np.repeat(values, lengths, axis=0)

@@ -1,28 +1,99 @@
-"""Truncated discrete cosine transform along time: M ⇄ M D̃ (Hou 2014, section IV-A).
+"""The orthonormal DCT-II along time and its inverse: M ⇄ M D̃ (Hou 2014, section IV-A).
 
-    samples (…, frames, lanes) ─forward─► spectrum (…, frequencies, lanes) ─inverse─► samples, without what was left out
+    samples ─forward─► coefficients of the lowest frequencies ─inverse─► samples, the other frequencies taken as zero
 
-The transform is orthonormal, so squared errors are the same on both sides.
+Being orthonormal, the transform keeps squared errors. NumPy only: importing scipy would take longer than decoding.
+
+Up to `MATRIX_FRAMES` frames the transform is a product with its matrix, which is fastest, above all for a few low
+frequencies. The cosines of even frequencies are symmetric about the middle of the run and those of odd frequencies
+antisymmetric, so half of the matrix is enough. Longer runs go through one complex FFT of the even samples followed by
+the odd ones in reverse (Makhoul, "A fast cosine transform in one and two dimensions", 1980).
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
+from numpy.typing import NDArray
 
-from ..motion import Floats
+from ..typing import Floats
 
-
-def forward(samples: Floats, frequencies: int | None = None) -> Floats:
-    """The lowest `frequencies` DCT-II coefficients: (…, frames, lanes) → (…, frequencies, lanes); all by default."""
-    from scipy import fft
-
-    return np.asarray(fft.dct(samples, axis=-2, norm="ortho"))[..., :frequencies, :]
+MATRIX_FRAMES = 1024
+"""Longer runs are transformed by FFT."""
 
 
-def inverse(spectrum: Floats, frames: int) -> Floats:
-    """Samples of the lowest frequencies: (…, frequencies, lanes) → (…, frames, lanes), the others being zero."""
-    from scipy import fft
+def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> Floats:
+    """The coefficients of the lowest `frequencies` along an axis: (frames, …) → (frequencies, …); all by default."""
+    if axis:
+        return np.moveaxis(forward(np.moveaxis(samples, axis, 0), frequencies), 0, axis)
+    frames = len(samples)
+    count = frames if frequencies is None else min(frequencies, frames)
+    if frames > MATRIX_FRAMES:
+        spectrum = np.fft.fft(np.concatenate([samples[::2], samples[1::2][::-1]]), axis=0)
+        return (spectrum * _turns(frames).reshape(-1, *[1] * (samples.ndim - 1))).real[:count]
+    if not frames:
+        return np.zeros(samples.shape)
+    even, odd = _half_matrices(frames)
+    half = len(even)
+    flat = samples.reshape(frames, -1)
+    head, mirrored = flat[:half], flat[: -half - 1 : -1]
+    out = np.empty((count, flat.shape[1]))
+    sums = head + mirrored
+    if frames % 2:
+        sums[-1] /= 2  # the middle sample, which is its own mirror image
+    out[::2] = even[:, : (count + 1) // 2].T @ sums
+    out[1::2] = odd[:, : count // 2].T @ (head - mirrored)
+    return out.reshape(count, *samples.shape[1:])
 
-    if spectrum.shape[-2] == 0:
-        return np.zeros((*spectrum.shape[:-2], frames, spectrum.shape[-1]))
-    return np.asarray(fft.idct(spectrum, n=frames, axis=-2, norm="ortho"))
+
+def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
+    """The samples of the lowest frequencies along an axis: (frequencies ≤ frames, …) → (frames, …)."""
+    if axis:
+        return np.moveaxis(inverse(np.moveaxis(coefficients, axis, 0), frames), 0, axis)
+    known = len(coefficients)
+    if not known:
+        return np.zeros((frames, *coefficients.shape[1:]))
+    if frames > MATRIX_FRAMES:
+        return _inverse_by_fft(coefficients, frames)
+    even, odd = _half_matrices(frames)
+    half = len(even)
+    flat = coefficients.reshape(known, -1).T
+    symmetric = flat[:, ::2] @ even[:, : (known + 1) // 2].T
+    antisymmetric = flat[:, 1::2] @ odd[:, : known // 2].T
+    out = np.empty((len(flat), frames))
+    np.subtract(symmetric, antisymmetric, out=out[:, : -half - 1 : -1])
+    np.add(symmetric, antisymmetric, out=out[:, :half])
+    return out.T.reshape(frames, *coefficients.shape[1:])
+
+
+def _inverse_by_fft(coefficients: Floats, frames: int) -> Floats:
+    known = len(coefficients)
+    turns = _turns(frames).reshape(-1, *[1] * (coefficients.ndim - 1))
+    scale = np.abs(turns)
+    padded = np.zeros((frames, *coefficients.shape[1:]))
+    padded[:known] = coefficients / scale[:known]
+    mirrored = np.zeros_like(padded)
+    mirrored[1:] = padded[:0:-1]
+    mixed = np.fft.ifft((padded - 1j * mirrored) * (turns.conj() / scale), axis=0).real
+    out = np.empty_like(padded)
+    out[::2] = mixed[: (frames + 1) // 2]
+    out[1::2] = mixed[(frames + 1) // 2 :][::-1]
+    return out
+
+
+@lru_cache(maxsize=32)
+def _turns(frames: int) -> NDArray[np.complex128]:
+    """Phase of a quarter-sample shift times the orthonormal scale of each frequency, (frames,)."""
+    turns = np.exp(-0.5j * np.pi * np.arange(frames) / frames) * np.sqrt(2 / frames)
+    turns[0] /= np.sqrt(2)
+    return turns
+
+
+@lru_cache(maxsize=16)
+def _half_matrices(frames: int) -> tuple[Floats, Floats]:
+    """The first half of the samples of the even and of the odd frequencies' cosines, (⌈frames / 2⌉, frequencies)."""
+    at = np.arange((frames + 1) // 2)[:, None] + 0.5
+    cosines = np.cos(np.pi / frames * at * np.arange(frames)) * np.sqrt(2 / frames)
+    cosines[:, 0] /= np.sqrt(2)
+    return np.ascontiguousarray(cosines[:, ::2]), np.ascontiguousarray(cosines[:, 1::2])

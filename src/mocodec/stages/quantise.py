@@ -1,8 +1,8 @@
-"""Uniform quantisation: lengths ⇄ integers.
+"""Uniform quantisation with a dead zone: values ⇄ integers.
 
-    values ─forward─► ⌊|v| / step + rounding⌋ with v's sign ─inverse─► multiples of the step
+    values ─forward─► ⌊|v| / step + rounding⌋ with the sign of v ─inverse─► multiples of the step
 
-Steps come from a ladder of 2^(1/64), so that a file holds one small integer for a step.
+Steps are powers of 2^(1/64), a ladder whose rungs are numbered, so that a file stores a step as a small integer.
 """
 
 from __future__ import annotations
@@ -11,23 +11,22 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import CannotEncode
-from ..motion import Floats
+from ..typing import Floats, Integers
 
 LADDER = 64
 """Rungs to an octave of steps."""
 
 LARGEST = 2.0**52
-"""No quantised value is beyond this: above it a float64 no longer tells integers apart."""
+"""The limit of quantised values: above it float64 does not represent all integers."""
 
 
-def forward(values: Floats, step: float | Floats, rounding: float | Floats = 0.5) -> NDArray[np.int64]:
+def forward(values: Floats, step: float | Floats, rounding: float | Floats = 0.5) -> Integers:
     """Integers of values; step broadcasts against them.
 
-    rounding 0.5 is the nearest multiple; less widens the zone around zero, which costs error and saves more bits
-    (entropy-coded coefficients are Laplacian: 0.35 to 0.45 is near the best trade). Raises CannotEncode beyond ±2^52.
+    rounding: 0.5 takes the nearest multiple. Less widens the dead zone around zero, which adds error and saves bits;
+    for Laplacian coefficients 0.35 to 0.45 is near the best trade. Raises CannotEncode beyond ±2^52.
     """
     scaled = np.asarray(values / step)
     if scaled.size and not np.abs(scaled).max() < LARGEST:
@@ -35,13 +34,13 @@ def forward(values: Floats, step: float | Floats, rounding: float | Floats = 0.5
     return np.copysign(np.floor(np.abs(scaled) + rounding), scaled).astype(np.int64)
 
 
-def inverse(integers: NDArray[np.int64], step: float | Floats) -> Floats:
-    """Values of integers: exact multiples of the step."""
+def inverse(integers: Integers, step: float | Floats) -> Floats:
+    """The values of integers: multiples of the step."""
     return np.asarray(integers * step, np.float64)
 
 
 def rung(step: float) -> int:
-    """The ladder's nearest rung for a step in metres: step ≈ 2^(rung / 64). Raises CannotEncode outside 2^±60."""
+    """The rung that is nearest to a step in metres: step ≈ 2^(rung / 64). Raises CannotEncode outside 2^±60."""
     if not 2.0**-60 <= step <= 2.0**60:
         raise CannotEncode(f"a step of {step:g} m is outside what can be stored")
     return round(LADDER * math.log2(step))

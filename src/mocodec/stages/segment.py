@@ -9,15 +9,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..motion import Floats
+from ..typing import Floats, Integers
 
 LEADING = 24
-"""Directions that `ppca` follows as its model grows; τ of the variance has always been found in far fewer."""
+"""The leading directions that `ppca` tracks as its model grows; far fewer hold τ of the variance in practice."""
 
 STILL_M = 1e-4
-"""Variance below (0.1 mm)² in a direction is the noise of a camera system; no distribution is narrower."""
+"""The standard deviation, metres, of the noise of a camera system: no direction of a model has less."""
 
 
 def equal_length(frames: int, length: int) -> list[slice]:
@@ -26,9 +25,9 @@ def equal_length(frames: int, length: int) -> list[slice]:
 
 
 class Curve(NamedTuple):
-    """One search for a cut: H for each end of the model, a frame of the sequence, and where it cut, if it did."""
+    """One search for a cut: the frames at which the model ended, H at each, and the frame of the cut, if any."""
 
-    frames: NDArray[np.int64]
+    frames: Integers
     distances: Floats
     cut: int | None
 
@@ -50,10 +49,11 @@ def ppca(
 
     poses (frames, dimensions), metres. Model the first `initial` frames (K) as a Gaussian whose leading directions hold
     the fraction `kept` (τ) of the variance; H is the average squared Mahalanobis distance of the next `ahead` frames
-    (T); grow K by `step` (Δ) and repeat; cut at the peak that rises more than `rise` (R) above the valley before it. Go
-    on behind the cut until fewer than K + T frames remain. No segment but an only one is shorter than both K and T.
+    (T); grow K by `step` (Δ) and repeat; cut at the peak that rises more than `rise` (R) above the valley before it.
+    Repeat behind the cut until fewer than K + T frames remain. Every segment has at least K or T frames, unless there
+    is only one.
 
-    Sums are carried along, so that time grows linearly with frames however long a segment is.
+    Sums are updated as the model grows, so the time is linear in the number of frames.
     """
     frames = len(poses)
     centred = poses - poses.mean(axis=0)
@@ -103,8 +103,9 @@ def _search(poses: Floats, start: int, lengths: tuple[int, int, int], kept: floa
 def _leading(covariance: Floats, before: Floats | None) -> tuple[Floats, Floats]:
     """The leading variances, strongest first, and their directions, (dimensions, LEADING) at most.
 
-    Found afresh, or from those of a model a few frames shorter by a step of subspace iteration, which is many times
-    faster: C Q = U S Vᵀ, by way of the small matrix (C Q)ᵀ (C Q). A model that has not moved has no directions.
+    From the directions Q of a model that is a few frames shorter, one step of subspace iteration finds them many times
+    faster than an eigendecomposition: C Q = U S Vᵀ, by way of the small matrix (C Q)ᵀ (C Q). A model without movement
+    has no directions.
     """
     if np.trace(covariance) <= len(covariance) * STILL_M**2:
         return np.zeros(0), np.zeros((len(covariance), 0))
@@ -114,19 +115,19 @@ def _leading(covariance: Floats, before: Floats | None) -> tuple[Floats, Floats]
     image = covariance @ before
     squared, turn = np.linalg.eigh(image.T @ image)
     squared, turn = squared[::-1], turn[:, ::-1]
-    sound = squared > 1e-14 * squared[0]
-    variances = np.sqrt(squared[sound])
-    return variances, image @ (turn[:, sound] / variances)
+    reliable = squared > 1e-14 * squared[0]
+    variances = np.sqrt(squared[reliable])
+    return variances, image @ (turn[:, reliable] / variances)
 
 
-def _distance(variances: Floats, directions: Floats, whole: float, away: Floats, kept: float) -> float:
+def _distance(variances: Floats, directions: Floats, total: float, away: Floats, kept: float) -> float:
     """H: the average of (x − μ)ᵀ C⁻¹ (x − μ), C = W Wᵀ + σ²I: p leading variances, σ² the average of the rest.
 
-    whole: all variance. away (frames, dimensions): x − μ.
+    total: the variance of all directions. away (frames, dimensions): x − μ.
     """
     dimensions = away.shape[1]
-    p = min(int(np.searchsorted(np.cumsum(variances), kept * whole)) + 1, len(variances), max(dimensions - 1, 1))
-    rest = (whole - variances[:p].sum()) / max(dimensions - p, 1)
+    p = min(int(np.searchsorted(np.cumsum(variances), kept * total)) + 1, len(variances), max(dimensions - 1, 1))
+    rest = (total - variances[:p].sum()) / max(dimensions - p, 1)
     along = (away @ directions[:, :p]) ** 2
     across = np.einsum("fd,fd->", away, away) - along.sum()
     within = (along.sum(axis=0) / np.maximum(variances[:p], STILL_M**2)).sum()

@@ -1,11 +1,11 @@
-"""Key frames: a trajectory kept at few frames, natural cubic splines for the rest. Liu & McMillan 2006, section 3.4.
+"""Key frames: a trajectory stored at few frames, natural cubic splines between. Liu & McMillan 2006, section 3.4.
 
     trajectory ──keyframes──► Keyframes ──values there──► interpolate ──► every frame
     Keyframes ──splits──► one bit for each interval: was it halved? ──from_splits──► Keyframes
     values ──differences──► integers: how far each value is from the coarser levels' spline ──values──► values
 
-Key frames are found by halving, so they form levels: four frames evenly spaced, then the middles of their intervals,
-then the middles of those. The levels say where the key frames are in about two bits each, and predict their values.
+Key frames are found by halving intervals, so they form levels: four evenly spaced frames, then middles of their
+intervals, then middles of those. The levels store the places of key frames in about two bits each and predict values.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import Corrupt
-from ..motion import Floats
+from ..typing import Booleans, Bytes, Floats, Integers
 from . import quantise
 
-Frames = NDArray[np.int64]
+Frames = Integers
+"""Frame numbers."""
 FIRST = 4
-"""Control points to begin with: both ends, and a third and two thirds of the way."""
+"""Key frames of the first level: both ends, and the frames at one third and two thirds of the run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Keyframes:
-    """Key frames of a run of `frames` frames, by level: each level halves intervals that the levels before it leave."""
+    """Key frames of a run of `frames` frames, by level: each level halves some intervals of the levels before it."""
 
     frames: int
     levels: tuple[Frames, ...]
@@ -37,12 +37,12 @@ class Keyframes:
 
     @property
     def by_level(self) -> Frames:
-        """Frame numbers in the order of the levels, which is the order that values are stored in."""
+        """Frame numbers in the order of the levels, in which values are stored."""
         return np.concatenate(self.levels)
 
 
 def evenly(frames: int) -> Frames:
-    """The control points that every run begins with."""
+    """The key frames of the first level."""
     return np.unique(np.rint(np.linspace(0, frames - 1, FIRST)).astype(np.int64))
 
 
@@ -81,7 +81,8 @@ def _curvature(widths: Floats, values: Floats) -> Floats:
 def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
     """Key frames (of frames, k) such that the spline through them is nowhere farther than `tolerance`, in the L2 norm.
 
-    Begin with four; wherever a frame between two key frames is too far off, the frame in their middle becomes one too.
+    Starting from the first level, the middle of every interval with a frame that is too far off becomes a key frame,
+    until there is no such frame.
     """
     frames = len(trajectory)
     at = np.arange(frames)
@@ -100,8 +101,8 @@ def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
     return Keyframes(frames, _halve(frames, lambda middles: chosen[middles]))
 
 
-def _halve(frames: int, ask: Callable[[Frames], NDArray[np.bool_]]) -> tuple[Frames, ...]:
-    """Levels of key frames: `ask` says which of a level's intervals, by their middles, are halved."""
+def _halve(frames: int, ask: Callable[[Frames], Booleans]) -> tuple[Frames, ...]:
+    """Levels of key frames: `ask` returns which of a level's intervals, given by their middles, are halved."""
     levels = [evenly(frames)]
     left, right = levels[0][:-1], levels[0][1:]
     while True:
@@ -116,13 +117,13 @@ def _halve(frames: int, ask: Callable[[Frames], NDArray[np.bool_]]) -> tuple[Fra
         left, right = np.stack([left, middles], 1).ravel(), np.stack([middles, right], 1).ravel()
 
 
-def splits(keys: Keyframes) -> NDArray[np.uint8]:
+def splits(keys: Keyframes) -> Bytes:
     """One bit for each interval that could have been halved, level by level."""
     chosen = np.zeros(keys.frames, bool)
     chosen[keys.by_level] = True
     asked: list[Frames] = []
 
-    def ask(middles: Frames) -> NDArray[np.bool_]:
+    def ask(middles: Frames) -> Booleans:
         asked.append(middles)
         return chosen[middles]
 
@@ -130,11 +131,11 @@ def splits(keys: Keyframes) -> NDArray[np.uint8]:
     return chosen[np.concatenate(asked)].astype(np.uint8)
 
 
-def from_splits(bits: NDArray[np.uint8], frames: int) -> tuple[Keyframes, int]:
-    """The key frames of a run of `frames`, and how many bits they took. Raises Corrupt where the bits end early."""
+def from_splits(bits: Bytes, frames: int) -> tuple[Keyframes, int]:
+    """The key frames of a run of `frames` frames, and how many bits they took. Raises Corrupt for too few bits."""
     used = 0
 
-    def ask(middles: Frames) -> NDArray[np.bool_]:
+    def ask(middles: Frames) -> Booleans:
         nonlocal used
         answer = bits[used : used + len(middles)]
         if len(answer) < len(middles):
@@ -145,11 +146,11 @@ def from_splits(bits: NDArray[np.uint8], frames: int) -> tuple[Keyframes, int]:
     return Keyframes(frames, _halve(frames, ask)), used
 
 
-def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[NDArray[np.int64], Floats]:
+def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[Integers, Floats]:
     """Integers (keys, k) for values (keys, k), both by level, and the values that the integers give back.
 
-    The first level is each value's difference from the one before it; every later one that from the spline through all
-    before it as they will be decoded: nothing adds up, and no value is farther than half a step from where it was.
+    A value of the first level is stored as its difference from the one before it, later values as differences from the
+    spline through all decoded values of the levels before. Errors do not add up: none is more than half a step.
     """
     numbers = np.zeros(wanted.shape, np.int64)
 
@@ -160,7 +161,7 @@ def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[NDArray[n
     return numbers, _descend(keys, wanted.shape[1], predicted)
 
 
-def values(keys: Keyframes, numbers: NDArray[np.int64], step: float) -> Floats:
+def values(keys: Keyframes, numbers: Integers, step: float) -> Floats:
     """The values (keys, k), by level, of `differences`."""
     return _descend(keys, numbers.shape[1], lambda a, b, prediction: prediction + quantise.inverse(numbers[a:b], step))
 

@@ -49,12 +49,12 @@ def capsules() -> Actor:
     parents = tuple(names.index(stock[name].parent) if stock[name].parent else -1 for name in names)
     vertices, faces, owner = list[Floats](), list[Integers](), list[int]()
     for start, stop, near, far, carrier in stock_body.bones():
-        v, f = capsule(np.array(stock[start].place, float), np.array(stock[stop].place, float), near, far)
+        v, f = capsule(np.array(stock[start].position, float), np.array(stock[stop].position, float), near, far)
         faces.append(f + len(owner))
         vertices.append(v)
         owner += [names.index(carrier)] * len(v)
     mesh, body, weights = np.concatenate(faces), np.concatenate(vertices), np.eye(len(names))[owner]
-    joints = np.array([stock[name].place for name in names], float)
+    joints = np.array([stock[name].position for name in names], float)
     return Actor("capsules", names, parents, joints, body, mesh, weights, clothes(names, weights, body, mesh))
 
 

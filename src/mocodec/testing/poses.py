@@ -64,7 +64,7 @@ def posed(actor: Actor, limbs: Limbs, right: Limbs | None = None) -> Performance
             side = "Left" if name.startswith("Left") else "Right"
             end = actor.names.index(side + ends[name.removeprefix(side)])
             bone = actor.joints[end] - actor.joints[joint]
-            turns[0, joint] = articulation.between(bone / np.linalg.norm(bone), wanted[name])
+            turns[0, joint] = articulation.rotation_between(bone / np.linalg.norm(bone), wanted[name])
         elif name in ("LeftFoot", "RightFoot"):
             turns[0, joint] = np.eye(3)
     return Performance(actor, turns, actor.joints[:1].copy(), 15.0)

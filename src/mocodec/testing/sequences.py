@@ -59,12 +59,12 @@ class Performance:
     def joint_errors(self, body: articulation.Body, pose: articulation.Pose, frame: int) -> Floats:
         """Distances of a tracked body's joints from the true ones of the same names, (links,), metres."""
         column = [self.actor.names.index(name) for name in body.names]
-        tracked = articulation.joints_of(body, *articulation.transforms(body, pose))
+        tracked = articulation.joint_positions(body, *articulation.transforms(body, pose))
         return np.linalg.norm(tracked - self.joints[frame][column], axis=1)
 
     def skeleton(self) -> Motion:
         """The true skeleton and its rotations as a Motion, which can be written as BVH."""
-        order = articulation.depth_first(self.actor.parents)
+        order = articulation.depth_first_order(self.actor.parents)
         above = [self.actor.parents[joint] for joint in order]
         names = tuple(self.actor.names[joint] for joint in order)
         offsets = np.array(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...formats.gltf import Surface
-from ...geometry.body_matching import Data
+from ...geometry.body_matching import FramePoints
 from ...motion import Motion
 from ...pointcloud import PointClouds
 from .. import base, body_stream
@@ -284,7 +284,7 @@ class Role:
                 seen.append(self.follower.sight(data, self.poses[i]))
         return seen
 
-    def look_closely(self, frame: int) -> Data:
+    def look_closely(self, frame: int) -> FramePoints:
         return self.follower.look_closely(*self.clouds[frame], frame)
 
     def prepare(self, codec: Bodycast, usual: int, coloured: bool, roles: int) -> None:

@@ -17,7 +17,7 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...geometry import cylinder_map
 from ...geometry.articulation import Body, Floats
-from ...geometry.cylinder_map import Frame, Map
+from ...geometry.cylinder_map import Cylinder, CylinderMap
 
 Labels = NDArray[Any]
 MAX_SIDE = 4096
@@ -42,8 +42,8 @@ class Tile(NamedTuple):
         """Its place on the sheet."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
-    def cylinder(self, body: Body) -> Frame:
-        return cylinder_map.frame(body.origins[self.link], body.tips[self.link], self.low / 1000, self.high / 1000)
+    def cylinder(self, body: Body) -> Cylinder:
+        return cylinder_map.cylinder(body.origins[self.link], body.tips[self.link], self.low / 1000, self.high / 1000)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Atlas:
             if len(own) < max(6, 0.002 * len(points)):
                 continue
             along, _, away = cylinder_map.coordinates(
-                cylinder_map.frame(body.origins[link], body.tips[link], 0, 1), own
+                cylinder_map.cylinder(body.origins[link], body.tips[link], 0, 1), own
             )
             low, high = np.floor(along.min() * 1000), np.ceil(along.max() * 1000) + 1
             share = cells / (2 * len(points))
@@ -180,7 +180,7 @@ def picture(atlas: Atlas, sums: Sums) -> NDArray[np.uint8]:
     distance, colour, _ = sums.means(atlas)
     planes = np.full((3, 2 * atlas.height, atlas.width), 128, np.uint8)
     for t in atlas.tiles:
-        full = cylinder_map.filled(Map(distance[t.here], colour[t.here]))
+        full = cylinder_map.filled(CylinderMap(distance[t.here], colour[t.here]))
         luma = to_luma(full.colour)
         planes[:, *t.here] = np.clip(np.round(luma), 0, 255).transpose(2, 0, 1)
         below = slice(atlas.height + t.top, atlas.height + t.top + t.height)

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...entropy.models import Tables
-from ...entropy.rans import Decoder, Encoder
+from ...entropy.coder import Decoder, Encoder, Tables
 
 Array = NDArray[Any]
 LEVELS = 128  # of a probability

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...errors import BadInput, CannotEncode
 from ...geometry import articulated_icp, articulation, body_fit, body_tracking, joint_limits, skinning, smoothing
 from ...geometry.articulation import Body, Floats, Pose
-from ...geometry.body_matching import Data, Step
+from ...geometry.body_matching import FramePoints, Step
 from .. import body_stream
 
 Labels = NDArray[Any]
@@ -44,7 +44,7 @@ class Sighting(NamedTuple):
 
 def begin(
     points: Floats, colours: NDArray[np.uint8] | None, skeleton: Any, up: str, looked_at: int
-) -> tuple[Body, body_tracking.Tracker]:
+) -> tuple[Body, body_tracking.BodyTracker]:
     """The body that stands in points (n, 3), as its bytes will give it back, and a tracker that follows it.
 
     Raises CannotEncode where nobody stands there, BadInput for a skeleton that does not fit.
@@ -63,17 +63,17 @@ def begin(
     if len(some) < FEWEST:
         raise BadInput("the skeleton does not stand in the first frame's points: it must have its place, pose and unit")
     shades = None if colours is None else colours[some]
-    surface = smoothing.smoothed(points[some], points)
+    surface = smoothing.project_to_surface(points[some], points)
     body, model = articulated_icp.make_model(body, surface, shades, by_surface=True)
     body = body_stream.rounded(body)
-    settings = body_tracking.Settings(points=looked_at)
-    few = slice(0, settings.template)
+    settings = body_tracking.TrackerSettings(max_points=looked_at)
+    few = slice(0, settings.template_points)
     skin = skinning.skin(body, model.points[few], model.links[few])
     shades = None if model.colours is None else model.colours[few]
-    tracker = body_tracking.Tracker(body, skin, model.normals[few], shades, settings, limits)
-    if len(some) >= settings.template + OTHERS:
-        others = some[settings.template :]
-        tracker.expect(points[others], None if colours is None else colours[others])
+    tracker = body_tracking.BodyTracker(body, skin, model.normals[few], shades, settings, limits)
+    if len(some) >= settings.template_points + OTHERS:
+        others = some[settings.template_points :]
+        tracker.calibrate_cost(points[others], None if colours is None else colours[others])
     return body, tracker
 
 
@@ -88,7 +88,7 @@ class Follower:
 
     def begin(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
         """How the pose of the first frame fits it."""
-        return self.tracker.see(points, colours, frame)
+        return self.tracker.assess_frame(points, colours, frame)
 
     def fit(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> body_tracking.Fit:
         return self.tracker.fit(points, colours, frame)
@@ -109,31 +109,33 @@ class Follower:
             a, b = articulation.transforms(self.body, pose)
             for k in range(links.shape[1]):
                 there = np.einsum("nij,nj->ni", a[links[:, k]], points) + b[links[:, k]]
-                away, _ = data.nearest(there, tracker.shades, ASTRAY)
+                away, _ = data.nearest(there, tracker.scaled_colours, ASTRAY)
                 costs[:, k] += np.minimum(away, ASTRAY) ** 2 / len(clouds)
         every = np.full((len(points), len(self.body)), ASTRAY**2)
         np.put_along_axis(every, links, costs, axis=1)
         around = np.asarray(skinning.neighbourhood(self.body, points, tracker.normals) @ every)
         around[np.arange(len(points)), own] -= DECIDED**2
         better = skinning.blended(self.body, points, around.argmin(axis=1), tracker.normals)
-        self.tracker = body_tracking.Tracker(
+        self.tracker = body_tracking.BodyTracker(
             self.body, better, tracker.normals, tracker.colours, tracker.settings, tracker.limits
         )
-        self.tracker.usual = tracker.usual
+        self.tracker.typical_cost = tracker.typical_cost
 
-    def look_closely(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> Data:
+    def look_closely(self, points: Floats, colours: NDArray[np.uint8] | None, frame: int) -> FramePoints:
         """More of a frame's points than a tracker looks at, for `refined` and `sight`."""
-        return self.tracker.look_at(points, colours, frame, DETAIL)
+        return self.tracker.sample_frame(points, colours, frame, DETAIL)
 
-    def refined(self, data: Data, pose: Pose) -> Pose:
+    def refined(self, data: FramePoints, pose: Pose) -> Pose:
         """A pose brought closer to a frame's points. What has few of them, as hands, turns by their noise, and is held
         to its first pose.
         """
         matcher, prior = self.tracker.matcher, self.tracker.prior
         owners = np.bincount(self.tracker.skin.links[:, 0], minlength=len(self.body))
         slight = self.body.ancestors @ owners < SLIGHT * len(self.tracker.skin.points)
-        held = prior._replace(hold=np.where(slight, np.maximum(prior.hold, HELD**-2), prior.hold))
-        steps = [Step(width, len(data.points), len(matcher.some)) for width in CLOSE]
+        held = prior._replace(
+            rest_strength=np.where(slight, np.maximum(prior.rest_strength, HELD**-2), prior.rest_strength)
+        )
+        steps = [Step(width, len(data.points), len(matcher.sample)) for width in CLOSE]
         return matcher.solve(data, pose, steps, held)
 
     def _nearest_links(self, points: Floats, own: Labels) -> Labels:
@@ -149,7 +151,7 @@ class Follower:
         """(n, 3): the template in a pose."""
         return self.tracker.skin.posed(*articulation.transforms(self.body, pose))
 
-    def sight(self, data: Data, pose: Pose) -> Sighting:
+    def sight(self, data: FramePoints, pose: Pose) -> Sighting:
         """The points of a frame brought back into the canonical pose, from the pose as it is stored."""
         skin = self.tracker.skin
         found = self.tracker.assess(data, pose)

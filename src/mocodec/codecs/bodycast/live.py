@@ -214,6 +214,6 @@ class Receiver:
         assert self._actor is not None
         assert self.pose is not None
         colours = self._actor.colours if self._shown is None else self._shown[1]
-        rig = self._actor.rig if self._shown is None else self._actor.rig.carrying(self._shown[0])
+        rig = self._actor.rig if self._shown is None else self._actor.rig.with_points(self._shown[0])
         points = rig.posed(*articulation.transforms(self._actor.body, self.pose))
         return points, colours if self._actor.model.coloured else None

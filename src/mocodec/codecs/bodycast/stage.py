@@ -35,7 +35,7 @@ class Actor:
         self.weave: Weave = weave(model.atlas, planes, model.valid, model.points)
         points, self.colours = self.weave.surface(planes)
         self.skin = skinning.blended(self.body, points, self.weave.links, self.weave.normals)
-        self.rig = skinning.Rig.of(self.skin, len(self.body))
+        self.rig = skinning.SkinMatrix.build(self.skin, len(self.body))
 
     def posed(self, pose: Pose) -> Floats:
         """(…, n, 3): the surface as it was first, in the poses of (…) frames."""
@@ -64,7 +64,7 @@ class Actor:
             here = range(max(start, i * every), min(stop, frames, (i + 1) * every))
             if here:
                 points, colours = self.weave.surface(planes)
-                rig = self.rig.carrying(points)
+                rig = self.rig.with_points(points)
                 for frame in here:
                     yield rig.posed(a[frame], b[frame]), colours
 

@@ -31,7 +31,7 @@ COLOUR_STEP = 12
 def unexplained(frame: Cloud, bodies: Floats) -> Cloud:
     """The points of a frame that are away from the bodies' (m, 3), where there is a crowd of them."""
     points, colours = frame
-    away, _ = body_matching.Data.build(bodies, None, None).nearest(points, None, AWAY)
+    away, _ = body_matching.FramePoints.build(bodies, None, None).nearest(points, None, AWAY)
     is_far = ~np.isfinite(away)
     far = np.flatnonzero(is_far)
     if len(far):

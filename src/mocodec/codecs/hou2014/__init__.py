@@ -1,14 +1,20 @@
 """Mocap-tailored transform coding (Hou, Chau, Magnenat-Thalmann and He, 2014).
 
-    clip M_i ──► DCT along time ──► basis across points ──► quantise ──► entropy code
-                 M_i D̃             S_i = Bᵀ M_i D̃          integers     bytes
+    clip M_i ──► DCT along time ──► left transform across points ──► quantise ──► entropy code
+                 M_i D̃             S_i = Bᵀ M_i D̃                   integers     bytes
 
-One basis B serves every clip and travels once, so that chunks of clips can be decoded alone. Read `codec` first, then
-`drafts` (how a motion is coded at one step), `transform` (B on disk), `stream` (all other bytes), `database`
-(Algorithm 1).
+All clips share one left transform B, stored once, so each chunk of clips decodes without the other chunks.
+
+    codec               settings, encoding (figure 6 and the search for a target) and decoding
+    quantised_motion    positions ─► quantised coefficients at one quantisation step
+    clip_segmentation   clip lengths, the step of each clip, grouping of clips into chunks
+    left_transform      B: fitting, rounding, bytes
+    stream              all other bytes
+    database            K left transforms for many recordings (Algorithm 1)
+    analysis            the measurements of section III
 """
 
 from .codec import Hou2014
-from .database import Hou2014Database, Learned
+from .database import Hou2014Database, LearnedTransforms
 
-__all__ = ["Hou2014", "Hou2014Database", "Learned"]
+__all__ = ["Hou2014", "Hou2014Database", "LearnedTransforms"]

@@ -1,327 +1,329 @@
-"""The bytes of hou2014: a head that all chunks share, and a payload for each chunk.
+"""The bytes of hou2014: a header that all chunks share, and a payload for each chunk.
 
-    head      what the numbers mean: unit, step, mean pose, weights, bound, and the file's own transform
-    payload   which clips, the quantised coefficients of all of them together, gaps, corrections
+    header    unit, quantisation step, mean pose, weights, error bound, and the file's own left transform
+    payload   clip lengths, the quantised coefficients of all clips of the chunk, gaps, corrections
 
-`docs/papers/hou2014.md` gives the fields and why they are so.
+`docs/papers/hou2014.md` lists the fields and the reasons for them.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...entropy import coder, varint
 from ...errors import Corrupt
-from ...motion import Floats
+from ...fields import Record, array, positive_float, raw, signed, sized, unsigned
 from ...stages import bounded, dct, gaps, quantise
-from . import parameters, transform
-from .transform import Transform
+from ...typing import Floats, Integers
+from . import left_transform, parameters
+from .left_transform import LeftTransform
 
-Integers = NDArray[np.int64]
-
-CENTRED, WEIGHTED, BOUNDED, OTHER_UNIT, ALLOCATED, ADAPTIVE, SHARED = (1 << bit for bit in range(7))
+MEAN_POSE, POINT_WEIGHTS, ERROR_BOUND, CUSTOM_UNIT, CLIP_STEPS, ADAPTIVE_CLIPS, SHARED_TRANSFORMS = (
+    1 << bit for bit in range(7)
+)
 """Flags on disk: never change one."""
 
 LARGEST_RUNG = 1 << 12
+"""Limit for every rung in a file: 64 octaves of the ladder of steps."""
 
 
 @dataclass(frozen=True, eq=False)
-class Head:
-    """What all chunks share.
+class SharedHeader:
+    """The fields that all chunks share.
 
-    transforms: one or more; `shared`: they are blobs of their own rather than part of this one. components: how many of
-    their columns are used. rung: coefficients are multiples of unit · 2^(rung / 64). clip_frames: L, 0 where clips are
-    adaptive. mean (3 points,): multiples of unit · 2^(mean_rung / 64). weight_rungs (points,): rows were multiplied by
-    2^(rung / 64). allocated: each clip has a step of its own.
+    points: number of points. transforms: one or more left transforms, cut to `components` columns. shared_transforms:
+    they are stored in blobs of their own, not in the header. rung: the quantisation step of coefficients is unit ·
+    2^(rung / 64). clip_frames: L; 0 if clips are adaptive. unit: metres. mean_numbers (3 points,): the mean pose in
+    multiples of unit · 2^(mean_rung / 64). weight_rungs (points,): the encoder multiplied the coordinates of a point by
+    2^(rung / 64). max_error: metres. clip_steps: each clip has a quantisation step of its own.
     """
 
     points: int
-    transforms: tuple[Transform, ...]
+    transforms: tuple[LeftTransform, ...]
     components: int
     rung: int
     clip_frames: int
     unit: float = parameters.UNIT_M
-    mean: Integers | None = None
+    mean_numbers: Integers | None = None
     mean_rung: int = 0
     weight_rungs: Integers | None = None
     max_error: float | None = None
-    allocated: bool = False
-    shared: bool = False
+    clip_steps: bool = False
+    shared_transforms: bool = False
 
-    def step(self, offsets: Integers) -> Floats:
-        """The step of coefficients, metres, for clips of these offsets in rungs."""
-        return np.array([self.unit * quantise.step(self.rung + o) for o in offsets.tolist()], np.float64)
+    def steps_m(self, rung_offsets: Integers) -> Floats:
+        """Quantisation steps in metres of clips with these rung offsets, (clips,)."""
+        return np.array([self.unit * quantise.step(self.rung + o) for o in rung_offsets.tolist()], np.float64)
 
     @property
     def mean_pose(self) -> Floats:
-        """(3 points,), metres."""
-        if self.mean is None:
+        """(3 points,), metres; zeros if the header has no mean pose."""
+        if self.mean_numbers is None:
             return np.zeros(3 * self.points)
-        return np.asarray(self.mean * (self.unit * quantise.step(self.mean_rung)), np.float64)
+        return np.asarray(self.mean_numbers * (self.unit * quantise.step(self.mean_rung)), np.float64)
 
     @property
-    def weights(self) -> Floats:
-        """What each row was multiplied by, (3 points,)."""
+    def row_weights(self) -> Floats:
+        """Factor of each row of M, (3 points,)."""
         return row_weights(self.weight_rungs, self.points)
 
     def pack(self, parents: Sequence[int] | None) -> bytes:
+        """The first shared blob. parents: parent of each point in the skeleton (−1: none), if any."""
         flags = (
-            CENTRED * (self.mean is not None)
-            | WEIGHTED * (self.weight_rungs is not None)
-            | BOUNDED * (self.max_error is not None)
-            | OTHER_UNIT * (self.unit != parameters.UNIT_M)
-            | ALLOCATED * self.allocated
-            | ADAPTIVE * (self.clip_frames == 0)
-            | SHARED * self.shared
+            MEAN_POSE * (self.mean_numbers is not None)
+            | POINT_WEIGHTS * (self.weight_rungs is not None)
+            | ERROR_BOUND * (self.max_error is not None)
+            | CUSTOM_UNIT * (self.unit != parameters.UNIT_M)
+            | CLIP_STEPS * self.clip_steps
+            | ADAPTIVE_CLIPS * (self.clip_frames == 0)
+            | SHARED_TRANSFORMS * self.shared_transforms
         )
-        parts = [varint.write([flags, self.components, varint.signed(self.rung)])]
-        if self.clip_frames:
-            parts.append(varint.write([self.clip_frames]))
-        if self.unit != parameters.UNIT_M:
-            parts.append(struct.pack("<d", self.unit))
-        if self.max_error is not None:
-            parts.append(struct.pack("<d", self.max_error))
-        if self.weight_rungs is not None:
-            parts.append(_sized(coder.pack(self.weight_rungs[:, None])))
-        if self.mean is not None:
-            parts.append(varint.write([varint.signed(self.mean_rung)]) + _sized(_pack_pose(self.mean)))
-        if not self.shared:
-            parts.append(self.transforms[0].pack(parents))
-        return b"".join(parts)
+        values = {
+            "flags": flags,
+            "components": self.components,
+            "rung": self.rung,
+            "clip_frames": self.clip_frames,
+            "unit": self.unit,
+            "max_error": self.max_error,
+            "weight_rungs": self.weight_rungs,
+            "mean_rung": self.mean_rung,
+            "mean": None if self.mean_numbers is None else self.mean_numbers.reshape(-1, 3),
+            "transform": b"" if self.shared_transforms else self.transforms[0].pack(parents),
+        }
+        return HEADER.pack(values)
 
 
-def unpack_head(blobs: Sequence[bytes], points: int, parents: Sequence[int] | None) -> Head:
-    """The head from the shared bytes of a file. Raises Corrupt."""
+def _with_flag(flag: int) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: bool(known["flags"] & flag)
+
+
+def _without_flag(flag: int) -> Callable[[Mapping[str, Any]], bool]:
+    return lambda known: not known["flags"] & flag
+
+
+HEADER = Record(
+    "hou2014: the shared bytes",
+    unsigned("flags"),
+    unsigned("components"),
+    signed("rung", most=LARGEST_RUNG),
+    unsigned("clip_frames", least=1, when=_without_flag(ADAPTIVE_CLIPS)),
+    positive_float("unit", when=_with_flag(CUSTOM_UNIT)),
+    positive_float("max_error", when=_with_flag(ERROR_BOUND)),
+    *sized(array("weight_rungs", ("points",), most=LARGEST_RUNG, when=_with_flag(POINT_WEIGHTS))),
+    signed("mean_rung", most=LARGEST_RUNG, when=_with_flag(MEAN_POSE)),
+    *sized(array("mean", ("points", 3), when=_with_flag(MEAN_POSE))),
+    raw("transform", when=_without_flag(SHARED_TRANSFORMS)),
+)
+
+
+def unpack_header(blobs: Sequence[bytes], points: int, parents: Sequence[int] | None) -> SharedHeader:
+    """The header from the shared blobs of a file. Raises Corrupt."""
     if not blobs:
         raise Corrupt("hou2014: the shared bytes are missing")
-    data = blobs[0]
-    (flags, components, rung), at = varint.read(data, 3)
-    clip_frames, unit, max_error, mean_rung = 0, parameters.UNIT_M, None, 0
-    weight_rungs = mean = None
-    if not flags & ADAPTIVE:
-        (clip_frames,), at = varint.read(data, 1, at)
-        if clip_frames == 0:
-            raise Corrupt("hou2014: clips of no frames")
-    if flags & OTHER_UNIT:
-        unit, at = _double(data, at)
-    if flags & BOUNDED:
-        max_error, at = _double(data, at)
-    if flags & WEIGHTED:
-        part, at = _part(data, at)
-        weight_rungs = coder.unpack(part, (points, 1))[:, 0]
-    if flags & CENTRED:
-        (mean_rung,), at = varint.read(data, 1, at)
-        part, at = _part(data, at)
-        mean = _unpack_pose(part, points)
-    if flags & SHARED:
-        if at != len(data):
-            raise Corrupt("hou2014: a head of the wrong size")
-        own: Sequence[bytes] = blobs[1:]
-    else:
-        own = [data[at:]]
-    transforms = tuple(transform.unpack(blob, 3 * points, parents) for blob in own)
-    rung, mean_rung = varint.unsigned(rung), varint.unsigned(mean_rung)
-    rungs = [rung, mean_rung, *([] if weight_rungs is None else weight_rungs.tolist())]
-    if not transforms or components > min(map(len, transforms)) or max(map(abs, rungs)) > LARGEST_RUNG:
-        raise Corrupt("hou2014: a head that cannot be")
-    return Head(
-        points,
-        tuple(one.leading(components) for one in transforms),
-        components,
-        rung,
-        clip_frames,
-        unit,
-        mean,
-        mean_rung,
-        weight_rungs,
-        max_error,
-        bool(flags & ALLOCATED),
-        bool(flags & SHARED),
+    values = HEADER.unpack(blobs[0], points=points)
+    transform_blobs = blobs[1:] if values["transform"] is None else [values["transform"]]
+    transforms = tuple(left_transform.unpack(blob, 3 * points, parents) for blob in transform_blobs)
+    components = values["components"]
+    if not transforms:
+        raise Corrupt("hou2014: the shared bytes hold no left transform")
+    if components > min(map(len, transforms)):
+        raise Corrupt(f"hou2014: the header uses {components} components, more than a left transform has")
+    return SharedHeader(
+        points=points,
+        transforms=tuple(transform.leading(components) for transform in transforms),
+        components=components,
+        rung=values["rung"],
+        clip_frames=values["clip_frames"] or 0,
+        unit=parameters.UNIT_M if values["unit"] is None else values["unit"],
+        mean_numbers=None if values["mean"] is None else values["mean"].ravel(),
+        mean_rung=values["mean_rung"] or 0,
+        weight_rungs=values["weight_rungs"],
+        max_error=values["max_error"],
+        clip_steps=bool(values["flags"] & CLIP_STEPS),
+        shared_transforms=bool(values["flags"] & SHARED_TRANSFORMS),
     )
 
 
-def row_weights(rungs: Integers | None, points: int) -> Floats:
-    """What each row is multiplied by, (3 points,)."""
-    if rungs is None:
+def row_weights(weight_rungs: Integers | None, points: int) -> Floats:
+    """Factor of each row of M, (3 points,), from one rung per point, (points,); ones without rungs."""
+    if weight_rungs is None:
         return np.ones(3 * points)
-    return np.repeat(2.0 ** (rungs / quantise.LADDER), 3)
+    return np.repeat(2.0 ** (weight_rungs / quantise.LADDER), 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Clips:
-    """The clips of one chunk, quantised.
+class QuantisedClips:
+    """The quantised coefficients of consecutive clips: those of one chunk, or of a whole motion.
 
-    lengths (N,): L_i. band: the frequencies kept of the longest; a shorter clip keeps the same share of its own, see
-    `kept`. coefficients (sum of l_i, k): clip after clip, S_iᵀ as integers. choice (N,): which transform. offsets (N,):
-    each clip's step in rungs above the head's.
+    lengths (N,): L_i. bandwidth: number of DCT frequencies kept in the longest clip; shorter clips keep the same share.
+    coefficients (sum of l_i, k): S_iᵀ as integers, clip after clip. transform_index (N,): the left transform of each
+    clip. rung_offsets (N,): rungs to add to the header's rung for the quantisation step of each clip.
     """
 
     lengths: Integers
-    band: int
+    bandwidth: int
     coefficients: Integers
-    choice: Integers
-    offsets: Integers
+    transform_index: Integers
+    rung_offsets: Integers
 
     @property
-    def kept(self) -> Integers:
+    def frequencies(self) -> Integers:
         """l_i, (N,)."""
-        return kept_of(self.lengths, self.band)
+        return frequencies_per_clip(self.lengths, self.bandwidth)
 
     @property
     def spectra(self) -> list[Integers]:
-        """S_iᵀ as integers, (l_i, k) each."""
-        return np.split(self.coefficients, np.cumsum(self.kept)[:-1])
+        """S_iᵀ as integers, (l_i, k) for each clip."""
+        return np.split(self.coefficients, np.cumsum(self.frequencies)[:-1])
 
 
-def assembled(lengths: Integers, spectra: Sequence[Integers], choice: Integers, offsets: Integers) -> Clips:
-    """Clips of these spectra, (any l_i, k) each, in the narrowest band that keeps all that is not zero."""
+def join_clips(
+    lengths: Integers, spectra: Sequence[Integers], transform_index: Integers, rung_offsets: Integers
+) -> QuantisedClips:
+    """Clips with these spectra, (any l_i, k) each, at the smallest bandwidth that keeps every nonzero coefficient."""
     needed = np.array([np.flatnonzero(s.any(axis=1)).max(initial=-1) + 1 for s in spectra], np.int64)
-    band = int((-(-needed * lengths.max() // lengths)).max())
-    kept = kept_of(lengths, band)
+    bandwidth = int((-(-needed * lengths.max() // lengths)).max())
+    frequencies = frequencies_per_clip(lengths, bandwidth)
     resized = [
         np.pad(s[:count], ((0, max(0, count - len(s))), (0, 0)))
-        for s, count in zip(spectra, kept.tolist(), strict=True)
+        for s, count in zip(spectra, frequencies.tolist(), strict=True)
     ]
-    return Clips(lengths, band, np.concatenate(resized), choice, offsets)
+    return QuantisedClips(lengths, bandwidth, np.concatenate(resized), transform_index, rung_offsets)
 
 
-def kept_of(lengths: Integers, band: int) -> Integers:
-    """l_i of clips of these lengths: `band` of the longest, in proportion of the others, rounded up."""
-    return -(-band * lengths // max(int(lengths.max(initial=0)), 1))
+def frequencies_per_clip(lengths: Integers, bandwidth: int) -> Integers:
+    """l_i, (N,): `bandwidth` for the longest clip, in proportion to its length for any other, rounded up."""
+    return -(-bandwidth * lengths // max(int(lengths.max(initial=0)), 1))
 
 
-def _coding_order(lengths: Integers, kept: Integers) -> Integers:
-    """Rows of coefficients by frequency, in hertz, then by clip: a number then stands beside the same of the last clip
-    and of the component before, which are the best guides to its size."""
-    clip = np.repeat(np.arange(len(lengths)), kept)
-    frequency = np.arange(len(clip)) - np.repeat(np.cumsum(kept) - kept, kept)
+def _coding_order(lengths: Integers, frequencies: Integers) -> Integers:
+    """Order in which rows of coefficients are coded: by frequency in hertz, then by clip.
+
+    A coefficient then follows the same coefficient of the previous clip, which predicts its magnitude best.
+    """
+    clip = np.repeat(np.arange(len(lengths)), frequencies)
+    frequency = np.arange(len(clip)) - np.repeat(np.cumsum(frequencies) - frequencies, frequencies)
     return np.lexsort((clip, frequency * lengths.max() // lengths[clip]))
 
 
-def pack_clips(clips: Clips, head: Head) -> bytes:
-    numbers = [clips.band] if head.clip_frames else [len(clips.lengths), *clips.lengths.tolist(), clips.band]
+def pack_clips(clips: QuantisedClips, header: SharedHeader) -> bytes:
+    """Lengths, bandwidth, steps, left transforms and coefficients of the clips of one chunk."""
+    numbers = [clips.bandwidth]
+    if not header.clip_frames:
+        numbers = [len(clips.lengths), *clips.lengths.tolist(), clips.bandwidth]
     parts = [varint.write(numbers)]
-    if head.allocated:
-        parts.append(_sized(coder.pack(clips.offsets[:, None])))
-    if len(head.transforms) > 1:
-        parts.append(_sized(coder.pack(clips.choice[:, None])))
-    order = _coding_order(clips.lengths, clips.kept)
-    parts.append(_sized(coder.pack(clips.coefficients[order])))
+    if header.clip_steps:
+        parts.append(_with_size(coder.pack(clips.rung_offsets[:, None])))
+    if len(header.transforms) > 1:
+        parts.append(_with_size(coder.pack(clips.transform_index[:, None])))
+    order = _coding_order(clips.lengths, clips.frequencies)
+    parts.append(_with_size(coder.pack(clips.coefficients[order])))
     return b"".join(parts)
 
 
-def unpack_clips(data: bytes, at: int, frames: int, head: Head) -> tuple[Clips, int]:
-    """The clips of a chunk of so many frames, and where they end. Raises Corrupt."""
-    if head.clip_frames:
-        lengths = equal_lengths(frames, head.clip_frames)
-    else:
-        (n,), at = varint.read(data, 1, at)
-        if not 0 < n <= frames:
-            raise Corrupt("hou2014: more clips than frames")
-        numbers, at = varint.read(data, n, at)
-        if min(numbers) < 1 or sum(numbers) != frames:
-            raise Corrupt("hou2014: clips that do not fill their chunk")
-        lengths = np.array(numbers, np.int64)
-    (band,), at = varint.read(data, 1, at)
-    if band > lengths.max():
-        raise Corrupt("hou2014: more frequencies than frames")
+def unpack_clips(data: bytes, at: int, frames: int, header: SharedHeader) -> tuple[QuantisedClips, int]:
+    """The clips of a chunk of `frames` frames from data[at:], and the offset after them. Raises Corrupt."""
+    lengths, at = _read_lengths(data, at, frames, header)
+    (bandwidth,), at = varint.read(data, 1, at)
+    if bandwidth > lengths.max():
+        raise Corrupt(f"hou2014: a chunk keeps {bandwidth} frequencies of a clip of {lengths.max()} frames")
     n = len(lengths)
-    offsets = choice = np.zeros(n, np.int64)
-    if head.allocated:
-        part, at = _part(data, at)
-        offsets = coder.unpack(part, (n, 1))[:, 0]
-    if len(head.transforms) > 1:
-        part, at = _part(data, at)
-        choice = coder.unpack(part, (n, 1))[:, 0]
-    if np.abs(offsets).max() > LARGEST_RUNG or not 0 <= choice.min() <= choice.max() < len(head.transforms):
-        raise Corrupt("hou2014: a clip of a step or transform that is not there")
-    part, at = _part(data, at)
-    kept = kept_of(lengths, band)
-    coefficients = np.empty((int(kept.sum()), head.components), np.int64)
-    coefficients[_coding_order(lengths, kept)] = coder.unpack(part, coefficients.shape)
-    return Clips(lengths, band, coefficients, choice, offsets), at
+    rung_offsets = transform_index = np.zeros(n, np.int64)
+    if header.clip_steps:
+        part, at = _read_sized(data, at)
+        rung_offsets = coder.unpack(part, (n, 1))[:, 0]
+        if np.abs(rung_offsets).max() > LARGEST_RUNG:
+            raise Corrupt(f"hou2014: a clip has a rung offset outside ±{LARGEST_RUNG}")
+    if len(header.transforms) > 1:
+        part, at = _read_sized(data, at)
+        transform_index = coder.unpack(part, (n, 1))[:, 0]
+        if not 0 <= transform_index.min() <= transform_index.max() < len(header.transforms):
+            raise Corrupt(f"hou2014: a clip uses a left transform that is not one of the {len(header.transforms)}")
+    part, at = _read_sized(data, at)
+    frequencies = frequencies_per_clip(lengths, bandwidth)
+    coefficients = np.empty((int(frequencies.sum()), header.components), np.int64)
+    coefficients[_coding_order(lengths, frequencies)] = coder.unpack(part, coefficients.shape)
+    return QuantisedClips(lengths, bandwidth, coefficients, transform_index, rung_offsets), at
+
+
+def _read_lengths(data: bytes, at: int, frames: int, header: SharedHeader) -> tuple[Integers, int]:
+    """L_i of the clips of a chunk: implied by the header, or stored if clips are adaptive."""
+    if header.clip_frames:
+        return equal_lengths(frames, header.clip_frames), at
+    (n,), at = varint.read(data, 1, at)
+    if not 0 < n <= frames:
+        raise Corrupt(f"hou2014: a chunk of {frames} frames has {n} clips")
+    lengths, at = varint.read(data, n, at)
+    if min(lengths) < 1 or sum(lengths) != frames:
+        raise Corrupt(f"hou2014: the clips of a chunk of {frames} frames have {sum(lengths)} frames in total")
+    return np.array(lengths, np.int64), at
 
 
 def equal_lengths(frames: int, clip_frames: int) -> Integers:
-    """L_i of clips of L frames, the last one shorter: nothing is cropped."""
+    """L_i of equal clips of L frames. The last clip is shorter; the paper crops the sequence instead."""
     full, rest = divmod(frames, clip_frames)
     return np.array([clip_frames] * full + [rest] * (rest > 0), np.int64)
 
 
-def reconstruct(clips: Clips, head: Head) -> Floats:
-    """Positions (frames, points, 3) of the clips: B S_i D̃_iᵀ, the decoder of section IV-C. Both ends use this."""
-    kept = clips.kept
+def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
+    """Positions (frames, points, 3) of the clips: B S_i D̃_iᵀ, the decoder of section IV-C. Used by the encoder too."""
+    frequencies = clips.frequencies
     rows: list[Floats] = []
     at = 0
-    for length, run in runs(clips.lengths):
-        n, l = run.stop - run.start, int(kept[run.start])  # noqa: E741
-        spectra = clips.coefficients[at : at + n * l].reshape(n, l, head.components)
+    for length, run in equal_length_runs(clips.lengths):
+        n, l = run.stop - run.start, int(frequencies[run.start])  # noqa: E741
+        spectra = clips.coefficients[at : at + n * l].reshape(n, l, header.components)
         at += n * l
-        curves = dct.inverse(spectra * head.step(clips.offsets[run])[:, None, None], length)
-        if len(head.transforms) == 1:
-            rows.append(curves.reshape(n * length, head.components) @ head.transforms[0].matrix.T)
+        curves = dct.inverse(spectra * header.steps_m(clips.rung_offsets[run])[:, None, None], length, axis=1)
+        if len(header.transforms) == 1:
+            rows.append(curves.reshape(n * length, header.components) @ header.transforms[0].matrix.T)
         else:
-            rows.extend(c @ head.transforms[j].matrix.T for c, j in zip(curves, clips.choice[run], strict=True))
+            indices = clips.transform_index[run]
+            rows.extend(c @ header.transforms[j].matrix.T for c, j in zip(curves, indices, strict=True))
     positions = np.concatenate(rows)
-    if head.weight_rungs is not None:
-        positions /= head.weights
-    if head.mean is not None:
-        positions += head.mean_pose
-    return positions.reshape(-1, head.points, 3)
+    if header.weight_rungs is not None:
+        positions /= header.row_weights
+    if header.mean_numbers is not None:
+        positions += header.mean_pose
+    return positions.reshape(-1, header.points, 3)
 
 
-def pack_payload(clips: bytes, mask: bytes, corrections: bytes) -> bytes:
-    return clips + _sized(mask) + corrections
+def pack_payload(clips: bytes, gap_mask: bytes, corrections: bytes) -> bytes:
+    """The payload of a chunk from its packed parts."""
+    return clips + _with_size(gap_mask) + corrections
 
 
-def unpack_payload(data: bytes, frames: int, head: Head) -> Floats:
-    """Positions of a chunk, (frames, points, 3), gaps and all. Raises Corrupt."""
-    clips, at = unpack_clips(data, 0, frames, head)
-    part, at = _part(data, at)
-    mask = gaps.unpack(part, (frames, head.points))
-    positions = reconstruct(clips, head)
-    if head.max_error is not None:
-        positions = bounded.unpack(data[at:], positions, head.max_error)
+def unpack_payload(data: bytes, frames: int, header: SharedHeader) -> Floats:
+    """Positions of a chunk, (frames, points, 3), NaN in gaps. Raises Corrupt."""
+    clips, at = unpack_clips(data, 0, frames, header)
+    part, at = _read_sized(data, at)
+    gap_mask = gaps.unpack(part, (frames, header.points))
+    positions = reconstruct(clips, header)
+    if header.max_error is not None:
+        positions = bounded.unpack(data[at:], positions, header.max_error)
     elif at != len(data):
-        raise Corrupt("hou2014: a chunk of the wrong size")
-    return gaps.apply(positions, mask)
+        raise Corrupt(f"hou2014: a chunk has {len(data) - at} bytes after its last field")
+    return gaps.apply(positions, gap_mask)
 
 
-def runs(lengths: Integers) -> list[tuple[int, slice]]:
-    """Runs of clips of one length, so that their transforms are one call."""
+def equal_length_runs(lengths: Integers) -> list[tuple[int, slice]]:
+    """Runs of consecutive clips of equal length, as (length, clips): one DCT call serves a run."""
     edges = [0, *(np.flatnonzero(np.diff(lengths)) + 1).tolist(), len(lengths)]
     return [(int(lengths[a]), slice(a, b)) for a, b in pairwise(edges)]
 
 
-def _pack_pose(pose: Integers) -> bytes:
-    return coder.pack(pose.reshape(-1, 3))
-
-
-def _unpack_pose(data: bytes, points: int) -> Integers:
-    return coder.unpack(data, (points, 3)).ravel()
-
-
-def _sized(data: bytes) -> bytes:
+def _with_size(data: bytes) -> bytes:
     return varint.write([len(data)]) + data
 
 
-def _part(data: bytes, at: int) -> tuple[bytes, int]:
+def _read_sized(data: bytes, at: int) -> tuple[bytes, int]:
+    """The inverse of `_with_size`, and the offset after it. Raises Corrupt."""
     (size,), at = varint.read(data, 1, at)
     if at + size > len(data):
-        raise Corrupt("hou2014: a part that runs past its end")
+        raise Corrupt(f"hou2014: a field of {size} bytes is longer than the {len(data) - at} bytes left")
     return data[at : at + size], at + size
-
-
-def _double(data: bytes, at: int) -> tuple[float, int]:
-    if at + 8 > len(data):
-        raise Corrupt("hou2014: a head that ends too early")
-    (value,) = struct.unpack_from("<d", data, at)
-    if not (0 < value < float("inf")):
-        raise Corrupt("hou2014: a length that is not positive")
-    return value, at + 8

@@ -1,6 +1,16 @@
-"""Tempo, the codec of this project. `tempo.py` has the flow; docs/tempo.md what was tried and what it gave."""
+"""Tempo, the codec of this project.
 
+codec           settings; encode and decode, one verb a stage
+repeats         frames that repeat                        header        the shared bytes: model and flags
+model_choice    which model makes a recording smallest    models/       coordinates and statistics
+target          steps for a bound, a mean error, a size   chunk         one chunk, both ways
+pose/           heading, leaps, bone directions           coding/       coefficients as bytes
+fallback        hou2014 in place of the chunks            stream        live encoding and decoding
+
+docs/tempo has how it works, its bytes, its results, and what was tried.
+"""
+
+from .codec import Tempo
 from .stream import Decoder, Encoder
-from .tempo import Tempo
 
 __all__ = ["Decoder", "Encoder", "Tempo"]

@@ -5,7 +5,7 @@
     decoder = tempo.Decoder(encoder.shared, about)
     for chunk in wire: show(decoder.push(chunk))
 
-Every chunk decodes alone, so a receiver may begin anywhere and lose any. What that costs is in docs/tempo.md.
+Every chunk decodes alone, so a receiver may begin anywhere and lose any chunk. docs/tempo has the cost in bytes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,23 @@ import numpy as np
 
 from ...encoded import Chunk
 from ...errors import BadInput
-from ...motion import Floats, Motion
+from ...motion import Motion
 from ...stages import gaps
-from . import body, chunks, jumps
-from .tempo import DEFAULT_MAX_ERROR, Piece, choose_model, model_of, step_for_bound, to_bound
+from ...typing import Floats
+from . import chunk, model_choice, target
+from .chunk import ChunkEncoder
+from .codec import DEFAULT_MAX_ERROR
+from .header import Header
+from .models import Recording
+from .pose import heading, leaps
 
 
 class Encoder:
-    """about: any motion with the stream's names, rate and up axis, and its skeleton if there is one, whose bones it is
-    then coded by; its frames are not coded. max_error: metres.
+    """Codes frames as they come. Its `shared` bytes are what a Decoder begins with.
 
-    latency_seconds: how long a chunk is, and so how long a frame may wait: from 0.1 up to 10. like: an earlier
-    recording of the same points, for a basis where the prior does not know them.
+    about: any motion with the names, rate and up axis of the stream, and its skeleton if there is one; its frames are
+    not coded. max_error: metres. latency_seconds: how long a chunk is, and so how long a frame may wait: 0.1 to 10.
+    like: an earlier recording of the same points, for a model where the prior does not know them. Raises BadInput.
     """
 
     def __init__(
@@ -44,10 +49,10 @@ class Encoder:
         self.about = about
         self.max_error = max_error
         self.chunk_frames = max(1, int(latency_seconds * about.rate))
-        earlier = [] if like is None else [body.level(gaps.fill(like.positions)[0], like.up)]
-        chosen = choose_model(earlier, about, step_for_bound(max_error))
-        self._model = chosen.model
-        self.shared: tuple[bytes, ...] = (chosen.shared,)
+        earlier = [] if like is None else [heading.to_y_up(gaps.fill(like.positions)[0], like.up)]
+        choice = model_choice.choose(Recording(earlier, about, target.step_for_bound(max_error)))
+        self._model = choice.model
+        self.shared: tuple[bytes, ...] = (choice.header.pack(),)
         self._waiting = np.zeros((0, about.points, 3))
         self._start = 0
 
@@ -61,29 +66,32 @@ class Encoder:
         return [self._chunk(self.chunk_frames) for _ in range(ready)]
 
     def finish(self) -> list[Chunk]:
-        """The chunk of the frames that are left, if any."""
+        """The chunk of the remaining frames, if there are any."""
         return [self._chunk(len(self._waiting))] if len(self._waiting) else []
 
     def _chunk(self, frames: int) -> Chunk:
-        filled, mask = gaps.fill(self._waiting[:frames])
-        positions = body.level(filled, self.about.up)
-        piece = Piece(self._model, positions, mask, jumps.spikes(positions) & ~mask)
-        chunk = Chunk(self._start, frames, to_bound([piece], self.max_error)[0])
+        filled, gap_mask = gaps.fill(self._waiting[:frames])
+        positions = heading.to_y_up(filled, self.about.up)
+        spikes = leaps.spikes(positions) & ~gap_mask
+        smooth = leaps.without_spikes(positions, spikes)
+        encoder = ChunkEncoder(self._model, positions, smooth, gap_mask, spikes)
+        coded = Chunk(self._start, frames, target.to_bound([encoder], self.max_error)[0])
         self._start += frames
         self._waiting = self._waiting[frames:]
-        return chunk
+        return coded
 
 
 class Decoder:
-    """shared: the encoder's. about: any motion with the names, rate, up axis and skeleton that it was given.
+    """Decodes an Encoder's chunks, in any order.
 
+    shared: the encoder's. about: any motion with the names, rate, up axis and skeleton that the encoder was given.
     Raises Corrupt, UnknownCodec.
     """
 
     def __init__(self, shared: Iterable[bytes], about: Motion) -> None:
         self.about = about
-        self._model = model_of(tuple(shared), about)
+        self._model = Header.unpack(tuple(shared), about.points).read_model(about)
 
-    def push(self, chunk: Chunk) -> Floats:
+    def push(self, coded: Chunk) -> Floats:
         """The positions (frames, points, 3) of a chunk, in the axes of `about`. Raises Corrupt."""
-        return body.unlevel(chunks.decode(self._model, [chunk])[0], self.about.up)
+        return heading.from_y_up(chunk.decode(self._model, [coded])[0], self.about.up)

@@ -4,13 +4,16 @@
                       └─ read into a tree       └─ NumPy views of the file's bytes
 
 Every count is checked against the file's size before anything is allocated. Intel, DEC and MIPS files, integer and
-float, are read; Intel float files are written. What is kept and how: docs/formats.md.
+float, are read; Intel float files are written. docs/formats.md lists what is kept.
 """
 
-from .reading import analog, read
+from .analog import analog
+from .reading import read
 from .writing import write
 
 __all__ = ["HOLDS", "analog", "read", "write"]
 
-# Extras that a C3D has a place for.
-HOLDS = frozenset({"analog", "events", "parameters", "parameter_notes", "parameters_locked", "residuals", "rotations"})
+HOLDS = frozenset(
+    {"analog", "events", "parameters", "parameter_notes", "parameters_locked", "residuals", "rotations", "zero_samples"}
+)
+"""Extras that a C3D stores beside the positions."""

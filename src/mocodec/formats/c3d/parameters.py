@@ -1,4 +1,4 @@
-"""The parameter section of a C3D: groups of named numbers and texts, to a tree and back.
+"""The parameter section of a C3D: groups of named numbers and texts, parsed to a tree and packed again.
 
 record of a group      name, negative number, description
 record of a parameter  name, its group's number, type, shape, values, description
@@ -15,21 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
+from ...typing import Floats
 
 BLOCK = 512
-INTEL, DEC, MIPS = 84, 85, 86  # the machines whose numbers a C3D may be in
-HEADER_EVENTS = 12345  # the key word that says that the header's events have four-character labels
+INTEL, DEC, MIPS = 84, 85, 86
+"""Processor types, which determine the number format."""
+HEADER_EVENTS = 12345
+"""Key word of headers whose events have four-character labels."""
+MAX_ITEMS = 255
+"""Length of a dimension of a parameter; longer lists continue in NAME2, NAME3, …."""
 
-# Groups that are read here: their names in capitals, whatever the file has.
-OWN_GROUPS = ("POINT", "ANALOG", "EVENT", "TRIAL", "ROTATION", "FORCE_PLATFORM")
+STANDARD_GROUPS = ("POINT", "ANALOG", "EVENT", "TRIAL", "ROTATION", "FORCE_PLATFORM")
+"""Groups that readers use: their names are converted to capitals."""
 
-# What follows from the motion itself: written from it, and not kept beside it.
 DERIVED = {
     "POINT": ("USED", "FRAMES", "DATA_START", "RATE", "UNITS", "LABELS"),
     "ANALOG": ("USED", "RATE", "LABELS", "UNITS"),
     "EVENT": ("USED", "TIMES", "LABELS", "CONTEXTS", "DESCRIPTIONS", "SUBJECTS", "ICON_IDS", "GENERIC_FLAGS"),
     "ROTATION": ("DATA_START",),
 }
+"""Parameters that follow from the motion: written from it, and not stored beside it."""
 
 EVENT_FIELDS = {
     "LABELS": "label", "CONTEXTS": "context", "DESCRIPTIONS": "description", "SUBJECTS": "subject",
@@ -39,27 +44,30 @@ EVENT_FIELDS = {
 
 @dataclass
 class Parameters:
-    """The parameter section: {group: {name: value}}. A number is an array of the file's type (int8, int16, float32)
-    in the file's shape; text is a string or lists of strings. notes: descriptions by "GROUP" or "GROUP:NAME"."""
+    """The parameter section: {group: {name: value}}.
+
+    Numbers are arrays of the file's type (int8, int16, float32) and shape; text is a string or nested lists of strings.
+    notes: descriptions by "GROUP" or "GROUP:NAME". locked: the same keys of locked groups and parameters.
+    """
 
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
     locked: list[str] = field(default_factory=list)
 
     def number(self, group: str, name: str) -> float | None:
-        """The first number of a parameter, or None where there is none."""
+        """The first number of a parameter, or None."""
         value = self.groups.get(group, {}).get(name)
         return float(value.flat[0]) if isinstance(value, np.ndarray) and value.size else None
 
     def count(self, group: str, name: str) -> int | None:
-        """The first number read as an unsigned 16-bit count (a float where the file has one)."""
+        """The first number as an unsigned 16-bit count; floats are larger counts."""
         value = self.number(group, name)
         if value is None or not math.isfinite(value):
             return None
         return int(value) & 0xFFFF if self.groups[group][name].dtype != np.float32 else int(value)
 
     def double_word(self, group: str, name: str) -> int | None:
-        """Two 16-bit words, low one first, as one count."""
+        """Two 16-bit words, the low one first, as one count."""
         value = self.groups.get(group, {}).get(name)
         if not isinstance(value, np.ndarray) or value.dtype != np.int16 or value.size < 2:
             return None
@@ -67,25 +75,59 @@ class Parameters:
         return int(low | high << 16)
 
     def texts(self, group: str, name: str) -> list[str]:
-        """A text parameter and those that continue it (LABELS, LABELS2, LABELS3, …) as one list."""
+        """A text parameter and its continuations (LABELS, LABELS2, …) as one list."""
         result: list[str] = []
-        for number in range(1, 1000):
-            value = self.groups.get(group, {}).get(name if number == 1 else f"{name}{number}")
-            if value is None:
-                break
-            result += [value] if isinstance(value, str) else [v for v in value if isinstance(v, str)]
+        for value in self.chain(group, name):
+            texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
+            result += [text for text in texts if isinstance(text, str)]
         return result
 
+    def numbers(self, group: str, name: str) -> Floats:
+        """A parameter of numbers and its continuations (SCALE, SCALE2, …) as one list."""
+        arrays = [np.ravel(value) for value in self.chain(group, name) if isinstance(value, np.ndarray)]
+        return np.concatenate([np.empty(0), *arrays])
 
-def parse(data: bytes, section: int, processor: int) -> Parameters:
-    """Walk the parameter section: records of groups (negative number) and of their parameters (positive)."""
+    def chain(self, group: str, name: str) -> list[Any]:
+        """The values of NAME, NAME2, NAME3, …."""
+        values: list[Any] = []
+        while (value := self.groups.get(group, {}).get(f"{name}{len(values) + 1}" if values else name)) is not None:
+            values.append(value)
+        return values
+
+    def set_texts(self, group: str, name: str, texts: list[str]) -> None:
+        """Store a list of texts, MAX_ITEMS to a parameter."""
+        parts = [texts[at : at + MAX_ITEMS] for at in range(0, max(1, len(texts)), MAX_ITEMS)]
+        self._replace_chain(group, name, parts)
+
+    def set_chain(self, group: str, name: str, values: NDArray[Any]) -> None:
+        """Store numbers, MAX_ITEMS along the last axis to a parameter."""
+        parts = [values[..., at : at + MAX_ITEMS] for at in range(0, max(1, values.shape[-1]), MAX_ITEMS)]
+        self._replace_chain(group, name, parts)
+
+    def _replace_chain(self, group: str, name: str, parts: list[Any]) -> None:
+        values = self.groups[group]
+        for key in [key for key in values if key == name or (key.startswith(name) and key[len(name) :].isdigit())]:
+            del values[key]
+        for number, part in enumerate(parts, 1):
+            values[name if number == 1 else f"{name}{number}"] = part
+
+
+def parse(data: bytes, section: int, processor: int, data_start: int = 0) -> Parameters:
+    """Parse the parameter section at byte `section`: records of groups (negative number) and parameters (positive).
+
+    The offset of the last record may point anywhere, so records end with the section: after the blocks that it
+    declares, or at byte `data_start` if it declares none.
+    """
     order = ">" if processor == MIPS else "<"
     result = Parameters()
     group_names: dict[int, str] = {}
     records: list[tuple[int, str, Any, str, bool]] = []
     at = section + 4
-    taken = 0
-    while at + 2 <= len(data):
+    parsed_bytes = 0
+    declared_end = section + BLOCK * data[section + 2]
+    if declared_end == section or declared_end > len(data):
+        declared_end = data_start if section < data_start <= len(data) else len(data)
+    while at + 2 <= declared_end:
         name_length, number = struct.unpack_from("bb", data, at)
         if number == 0 or name_length == 0:
             break
@@ -96,7 +138,7 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
         (step,) = struct.unpack_from(f"{order}H", data, name_end)
         body = name_end + 2
         if number < 0:
-            name = name.upper() if name.upper() in OWN_GROUPS else name
+            name = name.upper() if name.upper() in STANDARD_GROUPS else name
             note = text(data[body + 1 : body + 1 + data[body]])
             group_names.setdefault(-number, name)
             result.groups.setdefault(name, {})
@@ -106,8 +148,8 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
                 result.locked.append(name)
         else:
             value, end = _value(data, body, name, processor)
-            taken += end - body
-            if taken > 2 * len(data):
+            parsed_bytes += end - body
+            if parsed_bytes > 2 * len(data):
                 raise BadInput(f"damaged: parameter records overlap at byte {body}")
             body = end
             note = text(data[body + 1 : body + 1 + data[body]]) if body < len(data) else ""
@@ -117,7 +159,7 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
         at = name_end + step
     for number, name, value, note, locked in records:
         group = group_names.setdefault(number, f"GROUP{number}")
-        name = name.upper() if group in OWN_GROUPS else name
+        name = name.upper() if group in STANDARD_GROUPS else name
         result.groups.setdefault(group, {})[name] = value
         if note:
             result.notes[f"{group}:{name}"] = note
@@ -127,7 +169,9 @@ def parse(data: bytes, section: int, processor: int) -> Parameters:
 
 
 def _value(data: bytes, at: int, name: str, processor: int) -> tuple[Any, int]:
-    """The value of the parameter whose type stands at `at`, and where its description begins."""
+    """The value of the parameter whose type is at byte `at`, and the byte where its description begins."""
+    if at + 2 > len(data):
+        raise BadInput(f"cut off: parameter {name} at byte {at} runs past the end")
     kind, rank = struct.unpack_from("bB", data, at)
     if kind not in (-1, 1, 2, 4) or rank > 7 or at + 2 + rank > len(data):
         raise BadInput(f"damaged: parameter {name} at byte {at} has type {kind} and {rank} dimensions")
@@ -141,7 +185,7 @@ def _value(data: bytes, at: int, name: str, processor: int) -> tuple[Any, int]:
     if kind == -1:
         width, *rest = shape or (1,)
         if math.prod(rest) > max(255, count):
-            raise BadInput(f"damaged: parameter {name} has {math.prod(rest)} texts without a letter")
+            raise BadInput(f"damaged: parameter {name} has {math.prod(rest)} texts of length 0")
         texts: Any = [text(raw[i * width : (i + 1) * width]) for i in range(math.prod(rest))]
         for length in rest[:-1]:
             texts = [texts[i : i + length] for i in range(0, len(texts), length)] if length else []
@@ -155,7 +199,7 @@ def _value(data: bytes, at: int, name: str, processor: int) -> tuple[Any, int]:
 
 
 def floats(data: bytes, processor: int) -> NDArray[np.float32]:
-    """Four-byte floats as the machine that wrote the file had them."""
+    """Four-byte floats in the number format of the processor type."""
     if processor != DEC:
         return np.frombuffer(data, "<f4" if processor == INTEL else ">f4").astype(np.float32)
     pairs = np.frombuffer(data, "<u2").reshape(-1, 2).astype(np.uint32)
@@ -165,7 +209,7 @@ def floats(data: bytes, processor: int) -> NDArray[np.float32]:
 
 
 def text(raw: bytes) -> str:
-    """Text without its padding: UTF-8 where it is valid, the Western European set of old files otherwise."""
+    """Text without its padding: UTF-8 if it is valid, otherwise Latin-1."""
     raw = raw.split(b"\0", 1)[0].rstrip()
     try:
         return raw.decode("utf-8")
@@ -174,7 +218,7 @@ def text(raw: bytes) -> str:
 
 
 def pack(parameters: Parameters) -> bytes:
-    """The parameter section, padded to whole blocks. Raises BadInput where it does not fit 255 of them."""
+    """The parameter section, padded to whole blocks. Raises BadInput if it needs more than 255."""
     out = bytearray(4)
     locked = set(parameters.locked)
 
@@ -219,6 +263,7 @@ def _pack_value(key: str, value: Any) -> bytes:
 
 
 def encoded(text: str, limit: int) -> bytes:
+    """Text as UTF-8. Raises BadInput above `limit` bytes."""
     raw = text.encode("utf-8")
     if len(raw) > limit:
         raise BadInput(f"{text[:40]!r}… is longer than the {limit} bytes that a C3D has for it")
@@ -226,15 +271,17 @@ def encoded(text: str, limit: int) -> bytes:
 
 
 def padded(data: bytes) -> bytes:
+    """The data padded with zeros to whole blocks."""
     return data + bytes(-len(data) % BLOCK)
 
 
 def counts(*values: int) -> NDArray[np.int16]:
-    """Unsigned 16-bit counts in the signed words of a C3D."""
+    """Unsigned 16-bit counts as the signed words of a C3D."""
     return np.array(values, np.uint16).view(np.int16)
 
 
 def same(a: Any, b: Any) -> bool:
+    """Whether two parameter values are equal in type, shape and content."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.dtype == b.dtype and a.shape == b.shape and np.array_equal(a, b)
     return type(a) is type(b) and a == b
@@ -244,7 +291,6 @@ def _none(dtype: type) -> NDArray[Any]:
     return np.empty(0, dtype)
 
 
-# Groups that every reader of C3D expects to find; a file that says the same does not need it kept.
 STANDARD: dict[str, dict[str, Any]] = {
     "ANALOG": {
         "DESCRIPTIONS": [], "GEN_SCALE": np.ones(1, np.float32), "SCALE": _none(np.float32), "OFFSET": _none(np.int16),
@@ -258,3 +304,4 @@ STANDARD: dict[str, dict[str, Any]] = {
         "TIMES": np.empty((2, 0), np.float32), "GENERIC_FLAGS": _none(np.int16), "USED": np.zeros(1, np.int16),
     },
 }  # fmt: skip
+"""Parameters that C3D readers expect; values equal to these are not stored beside the motion."""

@@ -1,0 +1,311 @@
+"""How tempo's prior is learned: mean pose, a basis for each band of frequencies, spreads, and the coder's tables.
+
+    recordings of people ──► mean pose ──► coordinates in the body's frame ──DCT──► covariance of each band ──► bases
+                              spectra in those bases ──► spreads ──► coefficients in several steps ──► tables
+
+Each recording counts by the square root of its length, so that neither long recordings nor many takes of one person
+dominate. `scripts/train_prior` runs it.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from mocodec import formats
+from mocodec.codecs.tempo.coding import contexts, rows
+from mocodec.codecs.tempo.coding.rows import POSE
+from mocodec.codecs.tempo.models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
+from mocodec.codecs.tempo.models.markers_on_bones import ARM_M
+from mocodec.codecs.tempo.models.model import BANDS, Model, Statistics, smooth_heading
+from mocodec.codecs.tempo.models.prior import BoneMotion, JointSet
+from mocodec.codecs.tempo.pose import bone_directions, heading, tree_fitting
+from mocodec.entropy import lanes, symbols
+from mocodec.geometry import kinematics, rigid
+from mocodec.motion import Motion
+from mocodec.stages import dct
+from mocodec.typing import Floats, Integers
+
+FREQUENCIES = len(contexts.BANDS_MHZ)
+CHUNK_SECONDS = 4.0
+BETWEEN_PEOPLE = 0.06
+"""Weight of people's different proportions in the basis of the lowest band, relative to how they move."""
+FLIP_M = 0.25
+"""A recording in which a point moves this far in one frame has errors in it, and is left out."""
+STEPS = tuple(range(-320, -96, 16))
+"""log₂ of the steps (m) at which the tables are learned, 1/32 octave: about 1 mm to 12 cm."""
+TABLE_CHUNKS = 6
+"""Chunks of each recording that the tables are learned from."""
+UNLIKELY = -400
+"""Frequencies where no magnitude is expected to reach this (log₂ in steps, 1/32 octave) teach the tables nothing."""
+DEAD_ZONE = 0.38
+"""Coefficients are rounded up from this fraction on."""
+LEAST_SYMBOLS = 500
+"""Tables with fewer symbols borrow from the neighbouring classes."""
+SHARED = 1e-3
+"""Weight of all frequencies in the basis of each band."""
+REDUNDANT_BONES = ("lhipjoint", "rhipjoint", "lthumb", "rthumb")
+"""Joints whose bones move as others do."""
+BONE_COMPONENTS = 128
+
+
+def people(folder: Path, leave_out: Sequence[str] = ()) -> dict[str, list[Motion]]:
+    """The recordings of each person: one folder of .amc a person."""
+    found = {}
+    for person in sorted(p for p in folder.iterdir() if p.is_dir() and p.name not in leave_out):
+        motions = [formats.read(f) for f in sorted(person.glob("*.amc"))]
+        found[person.name] = [m for m in motions if isinstance(m, Motion) and not _has_flips(m)]
+    return found
+
+
+def _has_flips(motion: Motion) -> bool:
+    return bool(np.abs(np.diff(motion.positions, axis=0)).max() > FLIP_M)
+
+
+def train_points(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
+    """The file of the prior of positions: joints by name, and how bones move."""
+    motions = [m for person in recordings.values() for m in person]
+    joints = joint_set(motions, directions=False)
+    return write(joints, coder_tables(joints, motions), bone_motion(motions))
+
+
+def train_directions(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
+    """The file of the prior of bone directions."""
+    motions = [m for person in recordings.values() for m in person]
+    joints = joint_set(motions, directions=True)
+    return write(joints, coder_tables(joints, motions))
+
+
+def write(joints: JointSet, tables: Integers, bones: BoneMotion | None = None) -> bytes:
+    """A prior's file, as `prior.read` reads it."""
+    arrays: dict[str, np.ndarray] = {"tables": tables.astype(np.uint16)}
+    arrays |= _arrays("", joints.names, joints.coordinates.pose, joints.statistics, np.float32)
+    if isinstance(joints.coordinates, DirectionCoordinates):
+        tree = joints.coordinates.tree
+        arrays |= {
+            "parents": np.array(tree.parents, np.int16),
+            "vectors": tree.vectors.astype(np.float32),
+            "hub": tree.hub,
+            "relative": tree.relative,
+            "metric_root": joints.coordinates.metric_root.astype(np.float32),
+        }
+    if bones is not None:
+        names = tuple(f"{name}{end}" for name in bones.names for end in ("", ".x", ".y", ".z"))
+        arrays |= _arrays("bones.", names, bones.pose, bones.statistics, np.float16)
+        arrays["bones.parents"] = bones.parents.astype(np.int16)
+        arrays["bones.median_spread"] = bones.median_spread.astype(np.int16)
+    out = io.BytesIO()
+    np.savez_compressed(out, allow_pickle=False, **arrays)
+    return out.getvalue()
+
+
+def _arrays(
+    prefix: str, names: tuple[str, ...], pose: Floats, statistics: Statistics, precision: type
+) -> dict[str, np.ndarray]:
+    return {
+        f"{prefix}names": np.array(names),
+        f"{prefix}pose": pose.astype(np.float32),
+        f"{prefix}bases": np.array(statistics.bases, precision),
+        f"{prefix}spreads": statistics.spreads.astype(np.int16),
+        f"{prefix}means": statistics.means.astype(np.int16),
+    }
+
+
+def bone_motion(motions: Sequence[Motion]) -> BoneMotion:
+    """How the bones of people move, from recordings of joints with the rotations of their bones."""
+    skeleton = motions[0].skeleton
+    assert skeleton is not None
+    columns = [i for i, name in enumerate(skeleton.names) if name not in REDUNDANT_BONES]
+    parents = []
+    for i in columns:
+        above = skeleton.parents[i]
+        while above >= 0 and above not in columns:
+            above = skeleton.parents[above]
+        parents.append(columns.index(above) if above >= 0 else len(parents))
+    points = joint_set([rotating_points(m, columns) for m in motions], directions=False)
+    kept, count = points.statistics, POSE + BONE_COMPONENTS
+    statistics = Statistics(tuple(b[:BONE_COMPONENTS] for b in kept.bases), kept.spreads[:count], kept.means[:count])
+    median = np.median(statistics.spreads[POSE:], axis=0).astype(int)
+    names = tuple(skeleton.names[i] for i in columns)
+    return BoneMotion(names, np.array(parents), median, points.coordinates.pose, statistics)
+
+
+def rotating_points(motion: Motion, columns: Sequence[int]) -> Motion:
+    """Of each bone its joint and three points that rotate with it, `ARM_M` along the axes it has at rest."""
+    assert motion.skeleton is not None
+    assert motion.rotations is not None
+    rotations = kinematics.world_rotations(motion.skeleton, motion.rotations)[:, columns]
+    joints = motion.positions[:, columns]
+    arms = [joints, *(joints + rigid.rotate(rotations, axis) for axis in ARM_M * np.eye(3))]
+    names = [f"{motion.names[i]}{end}" for i in columns for end in ("", ".x", ".y", ".z")]
+    positions = np.stack(arms, axis=2).reshape(len(motion), -1, 3)
+    return Motion(positions, motion.rate, tuple(names), motion.up)
+
+
+def joint_set(motions: Sequence[Motion], directions: bool) -> JointSet:
+    """Mean pose, bases and spreads of recordings of one set of points; of their bones' directions, if asked for."""
+    names = motions[0].names
+    sample = np.concatenate([_centred(heading.to_y_up(m.positions[::8], m.up)) for m in motions])
+    pose = heading.mean_pose(sample).astype(np.float32).astype(np.float64)
+    coordinates = direction_coordinates(motions, pose) if directions else PointCoordinates(pose)
+    dimensions = coordinates.dimensions
+    flat = JointSet(names, coordinates, _identity(dimensions))
+    spectra = [list(_spectra(model_of(flat, m), m)) for m in motions]
+    means = np.array([np.mean([s[0] / np.sqrt(len(s)) for s in of_one], axis=0) for of_one in spectra])
+    covariance = np.zeros((BANDS, dimensions, dimensions))
+    for motion, of_one, mean in zip(motions, spectra, means, strict=True):
+        model = model_of(flat, motion)
+        for s in of_one:
+            s = s.copy()
+            s[0] -= mean * np.sqrt(len(s))
+            for c, band in zip(covariance, model.bands(len(s)), strict=True):
+                c += s[band, POSE:].T @ s[band, POSE:] / np.sqrt(len(of_one))
+    between = np.cov(means[:, POSE:].T)
+    kept = dimensions if directions else dimensions - 3  # nothing moves the mean of all points
+    every = SHARED * covariance.sum(0) / np.trace(covariance.sum(0))
+    bases = [_basis(c / np.trace(c) + every, kept) for c in covariance]
+    low = covariance[0] / np.trace(covariance[0]) + BETWEEN_PEOPLE * between / np.trace(between)
+    bases[0] = _basis(low + every, kept)
+    fitted = JointSet(names, coordinates, _identity(dimensions, tuple(bases)))
+    return replace(fitted, statistics=_with_spreads(fitted, motions))
+
+
+def _identity(dimensions: int, bases: tuple[Floats, ...] | None = None) -> Statistics:
+    """Statistics that say nothing of magnitudes, with these bases or each coordinate by itself."""
+    bases = bases or (np.eye(dimensions),) * BANDS
+    count = POSE + len(bases[0])
+    return Statistics(bases, np.zeros((count, FREQUENCIES), int), np.zeros(count, int))
+
+
+def model_of(joints: JointSet, motion: Motion) -> Model:
+    """The model of a recording, with the proportions of its skeleton. Its tables code nothing."""
+    coordinates: Coordinates = joints.coordinates
+    if isinstance(coordinates, DirectionCoordinates):
+        assert motion.skeleton is not None
+        coordinates = replace(coordinates, tree=coordinates.tree.with_offsets(motion.skeleton.offsets))
+    return Model(
+        joints.names, coordinates, joints.statistics, lanes.StaticTables.of(np.zeros((0, 1), np.int64)), motion.rate
+    )
+
+
+def direction_coordinates(motions: Sequence[Motion], pose: Floats) -> DirectionCoordinates:
+    """The bone tree of the mean proportions, and the metric root of its coordinates."""
+    assert motions[0].skeleton is not None
+    aligned = [_aligned(m, pose) for m in motions]
+    tree = tree_fitting.fit(aligned, motions[0].skeleton.parents, [m.skeleton.offsets for m in motions if m.skeleton])
+    metric = np.zeros((tree.dimensions, tree.dimensions))
+    for m, poses in zip(motions, aligned, strict=True):
+        assert m.skeleton is not None
+        own = tree.with_offsets(m.skeleton.offsets)
+        coordinates = bone_directions.forward(own, poses[:: max(1, len(poses) // 8)])
+        metric += np.sqrt(len(m)) * bone_directions.metric(own, coordinates)
+    root = np.linalg.cholesky(metric / sum(np.sqrt(len(m)) for m in motions))
+    return DirectionCoordinates(pose, tree, np.asarray(root, np.float64), np.arange(len(pose)))
+
+
+def _aligned(motion: Motion, pose: Floats) -> Floats:
+    """Every eighth pose in the body's frame."""
+    centred = _centred(heading.to_y_up(motion.positions, motion.up))
+    out = []
+    for a, b in chunk_bounds(len(centred), motion.rate):
+        angle = dct.inverse(smooth_heading(heading.heading(centred[a:b], pose), motion.rate), b - a)
+        out.append(heading.rotate(centred[a:b], -angle)[::8])
+    return np.concatenate(out)
+
+
+def _centred(positions: Floats) -> Floats:
+    return positions - positions.mean(axis=1, keepdims=True)
+
+
+def chunk_bounds(frames: int, rate: float, seconds: float = CHUNK_SECONDS) -> list[tuple[int, int]]:
+    """Start and stop of equal chunks of about `seconds`."""
+    count = max(1, round(frames / (rate * seconds)))
+    return list(pairwise(frames * i // count for i in range(count + 1)))
+
+
+def _spectra(model: Model, motion: Motion) -> Iterable[Floats]:
+    positions = heading.to_y_up(motion.positions, motion.up)
+    for start, stop in chunk_bounds(len(positions), motion.rate):
+        yield model.analyse(positions[start:stop])
+
+
+def _basis(covariance: Floats, kept: int) -> Floats:
+    """Orthonormal rows, strongest first."""
+    _, vectors = np.linalg.eigh(covariance)
+    return vectors[:, ::-1].T[:kept].astype(np.float32).astype(np.float64)
+
+
+def _with_spreads(joints: JointSet, motions: Sequence[Motion]) -> Statistics:
+    nodes = np.array(contexts.BANDS_MHZ[1:])
+    count_rows = POSE + len(joints.statistics.bases[0])
+    total, count = np.full((count_rows, len(nodes)), 1e-9), np.full(len(nodes), 1e-9)
+    means, weight = np.full(count_rows, 1e-9), 1e-9
+    for motion in motions:
+        spectra = list(_spectra(model_of(joints, motion), motion))
+        for s in spectra:
+            w = 1 / np.sqrt(len(spectra))
+            millihertz = np.arange(1, len(s)) * motion.rate * 500 / len(s)
+            near = np.abs(np.log(millihertz[:, None] / nodes)).argmin(axis=1)
+            np.add.at(total.T, near, np.abs(s[1:]) * w * np.sqrt(120 / motion.rate))
+            np.add.at(count, near, w)
+            means += np.abs(s[0]) * w / np.sqrt(len(s))
+            weight += w
+    logs = np.round(contexts.OCTAVE * np.log2(total / count)).astype(int)
+    return replace(
+        joints.statistics,
+        spreads=np.concatenate([logs[:, :1], logs], axis=1),
+        means=np.round(contexts.OCTAVE * np.log2(means / weight)).astype(int),
+    )
+
+
+def coder_tables(joints: JointSet, motions: Sequence[Motion], steps: Sequence[int] = STEPS) -> Integers:
+    """Frequencies (tables, symbols), of 2¹², of the symbols in each context."""
+    counts = np.zeros((contexts.SHAPES * contexts.CLASSES, symbols.SYMBOLS))
+    for motion in motions:
+        model = model_of(joints, motion)
+        for s in list(_spectra(model, motion))[:TABLE_CHUNKS]:
+            for step in steps:
+                values = _rounded(s, rows.sizes(model.rows, len(s), step))
+                expected = model.expected(len(s), step)
+                known = (expected > UNLIKELY).any(axis=1).sum()
+                symbol = symbols.of_magnitudes(np.abs(values[:known]))
+                tables = contexts.all_tables(contexts.base(expected[:known]), symbols.SMALLEST[symbol])
+                np.add.at(counts, (tables.ravel(), symbol.ravel()), 1)
+    return _frequencies(_smoothed(counts))
+
+
+def _rounded(coefficients: Floats, size: Floats) -> Integers:
+    """Integers of coefficients, those of the pose rounded towards zero by the dead zone."""
+    scaled = np.abs(coefficients) / size
+    up = np.where(np.arange(len(size)) < POSE, 0.5, DEAD_ZONE)
+    return (np.sign(coefficients) * np.floor(scaled + up)).astype(np.int64)
+
+
+def _smoothed(counts: Floats) -> Floats:
+    """Classes with few symbols borrow from the classes beside them."""
+    shaped = counts.reshape(contexts.SHAPES, contexts.CLASSES, -1)
+    out = shaped.copy()
+    for reach in range(1, contexts.CLASSES):
+        few = out.sum(axis=2, keepdims=True) < LEAST_SYMBOLS
+        if not few.any():
+            break
+        left, right = np.roll(shaped, reach, axis=1), np.roll(shaped, -reach, axis=1)
+        left[:, :reach] = 0
+        right[:, -reach:] = 0
+        out += np.where(few, left + right, 0)
+    return out.reshape(counts.shape)
+
+
+def _frequencies(counts: Floats) -> Integers:
+    """Integers ≥ 1 that sum to 2¹² in each row, in proportion to the counts."""
+    out = []
+    for row in counts + 0.02:
+        f = np.maximum(1, np.floor(row / row.sum() * lanes.TOTAL).astype(int))
+        f[f.argmax()] += lanes.TOTAL - f.sum()
+        out.append(f)
+    return np.array(out)

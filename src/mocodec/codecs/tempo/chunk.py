@@ -1,0 +1,287 @@
+"""One chunk, both ways.
+
+    ChunkEncoder    positions ─► coefficients ─► integers in some step, corrections ─► Draft ─pack─► payload
+    decode          payloads ─► positions
+
+A payload is a byte of flags · [gaps] · [step of corrections or of the grid] · coefficients with corrections, or the
+grid's numbers. Two engines make it:
+
+transform   coefficients of the model: few bytes at any error that is not tiny
+direct      every sample on a grid, predicted in time: for motion that fits no model, and for tiny errors
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...encoded import Chunk
+from ...entropy import varint
+from ...errors import Corrupt
+from ...stages import gaps
+from ...typing import Booleans, Floats, Integers
+from .coding import coefficients, corrections, direct, quantise, rows
+from .coding.contexts import OCTAVE
+from .models.model import Model
+
+TRANSFORM, DIRECT = 0, 1
+STEPPED, GAPPED = 4, 8
+GRID_OCTAVE = 256
+"""Steps of the direct engine and of corrections are 2^(n / 256) metres."""
+LARGEST_GRID_STEP = 200 * GRID_OCTAVE
+BATCH = 64
+"""Chunks coded side by side: enough to be fast, few enough to need little memory."""
+REFILLS = 3
+"""Rounds of replacing what fills gaps by what is decoded there."""
+BOUND_SLOPE = 0.1
+"""Rate–distortion λ under a bound: smaller than elsewhere, since zeroing coefficients causes error peaks."""
+DIRECT_WORTH_TRYING = 1.2
+"""The direct engine is tried where its estimate is below this many times the transform's bytes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """engine; numbers: of the engine, in bytes; step: of corrections or the grid; gaps: of `stages.gaps`."""
+
+    engine: int
+    numbers: bytes
+    step: int | None = None
+    gaps: bytes = b""
+
+    def pack(self) -> bytes:
+        flags = self.engine | STEPPED * (self.step is not None) | GAPPED * bool(self.gaps)
+        out = bytes([flags])
+        if self.gaps:
+            out += varint.write([len(self.gaps)]) + self.gaps
+        if self.step is not None:
+            out += varint.write([varint.signed(self.step)])
+        return out + self.numbers
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Payload:
+        """Raises Corrupt."""
+        if not payload or payload[0] & ~(DIRECT | STEPPED | GAPPED):
+            raise Corrupt("tempo: a chunk of an unknown kind")
+        at, step, missing = 1, None, b""
+        if payload[0] & GAPPED:
+            (length,), at = varint.read(payload, 1, at)
+            if at + length > len(payload):
+                raise Corrupt("tempo: a chunk that ends within its gaps")
+            missing, at = payload[at : at + length], at + length
+        if payload[0] & STEPPED:
+            (folded,), at = varint.read(payload, 1, at)
+            step = varint.unsigned(folded)
+            if abs(step) > LARGEST_GRID_STEP:
+                raise Corrupt("tempo: a chunk whose step is out of range")
+        return cls(payload[0] & DIRECT, payload[at:], step, missing)
+
+
+def grid_step(size: float) -> int:
+    """The number of the largest grid step that is at most this size, metres."""
+    n = int(np.floor(np.log2(size) * GRID_OCTAVE))
+    while grid_size(n) > size:
+        n -= 1
+    return n
+
+
+def grid_size(step: int) -> float:
+    return 2.0 ** (step / GRID_OCTAVE)
+
+
+class Draft(NamedTuple):
+    """A chunk in one step, before it becomes bytes.
+
+    numbers: of the transform, None for the direct engine. grid: the step of corrections or of the direct engine.
+    error: sum of the distances, metres, where it was measured.
+    """
+
+    numbers: coefficients.ChunkNumbers | None = None
+    grid: int | None = None
+    error: float = 0.0
+
+
+class ChunkEncoder:
+    """A chunk while it is encoded: its samples and, computed once, their coefficients."""
+
+    def __init__(
+        self,
+        model: Model,
+        positions: Floats,
+        smooth: Floats | None = None,
+        gap_mask: Booleans | None = None,
+        spikes: Booleans | None = None,
+        spectrum: Floats | None = None,
+    ) -> None:
+        """positions (frames, points, 3), y up, gaps filled; smooth: without spikes; masks (frames, points).
+
+        spectrum: coefficients of `smooth`, if they are known.
+        """
+        none = np.zeros(positions.shape[:2], bool)
+        self.model = model
+        self.positions = np.asfortranarray(positions)  # the frames of a point next to each other
+        self.smooth = self.positions if smooth is None else smooth
+        self.gap_mask = none if gap_mask is None else gap_mask
+        self.spikes = none if spikes is None else spikes
+        self.gaps = gaps.pack(self.gap_mask)
+        self.spectrum = model.analyse(self.smooth) if model.rows and spectrum is None else spectrum
+
+    @property
+    def frames(self) -> int:
+        return len(self.positions)
+
+    def refill_gaps(self, step: int) -> None:
+        """Replaces what fills gaps by the decoder's output in about this step: gap samples carry no error."""
+        for _ in range(REFILLS if self.gap_mask.any() and self.spectrum is not None else 0):
+            decoded = self.transformed(step)[1]
+            self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
+
+    def quantised(self, step: int, slope: float = quantise.SLOPE) -> quantise.Quantised:
+        return quantise.quantise(self.model, self._scaled(step), step, slope)
+
+    def bits_and_error(self, step: int) -> tuple[float, float]:
+        """Estimate of the coefficients' bits, and the sum of their squared errors, in squared steps."""
+        scaled = self._scaled(step)
+        found = quantise.quantise(self.model, scaled, step)
+        error = (scaled - quantise.dequantise(found.values, np.ones(self.model.rows)))[:, rows.HEADING + 1 :]
+        return found.bits, float((error**2).sum())
+
+    def transformed(self, step: int, slope: float = quantise.SLOPE) -> tuple[quantise.Quantised, Floats]:
+        """Integers (frequencies in the coded zone, rows), and the positions that they decode to."""
+        found = self.quantised(step, slope)
+        known = coefficients.plan(self.model, self.frames, step, found.threshold, 0).frequencies
+        found = found._replace(values=found.values[:known])
+        sizes = rows.sizes(self.model.rows, self.frames, step)
+        return found, self.model.synthesise(quantise.dequantise(found.values, sizes), self.frames)
+
+    def errors(self, decoded: Floats) -> Floats:
+        """Distances (frames, points) of decoded positions times the points' weights, 0 in gaps."""
+        d = np.where(self.gap_mask, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=2)))
+        return d if self.model.weights is None else d * self.model.weights
+
+    def within_bound(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
+        """The cheapest draft tried that should decode to within the bound (metres) at every sample, and its offset.
+
+        offset: log₂ of the step in bounds, 1/32 octave. The changes are added to it in turn, until one is worse than
+        the first.
+        """
+        grid = grid_step(direct.cell(bound))
+        if self.spectrum is None:
+            return Draft(grid=grid), offset
+        centre = round(np.log2(bound) * OCTAVE)
+        costs: list[float] = []
+        drafts: list[Draft] = []
+        for change in changes:
+            if len(costs) > 1 and min(costs[1:]) < costs[0]:
+                break
+            step = centre + offset + change
+            found, decoded = self.transformed(step, BOUND_SLOPE)
+            moved = corrections.numbers(self._corrections(decoded, bound))
+            costs.append(found.bits + coefficients.list_bits(self.model, moved))
+            drafts.append(Draft(self._numbers(found, step, moved), grid if moved.size else None))
+        best = int(np.argmin(costs))
+        return drafts[best], offset + changes[best]
+
+    def smaller_of_engines(self, payload: bytes, bound: float) -> bytes:
+        """The transform's payload, or the direct engine's where that is smaller."""
+        if self.spectrum is None:
+            return payload
+        grid = direct.quantise(self._weighted(), direct.cell(bound)).reshape(self.frames, -1)
+        if direct.estimate(grid) >= DIRECT_WORTH_TRYING * len(payload):
+            return payload
+        return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
+
+    def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
+        """The chunk in one step, without a bound."""
+        if self.spectrum is None:
+            grid = step * GRID_OCTAVE // OCTAVE
+            decoded = direct.quantise(self.positions, grid_size(grid)) * grid_size(grid)
+            return Draft(grid=grid, error=float(self.errors(np.asarray(decoded, np.float64)).sum()))
+        found, decoded = self.transformed(step, slope)
+        moved, grid = self._restored_spikes(decoded, step)
+        return Draft(self._numbers(found, step, moved), grid, float(self.errors(decoded).sum()))
+
+    def directly(self, grid: int) -> bytes:
+        """The payload of the direct engine in this grid step."""
+        values = direct.quantise(self._weighted(), grid_size(grid)).reshape(self.frames, -1)
+        return Payload(DIRECT, direct.pack(values), grid, gaps=self.gaps).pack()
+
+    def _numbers(self, found: quantise.Quantised, step: int, moved: Integers | None) -> coefficients.ChunkNumbers:
+        return coefficients.ChunkNumbers(self.frames, found.values, step, found.threshold, moved)
+
+    def _scaled(self, step: int) -> Floats:
+        """Coefficients in steps."""
+        assert self.spectrum is not None
+        return self.spectrum / rows.sizes(self.model.rows, self.frames, step)
+
+    def _weighted(self) -> Floats:
+        return self.positions if self.model.weights is None else self.positions * self.model.weights[:, None]
+
+    def _corrections(self, decoded: Floats, bound: float) -> corrections.Corrections:
+        error = self.positions - decoded
+        error[self.gap_mask] = 0.0
+        if self.model.weights is not None:
+            error *= self.model.weights[:, None]
+        return corrections.find(error, bound * (1 - 1e-9), grid_size(grid_step(direct.cell(bound))))
+
+    def _restored_spikes(self, decoded: Floats, step: int) -> tuple[Integers | None, int | None]:
+        """Corrections of the spikes, applied to `decoded` in place, and their grid step."""
+        if not self.spikes.any():
+            return None, None
+        grid = step * GRID_OCTAVE // OCTAVE
+        error = np.where(self.spikes[..., None], self.positions - decoded, 0.0)
+        found = corrections.find(error, grid_size(grid), grid_size(grid))
+        corrections.apply(decoded, found, grid_size(grid))
+        return corrections.numbers(found), grid
+
+
+def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
+    """The payloads of drafts."""
+    payloads: list[bytes] = []
+    for first in range(0, len(encoders), BATCH):
+        batch = list(zip(encoders, drafts, strict=True))[first : first + BATCH]
+        numbers = [d.numbers for _, d in batch if d.numbers is not None]
+        coded = iter(coefficients.pack(encoders[0].model, numbers) if numbers else [])
+        for encoder, draft in batch:
+            if draft.numbers is not None:
+                payloads.append(Payload(TRANSFORM, next(coded), draft.grid, encoder.gaps).pack())
+            else:
+                payloads.append(encoder.directly(draft.grid or 0))
+    return payloads
+
+
+def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
+    """Positions (frames, points, 3), y up, of chunks, side by side; NaN in their gaps. Raises Corrupt."""
+    payloads = [Payload.unpack(c.payload) for c in chunks]
+    transformed = [i for i, p in enumerate(payloads) if p.engine == TRANSFORM]
+    if transformed and not model.rows:
+        raise Corrupt("tempo: coefficients in a stream without a model")
+    decoded: dict[int, coefficients.DecodedNumbers] = {}
+    if transformed:
+        frames, numbers = [chunks[i].frames for i in transformed], [payloads[i].numbers for i in transformed]
+        found = coefficients.unpack(model, frames, numbers, corrections.FIELDS)
+        decoded = dict(zip(transformed, found, strict=True))
+    out = []
+    for i, (chunk, payload) in enumerate(zip(chunks, payloads, strict=True)):
+        size = 0.0 if payload.step is None else grid_size(payload.step)
+        if payload.engine == TRANSFORM:
+            positions = _positions(model, chunk.frames, decoded[i], size)
+        else:
+            values = direct.unpack(payload.numbers, (chunk.frames, 3 * model.points))
+            positions = np.asarray(values.reshape(chunk.frames, model.points, 3) * size, np.float64)
+            if model.weights is not None:
+                positions /= model.weights[:, None]
+        out.append(gaps.apply(positions, gaps.unpack(payload.gaps, (chunk.frames, model.points))))
+    return out
+
+
+def _positions(model: Model, frames: int, numbers: coefficients.DecodedNumbers, size: float) -> Floats:
+    """Of the transform; size: the step of corrections, metres."""
+    sizes = rows.sizes(model.rows, frames, numbers.step)
+    positions = model.synthesise(quantise.dequantise(numbers.values, sizes), frames)
+    if numbers.lists.size:
+        moved = corrections.from_numbers(numbers.lists, frames, model.points)
+        corrections.apply(positions, moved, size, model.weights)
+    return positions

@@ -1,0 +1,226 @@
+"""Tempo: mocodec's own codec for named points, small at any error and true to its bound.
+
+    positions ─gaps filled, y up, spikes out─► ─chunks of about 4 s─► ─model─► coefficients of each chunk
+              stages.gaps, pose.leaps          chunk_bounds          model_choice, models
+    coefficients ─quantise─► integers ─contexts─► rANS ─► bytes
+                  target, coding.quantise      coding
+    bytes ─decode─► samples too far off ─corrections─► bytes            the bound is kept here: target.to_bound
+
+A chunk decodes alone: the prior that ships with the package has the bases and the coder's statistics. Frames that
+repeat are coded once (`repeats`); where hou2014 is smaller on the whole recording, it codes the chunks (`fallback`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ... import metrics
+from ...encoded import Chunk, Encoded, about, restore
+from ...errors import BadInput
+from ...motion import Motion
+from ...stages import gaps
+from ...typing import Booleans, Floats
+from ..base import require_frames, settings
+from . import chunk, fallback, model_choice, repeats, target
+from .chunk import DIRECT, ChunkEncoder, Payload
+from .coding.contexts import OCTAVE
+from .header import Header, pack_weights, with_weights
+from .models import MODELS, Recording
+from .pose import heading, leaps
+
+DEFAULT_MAX_ERROR = 0.005
+TARGETS = ("max_error", "mean_error", "ratio", "size")
+FALLBACK_MODEL = "hou2014"
+MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
+COARSER_MODELS = 8
+"""Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
+MEAN_SHARE = 0.95
+"""An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
+REPEATS_TRIES = 3
+"""How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
+
+
+@dataclass(frozen=True)
+class Tempo:
+    """Settings. At most one target; without any, no point of any frame is moved by more than 5 mm.
+
+    max_error, mean_error: metres. ratio: against float32 positions. size: bytes of payload. chunk_seconds: 0.5 to 10.
+    weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
+    model: "auto" takes the smallest. Or one of "points-prior", "points-stored", "directions-prior",
+    "directions-stored" (coordinates and statistics, see `models`), "direct" (a grid without a model) and "hou2014".
+    """
+
+    name: ClassVar[str] = "tempo"
+
+    max_error: float | None = None
+    mean_error: float | None = None
+    ratio: float | None = None
+    size: int | None = None
+    chunk_seconds: float = 4.0
+    weights: Mapping[str, float] | None = None
+    model: str = model_choice.AUTO
+
+    def __post_init__(self) -> None:
+        targets = {t: getattr(self, t) for t in TARGETS if getattr(self, t) is not None}
+        if len(targets) > 1:
+            raise BadInput(f"tempo takes one target, not {' and '.join(targets)}")
+        if any(not (np.isfinite(v) and v > 0) for v in targets.values()):
+            raise BadInput(f"a target must be positive: {targets}")
+        if not 0.5 <= self.chunk_seconds <= 10:
+            raise BadInput("chunk_seconds must lie between 0.5 and 10")
+        if self.weights and targets.keys() - {"max_error"}:
+            raise BadInput("weights go with a hard bound: max_error")
+        if self.weights and not all(1 <= w <= 1000 for w in self.weights.values()):
+            raise BadInput("weights must lie between 1 and 1000")
+        if self.model not in MODEL_NAMES:
+            raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
+        if self.weights and self.model == FALLBACK_MODEL:
+            raise BadInput("hou2014 does not take weights")
+
+    def encode(self, motion: Motion) -> Encoded[Motion]:
+        """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
+        require_frames(motion)
+        distinct = repeats.distinct_frames(motion, self.chunk_seconds)
+        if distinct is not None:
+            encoded = self._encode_distinct(motion, distinct)
+            if self._meets_target(encoded, motion):
+                return encoded
+        return self.encode_without_repeats(motion)
+
+    def encode_without_repeats(self, motion: Motion) -> Encoded[Motion]:
+        """All frames coded, whether they repeat or not."""
+        if self.model == FALLBACK_MODEL:
+            return fallback.encode(motion, self._stored_settings(), self._wanted_bytes(motion), self.chunk_seconds)
+        encoded = self.encode_chunks(motion)
+        if self.weights or self.model != model_choice.AUTO:
+            return encoded
+        if self._has_size:
+            return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, Tempo.decode)
+        kind = "max_error" if self.mean_error is None else "mean_error"
+        wanted = encoded.settings[kind]
+        smaller = fallback.smaller(encoded, motion, kind, wanted, self.chunk_seconds)
+        return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
+
+    def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
+        """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
+        filled, gap_mask = gaps.fill(motion.positions)
+        positions = heading.to_y_up(filled, motion.up)
+        spikes = leaps.spikes(positions) & ~gap_mask
+        smooth = leaps.without_spikes(positions, spikes)
+        cuts = leaps.discontinuities(smooth, motion.rate)
+        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
+        choice = self._choose_model(motion, [smooth[a:b] for a, b in bounds])
+        header, model = choice.header, choice.model
+        if self.weights:
+            weights = pack_weights(motion.names, self.weights)
+            header, model = replace(header, weights=weights), with_weights(model, weights)
+        encoders = [
+            ChunkEncoder(model, positions[a:b], smooth[a:b], gap_mask[a:b], spikes[a:b], choice.spectra.get(number))
+            for number, (a, b) in enumerate(bounds)
+        ]
+        payloads = self._to_target(encoders, motion, len(header.pack()))
+        if all(Payload.unpack(p).engine == DIRECT for p in payloads):
+            header = Header(weights=header.weights)
+        return Encoded(
+            self.name,
+            about(motion),
+            [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
+            shared=(header.pack(),),
+            settings=self._stored_settings(),
+        )
+
+    @staticmethod
+    def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        header = Header.unpack(encoded.shared, encoded.about.points)
+        if header.millihertz is not None:
+            return repeats.decode(encoded, header, frames, Tempo.decode)
+        if header.fallback is not None:
+            return fallback.decode(encoded, header, frames)
+        like = encoded.about
+        model = header.read_model(like)
+        start, stop = encoded.range(frames)
+        positions = np.empty((stop - start, like.points, 3))
+        covering = encoded.covering(start, stop)
+        for first in range(0, len(covering), chunk.BATCH):
+            batch = covering[first : first + chunk.BATCH]
+            for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
+                a, b = max(start, one.start), min(stop, one.stop)
+                here = heading.from_y_up(decoded[a - one.start : b - one.start], like.up)
+                for axis in range(3):  # `here` has the frames of a point next to each other, `positions` the axes
+                    positions[a - start : b - start, :, axis] = here[..., axis]
+        return restore(encoded, positions, start)
+
+    def first_step(self, motion: Motion) -> int:
+        """About the step that the target needs, log₂ in 1/32 octave."""
+        bound = None if self._has_size or self.mean_error else self.max_error or DEFAULT_MAX_ERROR
+        return target.first_step(bound, self.mean_error, self.size, self.ratio, motion.raw_bytes)
+
+    @property
+    def _has_size(self) -> bool:
+        return self.ratio is not None or self.size is not None
+
+    def _wanted_bytes(self, motion: Motion) -> int:
+        """The bytes that `size` or `ratio` asks for."""
+        return self.size or int(motion.raw_bytes / (self.ratio or 1))
+
+    def _encode_distinct(self, motion: Motion, distinct: Booleans) -> Encoded[Motion]:
+        codec = self
+        if self._has_size:
+            chunks = 2 + int(motion.seconds / self.chunk_seconds)
+            wanted = self._wanted_bytes(motion) - repeats.RUN_BYTES * chunks
+            codec = replace(self, ratio=None, size=max(1, wanted))
+        encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
+        for _ in range(REPEATS_TRIES if self.mean_error else 0):
+            mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
+            if mean <= (self.mean_error or 0.0):
+                break
+            codec = replace(codec, mean_error=(codec.mean_error or 0.0) * (self.mean_error or 0.0) / mean)
+            encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
+        return replace(encoded, settings=self._stored_settings())
+
+    def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
+        """Whether an encoding by other means has the mean error, or the size, that was asked for."""
+        if self.mean_error is not None:
+            mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
+            return MEAN_SHARE <= mean / self.mean_error <= 1
+        return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
+
+    def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
+        step = self.first_step(motion)
+        choice = model_choice.choose(Recording(chunks, motion, step), self.model, self.mean_error)
+        for coarser in range(1, COARSER_MODELS if self._has_size else 1):
+            if len(choice.header.pack()) <= self._wanted_bytes(motion) / 2:
+                break
+            choice = model_choice.choose(Recording(chunks, motion, step + coarser * 2 * OCTAVE), self.model)
+        return choice
+
+    def _to_target(self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int) -> list[bytes]:
+        for encoder in encoders:
+            encoder.refill_gaps(self.first_step(motion))
+        if self.mean_error is not None:
+            return target.to_mean(encoders, self.mean_error)
+        if self._has_size:
+            return target.to_size(encoders, self._wanted_bytes(motion) - header_bytes)
+        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR)
+
+    def _stored_settings(self) -> dict[str, Any]:
+        """The settings for the file."""
+        stored = settings(self)
+        if not stored.keys() & {"mean_error", "ratio", "size"}:
+            stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
+        return stored
+
+
+def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
+    """Start and stop of chunks: equal ones of about `seconds` between the cuts (frames, rising)."""
+    edges = [0]
+    for stop in (*(cuts or ()), frames):
+        start = edges[-1]
+        count = max(1, round((stop - start) / (rate * seconds)))
+        edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
+    return list(pairwise(edges))

@@ -1,0 +1,175 @@
+"""The whole of `hou2014` in place of tempo's chunks, where it is smaller.
+
+    tempo's stream ─► its bytes ────────────────────┐
+    one coding by hou2014 (one basis, one step) ────┴─► promising? ── yes ─► coded to the target ─► the smaller is kept
+
+Calm, long or unusual motion pays for a basis of its own across points, with clips of up to ten seconds. The search
+costs several codings of the whole motion, so one coding is tried first, and before it one of a stretch of a long
+recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ... import metrics
+from ...encoded import Encoded
+from ...errors import CannotEncode
+from ...motion import Motion
+from ...stages import gaps
+from ...typing import Floats
+from ..hou2014 import Hou2014
+from ..hou2014.codec import SAMPLED_CHUNKS
+from .header import Header
+from .pose import heading, leaps
+
+LONGEST_CHUNK = 2.5
+"""Chunks may be this many times as long as asked for, though no longer than"""
+LONGEST_SECONDS = 10.0
+
+LONGEST_FRAMES = 60_000
+"""Longer recordings are too varied for one basis, and the trial takes too long."""
+
+PROMISING = 1.06
+"""A first coding up to this much larger than tempo's may still be smaller at its best step."""
+
+STRETCH_FRAMES = 1000
+"""Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
+is counted once; if it is larger all the same, the whole is not promising."""
+
+BYTES_SLOPE = 0.7
+"""Octaves of bytes an octave of mean error."""
+
+MEAN_OF_BOUND = 0.5
+"""Usual mean error under a bound: where the search for a mean by way of a bound begins."""
+
+MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
+"""The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
+
+
+def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
+    """The encoding given, or hou2014's where that is smaller at the same target.
+
+    target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
+    """
+    if len(motion) > LONGEST_FRAMES:
+        return encoded
+    best = encoded
+    filled, smooth = _without_gaps_and_spikes(motion)
+    stretch = _stretch(encoded)
+    for codec in _candidates(motion, smooth is not filled, target, wanted, _longest_chunk(motion, seconds)):
+        near = smooth if codec.max_error else filled
+        try:
+            if len(motion) > 2 * STRETCH_FRAMES:
+                times = len(motion) / (stretch.stop - stretch.start)
+                size = _estimate(codec, motion[stretch], near[stretch], times, 1)
+                if size > best.payload_bytes:
+                    continue
+            if _estimate(codec, motion, near) > PROMISING * best.payload_bytes:
+                continue
+            if codec.max_error and target == "mean_error":
+                rival = _to_mean(codec, motion, near, wanted)
+            else:
+                rival = codec.encode_smoothed(motion, near)
+        except CannotEncode:
+            continue
+        if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
+            best = _in_place_of(encoded, rival)
+    return best
+
+
+def nearer(
+    encoded: Encoded[Motion], motion: Motion, size: int, seconds: float, decode: Callable[[Encoded[Motion]], Motion]
+) -> Encoded[Motion]:
+    """The encoding given, or hou2014's of at most `size` bytes where its mean error is smaller. decode: tempo's."""
+
+    def mean_error(of: Encoded[Motion]) -> float:
+        return metrics.mean_distance(motion.positions, decode(of).positions)
+
+    mean = mean_error(encoded)
+    if mean == 0 or smaller(encoded, motion, "mean_error", mean, seconds) is encoded:
+        return encoded
+    codec = Hou2014(chunk_frames=_longest_chunk(motion, seconds), ratio=motion.raw_bytes / max(size - 1, 1))
+    try:
+        rival = _in_place_of(encoded, codec.encode(motion))
+    except CannotEncode:
+        return encoded
+    return rival if mean_error(rival) < mean else encoded
+
+
+def encode(motion: Motion, stored: dict[str, Any], size: int, seconds: float) -> Encoded[Motion]:
+    """The motion coded by hou2014 to the target among tempo's settings. size: bytes, if that is the target.
+
+    Raises CannotEncode.
+    """
+    wanted = {target: stored[target] for target in ("max_error", "mean_error") if target in stored}
+    wanted = wanted or {"ratio": motion.raw_bytes / max(size - 1, 1)}
+    encoded = Hou2014(chunk_frames=_longest_chunk(motion, seconds), **wanted).encode(motion)
+    return replace(_in_place_of(encoded, encoded), codec="tempo", settings=stored)
+
+
+def decode(encoded: Encoded[Motion], header: Header, frames: slice | None) -> Motion:
+    """The motion, or a slice of its frames. Raises Corrupt."""
+    return Hou2014.decode(replace(encoded, shared=(header.fallback or b"",)), frames)
+
+
+def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Motion]:
+    """The rival's chunks and shared bytes, behind tempo's header."""
+    return replace(encoded, chunks=rival.chunks, shared=(Header(fallback=rival.shared[0]).pack(),))
+
+
+def _estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
+    """Estimate of the bytes of `times` as much motion at the codec's target, from a few coded chunks."""
+    size, mean = codec.estimate(motion, near, times, chunks)
+    return size * (mean / codec.mean_error) ** BYTES_SLOPE if codec.mean_error and mean > 0 else size
+
+
+def _stretch(encoded: Encoded[Motion]) -> slice:
+    """About `STRETCH_FRAMES` frames of whole chunks whose bytes a frame are nearest to those of the recording."""
+    edges = np.array([0, *(c.start + c.frames for c in encoded.chunks)])
+    sizes = np.cumsum([0, *(len(c.payload) for c in encoded.chunks)])
+    stops = np.searchsorted(edges, np.minimum(edges[:-1] + STRETCH_FRAMES, edges[-1]))
+    starts = np.arange(len(stops))[edges[stops] - edges[:-1] >= min(STRETCH_FRAMES, edges[-1])]
+    stops = stops[starts]
+    rates = (sizes[stops] - sizes[starts]) / (edges[stops] - edges[starts])
+    usual = int(np.abs(rates - sizes[-1] / edges[-1]).argmin())
+    return slice(int(edges[starts[usual]]), int(edges[stops[usual]]))
+
+
+def _longest_chunk(motion: Motion, seconds: float) -> int:
+    """Frames that a chunk may have."""
+    return max(1, round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate))
+
+
+def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
+    """Positions with gaps filled, and without spikes too: the same array where there are none."""
+    filled, gap_mask = gaps.fill(motion.positions)
+    upright = heading.to_y_up(filled, motion.up)
+    spikes = leaps.spikes(upright) & ~gap_mask
+    if not spikes.any():
+        return filled, filled
+    return filled, heading.from_y_up(leaps.without_spikes(upright, spikes), motion.up)
+
+
+def _candidates(motion: Motion, has_spikes: bool, target: str, wanted: float, longest: int) -> list[Hou2014]:
+    """Settings to try: for a mean also a bound, which suits recordings full of gaps and spikes better."""
+    tried: list[dict[str, Any]] = [{target: wanted}]
+    if target == "mean_error" and (has_spikes or motion.gaps.any()):
+        tried.append({"max_error": wanted / MEAN_OF_BOUND})
+    return [Hou2014(chunk_frames=longest, **one) for one in tried]
+
+
+def _to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> Encoded[Motion] | None:
+    """Coded under the bound whose mean error is the one wanted, or None if the search does not converge."""
+    bound = codec.max_error or wanted
+    for _ in range(MEAN_TRIES):
+        encoded = replace(codec, max_error=bound).encode_smoothed(motion, smooth)
+        mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
+        if 1 - MEAN_WITHIN <= mean / wanted <= 1:
+            return encoded
+        bound *= MEAN_AIM * wanted / max(mean, 0.1 * wanted)
+    return None

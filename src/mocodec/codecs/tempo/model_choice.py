@@ -1,0 +1,112 @@
+"""Which model makes a recording smallest.
+
+recording ─fit─► models of each type ─price on a few chunks─► the cheapest, with the coefficients of these chunks
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...errors import CannotEncode, Corrupt
+from ...typing import Floats
+from .chunk import ChunkEncoder
+from .coding import coefficients, quantise
+from .coding.contexts import OCTAVE
+from .header import Header
+from .models import MODELS, Recording, points, prior
+from .models.model import Model
+
+AUTO, DIRECT = "auto", "direct"
+BY_NAME = ("points-prior", "directions-prior")
+"""Where the prior knows the points by name, the other models are not tried."""
+PRICED_CHUNKS = 4
+REFINED = 2
+"""How often the step for a mean error is refined, before a basis is rounded by it."""
+ERROR_SLOPE = 0.85
+"""Octaves of mean error an octave of step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """spectra: coefficients of the chunks that were priced, by number."""
+
+    header: Header
+    model: Model
+    spectra: Mapping[int, Floats] = field(default_factory=dict)
+
+
+def choose(recording: Recording, model: str = AUTO, mean_error: float | None = None) -> Choice:
+    """The model that makes the recording smallest in about its step, among those of the given type, or of all.
+
+    mean_error: metres; the step is then where the search for the step of a mean begins. Raises CannotEncode where no
+    model of the type fits.
+    """
+    if model == DIRECT:
+        return _direct(recording)
+    if model == AUTO and mean_error and not known_by_name(recording) and recording.frames >= 2:
+        recording = _with_refined_step(recording, mean_error)
+    candidates = list(_candidates(recording, model))
+    if not candidates:
+        if model != AUTO:
+            raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
+        return _direct(recording)
+    if len(candidates) == 1 or not recording.chunks:
+        return candidates[0]
+    numbers = range(0, len(recording.chunks), -(-len(recording.chunks) // PRICED_CHUNKS))
+    return min((_priced(c, recording, numbers) for c in candidates), key=lambda priced: priced[0])[1]
+
+
+def known_by_name(recording: Recording) -> bool:
+    """Whether the prior knows the points by name."""
+    return prior.for_points().joints.columns(recording.like.names) is not None
+
+
+def _candidates(recording: Recording, model: str) -> list[Choice]:
+    """Models of directions first: of a stream that has not begun, the first is taken."""
+    names = [model] if model != AUTO else BY_NAME if known_by_name(recording) else list(MODELS)
+    out = []
+    for name in sorted(names, key=lambda n: -MODELS[n].number):
+        for fitted in MODELS[name].fit(recording):
+            try:
+                out.append(Choice(Header.of_model(name, fitted), fitted.model(recording.like)))
+            except Corrupt:  # numbers that a decoder would refuse
+                continue
+    return out
+
+
+def _direct(recording: Recording) -> Choice:
+    return Choice(Header(), Model.without_rows(recording.like.names, recording.like.rate))
+
+
+def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[float, Choice]:
+    """Bytes, with squared errors at their price in bits, from some of the chunks; and the candidate with these."""
+    sample = [recording.chunks[i] for i in numbers]
+    encoders = [ChunkEncoder(candidate.model, s) for s in sample]
+    bits = sum(b + e / quantise.SLOPE for b, e in (e.bits_and_error(recording.step) for e in encoders))
+    scale = recording.frames / max(1, sum(map(len, sample)))
+    spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}
+    return len(candidate.header.pack()) + scale * bits / 8, replace(candidate, spectra=spectra)
+
+
+def _with_refined_step(recording: Recording, mean_error: float) -> Recording:
+    """The recording with the step at which a stored basis gives about this mean error."""
+    sample = recording.chunks[:: max(1, -(-len(recording.chunks) // PRICED_CHUNKS))]
+    for _ in range(REFINED):
+        try:
+            model = points.stored_points(recording, recording.step).model(recording.like)
+        except Corrupt:  # numbers that a decoder would refuse
+            break
+        recording = replace(recording, step=_nearer_step(model, sample, recording.step, mean_error))
+    return recording
+
+
+def _nearer_step(model: Model, sample: Sequence[Floats], step: int, mean_error: float) -> int:
+    encoders = [ChunkEncoder(model, s) for s in sample]
+    error = sum(float(e.errors(e.transformed(step)[1]).sum()) for e in encoders)
+    found = error / max(1, sum(s.shape[0] * s.shape[1] for s in sample))
+    octaves = float(np.log2(max(found, mean_error / 8) / mean_error))
+    change = round(OCTAVE * octaves / ERROR_SLOPE)
+    return int(np.clip(step - change, 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1))

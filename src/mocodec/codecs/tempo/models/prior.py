@@ -1,0 +1,176 @@
+"""What is learned from other people's motion and ships with the package: bases, spreads and the coder's tables.
+
+A prior is one .npz beside this package, identified in every file that uses it by the first four bytes of its BLAKE2b
+hash. `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that
+the entropy coder depends on is integer.
+
+    points.npz        positions of the joints of one skeleton, by name; and how bones move, for markers on them
+    directions.npz    directions of the bones of that skeleton, for any proportions
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....entropy.lanes import StaticTables
+from ....errors import UnknownCodec
+from ....geometry.body_frame import normalised_label
+from ....typing import Floats, Integers
+from ..pose.bone_tree import BoneTree
+from .coordinates import Coordinates, DirectionCoordinates, PointCoordinates
+from .model import Statistics
+
+POINTS_FILE, DIRECTIONS_FILE = "points.npz", "directions.npz"
+ID_BYTES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class JointSet:
+    """Joints that the prior knows by name."""
+
+    names: tuple[str, ...]
+    coordinates: Coordinates
+    statistics: Statistics
+
+    def columns(self, names: tuple[str, ...]) -> Integers | None:
+        """For each joint of the set, which of these names is its, whatever prefix and spelling; None if they differ."""
+        labels, known = ([normalised_label(n) for n in some] for some in (names, self.names))
+        if len(set(labels)) != len(labels) or sorted(labels) != sorted(known):
+            return None
+        return np.array([labels.index(label) for label in known])
+
+    @property
+    def tree(self) -> BoneTree:
+        """Of a set whose coordinates are directions."""
+        assert isinstance(self.coordinates, DirectionCoordinates)
+        return self.coordinates.tree
+
+
+@dataclass(frozen=True, eq=False)
+class BoneMotion:
+    """How bones move, each as its joint and three points that rotate with it.
+
+    parents (bones,): the bone that each starts at. median_spread (frequencies,): of the components. pose (4 bones, 3):
+    joint and three rotating points, bone after bone. statistics: of the positions of these points.
+    """
+
+    names: tuple[str, ...]
+    parents: Integers
+    median_spread: Integers
+    pose: Floats
+    statistics: Statistics
+
+    @property
+    def joints(self) -> Floats:
+        """Mean positions of the joints, (bones, 3)."""
+        return self.pose[::4]
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """The prior of one kind of coordinates."""
+
+    id: bytes
+    joints: JointSet
+    tables: StaticTables
+    bones: BoneMotion | None = None
+
+    @property
+    def for_directions(self) -> bool:
+        return isinstance(self.joints.coordinates, DirectionCoordinates)
+
+
+def read(data: bytes) -> Prior:
+    """A prior from the bytes of its file."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as f:
+        arrays: dict[str, NDArray[Any]] = dict(f)
+    names, pose, statistics = _joints(arrays, "")
+    coordinates: Coordinates = PointCoordinates(pose)
+    if "parents" in arrays:
+        tree = BoneTree(
+            tuple(int(p) for p in arrays["parents"]),
+            arrays["vectors"].astype(np.float64),
+            arrays["hub"],
+            arrays["relative"],
+        )
+        coordinates = DirectionCoordinates(pose, tree, arrays["metric_root"].astype(np.float64), np.arange(len(names)))
+    bones = None
+    if "bones.parents" in arrays:
+        of_points, mean, motion = _joints(arrays, "bones.")
+        bones = BoneMotion(
+            of_points[::4],
+            arrays["bones.parents"].astype(np.int64),
+            arrays["bones.median_spread"].astype(np.int64),
+            mean,
+            motion,
+        )
+    id_ = hashlib.blake2b(data, digest_size=ID_BYTES).digest()
+    return Prior(id_, JointSet(names, coordinates, statistics), StaticTables.of(arrays["tables"]), bones)
+
+
+def _joints(arrays: Mapping[str, NDArray[Any]], prefix: str) -> tuple[tuple[str, ...], Floats, Statistics]:
+    return (
+        tuple(str(n) for n in arrays[f"{prefix}names"]),
+        arrays[f"{prefix}pose"].astype(np.float64),
+        Statistics(
+            tuple(b.astype(np.float64) for b in arrays[f"{prefix}bases"]),
+            arrays[f"{prefix}spreads"].astype(np.int64),
+            arrays[f"{prefix}means"].astype(np.int64),
+        ),
+    )
+
+
+def packaged_bytes(file: str) -> bytes:
+    """The file of a prior inside this package."""
+    return resources.files("mocodec").joinpath("priors", file).read_bytes()
+
+
+@cache
+def _packaged(file: str) -> Prior:
+    return read(packaged_bytes(file))
+
+
+_installed: list[tuple[Prior, Prior]] = []
+
+
+def for_points() -> Prior:
+    """The prior of positions used for encoding: the packaged one, unless another is `installed`."""
+    return _installed[-1][0] if _installed else _packaged(POINTS_FILE)
+
+
+def for_directions() -> Prior:
+    """The prior of bone directions used for encoding."""
+    return _installed[-1][1] if _installed else _packaged(DIRECTIONS_FILE)
+
+
+@contextmanager
+def installed(points: bytes | None = None, directions: bytes | None = None) -> Iterator[tuple[Prior, Prior]]:
+    """Within this context other priors encode, and can be decoded with: for people whom the packaged ones have seen."""
+    both = (
+        for_points() if points is None else read(points),
+        for_directions() if directions is None else read(directions),
+    )
+    _installed.append(both)
+    try:
+        yield both
+    finally:
+        _installed.pop()
+
+
+def by_id(id_: bytes) -> Prior:
+    """The prior of this hash. Raises UnknownCodec where this package does not have it."""
+    candidates = [p for pair in _installed for p in pair]
+    for prior in (*candidates, *(_packaged(file) for file in (DIRECTIONS_FILE, POINTS_FILE))):
+        if prior.id == id_:
+            return prior
+    raise UnknownCodec(f"coded with the prior {id_.hex()}, which this version of mocodec does not have")

@@ -1,0 +1,156 @@
+"""A basis learned from the recording itself and stored with it, for positions or bone directions.
+
+    spectra of the recording ─fit─► basis, gain of each component ─pack─► bytes ─unpack─► Statistics
+
+The basis is rounded as finely as each component deserves (`stages.basis`) and completed to all dimensions, so that what
+its rounding and the weak components leave can still be coded. Of the spectra only one gain a component is stored: the
+shape is that of the prior's component of the same rank.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....errors import Corrupt
+from ....fields import Record, array, count, raw, sized
+from ....stages import basis
+from ....typing import Floats, Integers
+from ..coding import contexts
+from ..coding.rows import POSE, step_size
+from .coordinates import Coordinates
+from .model import BANDS, Model, Statistics
+from .predicted_motion import MEAN_BELOW
+from .prior import Prior
+
+GAIN_UNIT = 8
+"""Gains are stored in quarters of an octave."""
+WEAKEST = 96
+"""A component is stored while its standard deviation is above Δ/√frames by this (1/32 octave)."""
+COARSER = 36
+"""Entries of the basis are rounded to steps of Δ/√(λ frames), made coarser by this (1/32 octave)."""
+FITTED_HZ = (0.3, 2.0)
+"""Gains are measured between these frequencies."""
+GAIN_FREQUENCY = 5
+"""Index into `BANDS_MHZ` (1 Hz): shapes are relative to their value there."""
+
+BASIS = Record(
+    "tempo: a stored basis",
+    count("components", of="gains", least=2, most=lambda known: known["dimensions"] + 1),
+    *sized(
+        array("gains", ("components",), most=4000, meaning="quarters of an octave, differences; the last: the rest"),
+        array(
+            "precision",
+            (lambda known: known["components"] - 1,),
+            most=basis.FINEST,
+            meaning="bits of each component, differences",
+        ),
+    ),
+    raw("vectors", meaning="the components (stages.basis)"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredBasis:
+    """gains (k + 1,): log₂ of each component's strength against the prior's of the same rank, and of all others'.
+    precision (k,): of each component. vectors: the components as bytes of `stages.basis`."""
+
+    gains: Integers
+    precision: Integers
+    vectors: bytes
+
+    def pack(self) -> bytes:
+        return BASIS.pack(
+            {
+                "gains": np.diff(self.gains, prepend=0),
+                "precision": np.diff(self.precision, prepend=0),
+                "vectors": self.vectors,
+            }
+        )
+
+    @classmethod
+    def unpack(cls, data: bytes, dimensions: int) -> StoredBasis:
+        """Raises Corrupt."""
+        values = BASIS.unpack(data, dimensions=dimensions)
+        gains, precision = np.cumsum(values["gains"]), np.cumsum(values["precision"])
+        if (precision != precision.clip(0, basis.FINEST)).any() or (np.abs(gains) > 4000).any():
+            raise Corrupt("tempo: a stored basis that is out of range")
+        return cls(gains, precision, values["vectors"])
+
+    def statistics(self, prior: Prior, dimensions: int, similar: Integers | None) -> Statistics:
+        """Raises Corrupt. similar: see `fit`."""
+        found = basis.completed(basis.unpack(self.vectors, dimensions, self.precision, similar))
+        count = len(self.gains) - 1
+        gains = np.concatenate([self.gains[:-1], np.full(dimensions - count, self.gains[-1])]) * GAIN_UNIT
+        known = prior.joints.statistics
+        shapes = _shapes(known, count + 1)
+        spreads = np.concatenate([shapes[:-1], np.repeat(shapes[-1:], dimensions - count, axis=0)]) + gains[:, None]
+        return Statistics(
+            (found.T,) * BANDS,
+            np.concatenate([known.spreads[:POSE], spreads]),
+            np.concatenate([known.means[:POSE], spreads[:, 2] - MEAN_BELOW]),
+        )
+
+
+def noise_step(step: int, frames: int) -> int:
+    """log₂ of Δ/√frames, 1/32 octave: how exactly a mean over the recording is known, and so worth storing."""
+    return step - int(contexts.log2(np.array([frames]))[0]) // 2
+
+
+def fit(
+    positions: Sequence[Floats],
+    coordinates: Coordinates,
+    prior: Prior,
+    rate: float,
+    step: int,
+    similar: Integers | None = None,
+) -> StoredBasis:
+    """For chunks (frames, points, 3), y up, that will be coded with about this step, log₂ in 1/32 octave.
+
+    similar (dimensions,): a coordinate before each that moves alike, −1 for none, which its entries are predicted from.
+    """
+    frames = sum(map(len, positions))
+    noise = noise_step(step, frames)
+    start = identity_model(coordinates, prior, rate)
+    spectra = [start.analyse(p)[:, POSE:] for p in positions]
+    vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+    strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
+    count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
+    shapes = _shapes(prior.joints.statistics, count + 1)
+    gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shapes, strict=False)]
+    precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
+    packed = basis.pack(vectors[:, :count], precision, similar)
+    completed = basis.completed(basis.unpack(packed, len(vectors), precision, similar))
+    rest = [s @ completed[:, count:] for s in spectra]
+    has_rest = rest[0].shape[1] > 0
+    last = _gain([np.sqrt((part**2).mean(axis=1)) for part in rest], rate, shapes[-1]) if has_rest else gains[-1]
+    return StoredBasis(np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64), precision, packed)
+
+
+def identity_model(coordinates: Coordinates, prior: Prior, rate: float) -> Model:
+    """A model whose components are the coordinates themselves: to analyse with, not to code with."""
+    identity = np.eye(coordinates.dimensions)
+    spreads = np.zeros((POSE + len(identity), len(contexts.BANDS_MHZ)), np.int64)
+    statistics = Statistics((identity,) * BANDS, spreads, spreads[:, 0])
+    names = tuple(map(str, range(len(coordinates.pose))))
+    return Model(names, coordinates, statistics, prior.tables, rate)
+
+
+def _shapes(known: Statistics, count: int) -> Integers:
+    """Spectra (components, frequencies) of the prior's components of the same rank, relative to their value at 1 Hz."""
+    spreads = known.spreads[POSE:]
+    rank = np.minimum(np.arange(count), len(spreads) - 1)
+    return spreads[rank] - spreads[rank][:, GAIN_FREQUENCY : GAIN_FREQUENCY + 1]
+
+
+def _gain(curves: Sequence[Floats], rate: float, shape: Integers) -> float:
+    """How much stronger than its shape a component's spectra (one a chunk) are, 1/32 octave."""
+    measured, expected = 1e-9, 1e-9
+    for c in curves:
+        hertz = np.arange(len(c)) * rate / (2 * len(c))
+        here = (hertz > FITTED_HZ[0]) & (hertz < FITTED_HZ[1])
+        measured += np.abs(c[here]).sum() / np.sqrt(rate / 120)
+        expected += (2.0 ** (np.interp(hertz[here] * 1000, contexts.BANDS_MHZ, shape) / contexts.OCTAVE)).sum()
+    return float(contexts.OCTAVE * np.log2(measured / expected))

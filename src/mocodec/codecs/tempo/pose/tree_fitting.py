@@ -1,0 +1,186 @@
+"""A bone tree found in poses: which points are linked, which bones rotate together, and where each points at rest.
+
+poses ─trees─► parents ─fit─► hubs · rest directions · which bones are relative ──► BoneTree
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ....motion import Skeleton
+from ....typing import Booleans, Floats, Integers
+from . import bone_directions, rotations
+from .bone_tree import BODY, ZERO_LENGTH_M, BoneTree
+
+FEWEST_FRAMES, FEWEST_POINTS = 16, 4
+"""With fewer frames or points, constant distances do not show that the points are the joints of a body."""
+MOST_POINTS = 128
+"""A tree is searched among at most this many points."""
+LOOSE_SHARE = 0.01
+"""A bone is rigid if in fewer than this share of the frames its length differs by more than the tolerance."""
+RIGID_RAD = 1e-4
+"""Bones of one joint whose angle never varies by more than this form a hub."""
+SPREAD_SINE = 0.05
+"""The bones of a hub make an angle of at least this sine, or its rotation would not be determined."""
+RELATIVE_REACH = 1.4
+"""A bone is relative where all that hangs on it reaches at most this many lengths of the bone before it."""
+
+
+def trees(poses: Floats, skeleton: Skeleton | None, tolerance_m: float) -> Iterator[tuple[Sequence[int], bool]]:
+    """Parents of each point, to be tried in turn, and whether they are the skeleton's.
+
+    poses (frames, points, 3), metres; tolerance_m: how much the length of a bone may vary.
+    """
+    if skeleton is not None:
+        yield skeleton.parents, True
+    if 2 <= poses.shape[1] <= MOST_POINTS and (found := _rigid_tree(poses, tolerance_m)) is not None:
+        yield found, False
+
+
+def _rigid_tree(poses: Floats, tolerance_m: float) -> tuple[int, ...] | None:
+    """Parent of each point in the minimum spanning tree of rigid links (Prim), or None if they do not span."""
+    apart = np.sqrt(((poses[:, :, None] - poses[:, None]) ** 2).sum(axis=3))
+    usual = np.median(apart, axis=0)
+    rigid = (np.abs(apart - usual) > tolerance_m).mean(axis=0) < LOOSE_SHARE
+    cost = np.where(rigid, usual, np.inf)
+    root = int(usual.sum(axis=0).argmin())
+    parents = np.full(len(cost), -1)
+    nearest, link = cost[root].copy(), np.full(len(cost), root)
+    outside = np.ones(len(cost), bool)
+    outside[root] = False
+    while outside.any():
+        at = int(np.where(outside, nearest, np.inf).argmin())
+        if not outside[at] or not np.isfinite(nearest[at]):
+            return None
+        parents[at], outside[at] = link[at], False
+        closer = cost[at] < nearest
+        nearest[closer], link[closer] = cost[at][closer], at
+    return tuple(int(p) for p in parents)
+
+
+def topological_order(parents: Sequence[int]) -> Integers | None:
+    """Points in an order in which each comes after its parent, or None if the parents are not one tree."""
+    children: dict[int, list[int]] = {}
+    for point, parent in enumerate(parents):
+        children.setdefault(parent, []).append(point)
+    order = list(children.get(-1, []))
+    if len(order) != 1:
+        return None
+    for at in order:
+        order += children.get(at, [])
+    return np.array(order) if len(order) == len(parents) else None
+
+
+def reordered_parents(parents: Sequence[int], order: Integers) -> tuple[int, ...]:
+    """The parents of points that are put in this order."""
+    place = np.append(np.argsort(order), -1)  # the root's parent, −1, stays
+    return tuple(int(place[parents[c]]) for c in order)
+
+
+def fit(poses: Sequence[Floats], parents: Sequence[int], builds: Sequence[Floats] | None = None) -> BoneTree:
+    """The bone tree of runs of poses (frames, points, 3), in the frame of the body, with these parents.
+
+    builds: offsets (points, 3) of the skeleton of each run, if they are known.
+    """
+    offsets = [bone_directions.offsets_from_parents(p, parents) for p in poses]
+    vectors = _mean_directions(offsets)
+    hub = _hubs(offsets, parents, vectors, builds)
+    relative = _relative(parents, vectors)
+    tree = BoneTree(tuple(parents), _with_rigid_hubs(vectors, offsets, parents, hub), hub, np.zeros(len(parents), bool))
+    for j in np.flatnonzero(relative):
+        tree = with_relative(tree, poses, int(j))
+    return tree
+
+
+def _relative(parents: Sequence[int], vectors: Floats) -> Booleans:
+    """Hands, feet and forearms; and all that hangs on a relative bone."""
+    lengths = np.sqrt((vectors**2).sum(axis=1))
+    reach = np.zeros(len(parents))
+    for j in range(len(parents) - 1, -1, -1):
+        if parents[j] >= 0:
+            reach[parents[j]] = max(reach[parents[j]], reach[j] + lengths[j])
+    out, before = np.zeros(len(parents), bool), np.zeros(len(parents))
+    for j, p in enumerate(parents):
+        if p < 0:
+            continue
+        before[j] = lengths[p] if lengths[p] > ZERO_LENGTH_M else before[p]
+        out[j] = before[j] > 0 and (out[p] or reach[j] + lengths[j] < RELATIVE_REACH * before[j])
+    return out & (lengths > ZERO_LENGTH_M)
+
+
+def _mean_directions(runs: Sequence[Floats]) -> Floats:
+    """Mean directions (points, 3) of offsets (3, points, frames) in several runs, of the mean length."""
+    frames = sum(r.shape[2] for r in runs)
+    length = np.asarray(sum(np.sqrt((r**2).sum(axis=0)).sum(axis=1) for r in runs)) / frames
+    direction = np.asarray(sum(r.sum(axis=2) for r in runs)).T
+    size = np.sqrt((direction**2).sum(axis=1, keepdims=True))
+    safe = np.where(size > 1e-9 * frames, direction / np.maximum(size, 1e-30), [0.0, 1.0, 0.0])
+    return safe * length[:, None]
+
+
+def _hubs(runs: Sequence[Floats], parents: Sequence[int], vectors: Floats, builds: Sequence[Floats] | None) -> Booleans:
+    """Mask of the bones that form a hub: same joint, constant angles, not all collinear.
+
+    builds: offsets (points, 3) of each run's skeleton, whose angles they must have; else the median angle of all runs.
+    """
+    lengths = np.sqrt((vectors**2).sum(axis=1))
+    out = np.zeros(len(parents), bool)
+    for joint in range(len(parents)):
+        bones = [j for j, p in enumerate(parents) if p == joint and lengths[j] > ZERO_LENGTH_M]
+        best: list[int] = []
+        for first in bones:
+            together, spread = [first], 0.0
+            for other in (b for b in bones if b != first):
+                angles = [rotations.angle_between(r[:, first], r[:, other]) for r in runs]
+                usual = [float(np.median(a)) for a in angles]
+                if builds is None:
+                    usual = [float(np.median(usual))] * len(runs)
+                else:
+                    usual = [float(rotations.angle_between(b[first], b[other])) for b in builds]
+                off = max(float(np.abs(a - m).max()) for a, m in zip(angles, usual, strict=True))
+                if off < RIGID_RAD:
+                    together.append(other)
+                    spread = max(spread, abs(float(np.sin(usual[0]))))
+            if len(together) > max(1, len(best)) and spread > SPREAD_SINE:
+                best = together
+        out[best] = True
+    return out
+
+
+def _with_rigid_hubs(vectors: Floats, offsets: Sequence[Floats], parents: Sequence[int], hub: Booleans) -> Floats:
+    """Rest vectors whose hubs have their measured shape, rotated nearest to their mean directions."""
+    out = vectors.copy()
+    for joint in sorted({p for p, in_hub in zip(parents, hub, strict=True) if in_hub}):
+        children = [j for j, p in enumerate(parents) if hub[j] and p == joint]
+        shape = offsets[0][:, children, offsets[0].shape[2] // 2].T
+        out[children] = rotations.rotated_onto(shape, vectors[children])
+    return out
+
+
+def with_relative(tree: BoneTree, poses: Sequence[Floats], bone: int) -> BoneTree:
+    """The tree with this bone, or the hub that it belongs to, made relative, and its mean direction in that frame."""
+    relative = tree.relative.copy()
+    joint = tree.parents[bone]
+    children = tree.schedule.hub_bones[joint] if tree.hub[bone] else [bone]
+    relative[children] = True
+    changed = replace(tree, relative=relative)
+    reference = changed.schedule.reference[bone]
+    mean = _mean_directions([_offsets_in(changed, p, reference)[:, children] for p in poses])
+    vectors = tree.vectors.copy()
+    vectors[children] = rotations.rotated_onto(vectors[children], mean) if tree.hub[bone] else mean
+    return replace(changed, vectors=vectors)
+
+
+def _offsets_in(tree: BoneTree, pose: Floats, reference: int) -> Floats:
+    """Offsets (3, points, frames) in poses (frames, points, 3), expressed in the frame of a reference."""
+    offsets = bone_directions.offsets_from_parents(pose, tree.parents)
+    if reference == BODY:
+        return offsets
+    schedule = tree.schedule
+    coordinates = schedule.split(np.empty((tree.dimensions, len(pose))))
+    frames = bone_directions.frames_and_coordinates(tree, pose, *coordinates)
+    own = [schedule.slot[reference]]
+    return rotations.into(schedule.axes[reference][..., None, None], rotations.into(frames[:, :, own], offsets))

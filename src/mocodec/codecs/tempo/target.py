@@ -1,0 +1,178 @@
+"""Steps for a target: the payloads of all chunks within a bound, at a mean error, or of a size.
+
+to_bound    a step for each chunk; every chunk is decoded and checked
+to_mean     one step for all chunks, whose mean error is nearest to the target
+to_size     one step for all chunks, the smallest whose bytes fit
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from ...encoded import Chunk
+from ...errors import CannotEncode
+from ...stages import search
+from . import chunk
+from .chunk import BATCH, ChunkEncoder, Draft, grid_step
+from .coding import coefficients, direct, quantise
+from .coding.contexts import OCTAVE
+from .coding.rows import step_size
+
+Result = TypeVar("Result")
+
+FIRST_OFFSET = 28
+"""Under a bound, the first step tried is this many 1/32 octaves above it."""
+OFFSETS = (0, -10, 10)
+"""Steps tried for a chunk under a bound, 1/32 octave relative to the chunk before."""
+SEARCH_EVERY = 3
+"""One chunk in this many tries them; the others take the step of the chunk before."""
+SMALLEST_STEP, LARGEST_STEP = 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1
+SAMPLED = 4
+"""At most this many chunks are used for the first searches of a mean error."""
+USUAL_STEP = 140
+"""The step for people's mean error, both in metres, is about this times its power of 1.5: more coefficients are zero in
+coarser steps."""
+MEAN_OF_RMS = 0.81
+"""Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
+AIM, NEAR_SAMPLE, NEAR = -0.45, 1.5, 0.43
+"""The search aims at this excess of the mean error, 1/32 octave (1 % below the target), so that the target holds. It
+ends this near to the aim among a sample, and among all chunks."""
+ACCEPTED = -1.2
+"""Below this excess, 1/32 octave (2.6 %), other weights of error and bits are tried as well."""
+LOWER_STEPS = 8
+"""At most so many steps below the best one are tried where that exceeds the target."""
+OTHER_SLOPES = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0) for change in (0, -1, 1, -2, 2))
+"""Changes of the step, and shares of λ, that are tried then."""
+CUBE_MEAN = 0.4803
+"""Mean distance of the points of a cube from its centre, in sides."""
+USUAL_SLOPE, SLOPES = 0.75, (0.4, 1.0)
+"""Octaves of error an octave of step: at first, and their range."""
+LARGEST_INTEGER = 2.0**40
+"""Whatever the size, steps are no smaller than the largest sample by this."""
+COARSE_STEP_M = 0.004
+"""The search for a size begins at this step."""
+
+
+def first_step(
+    max_error: float | None, mean_error: float | None, size: float | None, ratio: float | None, raw_bytes: int
+) -> int:
+    """About the step (log₂ in 1/32 octave) that a target needs: near enough to round a basis by."""
+    if mean_error is not None:
+        return _log(3 * mean_error)
+    if max_error is not None:
+        return step_for_bound(max_error)
+    return _log(3e-5 * (ratio or raw_bytes / (size or 1)))
+
+
+def step_for_bound(bound: float) -> int:
+    """About the step that a bound (metres) needs, log₂ in 1/32 octave."""
+    return _log(2.2 * bound)
+
+
+def _log(size: float) -> int:
+    return round(np.log2(size) * OCTAVE)
+
+
+def to_bound(encoders: Sequence[ChunkEncoder], bound: float) -> list[bytes]:
+    """Payloads that decode to within the bound (metres) at every sample.
+
+    All are decoded and checked; one that exceeds the bound is replaced by the direct engine's, which never does.
+    """
+    payloads: list[bytes] = []
+    offset = FIRST_OFFSET
+    for first in range(0, len(encoders), BATCH):
+        batch, drafts = encoders[first : first + BATCH], list[Draft]()
+        for number, encoder in enumerate(batch):
+            changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
+            draft, offset = encoder.within_bound(bound, offset, changes)
+            drafts.append(draft)
+        packed = chunk.pack(batch, drafts)
+        coded = [e.smaller_of_engines(b, bound) for e, b in zip(batch, packed, strict=True)]
+        listed = [Chunk(0, e.frames, b) for e, b in zip(batch, coded, strict=True)]
+        for i, (encoder, decoded) in enumerate(zip(batch, chunk.decode(batch[0].model, listed), strict=True)):
+            missing = np.isnan(decoded[..., 0])
+            if (missing != encoder.gap_mask).any() or not encoder.errors(decoded).max() <= bound:
+                coded[i] = encoder.directly(grid_step(direct.cell(bound)))
+        payloads += coded
+    return payloads
+
+
+def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
+    """Payloads at a common step whose mean error is at most the target (metres), and near it.
+
+    The step is searched among some of the chunks first, by the error of their coefficients alone; then all chunks are
+    coded in it, and again where their mean differs.
+    """
+
+    def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
+        """How much too large the mean error is, 1/32 octave, and the drafts."""
+        drafts = [e.draft(step, slope) for e in of]
+        error = sum(d.error for d in drafts) / sum(int((~e.gap_mask).sum()) for e in of)
+        return _excess(error, target), drafts
+
+    def estimate(step: int) -> tuple[float, None]:
+        squared = sum(e.bits_and_error(step)[1] for e in some) / sum(e.gap_mask.size for e in some)
+        return _excess(MEAN_OF_RMS * float(np.sqrt(squared) * step_size(step)), target), None
+
+    some = encoders[:: -(-len(encoders) // SAMPLED)]
+    step = _log(USUAL_STEP * target**1.5)
+    if encoders[0].spectrum is not None:
+        step = _nearest(estimate, step, NEAR_SAMPLE)[0].setting
+    if len(some) < len(encoders):
+        step = _nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting
+    found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
+    best, over, drafts = found.setting, found.value + AIM, found.result
+    if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
+        return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
+    for lower in range(1, LOWER_STEPS):
+        if over <= 0:
+            break
+        over, drafts = excess(encoders, best - lower)
+    for change, share in OTHER_SLOPES if over > -OCTAVE else ():
+        if ACCEPTED <= over <= 0:
+            break
+        other, other_drafts = excess(encoders, best + change, share * quantise.SLOPE)
+        if over < other <= 0 or (over > 0 and other < over):
+            over, drafts = other, other_drafts
+    if over > 0:
+        return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
+    return chunk.pack(encoders, drafts)
+
+
+def _nearest(
+    excess: Callable[[int], tuple[float, Result]], step: int, near: float
+) -> tuple[search.Trial[Result], dict[int, float]]:
+    """The step whose excess is nearest to the aim."""
+
+    def from_aim(at: int) -> tuple[float, Result]:
+        over, result = excess(at)
+        return over - AIM, result
+
+    return search.nearest_root(from_aim, step, SMALLEST_STEP, LARGEST_STEP, slope=USUAL_SLOPE, slopes=SLOPES, near=near)
+
+
+def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
+    """Payloads at the smallest common step whose bytes are within the size. Raises CannotEncode."""
+    tried: dict[int, list[bytes]] = {}
+
+    def fits(coarseness: int) -> bool:
+        payloads = chunk.pack(encoders, [e.draft(-coarseness) for e in encoders])
+        if sum(map(len, payloads)) > size:
+            return False
+        tried.clear()  # only the finest is needed again
+        tried[-coarseness] = payloads
+        return True
+
+    samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
+    finest = int(np.ceil(OCTAVE * np.log2(max(*samples, 1e-9) / LARGEST_INTEGER)))
+    step = search.largest_true(fits, -max(finest, _log(COARSE_STEP_M)), -LARGEST_STEP, -max(finest, SMALLEST_STEP))
+    if step is None:
+        raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
+    return tried[-step]
+
+
+def _excess(error: float, target: float) -> float:
+    return OCTAVE * float(np.log2(max(error, 1e-12) / target))

@@ -1,0 +1,211 @@
+"""How the data section of a C3D is divided: words in a frame, and the number of frames.
+
+    header ────┐
+    parameters ┴─► candidate layouts × candidate frame counts ─► those that the size of the file agrees with
+
+Header and parameters may contradict each other, and either may be right. The size of the file decides.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import NamedTuple
+
+from ...errors import BadInput
+from .parameters import BLOCK, Parameters, floats
+
+MAX_COUNT = 0xFFFF
+"""Where counts of 16 bits saturate."""
+
+
+class Header(NamedTuple):
+    """The fields of the 512-byte header."""
+
+    words: tuple[int, ...]
+    scale: float
+    rate: float
+
+    @property
+    def points(self) -> int:
+        return self.words[1]
+
+    @property
+    def analog_words(self) -> int:
+        """Analog samples of all channels in a frame."""
+        return self.words[2]
+
+    @property
+    def first(self) -> int:
+        return self.words[3]
+
+    @property
+    def last(self) -> int:
+        return self.words[4]
+
+    @property
+    def data_block(self) -> int:
+        return self.words[8]
+
+    @property
+    def samples_per_frame(self) -> int:
+        """Analog samples of one channel in a frame."""
+        return self.words[9]
+
+    @property
+    def frames(self) -> int:
+        return max(0, self.last - self.first + 1) if self.last else 0
+
+
+class Layout(NamedTuple):
+    """Points and analog channels of a frame; item: bytes of a number, 4 for floats and 2 for integers."""
+
+    points: int
+    channels: int
+    samples_per_frame: int
+    item: int
+
+    @property
+    def width(self) -> int:
+        """Numbers in a frame."""
+        return 4 * self.points + self.channels * self.samples_per_frame
+
+    @property
+    def frame_bytes(self) -> int:
+        return self.width * self.item
+
+    def __str__(self) -> str:
+        kind = "floats" if self.item == 4 else "integers"
+        return f"{self.points} points and {self.channels} analog channels × {self.samples_per_frame} as {kind}"
+
+
+def read_header(data: bytes, order: str, processor: int) -> Header:
+    """The header; order: "<" or ">"."""
+    words = struct.unpack_from(f"{order}256H", data)
+    scale, rate = (float(floats(data[i : i + 4], processor)[0]) for i in (12, 20))
+    return Header(words, scale, rate)
+
+
+def settle(
+    header: Header, parameters: Parameters, data: bytes, start: int, available: int, notes: list[str]
+) -> tuple[Layout, int]:
+    """The layout and the number of frames that the file's size agrees with; contradictions are noted.
+
+    start, available: first byte and number of bytes of the data section. Raises BadInput for truncated data, and for
+    contradictions that the size does not settle.
+    """
+    layouts = candidate_layouts(header, parameters)
+    claims = _claimed_frames(header, parameters)
+    if not any(layout.width for layout in layouts):
+        return layouts[0], max(claims, default=0)
+    layouts = [layout for layout in layouts if layout.width]
+    fitting = {layout: frames for layout in layouts if (frames := _exact(layout, claims, available))}
+    if not fitting:
+        for layout in layouts:
+            if frames := _beyond_16_bits(layout, header, parameters, claims, data, start, available):
+                fitting[layout] = frames
+                notes.append(f"its counts of frames end at {MAX_COUNT}; the size of the file gives {frames} frames")
+                break
+    if not fitting:
+        fitting = {layout: frames for layout in layouts if (frames := _contained(layout, claims, available))}
+    if not fitting:
+        promised = max((c for c in claims if c), default=0)
+        if not promised:
+            raise BadInput("has no frames")
+        complete = max(0, available) // layouts[0].frame_bytes
+        raise BadInput(f"cut off: its header declares {promised} frames, the file has {complete} complete ones")
+    if len(fitting) > 1:  # what a layout leaves over is padding: zeros
+        ends = {layout: start + frames * layout.frame_bytes for layout, frames in fitting.items()}
+        padded = [layout for layout, end in ends.items() if not any(data[end : start + available])]
+        fitting = {layout: fitting[layout] for layout in padded or fitting}
+    if len(fitting) > 1:
+        readings = "; ".join(f"{layout} in {frames} frames" for layout, frames in fitting.items())
+        raise BadInput(f"header and parameters contradict each other, and the file's size allows both: {readings}")
+    layout, frames = next(iter(fitting.items()))
+    if len(layouts) > 1:
+        others = "; ".join(str(other) for other in layouts if other != layout)
+        notes.append(f"header and parameters contradict each other; the size of the file gives {layout}, not {others}")
+    elif layout.channels and header.samples_per_frame != layout.samples_per_frame:
+        notes.append(
+            f"the header has {header.samples_per_frame} analog samples per frame and channel; the parameters and the "
+            f"size of the file give {layout.samples_per_frame}"
+        )
+    return layout, frames
+
+
+def candidate_layouts(header: Header, parameters: Parameters) -> list[Layout]:
+    """The layouts that header and parameters, or both together, describe; the preferred one first."""
+    declared = parameters.count("POINT", "USED")
+    points = list(dict.fromkeys(([] if declared is None else [declared]) + [header.points]))
+    scale = parameters.number("POINT", "SCALE") or header.scale
+    items = list(dict.fromkeys(4 if s < 0 else 2 for s in (scale, header.scale) if s and math.isfinite(s))) or [4]
+    return [Layout(p, *split, item) for item in items for split in _analog_splits(header, parameters) for p in points]
+
+
+def _analog_splits(header: Header, parameters: Parameters) -> list[tuple[int, int]]:
+    """(channels, samples of each in a frame) as the header and as the parameters have it."""
+    splits: list[tuple[int, int]] = []
+    used = parameters.count("ANALOG", "USED")
+    rates = parameters.number("ANALOG", "RATE"), parameters.number("POINT", "RATE") or header.rate
+    ratio = rates[0] / rates[1] if rates[0] and rates[1] and math.isfinite(rates[0] / rates[1]) else 0.0
+    words, per_frame = header.analog_words, header.samples_per_frame
+    if words and per_frame and words % per_frame == 0:
+        splits.append((words // per_frame, per_frame))
+    if words and used and words % used == 0 and not (splits and splits[0][0] == used):
+        splits.append((used, words // used))
+    if used == 0 or not (words or used):
+        splits.append((0, 0))
+    if used and 0.5 <= ratio < 1e6 and abs(ratio - round(ratio)) < 0.01:
+        splits.append((used, round(ratio)))
+    if not words:
+        splits.append((0, 0))
+    if not splits and words:
+        splits.append((words, 1))
+    by_width: dict[int, tuple[int, int]] = {}
+    for channels, samples in splits:  # the first split of each width: those after it say the same of the positions
+        by_width.setdefault(channels * samples, (channels, samples))
+    return list(by_width.values())
+
+
+def _claimed_frames(header: Header, parameters: Parameters) -> list[int]:
+    """The numbers of frames that header and parameters declare, from those that count farthest."""
+    first, last = (parameters.double_word("TRIAL", f"ACTUAL_{end}_FIELD") for end in ("START", "END"))
+    trial = last - first + 1 if first is not None and last is not None else None
+    counts = (trial, parameters.count("POINT", "LONG_FRAMES"), parameters.count("POINT", "FRAMES"), header.frames)
+    return [count for count in counts if count is not None and count > 0]
+
+
+def _exact(layout: Layout, claims: list[int], available: int) -> int:
+    """The largest claim that fills the data section up to padding, or 0."""
+    return max((c for c in claims if 0 <= available - c * layout.frame_bytes < 2 * BLOCK), default=0)
+
+
+def _contained(layout: Layout, claims: list[int], available: int) -> int:
+    """The preferred claim if the data section is at least that long, or 0."""
+    long = next((c for c in claims[:2] if c > MAX_COUNT), claims[-1] if claims else 0)
+    return long if long * layout.frame_bytes <= available else 0
+
+
+def _beyond_16_bits(
+    layout: Layout,
+    header: Header,
+    parameters: Parameters,
+    claims: list[int],
+    data: bytes,
+    start: int,
+    available: int,
+) -> int:
+    """The number of frames by the file's size if the declared counts are saturated or wrapped at 16 bits, or 0."""
+    frames = available // layout.frame_bytes
+    if frames <= MAX_COUNT:
+        return 0
+    end = start + frames * layout.frame_bytes
+    while (
+        frames and start + available - (end - layout.frame_bytes) <= BLOCK
+    ):  # frames of zeros in the last block: padding
+        if any(data[end - layout.frame_bytes : end]):
+            break
+        frames, end = frames - 1, end - layout.frame_bytes
+    is_saturated = header.last == MAX_COUNT or parameters.count("POINT", "FRAMES") == MAX_COUNT
+    is_wrapped = any((frames - claim) % (MAX_COUNT + 1) == 0 for claim in claims)
+    return frames if is_saturated or is_wrapped else 0

@@ -1,0 +1,148 @@
+"""Arms and legs of a tracked body as chains of links: which links they are, and hypotheses for their poses.
+
+body ──find──► limbs ──perturbed, reaching, swapped──► rotations of their links ──clamp_to_limits──► allowed rotations
+
+These are the links of a body fitted to points; the bones of a motion's limbs are the tempo codec's matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..typing import AnyInteger, Floats
+from . import articulated_icp, joint_limits
+from .articulation import Body, Pose, exp, rotation_between, transforms
+from .joint_limits import LinkLimits
+from .skinning import Skin
+
+MIN_BONE = 0.12
+"""Length of a limb's first bone, at least, as a share of the body's size."""
+MIN_LENGTH = 0.25
+"""Length of a whole limb, at least, as a share of the body's size."""
+MIN_ROWS, MAX_ROWS = 30, 60
+"""Template points that a limb must have, and about how many of them score its poses."""
+REACH_SHARES = 0.5, 1.3
+"""Where on its second bone a limb reaches a target, as a range of shares of that bone's length."""
+
+
+@dataclass(frozen=True, eq=False)
+class LimbChain:
+    """links: of an arm or leg, from its first long bone to its end. rows: template points that follow them. samples: of
+    the template points that search for data, those that follow any of the links, and those beyond the first bone.
+    """
+
+    links: AnyInteger
+    rows: AnyInteger
+    samples: tuple[AnyInteger, AnyInteger]
+
+
+def find(body: Body, skin: Skin, sample: AnyInteger) -> list[LimbChain]:
+    """Arms and legs: chains of links without branches, of a quarter of the body's size or more, from their first long
+    bone on. sample: template points that search for data.
+    """
+    children = [[c for c, p in enumerate(body.parents) if p == link] for link in range(len(body))]
+    size = float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
+    limbs = list[LimbChain]()
+    for link in range(1, len(body)):
+        chain = [link]
+        while len(children[chain[-1]]) == 1:
+            chain += children[chain[-1]]
+        has_branch = bool(children[chain[-1]])
+        is_in_limb = any(link in limb.links for limb in limbs)
+        is_short = body.lengths[link] < MIN_BONE * size or body.lengths[chain].sum() < MIN_LENGTH * size
+        if is_in_limb or has_branch or is_short:
+            continue
+        rows = np.flatnonzero(np.isin(skin.links[:, 0], chain))
+        if len(rows) >= MIN_ROWS:
+            owner = skin.links[sample, 0]
+            whole, beyond = (np.flatnonzero(np.isin(owner, links)) for links in (chain, chain[1:]))
+            limbs.append(LimbChain(np.array(chain), rows[:: max(1, len(rows) // MAX_ROWS)], (whole, beyond)))
+    return limbs
+
+
+def mirrored_pairs(body: Body, limbs: list[LimbChain]) -> list[tuple[int, int]]:
+    """Pairs of limbs, by index, whose first links are left and right of each other."""
+    number = {int(limb.links[0]): i for i, limb in enumerate(limbs) if len(limb.links) > 1}
+    pairs = articulated_icp.mirrored_links(body)
+    return [(number[one], number[other]) for one, other in pairs if one in number and other in number]
+
+
+def bend_and_end(body: Body, limb: LimbChain) -> tuple[tuple[int, Floats], tuple[int, Floats]]:
+    """Where a limb bends and where its second bone ends: the link that carries each, and its canonical place (3,)."""
+    upper, lower = (int(link) for link in limb.links[:2])
+    end = body.origins[limb.links[2]] if len(limb.links) > 2 else body.tips[lower]
+    return (upper, body.origins[lower]), (lower, end)
+
+
+def swapped(body: Body, pose: Pose, one: LimbChain, other: LimbChain) -> Pose:
+    """The pose in which each of two limbs reaches for the other's bend and end."""
+    a, b = transforms(body, pose)
+    rotations = pose.rotations.copy()
+    for mine, theirs in ((one, other), (other, one)):
+        upper = mine.links[0]
+        bend, end = (a[link] @ place + b[link] for link, place in bend_and_end(body, theirs))
+        start = a[upper] @ body.origins[upper] + b[upper]
+        rotations[mine.links[:2]] = aimed(body, mine, pose, a, start, bend - start, end)
+    return Pose(rotations, pose.root)
+
+
+def perturbed(limb: LimbChain, pose: Pose, rng: np.random.Generator, count: int, first: float, second: float) -> Floats:
+    """(count, links of the limb, 3, 3): random rotations near a pose's. first, second: standard deviations of the turns
+    of the first and second link, radians; the others keep theirs.
+    """
+    turns = np.zeros((count, len(limb.links), 3))
+    for link, spread in enumerate((first, second)[: len(limb.links)]):
+        turns[:, link] = spread * rng.normal(size=(count, 3))
+    return exp(turns) @ pose.rotations[limb.links]
+
+
+def reaching(body: Body, limb: LimbChain, pose: Pose, rng: np.random.Generator, targets: Floats) -> Floats:
+    """(count, links of the limb, 3, 3): rotations for which a place on the second bone, or a little beyond it, is at
+    one of targets (count, 3), metres; the side to which the limb bends is random.
+    """
+    a, b = transforms(body, pose)
+    (upper, bend), (lower, end) = bend_and_end(body, limb)
+    start = a[upper] @ body.origins[upper] + b[upper]
+    first, second = bend - body.origins[upper], end - body.origins[lower]
+    one, two = np.linalg.norm(first), np.linalg.norm(second) * rng.uniform(*REACH_SHARES, len(targets))
+    to, far = _directions(targets - start), np.linalg.norm(targets - start, axis=1)
+    far = np.clip(far, np.abs(one - two) + 1e-3, one + two - 1e-3)
+    cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]  # law of cosines
+    side = _directions(np.cross(to, rng.normal(size=to.shape)))
+    along = cosine * to + np.sqrt(1 - cosine**2) * side
+    rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
+    rotations[:, :2] = aimed(body, limb, pose, a, start, along, start + far[:, None] * to)
+    return rotations
+
+
+def aimed(body: Body, limb: LimbChain, pose: Pose, a: Floats, start: Floats, along: Floats, ends: Floats) -> Floats:
+    """(…, 2, 3, 3): rotations of a limb's first two bones for which the first, from `start` (3,), points along (…, 3),
+    and the second from there to ends (…, 3). a: of the pose, as `transforms` gives it.
+    """
+    upper, lower = limb.links[:2]
+    axes, parent = body.axes, body.parents[upper]
+    now = _directions(np.broadcast_to(a[upper] @ axes[upper], along.shape))
+    turned = rotation_between(now, _directions(along)) @ a[upper]
+    elbow = start + turned @ (body.origins[lower] - body.origins[upper])
+    below = turned @ pose.rotations[lower]
+    below = rotation_between(_directions(below @ axes[lower]), _directions(ends - elbow)) @ below
+    first = (a[parent].T if parent >= 0 else np.eye(3)) @ turned
+    return np.stack([first, np.swapaxes(turned, -1, -2) @ below], axis=-3)
+
+
+def clamp_to_limits(limits: LinkLimits, limb: LimbChain, rotations: Floats) -> Floats:
+    """Rotations (count, links of the limb, 3, 3), changed in place: those beyond their limits become the nearest
+    allowed ones.
+    """
+    own = limits.subset(limb.links)
+    if len(own.links):
+        column = np.searchsorted(limb.links, own.links)
+        rotations[:, column] = joint_limits.nearest_allowed(own, rotations[:, column])[0]
+    return rotations
+
+
+def _directions(vectors: Floats) -> Floats:
+    """(…, 3): unit vectors along vectors (…, 3); zero for those of no length."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

@@ -1,0 +1,174 @@
+// A k-d tree over the points of a frame, with their colours as three more coordinates where they have colours.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <stdexcept>
+#include <vector>
+
+#include "algebra3.h"
+#include "arrays.h"
+
+class KdTree {
+  public:
+    // points (n, 3), metres; colours (n, 3), scaled to metres, or (0, 3) for a tree of places alone.
+    KdTree(Input<double, 2> points, Input<double, 2> colours)
+        : count(points.shape(0)), coloured(colours.shape(0) > 0), dimensions(coloured ? 6 : 3), values(count * dimensions) {
+        if (points.shape(1) != 3 || (coloured && (colours.shape(0) != count || colours.shape(1) != 3)))
+            throw std::invalid_argument("KdTree: shapes differ: points (n, 3) and colours (n, 3) or (0, 3) are expected");
+        for (size_t i = 0; i < count; ++i)
+            for (int d = 0; d < 3; ++d) {
+                values[i * dimensions + d] = points.data()[3 * i + d];
+                if (coloured) values[i * dimensions + 3 + d] = colours.data()[3 * i + d];
+            }
+        order.resize(count);
+        std::iota(order.begin(), order.end(), 0);
+        if (count) build(0, count);
+        sorted.resize(count * dimensions);
+        for (size_t i = 0; i < count; ++i) std::copy_n(&values[order[i] * dimensions], dimensions, &sorted[i * dimensions]);
+    }
+
+    const double *point(size_t row) const { return &values[row * dimensions]; }
+
+    // All rows in the order of the tree's leaves: neighbours in space are neighbours here.
+    const std::vector<size_t> &spatial_order() const { return order; }
+
+    // The row nearest to a query of `dimensions` coordinates at a squared distance below `limit`, −1 if there is none.
+    // `limit` becomes its squared distance.
+    int64_t nearest(const double *query, double &limit) const {
+        int64_t found = -1;
+        double offsets[6] = {0, 0, 0, 0, 0, 0};
+        if (count) visit(0, query, limit, found, 0.0, offsets);
+        return found;
+    }
+
+    // As `nearest`, but faster if row `guess` is near the query; −1 for no guess.
+    int64_t nearest_from(int64_t guess, const double *query, double &limit) const {
+        if (guess >= 0) {
+            double sum = 0;
+            for (int d = 0; d < dimensions; ++d) sum += squared(query[d] - values[guess * dimensions + d]);
+            if (sum < limit)
+                limit = sum;
+            else
+                guess = -1;
+        }
+        const int64_t found = nearest(query, limit);
+        return found < 0 ? guess : found;
+    }
+
+    // As SciPy's KDTree.query: (n,) distances and rows; ∞ and `count` where no point is nearer than `limit`.
+    nb::tuple query(Input<double, 2> queries, double limit) const {
+        if (queries.shape(1) != size_t(dimensions)) throw std::invalid_argument("KdTree.query: shapes differ");
+        const size_t n = queries.shape(0);
+        Fresh<double> distance(n);
+        Fresh<int64_t> row(n);
+        for (size_t i = 0; i < n; ++i) {
+            double square = squared(limit);
+            const int64_t found = nearest(queries.data() + i * dimensions, square);
+            distance.data[i] = found < 0 ? std::numeric_limits<double>::infinity() : std::sqrt(square);
+            row.data[i] = found < 0 ? int64_t(count) : found;
+        }
+        return nb::make_tuple(distance.give({n}), row.give({n}));
+    }
+
+    // The row nearest to the centre of each cell of a grid, z fastest. low (3,): corner of the grid; size (3,): cells.
+    Output<int32_t> grid(Input<double, 1> low, Input<int32_t, 1> size, double cell) const {
+        if (coloured || low.shape(0) != 3 || size.shape(0) != 3 || !count || size.data()[0] < 1 ||
+            size.data()[1] < 1 || size.data()[2] < 1)
+            throw std::invalid_argument("KdTree.grid: shapes differ");
+        const size_t nx = size.data()[0], ny = size.data()[1], nz = size.data()[2];
+        Fresh<int32_t> rows(nx * ny * nz);
+        size_t at = 0;
+        for (size_t x = 0; x < nx; ++x)
+            for (size_t y = 0; y < ny; ++y)
+                for (size_t z = 0; z < nz; ++z, ++at) {
+                    const size_t index[3] = {x, y, z};
+                    double centre[3], limit = std::numeric_limits<double>::infinity();
+                    for (int d = 0; d < 3; ++d) centre[d] = low.data()[d] + cell * (double(index[d]) + 0.5);
+                    if (z) {  // the row of the cell before is a good upper bound
+                        const double *guess = point(size_t(rows.data[at - 1]));
+                        limit = 0;
+                        for (int d = 0; d < 3; ++d) limit += squared(centre[d] - guess[d]);
+                    }
+                    const int64_t found = nearest(centre, limit);
+                    rows.data[at] = found < 0 ? rows.data[at - 1] : int32_t(found);
+                }
+        return rows.give({rows.size});
+    }
+
+    const size_t count;
+    const bool coloured;
+    const int dimensions;
+
+  private:
+    static constexpr size_t LEAF = 12;  // points of a leaf, at most
+
+    struct Node {
+        size_t first, last;  // rows order[first] to order[last − 1]
+        int axis = -1;       // that the node is split along; −1 for a leaf
+        double low, high;    // the greatest coordinate of the first child along the axis, the least of the second
+        size_t second;       // the second child; the first follows its parent
+    };
+
+    size_t build(size_t first, size_t last) {
+        const size_t here = nodes.size();
+        nodes.push_back({first, last, -1, 0, 0, 0});
+        if (last - first <= LEAF) return here;
+        double widest = -1;
+        int axis = 0;
+        for (int d = 0; d < dimensions; ++d) {
+            double least = std::numeric_limits<double>::infinity(), most = -least;
+            for (size_t i = first; i < last; ++i) {
+                const double value = values[order[i] * dimensions + d];
+                least = std::min(least, value);
+                most = std::max(most, value);
+            }
+            if (most - least > widest) widest = most - least, axis = d;
+        }
+        if (!(widest > 0)) return here;
+        const size_t middle = (first + last) / 2;
+        std::nth_element(order.begin() + first, order.begin() + middle, order.begin() + last, [&](size_t i, size_t j) {
+            return values[i * dimensions + axis] < values[j * dimensions + axis];
+        });
+        double low = -std::numeric_limits<double>::infinity();
+        for (size_t i = first; i < middle; ++i) low = std::max(low, values[order[i] * dimensions + axis]);
+        const double high = values[order[middle] * dimensions + axis];
+        build(first, middle);
+        const size_t second = build(middle, last);
+        nodes[here].axis = axis;
+        nodes[here].low = low;
+        nodes[here].high = high;
+        nodes[here].second = second;
+        return here;
+    }
+
+    // box_distance: squared distance of the query from the node's box; offsets: its distance along each axis.
+    void visit(size_t at, const double *query, double &limit, int64_t &found, double box_distance, double *offsets) const {
+        const Node &node = nodes[at];
+        if (node.axis < 0) {
+            for (size_t i = node.first; i < node.last; ++i) {
+                const double *other = &sorted[i * dimensions];
+                double sum = squared_distance(query, other);
+                if (sum >= limit) continue;
+                for (int d = 3; d < dimensions; ++d) sum += squared(query[d] - other[d]);
+                if (sum < limit) limit = sum, found = int64_t(order[i]);
+            }
+            return;
+        }
+        const double x = query[node.axis];
+        const bool first_is_nearer = x - node.low < node.high - x;
+        visit(first_is_nearer ? at + 1 : node.second, query, limit, found, box_distance, offsets);
+        const double away = std::max(0.0, first_is_nearer ? node.high - x : x - node.low), before = offsets[node.axis];
+        const double beyond = box_distance - squared(before) + squared(std::max(away, before));
+        if (beyond >= limit) return;
+        offsets[node.axis] = std::max(away, before);
+        visit(first_is_nearer ? node.second : at + 1, query, limit, found, beyond, offsets);
+        offsets[node.axis] = before;
+    }
+
+    std::vector<double> values, sorted;  // coordinates by rows, and in the order of the leaves
+    std::vector<size_t> order;
+    std::vector<Node> nodes;
+};

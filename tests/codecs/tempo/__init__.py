@@ -1,0 +1,1 @@
+"""Tests of tempo, a file a module."""

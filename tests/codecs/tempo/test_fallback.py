@@ -1,0 +1,38 @@
+"""hou2014 codes the chunks where it is smaller on the whole recording."""
+
+from __future__ import annotations
+
+import pytest
+
+from mocodec import metrics
+from mocodec.codecs.tempo import Tempo
+from mocodec.testing import synthetic
+
+from .motions import header
+
+
+@pytest.mark.parametrize("settings", [{"max_error": 0.003}, {"mean_error": 0.002}, {"ratio": 80.0}])
+def test_the_fallback_is_taken_where_it_is_smaller(settings: dict[str, float]) -> None:
+    motion = synthetic.markers(frames=480, seed=2)
+    plain, best = Tempo(**settings).encode_chunks(motion), Tempo(**settings).encode(motion)
+    if "max_error" in settings:
+        assert header(best).fallback is not None
+    errors = metrics.distances(motion.positions, Tempo.decode(best).positions)
+    if "ratio" in settings:
+        assert best.payload_bytes <= motion.raw_bytes / settings["ratio"]
+        assert errors.mean() <= metrics.mean_distance(motion.positions, Tempo.decode(plain).positions)
+    else:
+        assert best.payload_bytes <= plain.payload_bytes
+    if "max_error" in settings:
+        assert errors.max() <= settings["max_error"]
+    if "mean_error" in settings:
+        assert 0.95 * settings["mean_error"] <= errors.mean() <= settings["mean_error"]
+    assert dict(best.settings) == dict(plain.settings)
+
+
+def test_chunks_of_the_fallback_keep_to_the_length_asked_for() -> None:
+    motion = synthetic.markers(frames=1500, seed=2)
+    encoded = Tempo(mean_error=0.002, chunk_seconds=1.0).encode(motion)
+    assert max(chunk.frames for chunk in encoded.chunks) <= 2.5 * motion.rate + 1
+    part = Tempo.decode(encoded, slice(700, 800)).positions
+    assert part == pytest.approx(Tempo.decode(encoded).positions[700:800], abs=1e-9)

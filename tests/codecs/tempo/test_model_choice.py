@@ -1,0 +1,39 @@
+"""The model is chosen by what a few chunks cost with each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec.codecs.tempo import Tempo, model_choice
+from mocodec.codecs.tempo.codec import chunk_bounds
+from mocodec.codecs.tempo.models import Recording
+from mocodec.motion import Motion
+
+from .motions import header, named_points
+
+
+def test_a_chunk_that_was_priced_is_not_analysed_again() -> None:
+    motion = named_points(1500)
+    chunks = [motion.positions[a:b] for a, b in chunk_bounds(len(motion), motion.rate, 4.0)]
+    choice = model_choice.choose(Recording(chunks, motion, Tempo().first_step(motion)), "points-prior")
+    auto = model_choice.choose(Recording(chunks, motion, Tempo().first_step(motion)))
+    assert len(auto.spectra) >= 1 or auto.header == choice.header
+    for number, spectrum in auto.spectra.items():
+        np.testing.assert_array_equal(spectrum, auto.model.analyse(chunks[number]))
+
+
+def test_known_points_in_any_order_and_spelling_use_the_prior() -> None:
+    motion = named_points()
+    shuffled = np.random.default_rng(1).permutation(motion.points)
+    names = tuple(f"S:{motion.names[i].upper()}" for i in shuffled)
+    other = Motion(motion.positions[:, shuffled], motion.rate, names, motion.up)
+    sizes = [Tempo().encode_chunks(m).payload_bytes for m in (motion, other)]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.02)
+    assert header(Tempo().encode_chunks(other)).model == "points-prior"
+
+
+def test_a_stream_that_has_not_begun_takes_directions_if_it_has_a_skeleton() -> None:
+    motion = named_points(10)
+    assert model_choice.choose(Recording([], motion, -200)).header.model == "points-prior"
+    assert model_choice.choose(Recording([], Motion(motion.positions, 120.0), -200)).header.model is None

@@ -1,0 +1,84 @@
+"""What a reader guesses or settles is said once, in Python, at the command line and in JSON; options override it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import BadInput, formats
+from mocodec.cli import run
+from mocodec.formats.conventions import metres_in, start_s
+from mocodec.testing import synthetic
+
+from .samples import AMC, ASF, BVH, markers
+
+
+def sample(folder, suffix: str):
+    """A small file of each format."""
+    path = folder / f"x{suffix}"
+    if suffix == ".bvh":
+        path.write_text(BVH)
+    elif suffix == ".amc":
+        path.write_text(AMC)
+        (folder / "x.asf").write_text(ASF)
+    else:
+        formats.write(path, synthetic.joints(20) if suffix == ".glb" else markers())
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".trc", ".bvh", ".amc", ".npz", ".glb"])
+def test_every_format_takes_the_same_overrides(tmp_path, suffix):
+    path = sample(tmp_path, suffix)
+    plain = formats.read(path)
+    given = formats.read(path, unit="dm", rate=77.0, up="x", start=3.25)
+    assert isinstance(plain, mc.Motion)
+    assert isinstance(given, mc.Motion)
+    assert (given.rate, given.up) == (77.0, "x")
+    assert start_s(given.source, given.rate) == pytest.approx(3.25)
+    assert start_s(given[1:].source, given.rate) == pytest.approx(3.25 + 1 / 77)
+    assert formats.notes(given) == []
+    if suffix != ".glb":  # sampled at the new rate
+        scale = 0.1 / plain.source.get("unit_m", 1.0)
+        assert np.allclose(given.positions, plain.positions * scale, equal_nan=True)
+    for option, value in (("unit", "furlong"), ("up", "w"), ("start", float("nan"))):
+        with pytest.raises(BadInput):
+            formats.read(path, **{option: value})
+
+
+def test_the_command_line_says_guesses_once_and_only_when_all_went_well(tmp_path, capsys):
+    path = sample(tmp_path, ".bvh")
+    assert run(["encode", str(path), "-o", str(tmp_path / "x.mocz"), "--codec", "lossless"]) == 0
+    assert capsys.readouterr().err.count("guessed: up y (--up), unit cm (--unit)") == 1
+    assert run(["encode", str(path), "-o", str(tmp_path / "x.mocz"), "--codec", "lossless", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+    assert run(["encode", str(path), "-o", str(tmp_path / "x.mocz"), "--codec", "none"]) != 0
+    assert "guessed" not in capsys.readouterr().err
+    assert run(["info", str(path), "--json", "--unit", "m", "--up", "z", "--start", "2.5"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert "notes" not in facts
+    assert (facts["up"], facts["source"]["unit_m"], facts["source"]["time_of_frame_1"]) == ("z", 1.0, 2.5)
+
+
+def test_notes_are_in_json_and_survive_a_mocz(tmp_path, capsys):
+    lines = ["PathFileType\t4", "DataRate\tNumFrames\tNumMarkers\tUnits", "100\t3\t1\tmm", "Frame#\tTime\tA", "\t\tX1"]
+    lines += [f"{n}\t{n / 50}\t1\t2\t3" for n in (1, 2, 3)]
+    (tmp_path / "x.trc").write_text("\n".join(lines))
+    assert run(["info", str(tmp_path / "x.trc"), "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("DataRate is 100 Hz" in note for note in notes)
+    assert formats.notes(mc.decode(mc.encode(formats.read(tmp_path / "x.trc"), codec="lossless"))) == notes
+
+
+def test_names_of_units():
+    assert [metres_in(u) for u in ("Meters", "mete", "MM.", " millimet", "(cm)", "Feet")] == [
+        1,
+        1,
+        1e-3,
+        1e-3,
+        1e-2,
+        0.3048,
+    ]
+    assert [metres_in(u) for u in ("", "me", "furlong", "meterss")] == [None] * 4

@@ -1,0 +1,85 @@
+"""docs/payloads/ holds all that a decoder needs: one written from these pages decodes what mocodec writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec.codecs.hou2014 import Hou2014Database
+from mocodec.entropy import coder
+from mocodec.testing import synthetic
+
+from . import payloads
+from .integers import integers
+
+GOLDEN = Path(__file__).parent.parent / "golden"
+FILES = [f for f in sorted(GOLDEN.glob("*.mocz")) if f.name.startswith(("hou2014", "liu2006", "lossless"))]
+
+
+def decode(encoded: Any) -> np.ndarray:
+    about = encoded.about
+    chunks = [(chunk.frames, chunk.payload) for chunk in encoded.chunks]
+    shared = list(encoded.shared)
+    if encoded.codec == "hou2014":
+        parents = None if about.skeleton is None else list(about.skeleton.parents)
+        return payloads.hou2014(shared, chunks, about.points, parents)
+    if encoded.codec == "liu2006":
+        return payloads.liu2006(shared, chunks, about.points, about.up)
+    return payloads.lossless(shared, chunks, about.points)
+
+
+def check(source: Path | bytes) -> None:
+    with mc.open(source) as f:
+        wanted, found = f[:].positions, decode(f.encoded)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_golden_files(path: Path) -> None:
+    check(path)
+
+
+@pytest.mark.parametrize(
+    ("codec", "options"),
+    [
+        ("hou2014", {"segmentation": "adaptive", "clips": 3, "masking": 0.5, "components": 8}),
+        ("hou2014", {"max_error": 0.001, "point_weights": {"C7": 4.0}, "unit": 0.001}),
+        ("hou2014", {"compress_basis": False, "centre": False, "components": 5}),
+        ("liu2006", {"max_error": 0.002, "initial_frames": 40, "ahead_frames": 30, "rise": 5.0}),
+        ("lossless", {"chunk_seconds": 0.5}),
+    ],
+)
+def test_other_settings(codec: str, options: dict[str, Any]) -> None:
+    motion = synthetic.markers(frames=200, seed=3).select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
+    check(mc.encode(motion, codec=codec, **options))
+
+
+def test_transforms_of_a_database() -> None:
+    motion = synthetic.markers(frames=200, seed=3).select(["C7", "LSHO", "RSHO", "LKNE"])
+    database = Hou2014Database(components=4, clip_frames=40, transforms=2)
+    check(mc.encode(motion, codec=database.fit([motion]).codec(motion)))
+
+
+def test_floats_that_lie_on_no_grid() -> None:
+    motion = synthetic.markers(frames=60, seed=4).select(["C7", "LSHO"])
+    check(mc.encode(mc.Motion(motion.positions.astype(np.float32) / 3, 120.0), codec="lossless"))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 3), (3, 50), (130, 67), (67, 140), (2500, 4)])
+@pytest.mark.parametrize("scale", [0.5, 60, 1e13])
+def test_coded_integers(shape: tuple[int, int], scale: float) -> None:
+    values = np.rint(np.random.default_rng(1).laplace(scale=scale, size=shape)).astype(np.int64)
+    np.testing.assert_array_equal(integers(coder.pack(values), *shape), values)
+
+
+def test_coded_integers_that_are_differences_or_mostly_zero() -> None:
+    random = np.random.default_rng(2)
+    walk = random.integers(-3, 4, (2100, 4)).cumsum(axis=0)
+    sparse = np.zeros((900, 20), np.int64)
+    sparse[random.integers(0, 900, 60), random.integers(0, 20, 60)] = 5
+    for values in (walk, walk[:100], sparse):
+        np.testing.assert_array_equal(integers(coder.pack(values), *values.shape), values)
