@@ -20,7 +20,7 @@ COMMANDS = {
     "liu2006": ("papers.liu2006:command", "Tables and figures of Liu and McMillan (2006)."),
     "hou2014": ("papers.hou2014:command", "Tables and figures of Hou et al. (2014)."),
     "lien2006": ("papers.lien2006:command", "Tables and figures of Lien and Bajcsy (2006)."),
-    "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo.md."),
+    "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo/results.md."),
     "tempo-parts": ("tempo_parts:command", "tempo without each of its parts."),
     "unknown": ("unknown:command", "tempo on points that its prior does not know."),
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),

@@ -67,7 +67,7 @@ def synthetic_walk() -> Motion:
 
 def packaged() -> Motion:
     """The recording inside the package."""
-    return api.decode(data.RECORDING)
+    return api.decode(data.RECORDING, Motion)
 
 
 def content_hash(motion: Motion) -> str:

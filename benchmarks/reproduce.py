@@ -50,7 +50,7 @@ def all_command(output: Path) -> None:
 @click.command("tables")
 @click.argument("folder", default=RESULTS, type=click.Path(exists=True, file_okay=False, path_type=Path))
 def tables_command(folder: Path) -> None:
-    """Write the Markdown tables in FOLDER, and those in docs/tempo.md, again from the stored JSON; fill the pages."""
+    """Write the tables in FOLDER and of docs/tempo/results.md again from the stored JSON; fill the pages."""
     for path in write_tables(folder):
         click.echo(path)
     if folder == RESULTS:

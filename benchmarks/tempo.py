@@ -1,7 +1,7 @@
-"""The tables of docs/tempo.md: `scripts/bench tempo`.
+"""The tables of docs/tempo/results.md: `scripts/bench tempo`.
 
     recordings ──► tempo, with a prior trained without the person ──► bytes at mean errors and under hard maxima
-               ──► SZ3 at the same errors, hou2014 at its own ──► docs/results/tempo.json ──► docs/tempo.md
+               ──► SZ3 at the same errors, hou2014 at its own ──► docs/results/tempo.json ──► docs/tempo/results.md
 
 Bytes are whole .mocz files with names and skeleton; ratios are against float32 positions. A recording of one of the
 people in the prior's training data is coded with a prior trained without that person. The markers of subject 85 and the
@@ -37,7 +37,7 @@ from .motion import rivals, runner
 
 RESULTS = Path("docs/results/tempo.json")
 PARTS = Path("docs/results/tempo_parts.json")
-PAGE = Path("docs/tempo.md")
+PAGE = Path("docs/tempo/results.md")
 MEANS = (0.001, 0.003, 0.01)
 HOU_MEANS = (0.002, 0.004, 0.008)
 BOUNDS = (0.001, 0.003, 0.01)
@@ -354,7 +354,7 @@ def read_measurements() -> list[Measurement]:
 @click.option("--tables", is_flag=True, help="Only draw the tables again.")
 @click.option("--speed", is_flag=True, help="Only measure speed again.")
 def command(data: Path, priors: Path, quick: bool, afresh: bool, workers: int, tables: bool, speed: bool) -> None:
-    """Measure tempo, SZ3 and hou2014 on all CMU recordings; write docs/results/tempo.json and docs/tempo.md."""
+    """Measure tempo, SZ3 and hou2014 on all CMU recordings; write docs/results/tempo.json and docs/tempo/results.md."""
     if speed:
         stored = json.loads(RESULTS.read_text())
         stored |= {"speed": speeds(long_recording(data).load()), "speed_machine": machine_description()}

@@ -1,7 +1,7 @@
 """Points that tempo's prior does not know, above all in short clips: `scripts/bench unknown`.
 
     recordings as they are: marker sets, other skeletons ──────────┐
-    joints of people ─► markers on their bones, held samples, gaps, ├─► tempo and SZ3 at equal errors ─► docs/tempo.md
+    joints of people ─► markers on their bones, held samples, gaps, ├─► tempo and SZ3 at equal errors ─► docs/tempo
                         other names, rates and proportions ─────────┘
 
 Cases made from the joints of one of the prior's people are coded with a prior trained without that person. Noise and
@@ -260,7 +260,7 @@ def markdown(measurements: Sequence[Measurement]) -> str:
 def command(data: Path, priors: Path, only: str, tables: bool) -> None:
     """Measure tempo and SZ3 on points that the prior does not know.
 
-    Writes docs/results/tempo_unknown.json and the table of docs/tempo.md.
+    Writes docs/results/tempo_unknown.json and the table of docs/tempo/results.md.
     """
     known = read_measurements()
     if not tables:

@@ -121,7 +121,7 @@ def our_coding(name: str, settings: dict[str, Any], with_skeleton: bool = False)
     words = [f"{key} {value:g}{' %' if key == 'residual' else ''}" for key, value in settings.items()]
 
     def encode(clouds: PointClouds, performance: sequences.Performance) -> bytes:
-        skeleton = {"skeleton": performance.skeleton()[:1]} if with_skeleton else {}
+        skeleton: dict[str, Any] = {"skeleton": performance.skeleton()[:1]} if with_skeleton else {}
         return api.encode(clouds, name, **settings, **skeleton)
 
     return Coding(
@@ -130,7 +130,7 @@ def our_coding(name: str, settings: dict[str, Any], with_skeleton: bool = False)
         True,
         "the whole .mocz: model of the body, poses, residuals, header, index",
         encode,
-        api.decode,
+        lambda blob: api.decode(blob, PointClouds),
         once_bytes,
         lambda: __version__,
     )

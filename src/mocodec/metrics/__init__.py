@@ -5,6 +5,14 @@ point_clouds    D1, D2, luma and rendered views of point clouds
 splats          the rendering of point clouds that the views are compared by
 """
 
-from .motion import Comparison, compare, distances, distortion_percent, mean_distance, rms_per_frame
+from .motion import (
+    Comparison,
+    compare,
+    distances,
+    distortion_percent,
+    in_order_of,
+    mean_distance,
+    rms_per_frame,
+)
 
-__all__ = ["Comparison", "compare", "distances", "distortion_percent", "mean_distance", "rms_per_frame"]
+__all__ = ["Comparison", "compare", "distances", "distortion_percent", "in_order_of", "mean_distance", "rms_per_frame"]

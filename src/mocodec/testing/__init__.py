@@ -1,12 +1,12 @@
-"""For authors of codecs: tests that every codec must pass, and data to test it on.
+"""For authors of codecs: the tests that every codec must pass, and test data.
 
-CodecTests    a class of tests that a codec's own test class inherits       (needs pytest and hypothesis)
-strategies    motions for property tests                                    (needs hypothesis)
-synthetic     a walking figure, the same for the same seed: markers, joints
+CodecTests    base class for the test class of a codec                        (needs pytest and hypothesis)
+strategies    random motions for property tests                               (needs hypothesis)
+synthetic     a walking figure, deterministic for a seed: markers, joints
 actors        body models: skinned meshes, for synthetic point clouds
 sequences     motions of an actor, with the true skeleton, and point clouds of them
 poses         standing poses of an actor
-odd           named motions with something odd about each
+edge_cases    named motions at the limits of what codecs must handle
 corruption    damaged copies of bytes
 """
 
@@ -21,7 +21,7 @@ __all__ = ["CodecTests"]
 
 
 def __getattr__(name: str) -> Any:
-    """CodecTests, without pytest for those who only want motions."""
+    """CodecTests on first use, so that the other modules work without pytest."""
     if name == "CodecTests":
         from .codec_tests import CodecTests
 
