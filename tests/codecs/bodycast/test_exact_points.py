@@ -67,7 +67,7 @@ def test_points_too_far_apart_are_refused():
 
 
 def test_damaged_points_raise_corrupt_or_decode():
-    frames = [sphere(300), sphere(200, 1)]
+    frames = [sphere(120), sphere(80, 1)]
     for data, read in (
         (exact_points.pack_exact(frames, 0.0, True), lambda d: exact_points.unpack_exact(d, 2, True)),
         (exact_points.pack_exact(frames, 0.002, True), lambda d: exact_points.unpack_exact(d, 2, True)),

@@ -132,8 +132,8 @@ class ChunkEncoder:
     @classmethod
     def of(cls, model: Model, source: Prepared, frames: slice, spectrum: Floats | None = None) -> ChunkEncoder:
         """Of some frames of a recording."""
-        parts = (each[frames] for each in (source.positions, source.smooth, source.gap_mask, source.spikes))
-        return cls(model, *parts, spectrum)
+        positions, smooth = source.positions[frames], source.smooth[frames]
+        return cls(model, positions, smooth, source.gap_mask[frames], source.spikes[frames], spectrum)
 
     @property
     def frames(self) -> int:

@@ -122,11 +122,11 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     some = encoders[:: -(-len(encoders) // SAMPLED)]
     step = _log(USUAL_STEP * target**1.5)
     if encoders[0].spectrum is not None:
-        step = _nearest(estimate, step, NEAR_SAMPLE)[0].setting
+        step = int(_nearest(estimate, step, NEAR_SAMPLE)[0].setting)
     if len(some) < len(encoders):
-        step = _nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting
+        step = int(_nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting)
     found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
-    best, over, drafts = found.setting, found.value + AIM, found.result
+    best, over, drafts = int(found.setting), found.value + AIM, found.result
     if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
         return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
     for lower in range(1, LOWER_STEPS):
