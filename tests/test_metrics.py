@@ -1,4 +1,4 @@
-"""Each measure on numbers worked out by hand."""
+"""Each measure on numbers that were worked out by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_rms_of_each_frame() -> None:
     assert metrics.rms_per_frame(A, B) == pytest.approx([np.sqrt(0.125), np.sqrt(0.125)])
 
 
-def test_gaps_count_in_nothing() -> None:
+def test_gaps_are_left_out_of_all_measures() -> None:
     holes = A.copy()
     holes[:, 1] = np.nan
     holes[0] = np.nan
@@ -43,7 +43,7 @@ def test_gaps_count_in_nothing() -> None:
     assert list(result.per_point) == ["P1"]
 
 
-def test_comparison_says_where_the_worst_is_and_finds_points_by_name() -> None:
+def test_comparison_locates_the_largest_error_and_matches_points_by_name() -> None:
     a, b = Motion(A, rate=10, names=("x", "y")), Motion(B[:, ::-1], rate=10, names=("y", "x"))
     result = compare(a, b, stored_bytes=12)
     assert result.max_at == (1, "y")
@@ -52,6 +52,6 @@ def test_comparison_says_where_the_worst_is_and_finds_points_by_name() -> None:
     assert json.loads(result.to_json(unit="m"))["per_point"]["x"]["max_error"] == pytest.approx(0.3)
 
 
-def test_motions_of_other_sizes_are_not_compared() -> None:
+def test_motions_of_different_sizes_are_not_compared() -> None:
     with pytest.raises(BadInput, match="frames"):
         compare(Motion(A, rate=10), Motion(B[:1], rate=10))

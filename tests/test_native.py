@@ -1,4 +1,4 @@
-"""The compiled module is there where it can be built, stays aside where it is told to, and gives NumPy's numbers."""
+"""The compiled module can be switched off, and gives the same numbers as NumPy."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.entropy import coder
 from mocodec.testing import synthetic
 
-compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
+compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
 
 
 @compiled
-def test_it_can_be_left_aside() -> None:
+def test_it_can_be_switched_off() -> None:
     assert native.kernel("tempo_encode") is not None
     assert native.kernel("no such kernel") is None
     with native.without():

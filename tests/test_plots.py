@@ -1,4 +1,4 @@
-"""Pictures: drawn for any motion, the same bytes twice."""
+"""Pictures: drawn for any motion, with the same bytes each time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the README shows is run: its command lines and its Python, in order, in one folder."""
+"""The command lines and the Python of the README run, in order, in one folder."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def test_commands_and_code_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert (tmp_path / "turn.trc").exists()
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_are_not_broken() -> None:
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
         for target in re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-def test_tables_come_from_their_sources() -> None:
+def test_tables_agree_with_their_sources() -> None:
     done = subprocess.run([sys.executable, ROOT / "scripts" / "pages", "--check"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout

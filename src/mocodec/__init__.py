@@ -1,42 +1,73 @@
-"""mocodec stores, ships and streams human motion with an error that it measures and guarantees.
+# pyright: strict
+"""mocodec stores and streams human motion, with an error that is measured and guaranteed.
 
 import mocodec as mc
-m = mc.read("walk.c3d")
+m = mc.read("walk.c3d", mc.Motion)
 blob = mc.encode(m, max_error=0.002)
-m2 = mc.decode(blob)
+m2 = mc.decode(blob, mc.Motion)
 """
 
 from __future__ import annotations
 
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from .api import File, compare, decode, encode, open, read, write
-from .errors import BadInput, CannotEncode, Corrupt, MocodecError, TooNew, Truncated, UnknownCodec
-from .motion import Motion, Signal, Skeleton
+from .errors import (
+    BadInput,
+    CannotEncode,
+    Corrupt,
+    FrameOutOfRange,
+    MissingExtra,
+    MocodecError,
+    TooNew,
+    Truncated,
+    UnknownCodec,
+)
+from .motion import Limits, Motion, Signal, Skeleton
 from .pointcloud import PointClouds
+
+if TYPE_CHECKING:
+    from .codecs import tempo
+    from .codecs.bodycast import Bodycast
+    from .codecs.hou2014 import Hou2014, Hou2014Database
+    from .codecs.lien2006 import Lien2006
+    from .codecs.liu2006 import Liu2006
+    from .codecs.lossless import Lossless
+    from .codecs.tempo import Tempo
 
 __version__ = "0.1.0"
 
-CODEC_CLASSES = {
-    "Liu2006": "liu2006",
-    "Hou2014": "hou2014",
-    "Tempo": "tempo",
-    "Lossless": "lossless",
-    "Lien2006": "lien2006",
+IMPORTED_ON_FIRST_USE = {
     "Bodycast": "bodycast",
+    "Hou2014": "hou2014",
+    "Hou2014Database": "hou2014",
+    "Lien2006": "lien2006",
+    "Liu2006": "liu2006",
+    "Lossless": "lossless",
+    "Tempo": "tempo",
 }
+"""Classes and the module of `codecs` that each is in."""
 
 
-def __getattr__(name: str) -> Any:
-    """The codecs' classes, imported when first used."""
-    if name in CODEC_CLASSES:
-        from .codecs import codec_class
+if not TYPE_CHECKING:  # or type checkers would accept any name
 
-        return codec_class(CODEC_CLASSES[name])
-    raise AttributeError(f"module 'mocodec' has no attribute {name!r}")
+    def __getattr__(name: str) -> Any:
+        """The classes of the codecs, and `tempo` with its streaming Encoder and Decoder."""
+        if name == "tempo":
+            return import_module(f"{__name__}.codecs.tempo")
+        if name in IMPORTED_ON_FIRST_USE:
+            return getattr(import_module(f"{__name__}.codecs.{IMPORTED_ON_FIRST_USE[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *IMPORTED_ON_FIRST_USE, "tempo"})
 
 
 __all__ = [
-    "BadInput", "CannotEncode", "Corrupt", "File", "MocodecError", "Motion", "PointClouds", "Signal", "Skeleton",
-    "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode", "open", "read", "write",
+    "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014", "Hou2014Database",
+    "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion", "PointClouds", "Signal",
+    "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode", "open", "read", "tempo",
+    "write",
 ]  # fmt: skip

@@ -1,4 +1,5 @@
-"""The public verbs: read, write, encode, decode, open, compare.
+# pyright: strict
+"""The public functions: read, write, encode, decode, open, compare.
 
 file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motion ─write─► file
                                  └─open─► slices, without reading the rest
@@ -8,108 +9,178 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from pathlib import Path
-from typing import Any, BinaryIO, Self, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
-from . import codecs, container, formats
-from .encoded import TARGETS, Encoded
+from . import codecs, formats
+from . import progress as progress_
+from .codecs.base import Codec
+from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, CannotEncode
 from .metrics import compare
-from .motion import Deferred, Motion, frame_range, point_columns
+from .motion import Deferred, Motion
 from .pointcloud import PointClouds
+from .progress import Callback
+from .selection import Frames, counted, frame_steps, point_columns, split_key
+
+if TYPE_CHECKING:
+    from .container import Reader  # imported where it is used: it makes `import mocodec` a quarter slower
 
 __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 
-Path_ = str | PathLike[str]
-Source = bytes | bytearray | memoryview | Path_ | BinaryIO
-ATTEMPTS = 4  # at a size or a ratio
+AnyPath = str | PathLike[str]
+Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
+ATTEMPTS = 5
+"""How often a recording is encoded to meet a size or a ratio."""
 
 
-def read(path: Path_, **options: Any) -> Motion | PointClouds:
-    """Read any file that mocodec knows, by its suffix: .c3d .trc .bvh .amc .npz …, a folder of .ply, or a .mocz.
+@overload
+def read(path: AnyPath, kind: type[RecordingT], **options: Any) -> RecordingT: ...
+@overload
+def read(path: AnyPath, kind: None = None, *, asf: AnyPath, **options: Any) -> Motion: ...
+@overload
+def read(path: AnyPath, kind: None = None, *, fps: float, **options: Any) -> PointClouds: ...
+@overload
+def read(path: AnyPath, kind: None = None, **options: Any) -> Recording: ...
+def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> Recording:
+    """Read a .c3d, .trc, .bvh, .amc, .npz, .glb, .ply, a folder of .ply, or a .mocz; the suffix decides.
 
-    options go to the format's reader (`asf=` for an .amc). Raises BadInput, and the container's errors for a .mocz.
+    kind: `Motion` or `PointClouds`: a file of the other kind is an error, and type checkers know the result. options
+    are those of the format's reader (`asf=` for an .amc, `fps=` for a folder of .ply; docs/formats.md).
+    Raises BadInput; for a .mocz also what `decode` raises.
     """
-    if Path(path).suffix.lower() == ".mocz":
+    if is_mocz(path):
         if options:
-            raise BadInput(f"{path}: a .mocz is read without options, not with {', '.join(options)}")
-        return decode(path)
-    return formats.read(path, **options)
+            raise BadInput(f"{os.fspath(path)}: reading a .mocz takes no options, but got {', '.join(options)}")
+        return decode(path, kind)
+    return _of_kind(formats.read(path, **options), kind, path)
 
 
-def write(path: Path_, motion: Motion | PointClouds, **options: Any) -> None:
-    """Write by suffix; for a .mocz the options are those of `encode`. The file appears whole or not at all.
+def write(path: AnyPath, recording: Recording, **options: Any) -> None:
+    """Write a file in the format of its suffix; for a .mocz, options are those of `encode`.
 
-    What a format has no place for beside the positions (a .trc for analog channels, say) is left out;
-    `formats.dropped(path, motion)` says what that is. Raises BadInput, and CannotEncode for a .mocz.
+    The file appears complete or not at all. A format that cannot store all of the recording (a .trc has no analog
+    channels) leaves the rest out; `mocodec.formats.dropped(path, recording)` lists it.
+    Raises BadInput; for a .mocz also CannotEncode.
     """
-    if Path(path).suffix.lower() == ".mocz":
-        formats.replace_whole(path, encode(motion, **options))
+    if is_mocz(path):
+        formats.replace_whole(path, encode(recording, **options))
     else:
-        formats.write(path, motion, **options)
+        formats.write(path, recording, **options)
 
 
-def encode(motion: Motion | PointClouds, codec: Any = None, **options: Any) -> bytes:
-    """A motion, or point clouds, as the bytes of a .mocz.
+@overload
+def encode(
+    recording: Motion,
+    codec: str | Codec[Motion] | None = None,
+    *,
+    max_error: float | None = None,
+    mean_error: float | None = None,
+    ratio: float | None = None,
+    size: int | None = None,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> bytes: ...
+@overload
+def encode(
+    recording: PointClouds,
+    codec: str | Codec[PointClouds] | None = None,
+    *,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> bytes: ...
+@overload
+def encode(
+    recording: Recording,
+    codec: str | None = None,
+    *,
+    max_error: float | None = None,
+    mean_error: float | None = None,
+    ratio: float | None = None,
+    size: int | None = None,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> bytes: ...
+def encode(
+    recording: Recording,
+    codec: str | Codec[Any] | None = None,
+    *,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> bytes:
+    """Encode a motion or point clouds as the bytes of a .mocz.
 
-    codec: a name, or an instance with settings such as `Hou2014(components=40)`; unless given, "tempo" for motion and
-    "bodycast" for point clouds. options: settings by keyword, among them the targets `max_error`, `mean_error`
-    (metres), `ratio`, `size`. Raises BadInput for a setting the codec does not have, CannotEncode where it cannot do
-    what was asked.
+    codec: a name, or an instance such as `Hou2014(components=40)`; by default "tempo" for motion and "bodycast" for
+    point clouds. Targets: `max_error` (no point of any frame is farther off, metres), `mean_error` (metres), `ratio`
+    (to float32 positions), `size` (bytes of the file). settings: other settings of the codec. progress: called with
+    fractions from 0 to 1.
+    Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.
     """
-    if not isinstance(cast(object, motion), (Motion, PointClouds)):
+    if not isinstance(cast(object, recording), (Motion, PointClouds)):
         raise BadInput(
-            f"encode takes a Motion or PointClouds, not {type(motion).__name__}; see Motion(positions, rate)"
+            f"encode takes a Motion or PointClouds, not {type(recording).__name__}; make one with "
+            "mocodec.Motion(positions, rate)"
         )
-    return pack(with_options(codec or default_codec(motion), **options), motion)
+    chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
+    with progress_.listening(progress):
+        return pack(chosen, recording)
 
 
-def pack(codec: Any, motion: Motion | PointClouds) -> bytes:
-    """A motion coded with this codec, as a file: `size` holds for the whole file, `ratio` for all of it but the extras.
+def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings without the targets that are None."""
+    return {name: value for name, value in settings.items() if value is not None or name not in TARGETS}
 
-    A codec counts its own bytes only; where the file around them is too much, it is asked for that much less.
-    Raises CannotEncode where nothing is left to ask for.
+
+def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
+    """Encode, and meet `size` for the whole file and `ratio` for the whole file without extras.
+
+    A codec counts only its own bytes. If the container makes the file too large, the codec encodes again with a target
+    that is smaller by the excess. Raises CannotEncode if the target cannot be met.
     """
-    encoded = codec.encode(motion)
-    blob = container.pack(encoded)
-    steered_by = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
-    if steered_by is None:
-        return blob
-    settings = encoded.settings
-    limit = codec.size if steered_by == "size" else motion.raw_bytes / codec.ratio + extras_bytes(blob)
-    asked = codec.size if steered_by == "size" else motion.raw_bytes / codec.ratio
-    for _ in range(ATTEMPTS):
+    from . import container
+
+    target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
+    if target is None:
+        return container.pack(codec.encode(recording))
+    with progress_.attempt(0):
+        encoded = codec.encode(recording)
+    blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
+    target_bytes: float = value if target == "size" else recording.raw_bytes / value
+    limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
+    for attempt in range(1, ATTEMPTS):
         if len(blob) <= limit:
             return blob
-        asked = math.floor(asked - (len(blob) - limit))
-        if asked < 1:
+        target_bytes = math.floor(target_bytes - (len(blob) - limit))
+        if target_bytes < 1:
             break
-        less = dataclasses.replace(codec, **{steered_by: asked if steered_by == "size" else motion.raw_bytes / asked})
-        encoded = dataclasses.replace(less.encode(motion), settings=settings)
-        blob = container.pack(encoded)
+        value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
+        with progress_.attempt(attempt):
+            encoded = dataclasses.replace(codec, **{target: value}).encode(recording)
+        blob = container.pack(dataclasses.replace(encoded, settings=settings))
     if len(blob) <= limit:
         return blob
     raise CannotEncode(
-        f"{codec.name} does not come down to {limit:.0f} bytes with the file around it, only to {len(blob)}"
+        f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
+        f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
     )
 
 
 def extras_bytes(blob: bytes) -> int:
-    """The bytes in a file of what is beside the points."""
+    """Bytes of the extras in a .mocz."""
     with open(blob) as f:
         return f.info["bytes_by_part"]["extras"]
 
 
-def default_codec(motion: Motion | PointClouds) -> str:
-    """The codec that is used where none is named."""
-    return "tempo" if isinstance(motion, Motion) else "bodycast"
+def default_codec(recording: Recording) -> str:
+    """The name of the codec that is used by default."""
+    return "tempo" if isinstance(recording, Motion) else "bodycast"
 
 
-def with_options(codec: Any, **options: Any) -> Any:
-    """A codec, by name or as it is, with these settings. Raises BadInput for a setting that it does not have."""
-    chosen = codecs.codec_class(codec)() if isinstance(codec, str) else codec
+def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
+    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
+    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
     known = [f.name for f in dataclasses.fields(chosen)]
     for name in options:
         if name not in known:
@@ -118,37 +189,63 @@ def with_options(codec: Any, **options: Any) -> Any:
     return dataclasses.replace(chosen, **options)
 
 
-def decode(source: Source) -> Any:
-    """The motion (or point clouds) of a .mocz: bytes, a path, a URL or a file object; extras and all.
+@overload
+def decode(source: Source, kind: type[RecordingT], *, progress: Callback | None = None) -> RecordingT: ...
+@overload
+def decode(source: Source, kind: None = None, *, progress: Callback | None = None) -> Recording: ...
+def decode(source: Source, kind: type[Recording] | None = None, *, progress: Callback | None = None) -> Recording:
+    """Decode a .mocz: bytes, a path, an http(s) URL or a binary file object.
 
+    kind: `Motion` or `PointClouds`, as in `read`. progress: called with fractions from 0 to 1.
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
-    with open(source) as f:
-        motion = f[:]
-        if isinstance(motion.extras, Deferred):
-            motion = dataclasses.replace(motion, extras=dict(motion.extras))
-        return motion
+    with progress_.listening(progress), open(source, kind) as f:
+        recording = f[:]
+        if isinstance(recording.extras, Deferred):
+            recording = dataclasses.replace(recording, extras=dict(recording.extras))
+        return recording
 
 
-def open(source: Source, salvage: bool = False) -> File:
-    """Open a .mocz for random access: a path (str or PathLike), an http(s) URL, bytes or a binary file object.
+@overload
+def open(source: Source, kind: type[RecordingT], *, salvage: bool = False) -> File[RecordingT]: ...
+@overload
+def open(source: Source, kind: None = None, *, salvage: bool = False) -> File[Recording]: ...
+def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool = False) -> File[Any]:
+    """Open a .mocz for random access: a path, an http(s) URL, bytes or a binary file object.
 
-    Reads header and index only. salvage: open what is left of a file that was cut off; see `File.whole`.
+    Only header and index are read. kind: `Motion` or `PointClouds`, as in `read`. salvage: open the undamaged chunks
+    of a file that was cut short; see `File.whole`.
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
-    return File(container.Reader(source, salvage))
+    from . import container
+
+    reader = container.Reader(source, salvage)
+    try:
+        _of_kind(reader.encoded.about, kind, reader.source.name)
+    except BadInput:
+        reader.close()
+        raise
+    return File[Any](reader, _reopenable(source), salvage)
 
 
-class File:
-    """An open .mocz: `f[1200:1320]`, `f[1200:1320, ["LKNE"]]`, `f.at(seconds=slice(10.0, 11.0))`, `for chunk in f`."""
+class File(Generic[RecordingT]):
+    """An open .mocz.
 
-    def __init__(self, reader: container.Reader) -> None:
+    `f[1200:1320]`, `f[100]`, `f[-1]` and `f[::4]` decode these frames, to a Motion or PointClouds;
+    `f[1200:1320, ["LKNE"]]` some points of them; `f.at(seconds=slice(10.0, 11.0))` the frames of this time.
+    `for part in f` decodes chunk by chunk. A file can be pickled, unless it was opened from a file object: unpickling
+    opens the path, URL or bytes again.
+    """
+
+    def __init__(self, reader: Reader, reopen_from: str | bytes | None = None, salvage: bool = False) -> None:
         self._reader = reader
-        self.encoded: Encoded[Any] = reader.encoded
+        self._reopen_from = reopen_from
+        self._salvage = salvage
+        self.encoded: Encoded[RecordingT] = reader.encoded
 
     @property
-    def codec(self) -> Any:
-        """The class of the codec that made the file. Raises UnknownCodec: names and `info` can be had without it."""
+    def codec(self) -> type[Codec[RecordingT]]:
+        """The class of the codec that made the file. Raises UnknownCodec; `info` and `names` work without the codec."""
         return codecs.codec_class(self.encoded.codec)
 
     @property
@@ -159,57 +256,88 @@ class File:
 
     @property
     def rate(self) -> float:
+        """Frames per second."""
         return self.encoded.about.rate
 
     @property
+    def seconds(self) -> float:
+        """Duration: frames / rate."""
+        return len(self) / self.rate
+
+    @property
     def names(self) -> tuple[str, ...]:
+        """One name per point of a motion; () for point clouds."""
         about = self.encoded.about
         return about.names if isinstance(about, Motion) else ()
 
     @property
     def info(self) -> dict[str, Any]:
-        """What the file holds, as JSON values: the keys of `mocodec info --json`."""
+        """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
         return self._reader.info()
 
     def __len__(self) -> int:
+        """The number of frames."""
         return self.encoded.frames
 
-    def __getitem__(self, key: slice | tuple[slice, Sequence[str]]) -> Any:
-        frames, names = key if isinstance(key, tuple) else (key, None)
-        frame_range(frames, len(self))
+    def __repr__(self) -> str:
+        about, name = self.encoded.about, self._reader.source.name
+        points = f" of {counted(about.points, 'point')}" if isinstance(about, Motion) else " of point clouds"
+        facts = [self.encoded.codec, f"{counted(len(self), 'frame')}{points} at {self.rate:g} Hz"]
+        facts += [f"{self.seconds:.4g} s"]
+        facts += [f"{name}={value:g}" for name, value in self.encoded.promise.items()]
+        return f"<File{f' {name!r}' if name else ''}: {', '.join(facts)}>"
+
+    def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> RecordingT:
+        """Decode a frame or a slice of frames, all points or those of these names.
+
+        Raises BadInput, FrameOutOfRange for a single frame only, and what `decode` raises.
+        """
+        frames, names = split_key(key)
+        start, stop, step = frame_steps(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
         with self._reader.errors_name_file():
-            motion = self.codec.decode(self.encoded, frames)
-        return motion if names is None else motion.select(names)
+            recording = self.codec.decode(self.encoded, slice(start, stop))
+        if step > 1:
+            recording = cast("RecordingT", recording[::step])
+        return recording if names is None else cast("RecordingT", cast(Motion, recording).select(names))
 
-    def at(self, seconds: slice) -> Any:
-        """Frames whose time (frame / rate) falls into [start, stop) seconds. Raises BadInput for a step, or below 0."""
+    def at(self, seconds: slice) -> RecordingT:
+        """The frames whose time (frame / rate) is in [start, stop) seconds. Raises BadInput for a step or below 0."""
         if not isinstance(cast(object, seconds), slice) or seconds.step is not None:
             raise BadInput("times are chosen by a slice without a step, such as f.at(seconds=slice(10.0, 11.0))")
         return self[self._frame(seconds.start) : self._frame(seconds.stop)]
 
     def _frame(self, second: float | None) -> int | None:
-        """The first frame at or after this time; a rounding error of the product does not make it one later."""
+        """The first frame at or after this time; the tolerance absorbs the rounding of the product."""
         if second is None:
             return None
         if not second >= 0:
-            raise BadInput(f"times count from the first frame, from 0 on, not {second}")
+            raise BadInput(f"times count from the first frame and start at 0, not {second}")
         return min(math.ceil(second * self.rate - 1e-6), len(self))
 
     def whole(self) -> list[tuple[int, int]]:
-        """Runs of frames (start, stop) that are undamaged: slices that decode, also of a file opened with `salvage`."""
+        """Runs of frames (start, stop) that are undamaged and decode, also in a file opened with `salvage`."""
         return self._reader.intact_runs()
 
     def verify(self) -> None:
-        """Read every byte and test every checksum. Raises Corrupt that names each damaged part."""
+        """Read every byte and test every checksum. Raises Corrupt, which lists all damaged parts."""
         self._reader.verify()
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[RecordingT]:
+        """The recording chunk by chunk."""
         for chunk in self.encoded.chunks:
             yield self[chunk.start : chunk.stop]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._reopen_from is None:
+            raise BadInput(
+                "a File that was opened from a file object cannot be pickled: open it from its path, URL or bytes"
+            )
+        return _open_again, (self._reopen_from, self._salvage)
+
     def close(self) -> None:
+        """Close the file; extras of slices can still be read."""
         self._reader.close()
 
     def __enter__(self) -> Self:
@@ -217,3 +345,34 @@ class File:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def is_mocz(path: AnyPath) -> bool:
+    """Whether a path has the suffix .mocz."""
+    return os.fspath(path).lower().endswith(".mocz")
+
+
+def _of_kind(recording: Recording, kind: type[Recording] | None, path: object) -> Recording:
+    """The recording. Raises BadInput if it is not of this kind."""
+    if kind is not None and not isinstance(recording, kind):
+        where = f"{path}: " if path else ""
+        raise BadInput(f"{where}this file holds {IN_WORDS[type(recording)]}, not {IN_WORDS[kind]}")
+    return recording
+
+
+IN_WORDS: dict[type, str] = {Motion: "a motion", PointClouds: "point clouds"}
+
+
+def _reopenable(source: Source) -> str | bytes | None:
+    """What opens the same file again, in another folder too; None for a file object."""
+    if isinstance(source, (bytes, bytearray, memoryview)):
+        return bytes(source)
+    if isinstance(source, (str, PathLike)):
+        path = os.fspath(source)
+        return path if "://" in path else os.path.abspath(path)
+    return None
+
+
+def _open_again(source: str | bytes, salvage: bool) -> File[Any]:
+    """Unpickle a File."""
+    return open(source, salvage=salvage)

@@ -1,8 +1,9 @@
-"""Encoded: all that codecs and the container hand each other.
+# pyright: strict
+"""Encoded: the only thing that codecs and the container exchange.
 
-shared bytes   what every chunk needs (a basis, a prior's name); equal bytes in many files are stored once
-chunks         each a run of frames that decodes from the shared bytes, itself and `margin` neighbours on each side
-about          a motion (or point clouds) of no frames: rate, names, axes, skeleton, source, extras
+shared bytes   what every chunk needs to decode (a basis, the name of a prior)
+chunks         runs of frames; each decodes from the shared bytes, itself and `margin` neighbours on each side
+about          a motion (or point clouds) without frames: rate, names, axes, skeleton, source, extras
 """
 
 from __future__ import annotations
@@ -12,13 +13,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
-from .motion import Floats, Motion, extras_between, frame_range, source_from
+from .motion import Motion, extras_between, source_from
 from .pointcloud import PointClouds
+from .selection import frame_range
+from .typing import Floats
 
 TARGETS = ("max_error", "mean_error", "ratio", "size")
-"""Settings that promise something: errors in metres, ratio to float32 positions, bytes of the file."""
+"""Settings that are promises: errors in metres, ratio to float32 positions, bytes of the file."""
 
-About = TypeVar("About", Motion, PointClouds)
+Recording = Motion | PointClouds
+"""The two kinds of data that codecs code."""
+
+RecordingT = TypeVar("RecordingT", bound=Recording)
 
 
 @dataclass(frozen=True)
@@ -31,28 +37,30 @@ class Chunk:
 
     @property
     def stop(self) -> int:
+        """The frame after the last."""
         return self.start + self.frames
 
 
 @dataclass(frozen=True, eq=False)
-class Encoded(Generic[About]):
-    """What a codec makes and takes back.
+class Encoded(Generic[RecordingT]):
+    """The output of `Codec.encode` and the input of `Codec.decode`.
 
-    codec: its name on disk. about: all that the codec does not code, with no frames in it. shared: blobs that all
-    chunks need. chunks: in order, without holes; a reader's sequence loads a payload when it is asked for. margin: how
+    codec: its name on disk. about: everything that the codec does not code, with no frames in it. shared: blobs that
+    all chunks need. chunks: in order, without holes; from a file, a chunk loads its payload on first use. margin: how
     many neighbouring chunks on each side a chunk needs to decode. settings: the codec's settings that differ from its
-    defaults, JSON values, never needed to decode; `max_error` among them is a promise.
+    defaults, JSON values, never needed to decode; those named in TARGETS are promises.
     """
 
     codec: str
-    about: About
+    about: RecordingT
     chunks: Sequence[Chunk]
     shared: tuple[bytes, ...] = ()
     margin: int = 0
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
     def frames(self) -> int:
+        """The number of frames."""
         return self.chunks[-1].stop if len(self.chunks) else 0
 
     @property
@@ -62,7 +70,7 @@ class Encoded(Generic[About]):
 
     @property
     def promise(self) -> dict[str, float]:
-        """What was promised when it was encoded: those of TARGETS among the settings."""
+        """The promises of the file: the settings that are named in TARGETS."""
         chosen = {name: self.settings.get(name) for name in TARGETS}
         return {name: value for name, value in chosen.items() if type(value) in (int, float) and value}
 
@@ -71,20 +79,20 @@ class Encoded(Generic[About]):
         return frame_range(frames, self.frames)
 
     def covering(self, start: int, stop: int) -> Sequence[Chunk]:
-        """The chunks that frames [start, stop) need, margins included; payloads of no others are read."""
+        """The chunks that frames [start, stop) need, margins included; no other payload is read."""
         first = bisect_right(self.chunks, start, key=lambda chunk: chunk.stop)
         last = bisect_left(self.chunks, stop, key=lambda chunk: chunk.start)
         return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
 
 
 def about(motion: Motion) -> Motion:
-    """The motion without its frames and rotations: what goes beside the codec's bytes."""
+    """The motion without its frames and rotations: the `about` of its Encoded."""
     return replace(motion, positions=motion.positions[:0], rotations=None)
 
 
 def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0) -> Motion:
-    """The motion again: decoded positions of the frames from `start` on, with names, extras and the rest beside."""
+    """The motion of decoded positions (frames, points, 3), whose first frame is `start` of the encoded motion."""
     like = encoded.about
-    whole = start == 0 and len(positions) == encoded.frames
-    extras = like.extras if whole else extras_between(like.extras, start, start + len(positions), like.rate)
+    complete = start == 0 and len(positions) == encoded.frames
+    extras = like.extras if complete else extras_between(like.extras, start, start + len(positions), like.rate)
     return replace(like, positions=positions, extras=extras, source=source_from(like.source, start))

@@ -1,13 +1,15 @@
-"""Every error that mocodec raises on purpose, sorted by what the reader can do next.
+# pyright: strict
+"""Every error that mocodec raises on purpose, sorted by what the user can do next.
 
     MocodecError
-    ├── BadInput         the file or the arguments are not usable: mend the input
-    ├── CannotEncode     the motion is fine, but this codec cannot do what was asked: ask for less, or another codec
-    ├── UnknownCodec     the file names a codec that this package does not have
-    ├── TooNew           the file was written by a later format version: upgrade mocodec
-    ├── Truncated        the file ends too early: fetch it again; what is left can be salvaged
-    └── Corrupt          bytes are damaged (a checksum or a bound does not hold): restore from a copy
-    MissingExtra (BadInput)   an optional dependency is not installed; the message names the extra
+    ├── BadInput             the file or the arguments are not usable: correct the input
+    │   ├── FrameOutOfRange  there is no frame of this number; an IndexError too
+    │   └── MissingExtra     an optional dependency is not installed; the message names the extra to install
+    ├── CannotEncode         the data is fine, but this codec cannot meet the settings: relax them or change the codec
+    ├── UnknownCodec         the file names a codec that this version of mocodec does not have
+    ├── TooNew               the file has a later format version: upgrade mocodec
+    ├── Truncated            the file ends too early: fetch it again; the remaining frames can be salvaged
+    └── Corrupt              bytes are damaged (a checksum or a bound does not hold): restore the file from a copy
 
 A message says what is wrong, where, and what to do.
 """
@@ -16,30 +18,36 @@ from __future__ import annotations
 
 
 class MocodecError(Exception):
-    """Above every error that mocodec raises on purpose."""
+    """Base class of every error that mocodec raises on purpose."""
 
 
 class BadInput(MocodecError, ValueError):
     """The file or the arguments are not usable."""
 
 
+class FrameOutOfRange(BadInput, IndexError):
+    """There is no frame of this number."""
+
+
 class MissingExtra(BadInput):
     """An optional dependency is not installed."""
 
     def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f"{what} needs the [{extra}] extra: pip install 'mocodec[{extra}]'")
+        super().__init__(
+            f"{what} needs the [{extra}] extra: pip install 'mocodec[{extra}]', or '.[{extra}]' in a checkout"
+        )
 
 
 class CannotEncode(MocodecError):
-    """The motion cannot be coded as asked; nothing was written."""
+    """The data cannot be coded with these settings; nothing was written."""
 
 
 class UnknownCodec(MocodecError):
-    """No codec of that name in this package."""
+    """This version of mocodec has no codec of that name."""
 
 
 class TooNew(MocodecError):
-    """Written by a later version of the format than this package reads."""
+    """The file has a later format version than this version of mocodec reads."""
 
 
 class Truncated(MocodecError):

@@ -1,15 +1,15 @@
-"""Each measure of error once, with the paper's equation number. Lengths in metres; gaps count in none of them."""
+"""Error measures, with the equation numbers of the papers that define them. Lengths in metres; gaps are left out."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from .errors import BadInput
-from .motion import Floats, Motion
+from .motion import Motion
+from .typing import Floats
 
 
 def distances(original: Floats, decoded: Floats) -> Floats:
@@ -23,9 +23,12 @@ def mean_distance(original: Floats, decoded: Floats) -> float:
 
 
 def distortion_percent(original: Floats, decoded: Floats) -> float:
-    """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ in the Frobenius norm, E(A) each coordinate's average. Liu & McMillan 2006, s. 4."""
-    here = ~np.isnan(original)
-    mean = np.nansum(original, axis=0) / np.maximum(here.sum(axis=0), 1)
+    """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ in the Frobenius norm; E(A) is the mean of each coordinate over time.
+
+    Liu & McMillan 2006, section 4.
+    """
+    present = ~np.isnan(original)
+    mean = np.nansum(original, axis=0) / np.maximum(present.sum(axis=0), 1)
     spread = np.nansum((original - mean) ** 2)
     return float(100 * np.sqrt(np.nansum((original - decoded) ** 2) / spread)) if spread > 0 else 0.0
 
@@ -33,13 +36,19 @@ def distortion_percent(original: Floats, decoded: Floats) -> float:
 def rms_per_frame(original: Floats, decoded: Floats) -> Floats:
     """Root mean square error over the points of each frame, (frames,). Liu & McMillan 2006, section 4, figure 4."""
     squares = distances(original, decoded) ** 2
-    here = ~np.isnan(squares)
-    return np.sqrt(np.where(here, squares, 0).sum(axis=1) / np.where(here.any(axis=1), here.sum(axis=1), np.nan))
+    present = ~np.isnan(squares)
+    counts = np.where(present.any(axis=1), present.sum(axis=1), np.nan)
+    return np.sqrt(np.where(present, squares, 0).sum(axis=1) / counts)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far one motion is from another. Errors in metres; the keys of `to_json` are these fields."""
+    """How far a decoded motion is from the original. The keys of `to_json` are these fields.
+
+    mean_error, p99_error, max_error, rms: over all points and frames, metres. max_at: frame and point of the largest
+    error. d_percent: `distortion_percent`. gaps_equal: both motions have the same gaps. per_point: mean, 99th
+    percentile and largest error of each point. ratio: size as float32 positions over stored bytes, if these are known.
+    """
 
     frames: int
     points: int
@@ -50,44 +59,59 @@ class Comparison:
     rms: float
     d_percent: float
     gaps_equal: bool
-    per_point: dict[str, dict[str, float]] = field(default_factory=dict)
+    per_point: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
     ratio: float | None = None
 
     def to_json(self, **extra: Any) -> str:
+        """All fields, and `extra` ones, as a JSON object."""
+        import json
+
         return json.dumps({**asdict(self), **extra}, indent=2)
 
 
-def compare(a: Motion, b: Motion, stored_bytes: int | None = None) -> Comparison:
-    """Measure b against a. `stored_bytes`: b's size on disk, for the ratio against a as float32 positions.
+def in_order_of(original: Motion, decoded: Motion) -> Motion:
+    """The decoded motion with its points in the order of the original, if both have the same, unique names."""
+    unique = len(set(original.names)) == original.points
+    same_names = unique and sorted(original.names) == sorted(decoded.names)
+    return decoded.select(original.names) if same_names else decoded
 
-    Raises BadInput where they do not have the same frames and points.
+
+def compare(original: Motion, decoded: Motion, stored_bytes: int | None = None) -> Comparison:
+    """Measure the error of `decoded` against `original`, point by point: points are matched by name.
+
+    stored_bytes: size of the decoded motion on disk, for the ratio to the original as float32 positions.
+    Raises BadInput if frames or points differ in number, or for point clouds (`mocodec compare` measures these).
     """
-    if a.positions.shape != b.positions.shape:
-        raise BadInput(f"cannot compare {len(a)} frames of {a.points} points with {len(b)} frames of {b.points} points")
-    if a.names != b.names and sorted(a.names) == sorted(b.names) and len(set(a.names)) == a.points:
-        b = b.select(a.names)
-    error = distances(a.positions, b.positions)
-    here = error[~np.isnan(error)]
-    frame, point = np.unravel_index(int(np.nanargmax(error)), error.shape) if here.size else (0, 0)
-    columns = {name: e[~np.isnan(e)] for name, e in zip(a.names, error.T, strict=True)}
+    for motion in (original, decoded):
+        if not isinstance(cast(object, motion), Motion):
+            raise BadInput(f"compare takes two motions, not {type(motion).__name__}; `mocodec compare` does both")
+    if original.positions.shape != decoded.positions.shape:
+        sizes = [f"{len(motion)} frames of {motion.points} points" for motion in (original, decoded)]
+        raise BadInput(f"cannot compare {sizes[0]} with {sizes[1]}")
+    decoded = in_order_of(original, decoded)
+    error = distances(original.positions, decoded.positions)
+    present = error[~np.isnan(error)]
+    largest = np.unravel_index(int(np.nanargmax(error)), error.shape) if present.size else None
+    columns = {name: e[~np.isnan(e)] for name, e in zip(original.names, error.T, strict=True)}
     return Comparison(
-        frames=len(a),
-        points=a.points,
-        mean_error=float(here.mean()) if here.size else 0.0,
-        p99_error=float(np.percentile(here, 99)) if here.size else 0.0,
-        max_error=float(here.max()) if here.size else 0.0,
-        max_at=(int(frame), a.names[int(point)]) if here.size else None,
-        rms=float(np.sqrt((here**2).mean())) if here.size else 0.0,
-        d_percent=distortion_percent(a.positions, b.positions) if here.size else 0.0,
-        gaps_equal=bool((a.gaps == b.gaps).all()),
-        per_point={
-            name: {
-                "mean_error": float(e.mean()),
-                "p99_error": float(np.percentile(e, 99)),
-                "max_error": float(e.max()),
-            }
-            for name, e in columns.items()
-            if e.size
-        },
-        ratio=a.raw_bytes / stored_bytes if stored_bytes else None,
+        frames=len(original),
+        points=original.points,
+        **_summary(present),
+        max_at=None if largest is None else (int(largest[0]), original.names[int(largest[1])]),
+        rms=float(np.sqrt((present**2).mean())) if present.size else 0.0,
+        d_percent=distortion_percent(original.positions, decoded.positions) if present.size else 0.0,
+        gaps_equal=bool((original.gaps == decoded.gaps).all()),
+        per_point={name: _summary(errors) for name, errors in columns.items() if errors.size},
+        ratio=original.raw_bytes / stored_bytes if stored_bytes else None,
     )
+
+
+def _summary(errors: Floats) -> dict[str, float]:
+    """Mean, 99th percentile and largest of errors (n,); zeros for none."""
+    if not errors.size:
+        return {"mean_error": 0.0, "p99_error": 0.0, "max_error": 0.0}
+    return {
+        "mean_error": float(errors.mean()),
+        "p99_error": float(np.percentile(errors, 99)),
+        "max_error": float(errors.max()),
+    }

@@ -1,8 +1,9 @@
-"""Motion: named points over time, in metres and hertz; what every reader makes and every codec takes.
+# pyright: strict
+"""Motion: named points over time, in metres and hertz. Every reader returns one, every motion codec takes one.
 
 positions (frames, points, 3) · rate · names · up          the motion itself; NaN = gap
-skeleton, rotations                                        where the source has them
-source, extras                                             what it takes to write the file back as it came
+skeleton, rotations                                        if the source has them
+source, extras                                             what is needed to write the file back unchanged
 """
 
 from __future__ import annotations
@@ -11,25 +12,27 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from .errors import BadInput
-from .typing import Floats
+from .selection import Frames, counted, frame_steps, point_columns, split_key
+from .typing import Booleans, Floats
 
 UP_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """How far the joints of a skeleton may turn.
+    """How far the joints of a skeleton can rotate.
 
-    A joint's rotation against its parent is C · R · C⁻¹, where C is the turn of its axis frame, `axes` (joints, 4; unit
-    quaternions, w first), and R is made of turns about the three axes named in its entry of `orders`, read as
-    `geometry.rigid` reads them ("zyx" is Rz · Ry · Rx). ranges (joints, 3, 2): the least and the greatest of each of
-    these angles, in that order, radians; −∞ and ∞ where nothing limits it, 0 and 0 where the joint does not turn so.
+    A joint's rotation relative to its parent is C · R · C⁻¹. C is the orientation of the joint's axis frame, `axes`
+    (joints, 4; unit quaternions, w first). R is a product of rotations about three axes in the order that `orders`
+    names, with the convention of `geometry.rigid` ("zyx" is Rz · Ry · Rx). ranges (joints, 3, 2): smallest and largest
+    angle about each of these axes, in that order, radians; −∞ and ∞ without a limit, 0 and 0 for an axis about which
+    the joint does not rotate.
     """
 
     orders: tuple[str, ...]
@@ -44,22 +47,24 @@ class Limits:
         if self.axes.shape != (n, 4) or self.ranges.shape != (n, 3, 2):
             raise BadInput(f"limits of {n} joints need axes ({n}, 4) and ranges ({n}, 3, 2)")
         if any(sorted(order) != ["x", "y", "z"] for order in self.orders):
-            raise BadInput("the orders of limits are made of x, y and z")
+            raise BadInput("each order of limits must contain x, y and z once")
         low, high = self.ranges[..., 0], self.ranges[..., 1]
         if not (np.isfinite(self.axes).all() and ((low <= high) & (low < np.inf) & (high > -np.inf)).all()):
-            raise BadInput("limits need finite axes, and ranges from the lesser angle to the greater")
+            raise BadInput("limits need finite axes, and ranges from the smaller angle to the larger")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Skeleton:
-    """A tree of joints at rest.
+    """A joint hierarchy in its rest pose.
 
     names: one per joint, in the order of the points of the motion. parents: index of each joint's parent, −1 for a
-    root; a parent stands before its children. offsets (joints, 3): from parent to joint in the parent's frame, metres;
-    at rest all frames are parallel. Where `source["format"]` is "amc" a joint is the end of a bone that turns about its
-    start, so its offset is in its own frame: bones that begin in one joint turn apart, which no one frame of that joint
-    could say (`geometry.kinematics.forward(…, own_frame=True)`). limits: how far the joints may turn, where the source
-    says it (ASF); they do not bind `rotations`.
+    root; a parent comes before its children. offsets (joints, 3): from parent to joint in the parent's frame, metres;
+    in the rest pose all frames are parallel. If `source["format"]` is "amc", a joint is the end of a bone that rotates
+    about its start, and its offset is in its own frame: bones that start in the same joint rotate separately, which one
+    frame of that joint could not express (`geometry.kinematics.forward(…, own_frame=True)`). limits: how far the joints
+    can rotate, if the source contains it (ASF); `rotations` may exceed them.
+
+    Raises BadInput for arrays of other shapes and for a parent after its child.
     """
 
     names: tuple[str, ...]
@@ -76,20 +81,26 @@ class Skeleton:
             raise BadInput(f"skeleton of {n} joints needs {n} parents and offsets ({n}, 3), not {self.offsets.shape}")
         for joint, parent in enumerate(self.parents):
             if not -1 <= parent < joint:
-                raise BadInput(f"skeleton joint {joint} ({self.names[joint]}): its parent must stand before it")
+                raise BadInput(f"skeleton joint {joint} ({self.names[joint]}): its parent must come before it")
         if self.limits is not None and len(self.limits.orders) != n:
             raise BadInput(f"skeleton of {n} joints with limits of {len(self.limits.orders)}")
 
     def __len__(self) -> int:
+        """The number of joints."""
         return len(self.names)
 
+    def __repr__(self) -> str:
+        roots = ", ".join(name for name, parent in zip(self.names, self.parents, strict=True) if parent < 0)
+        limits = ", with joint limits" if self.limits is not None else ""
+        return f"<Skeleton: {counted(len(self), 'joint')}, root {roots or 'none'}{limits}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Signal:
-    """Samples beside the points: analog channels, camera masks, residuals. Sliced along time with the motion.
+    """Samples beside the points: analog channels, camera masks, residuals. Slicing a motion slices its signals too.
 
-    values (samples, …), any dtype, kept bit for bit; rate in hertz (samples a second); labels and units by channel.
-    Raises BadInput where these do not hold.
+    values (samples, …), any dtype, kept bit for bit; rate in hertz (samples per second); labels and units per channel.
+    Raises BadInput for values without a time axis and for a rate that is not positive.
     """
 
     values: NDArray[Any]
@@ -103,25 +114,31 @@ class Signal:
                 f"a signal is an array of samples at a positive rate, not {self.values.shape} at {self.rate}"
             )
 
+    def __repr__(self) -> str:
+        return f"<Signal: {' × '.join(map(str, self.values.shape))} {self.values.dtype} at {self.rate:g} Hz>"
+
     def between(self, start: int, stop: int, frame_rate: float) -> Signal:
-        """The samples that fall into frames [start, stop) of a motion at `frame_rate`."""
+        """The samples of frames [start, stop) of a motion at `frame_rate`."""
         per_frame = self.rate / frame_rate
         return replace(self, values=self.values[round(start * per_frame) : round(stop * per_frame)])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion:
     """Named points over time.
 
     positions (frames, points, 3) float64, metres, in the source's axes; a gap is NaN in all three coordinates.
-    rate: frames a second. names: one per point. up: the vertical axis, "x", "y" or "z".
-    skeleton, rotations (frames, joints, 4; unit quaternions, w first, from the parent's frame): where there are any.
-    source: JSON values that say how the file was: `format`, `units`, `unit_m` (metres in one unit), `first_frame`, …
-    extras: what codecs do not code and the container carries losslessly: a tree of dicts and lists with JSON values,
+    rate: frames per second. names: one per point; P1, P2, … by default. up: the vertical axis, "x", "y" or "z".
+    skeleton, rotations (frames, joints, 4; unit quaternions, w first, relative to the parent's frame): None without.
+    source: JSON values that describe the file: `format`, `units`, `unit_m` (metres per unit), `first_frame`, …
+    extras: what codecs do not code and the container stores losslessly: a tree of dicts and lists with JSON values,
     bytes, NumPy arrays and `Signal`s. `extras["events"]` is a list of dicts with `label` and `time_s`, counted from the
     first frame.
 
-    Raises BadInput where these do not hold.
+    `motion[1200:1320]` is a motion of these frames, `motion[100]` of one, `motion[::4]` of every fourth;
+    `np.asarray(motion, np.float32)` its positions as an array.
+
+    Raises BadInput for arrays of other shapes, names that do not match, infinite or partly missing positions.
     """
 
     positions: Floats
@@ -130,8 +147,22 @@ class Motion:
     up: str = "z"
     skeleton: Skeleton | None = None
     rotations: Floats | None = None
-    source: Mapping[str, Any] = field(default_factory=dict)
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    extras: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    if TYPE_CHECKING:  # the constructor takes more than the fields hold: `__post_init__` converts
+
+        def __init__(
+            self,
+            positions: ArrayLike,
+            rate: float,
+            names: Iterable[str] = (),
+            up: str = "z",
+            skeleton: Skeleton | None = None,
+            rotations: ArrayLike | None = None,
+            source: Mapping[str, Any] = ...,
+            extras: Mapping[str, Any] = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         positions = np.ascontiguousarray(self.positions, np.float64)
@@ -157,12 +188,12 @@ class Motion:
         if not isinstance(self.extras, Deferred):
             require_events(self.extras)
         with np.errstate(over="ignore", invalid="ignore"):
-            whole = math.isfinite(positions.sum())  # and so are all of them; far quicker than to look at each
-        if not whole:
+            all_finite = math.isfinite(positions.sum())  # much faster than testing every coordinate
+        if not all_finite:
             self._require_points_or_gaps()
 
     def _require_points_or_gaps(self) -> None:
-        """Raises BadInput for a point that is neither known nor missing."""
+        """Raises BadInput for infinite points and for points with only some coordinates missing."""
         if np.isinf(self.positions).any():
             frame, point = np.argwhere(np.isinf(self.positions))[0, :2]
             raise BadInput(f"point {self.names[point]} is infinite at frame {frame}")
@@ -176,6 +207,23 @@ class Motion:
         """The number of frames."""
         return self.positions.shape[0]
 
+    def __repr__(self) -> str:
+        facts = [f"{counted(len(self), 'frame')} of {counted(self.points, 'point')} at {self.rate:g} Hz"]
+        facts += [f"{self.seconds:.4g} s", f"{self.up} up"]
+        facts += ["skeleton"] if self.skeleton is not None else []
+        facts += ["rotations"] if self.rotations is not None else []
+        missing = int(self.gaps.sum())
+        facts += [f"{100 * missing / self.gaps.size:.2g} % gaps"] if missing else []
+        return f"<Motion: {', '.join(facts)}>"
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """The positions (frames, points, 3), metres: `np.asarray(motion)`, `np.asarray(motion, np.float32)`."""
+        if copy:
+            return np.array(self.positions, dtype)
+        if copy is False and dtype is not None and np.dtype(dtype) != self.positions.dtype:
+            raise ValueError(f"positions are float64; as {np.dtype(dtype)} they must be copied")
+        return np.asarray(self.positions, dtype)
+
     @property
     def points(self) -> int:
         """The number of points."""
@@ -187,24 +235,28 @@ class Motion:
         return len(self) / self.rate
 
     @property
-    def gaps(self) -> NDArray[np.bool_]:
+    def gaps(self) -> Booleans:
         """(frames, points): True where a point is missing."""
         return np.isnan(self.positions[:, :, 0])
 
     @property
     def raw_bytes(self) -> int:
-        """Size as float32 positions, the measure that every ratio is taken against."""
+        """Size as float32 positions, the reference of every compression ratio."""
         return self.positions.size * 4
 
-    def __getitem__(self, key: slice | tuple[slice, Sequence[str]]) -> Motion:
-        """`motion[a:b]` frames, `motion[a:b, ["LKNE", "RKNE"]]` frames of named points."""
-        if isinstance(key, tuple):
-            frames, names = key
-            return self.between(*frame_range(frames, len(self))).select(names)
-        return self.between(*frame_range(key, len(self)))
+    def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> Motion:
+        """`motion[a:b]` frames, `motion[a:b, ["LKNE", "RKNE"]]` frames of named points.
+
+        The result is always a motion: `motion[100]` and `motion[-1]` have one frame, `motion[::4]` has every fourth
+        frame at a quarter of the rate. Raises BadInput; FrameOutOfRange (an IndexError too) for a single frame only.
+        """
+        frames, names = split_key(key)
+        start, stop, step = frame_steps(frames, len(self))
+        motion = self.between(start, stop).every(step)
+        return motion if names is None else motion.select(names)
 
     def between(self, start: int, stop: int) -> Motion:
-        """Frames [start, stop), with the signals and events that fall into them."""
+        """Frames [start, stop), with their signals and events."""
         if (start, stop) == (0, len(self)):
             return self
         rotations = None if self.rotations is None else self.rotations[start:stop]
@@ -216,8 +268,28 @@ class Motion:
             source=source_from(self.source, start),
         )
 
+    def every(self, step: int) -> Motion:
+        """Every `step`-th frame, at `rate / step`.
+
+        Signals at the motion's own rate are thinned out with it; others keep all samples. Frame numbers of the source
+        no longer apply, so `source["first_frame"]` is dropped.
+        """
+        if step == 1:
+            return self
+        return replace(
+            self,
+            positions=self.positions[::step],
+            rate=self.rate / step,
+            rotations=None if self.rotations is None else self.rotations[::step],
+            extras=extras_every(self.extras, step, self.rate),
+            source={name: value for name, value in self.source.items() if name != "first_frame"},
+        )
+
     def select(self, names: Iterable[str]) -> Motion:
-        """The points of these names, in this order; a skeleton stays only whole. Raises BadInput for unknown ones."""
+        """The points with these names, in this order. Raises BadInput for unknown names.
+
+        Skeleton and rotations are kept only if all points are selected in their own order.
+        """
         columns = point_columns(self.names, names)
         if columns == list(range(self.points)):
             return self
@@ -230,28 +302,8 @@ class Motion:
         )
 
 
-def frame_range(frames: slice | None, count: int) -> tuple[int, int]:
-    """A slice of frames as (start, stop) within [0, count]. Raises BadInput for a step."""
-    if frames is None:
-        return 0, count
-    if not isinstance(cast(object, frames), slice) or frames.step not in (None, 1):
-        raise BadInput("frames are chosen by a slice without a step, such as motion[1200:1320]")
-    start, stop, _ = frames.indices(count)
-    return start, max(start, stop)
-
-
-def point_columns(all_names: Sequence[str], wanted: Iterable[str]) -> list[int]:
-    """Columns of the points of these names. Raises BadInput for an unknown name."""
-    wanted = [wanted] if isinstance(wanted, str) else list(wanted)
-    where = {name: column for column, name in reversed(list(enumerate(all_names)))}
-    unknown = [name for name in wanted if name not in where]
-    if unknown:
-        raise BadInput(f"no point named {', '.join(map(repr, unknown))}; the names are: {', '.join(all_names)}")
-    return [where[name] for name in wanted]
-
-
 class Deferred(Mapping[str, Any]):
-    """Extras that are fetched when first looked at: so that opening a file and taking a slice of it need not."""
+    """Extras that load on first use, so that opening a file and slicing it need not read them."""
 
     def __init__(self, load: Callable[[], dict[str, Any]]) -> None:
         self._load = load
@@ -269,31 +321,28 @@ class Deferred(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self._loaded)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (self._loaded,)
+
 
 def require_events(extras: Mapping[str, Any]) -> None:
-    """Raises BadInput where `extras["events"]` is not a list of dicts with their `time_s`."""
+    """Raises BadInput unless `extras["events"]`, if present, is a list of dicts with `time_s`."""
     events = extras.get("events", [])
     timed = isinstance(events, list | tuple) and all(
-        isinstance(event, Mapping) and isinstance(time := event.get("time_s"), float | int) and -1e12 < time < 1e12
-        for event in events
+        isinstance(event, Mapping)
+        and isinstance(time := cast("Mapping[str, object]", event).get("time_s"), float | int)
+        and -1e12 < time < 1e12
+        for event in cast("Sequence[object]", events)
     )
     if not timed:
         raise BadInput("events must be a list of dicts, each with its time_s in seconds")
 
 
 def extras_between(extras: Mapping[str, Any], start: int, stop: int, rate: float) -> Mapping[str, Any]:
-    """Extras of frames [start, stop): signals cut, events outside dropped and the others' times shifted."""
+    """Extras of frames [start, stop): signals are cut, events outside dropped, times of the others shifted."""
     if isinstance(extras, Deferred):
         return Deferred(lambda: dict(extras_between(dict(extras), start, stop, rate)))
-
-    def cut(value: Any) -> Any:
-        if isinstance(value, Signal):
-            return value.between(start, stop, rate)
-        if isinstance(value, Mapping):
-            return {k: cut(v) for k, v in cast(Mapping[str, Any], value).items()}
-        return value
-
-    result = {name: cut(value) for name, value in extras.items()}
+    result = with_signals(extras, lambda signal: signal.between(start, stop, rate))
     if "events" in result:
         shift = start / rate
         result["events"] = [
@@ -304,8 +353,33 @@ def extras_between(extras: Mapping[str, Any], start: int, stop: int, rate: float
     return result
 
 
+def extras_every(extras: Mapping[str, Any], step: int, rate: float) -> Mapping[str, Any]:
+    """Extras of every `step`-th frame of a motion at `rate`: signals at that rate are thinned out too."""
+    if isinstance(extras, Deferred):
+        return Deferred(lambda: dict(extras_every(dict(extras), step, rate)))
+
+    def thin_out(signal: Signal) -> Signal:
+        per_frame = math.isclose(signal.rate, rate)
+        return replace(signal, values=signal.values[::step], rate=rate / step) if per_frame else signal
+
+    return with_signals(extras, thin_out)
+
+
+def with_signals(extras: Mapping[str, Any], change: Callable[[Signal], Signal]) -> dict[str, Any]:
+    """A copy of extras with every signal changed, also in nested mappings."""
+
+    def changed(value: Any) -> Any:
+        if isinstance(value, Signal):
+            return change(value)
+        if isinstance(value, Mapping):
+            return {name: changed(inner) for name, inner in cast("Mapping[str, Any]", value).items()}
+        return value
+
+    return {name: changed(value) for name, value in extras.items()}
+
+
 def source_from(source: Mapping[str, Any], start: int) -> dict[str, Any]:
-    """The source of a motion that begins `start` frames later."""
+    """The source of a motion that starts `start` frames later."""
     if "first_frame" not in source:
         return dict(source)
     return {**source, "first_frame": source["first_frame"] + start}

@@ -1,7 +1,7 @@
-"""Pictures of a motion and of what coding it cost. Needs matplotlib: the [plot] extra.
+"""Pictures of a motion and of its coding error. Needs matplotlib: the [plot] extra.
 
 errors      error over time, and per point
-recording   stick figures of the original and the decoded, with the error over time
+recording   stick figures of the original and the decoded motion, with the error over time
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy as np
 
 from . import metrics
 from .errors import MissingExtra
-from .motion import Floats, Motion, point_columns
+from .motion import Motion
+from .selection import point_columns
+from .typing import Floats, Integers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +26,7 @@ INK, OURS, FAINT = "#333333", "#c8442e", "#bbbbbb"
 
 
 def figure(width: float, height: float) -> Figure:
-    """An empty figure. Raises MissingExtra where matplotlib is not installed."""
+    """An empty figure; sizes in inches. Raises MissingExtra without matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -33,7 +35,7 @@ def figure(width: float, height: float) -> Figure:
 
 
 def save(picture: Figure, path: str | PathLike[str]) -> None:
-    """Write a figure, by suffix .png, .svg or .pdf. Raises BadInput for another."""
+    """Write a figure as .png, .svg or .pdf, by suffix. Raises BadInput for others."""
     from io import BytesIO
     from pathlib import Path
 
@@ -42,37 +44,31 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
 
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
-        raise BadInput(f"{path}: pictures are written as {', '.join(SUFFIXES)}")
+        raise BadInput(f"{path}: a picture's suffix must be one of {', '.join(SUFFIXES)}")
     drawn = BytesIO()
     picture.savefig(drawn, format=suffix[1:], dpi=120, metadata={"Software": None} if suffix == ".png" else None)
     replace_whole(path, drawn.getvalue())
 
 
-def in_order_of(original: Motion, decoded: Motion) -> Motion:
-    """The decoded with its points in the order of the original, where the names tell."""
-    same_names = sorted(original.names) == sorted(decoded.names) and len(set(original.names)) == original.points
-    return decoded.select(original.names) if same_names else decoded
-
-
 def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
-    """Error over time (root mean square and largest of each frame) and per point (mean, 99 %, largest)."""
-    decoded = in_order_of(original, decoded)
+    """Error over time (root mean square and largest of each frame) and per point (mean, 99th percentile, largest)."""
+    decoded = metrics.in_order_of(original, decoded)
     mm = 1000 * metrics.distances(original.positions, decoded.positions)
     picture = figure(9, 5 + 0.1 * original.points)
     over_time, per_point = picture.subplots(2, 1, height_ratios=[3, 2 + 0.1 * original.points])
     picture.suptitle(title)
     draw_error_over_time(over_time, mm, original.rate)
-    known = [name for column, name in enumerate(original.names) if not np.isnan(mm[:, column]).all()]
-    columns = mm[:, point_columns(original.names, known)] if known else mm[:, :0]
-    rows = np.arange(len(known))
+    measured = [name for column, name in enumerate(original.names) if not np.isnan(mm[:, column]).all()]
+    columns = mm[:, point_columns(original.names, measured)] if measured else mm[:, :0]
+    rows = np.arange(len(measured))
     for values, colour, label in (
         (nan_quantile(columns, 1.0), FAINT, "largest"),
         (nan_quantile(columns, 0.99), "#e5a598", "99 %"),
-        (np.nanmean(columns, axis=0) if known else rows, OURS, "mean"),
+        (np.nanmean(columns, axis=0) if measured else rows, OURS, "mean"),
     ):
         per_point.barh(rows, values, color=colour, label=label)
-    per_point.set_yticks(rows, known, fontsize=7)
-    per_point.set_ylim(len(known) - 0.4, -0.6)
+    per_point.set_yticks(rows, measured, fontsize=7)
+    per_point.set_ylim(len(measured) - 0.4, -0.6)
     per_point.set_xlabel("error of each point, mm")
     legend_above(per_point)
     for axes in (over_time, per_point):
@@ -81,17 +77,17 @@ def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
 
 
 def nan_quantile(columns: Floats, share: float) -> Floats:
-    """Quantile over frames of each column, gaps left out; (columns,)."""
+    """Quantile over frames of each column without its gaps; (columns,)."""
     return np.nanquantile(columns, share, axis=0) if columns.size else np.zeros(columns.shape[1])
 
 
 def draw_error_over_time(axes: Axes, mm: Floats, rate: float) -> None:
     """Root mean square and largest error of each frame against time."""
-    here = ~np.isnan(mm).all(axis=1)
+    measured = ~np.isnan(mm).all(axis=1)
     seconds = np.arange(len(mm)) / rate
     rms, largest = np.full(len(mm), np.nan), np.full(len(mm), np.nan)
-    rms[here] = np.sqrt(np.nanmean(mm[here] ** 2, axis=1))
-    largest[here] = np.nanmax(mm[here], axis=1)
+    rms[measured] = np.sqrt(np.nanmean(mm[measured] ** 2, axis=1))
+    largest[measured] = np.nanmax(mm[measured], axis=1)
     axes.plot(seconds, largest, color=FAINT, linewidth=0.8, label="largest of the frame")
     axes.plot(seconds, rms, color=OURS, linewidth=1.2, label="root mean square")
     axes.set_xlabel("time, s")
@@ -102,60 +98,60 @@ def draw_error_over_time(axes: Axes, mm: Floats, rate: float) -> None:
 
 
 def legend_above(axes: Axes) -> None:
-    """The legend in one line above the axes, where it covers nothing."""
+    """Put the legend in one line above the axes, so that it covers no curve."""
     axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=3, fontsize=8)
 
 
 def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7) -> Figure:
-    """Poses of the original (grey) with the decoded (red) drawn over them; below, the error over time."""
-    decoded = in_order_of(original, decoded)
+    """Poses of the original (grey) under those of the decoded motion (red); below them, the error over time."""
+    decoded = metrics.in_order_of(original, decoded)
     picture = figure(9, 4.8)
     figures, curve = picture.subplots(2, 1, height_ratios=[3, 2])
     picture.suptitle(title, fontsize=10)
-    frames = np.linspace(0, len(original) - 1, poses + 2).round().astype(int)[1:-1]
+    draw_poses(figures, original, decoded, np.linspace(0, len(original) - 1, poses + 2).round().astype(int)[1:-1])
+    draw_error_over_time(curve, 1000 * metrics.distances(original.positions, decoded.positions), original.rate)
+    curve.spines[["top", "right"]].set_visible(False)
+    return picture
+
+
+def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) -> None:
+    """Poses of both motions at these frames side by side, with their times below."""
     up = "xyz".index(original.up)
-    across = widest(original.positions, up)
-    tall = [np.ptp(body[~np.isnan(body)]) for body in original.positions[frames, :, up] if not np.isnan(body).all()]
-    step = 0.75 * max(tall, default=1.0)
+    across = widest_axis(original.positions, up)
+    heights = [np.ptp(pose[~np.isnan(pose)]) for pose in original.positions[frames, :, up] if not np.isnan(pose).all()]
+    spacing = 0.75 * max(heights, default=1.0)
+    styles = ((original, {"color": FAINT, "linewidth": 3.5}), (decoded, {"color": OURS, "linewidth": 1.0}))
     for place, frame in enumerate(frames):
         middle = np.nanmean(original.positions[frame], axis=0) if not original.gaps[frame].all() else np.zeros(3)
-        for motion, style in (
-            (original, {"color": FAINT, "linewidth": 3.5}),
-            (decoded, {"color": OURS, "linewidth": 1.0}),
-        ):
-            body = motion.positions[frame] - middle
-            flat = np.stack([body[:, across] + step * place, motion.positions[frame][:, up]], axis=1)
-            draw_body(figures, flat, original, style)
-        seconds = frame / original.rate
-        figures.annotate(
-            f"{seconds:.1f} s",
-            (step * place, 0),
+        for motion, style in styles:
+            level = motion.positions[frame][:, across] - middle[across] + spacing * place
+            draw_pose(axes, np.stack([level, motion.positions[frame][:, up]], axis=1), original, style)
+        axes.annotate(
+            f"{frame / original.rate:.1f} s",
+            (spacing * place, 0),
             (0, -12),
             textcoords="offset points",
             ha="center",
             fontsize=8,
             color=INK,
         )
-    figures.plot([], [], color=FAINT, linewidth=3.5, label="original")
-    figures.plot([], [], color=OURS, linewidth=1.0, label="decoded")
-    legend_above(figures)
-    figures.set_aspect("equal")
-    figures.set_axis_off()
-    draw_error_over_time(curve, 1000 * metrics.distances(original.positions, decoded.positions), original.rate)
-    curve.spines[["top", "right"]].set_visible(False)
-    return picture
+    for label, (_, style) in zip(("original", "decoded"), styles, strict=True):
+        axes.plot([], [], label=label, **style)
+    legend_above(axes)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
 
 
-def widest(positions: Floats, up: int) -> int:
-    """The level axis along which the points of one frame spread more: a body is drawn against it."""
+def widest_axis(positions: Floats, up: int) -> int:
+    """The horizontal axis along which the points of a frame spread most: the view shows this axis."""
     level = [axis for axis in range(3) if axis != up]
-    seen = positions[~np.isnan(positions).all(axis=(1, 2))]
-    spread = [np.sum(np.nanvar(seen[:: max(1, len(seen) // 50), :, axis], axis=1)) for axis in level]
+    frames = positions[~np.isnan(positions).all(axis=(1, 2))]
+    spread = [np.sum(np.nanvar(frames[:: max(1, len(frames) // 50), :, axis], axis=1)) for axis in level]
     return level[int(np.argmax(spread))]
 
 
-def draw_body(axes: Axes, flat: Floats, like: Motion, style: dict[str, Any]) -> None:
-    """One pose: the bones of a skeleton, or its points. flat: (points, 2)."""
+def draw_pose(axes: Axes, flat: Floats, like: Motion, style: dict[str, Any]) -> None:
+    """One pose (points, 2): the bones of the skeleton of `like`, or points without a skeleton."""
     if like.skeleton is None:
         axes.plot(*flat.T, linestyle="", marker="o", color=style["color"], markersize=1.3 * style["linewidth"])
         return

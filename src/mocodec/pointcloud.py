@@ -1,3 +1,4 @@
+# pyright: strict
 """PointClouds: frames of unordered, coloured points of people."""
 
 from __future__ import annotations
@@ -7,32 +8,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from .errors import BadInput
-from .motion import Floats, frame_range
+from .selection import Frames, counted, frame_steps
+from .typing import Bytes, Floats
 
-Colours = NDArray[np.uint8]
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointClouds:
-    """Frames of points, a different number in each.
+    """Frames of points; the number of points differs between frames.
 
-    positions: one (n, 3) float64 array a frame, metres. colours: one (n, 3) uint8 array a frame, or none at all.
-    normals: one (n, 3) array a frame, or none. rate: frames a second. up: the vertical axis. source, extras: as in
-    Motion.
-    Raises BadInput where the arrays do not fit each other.
+    positions: one (n, 3) float64 array per frame, metres. colours: one (n, 3) uint8 array per frame, or None.
+    normals: one (n, 3) array per frame, or None. rate: frames per second. up: the vertical axis, "x", "y" or "z".
+    source, extras: as in Motion.
+
+    `clouds[10:20]`, `clouds[3]` and `clouds[::2]` are point clouds of these frames, as of a Motion.
+
+    Raises BadInput for arrays whose shapes do not match.
     """
 
     positions: Sequence[Floats]
     rate: float
-    colours: Sequence[Colours] | None = None
+    colours: Sequence[Bytes] | None = None
     normals: Sequence[Floats] | None = None
     up: str = "y"
-    source: Mapping[str, Any] = field(default_factory=dict)
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    extras: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):
@@ -50,16 +50,33 @@ class PointClouds:
         """The number of frames."""
         return len(self.positions)
 
+    def __repr__(self) -> str:
+        counts = [len(points) for points in self.positions]
+        least, most = min(counts, default=0), max(counts, default=0)
+        points = counted(most, "point") if least == most else f"{least:,} to {most:,} points"
+        facts = [f"{counted(len(self), 'frame')} of {points} at {self.rate:g} Hz", f"{self.seconds:.4g} s"]
+        facts += [f"{self.up} up"]
+        facts += [name for name in ("colours", "normals") if getattr(self, name) is not None]
+        return f"<PointClouds: {', '.join(facts)}>"
+
+    @property
+    def seconds(self) -> float:
+        """Duration: frames / rate."""
+        return len(self) / self.rate
+
     @property
     def raw_bytes(self) -> int:
-        """Size as float32 positions and, where there are any, 8-bit colours: what ratios are taken against."""
+        """Size as float32 positions and 8-bit colours, the reference of every compression ratio."""
         return sum(map(len, self.positions)) * (12 + 3 * (self.colours is not None))
 
-    def __getitem__(self, frames: slice) -> PointClouds:
-        start, stop = frame_range(frames, len(self))
+    def __getitem__(self, key: Frames) -> PointClouds:
+        """A frame or a slice of frames; with a step the rate falls. Raises BadInput, FrameOutOfRange."""
+        start, stop, step = frame_steps(key, len(self))
+        frames = slice(start, stop, step)
         return replace(
             self,
-            positions=self.positions[start:stop],
-            colours=None if self.colours is None else self.colours[start:stop],
-            normals=None if self.normals is None else self.normals[start:stop],
+            positions=self.positions[frames],
+            rate=self.rate / step,
+            colours=None if self.colours is None else self.colours[frames],
+            normals=None if self.normals is None else self.normals[frames],
         )

@@ -1,3 +1,4 @@
+# pyright: strict
 """Types of arrays, named once for the whole project."""
 
 from __future__ import annotations

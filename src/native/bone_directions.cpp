@@ -1,5 +1,5 @@
-// codecs/tempo/limbs.py, Limbs._directions: where bones point, given their turns. The same operations in the same order as
-// there, frame by frame; sines and cosines come from NumPy, whose last bits are its own.
+// codecs/tempo/pose/bone_directions.py, _directions: unit directions of bones, given tilts and hub rotations. The same
+// operations in the same order as there. Sines and cosines come from NumPy, so that their last bits agree.
 
 #include <algorithm>
 #include <stdexcept>
@@ -8,11 +8,11 @@
 
 namespace {
 
-constexpr size_t BLOCK = 64;  // frames worked on at a time, so that all frames of a body stay in the cache
+constexpr size_t BLOCK = 64;  // frames worked on at a time, so that all frames of references stay in the cache
 
 using Block = double[BLOCK];
 
-// out = frame · vector, both columns of blocks; frames are their axes, one after another.
+// out = frame · vector for each frame of a block. A frame is its three axes, one after another: rotations.out_of.
 void out_of(const Block *frame, const Block *vector, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -23,7 +23,7 @@ void out_of(const Block *frame, const Block *vector, size_t n, Block *out) {
         }
 }
 
-// The same with one frame, of three axes, for all.
+// The same with one constant frame.
 void out_of_one(const double *frame, const Block *vector, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -34,10 +34,10 @@ void out_of_one(const double *frame, const Block *vector, size_t n, Block *out) 
         }
 }
 
-// Rotation matrices of rotation vectors: limbs._turning.
+// Frames of rotation vectors: rotations.frames_with.
 constexpr size_t PLUS[] = {5, 6, 1}, MINUS[] = {7, 2, 3};
 
-void turning(const Block *vector, const double *sine, const double *cosine, const double *versed, size_t n, Block *out) {
+void frames_with(const Block *vector, const double *sine, const double *cosine, const double *versed, size_t n, Block *out) {
     for (size_t f = 0; f < n; ++f) {
         for (size_t a = 0; a < 3; ++a)
             for (size_t b = 0; b < 3; ++b) out[3 * a + b][f] = vector[a][f] * (vector[b][f] * versed[f]);
@@ -50,8 +50,8 @@ void turning(const Block *vector, const double *sine, const double *cosine, cons
     }
 }
 
-// The third axis of a frame at rest, tilted: limbs._tilted.
-void tilted(const double *rest, const double *x, const double *y, const double *sine, const double *cosine, size_t n,
+// Direction of a bone after a tilt: rotations.tilted_directions.
+void tilted_direction(const double *rest, const double *x, const double *y, const double *sine, const double *cosine, size_t n,
             Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -62,8 +62,8 @@ void tilted(const double *rest, const double *x, const double *y, const double *
         }
 }
 
-// All three axes of it: limbs._frames.
-void frames_of(const double *rest, const double *x, const double *y, const double *sine, const double *cosine,
+// All three axes of its frame: rotations.tilted_frames.
+void tilted_frame(const double *rest, const double *x, const double *y, const double *sine, const double *cosine,
                const double *versed, size_t n, Block *out) {
     for (size_t a = 0; a < 3; ++a)
         for (size_t f = 0; f < n; ++f) {
@@ -79,8 +79,8 @@ void frames_of(const double *rest, const double *x, const double *y, const doubl
         }
 }
 
-// bones (2, bones, frames) and hubs (3, hubs, frames): turns; sine, cosine, versed of both (bones + hubs, frames);
-// program, rests, homes, of_hubs: limbs.Plan.program. Directions (3, bones and those of hubs, frames).
+// Directions (3, bones and bones of hubs, frames). bones (2, bones, frames): tilts; hubs (3, hubs, frames): rotation
+// vectors; sines, cosines, verseds (bones + hubs, frames): rotations.SinCos; the rest: BoneSchedule.program.
 Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hubs, Input<double, 2> sines,
                            Input<double, 2> cosines, Input<double, 2> verseds, Input<int64_t, 2> program,
                            Input<double, 3> rests, Input<double, 3> homes, Input<double, 2> ends) {
@@ -115,15 +115,15 @@ Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hu
             const int64_t *p = program.data() + 6 * i;
             const size_t number = size_t(p[1]), at = (number + (p[0] ? of_bones : 0)) * frames + begin;
             const double *sine = sines.data() + at, *cosine = cosines.data() + at, *versed = verseds.data() + at;
-            const Block *carrier = p[2] < 0 ? nullptr : found.get() + 9 * p[2];
+            const Block *reference = p[2] < 0 ? nullptr : found.get() + 9 * p[2];
             Block *own = p[3] < 0 ? nullptr : found.get() + 9 * p[3];
             if (p[0]) {
                 for (size_t a = 0; a < 3; ++a)
                     std::copy_n(hubs.data() + (a * of_hubs + number) * frames + begin, n, vector[a]);
-                turning(vector, sine, cosine, versed, n, carrier ? local : own);
-                for (size_t axis = 0; carrier && axis < 9; axis += 3) {
+                frames_with(vector, sine, cosine, versed, n, reference ? local : own);
+                for (size_t axis = 0; reference && axis < 9; axis += 3) {
                     out_of_one(homes.data() + 9 * number, local + axis, n, home + axis);
-                    out_of(carrier, home + axis, n, own + axis);
+                    out_of(reference, home + axis, n, own + axis);
                 }
                 for (size_t child = size_t(p[4]); child < size_t(p[5]); ++child) {
                     const double *v = ends.data() + 3 * (child - of_bones);
@@ -138,13 +138,13 @@ Output<double> tempo_bone_directions(Input<double, 3> bones, Input<double, 3> hu
                 continue;
             }
             const double *x = bones.data() + at, *y = x + of_bones * frames, *rest = rests.data() + 9 * number;
-            const Block *direction = own ? own + 6 : carrier ? end : vector;
+            const Block *direction = own ? own + 6 : reference ? end : vector;
             if (own) {
-                frames_of(rest, x, y, sine, cosine, versed, n, carrier ? local : own);
-                for (size_t axis = 0; carrier && axis < 9; axis += 3) out_of(carrier, local + axis, n, own + axis);
+                tilted_frame(rest, x, y, sine, cosine, versed, n, reference ? local : own);
+                for (size_t axis = 0; reference && axis < 9; axis += 3) out_of(reference, local + axis, n, own + axis);
             } else {
-                tilted(rest, x, y, sine, cosine, n, vector);
-                if (carrier) out_of(carrier, vector, n, end);
+                tilted_direction(rest, x, y, sine, cosine, n, vector);
+                if (reference) out_of(reference, vector, n, end);
             }
             for (size_t a = 0; a < 3; ++a) std::copy_n(direction[a], n, to(a, size_t(p[4])));
         }

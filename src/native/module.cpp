@@ -1,6 +1,7 @@
 // mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
-//   entropy.cpp     serial steps of the coders of codecs/tempo and entropy/
+//   entropy.cpp     packed bits and the coder of one state, for entropy/
+//   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
@@ -14,7 +15,7 @@
 
 namespace nb = nanobind;
 
-#define PARTS(PART) PART(entropy) PART(matching) PART(bone_directions)
+#define PARTS(PART) PART(entropy) PART(coefficients) PART(matching) PART(bone_directions)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

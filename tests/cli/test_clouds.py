@@ -28,7 +28,7 @@ def run(*arguments: object, code: int = 0) -> None:
 
 
 @pytest.mark.parametrize("codec", ["lien2006", "bodycast"])
-def test_there_and_back(folder, codec, tmp_path, capsys):
+def test_encode_and_decode(folder, codec, tmp_path, capsys):
     stored = tmp_path / "x.mocz"
     first = folder / "first.bvh"
     run("encode", folder / "frames", "-o", stored, "--codec", codec, "--fps", 15, "--skeleton", first, "--residual", 25)
@@ -48,6 +48,6 @@ def test_there_and_back(folder, codec, tmp_path, capsys):
     assert "dB" in capsys.readouterr().out
 
 
-def test_no_body_no_motion(folder, tmp_path):
+def test_recordings_without_a_body_are_3(folder, tmp_path):
     run("compare", folder / "frames", folder / "first.bvh", code=3)
     run("encode", folder / "frames", "-o", tmp_path / "x.mocz", "--codec", "lien2006", "--skeleton", "no.bvh", code=3)

@@ -1,4 +1,4 @@
-"""What a user types and what happens: each command's good path and its exit code."""
+"""Each command on valid input: its output and its exit code."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import mocodec as mc
-from mocodec import container, metrics
+from mocodec import container, metrics, native
 
 from .conftest import LOSSY, Command
 
 
-def test_a_file_goes_in_and_comes_back(command: Command, walk_trc: Path, walk_mocz: Path) -> None:
+def test_encode_and_decode(command: Command, walk_trc: Path, walk_mocz: Path) -> None:
     assert command("decode", walk_mocz, "-o", "back.trc").code == 0
     a, b = mc.read(walk_trc), mc.read("back.trc")
     assert b.names == a.names
@@ -24,7 +24,7 @@ def test_a_file_goes_in_and_comes_back(command: Command, walk_trc: Path, walk_mo
     assert metrics.compare(a, b).max_error <= 0.0021
 
 
-def test_encode_says_what_it_did_on_standard_error(command: Command, walk_trc: Path) -> None:
+def test_encode_prints_a_summary_on_standard_error(command: Command, walk_trc: Path) -> None:
     result = command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "--max-error", "0.2cm")
     assert result.out == ""
     assert "bytes" in result.err
@@ -34,7 +34,9 @@ def test_encode_says_what_it_did_on_standard_error(command: Command, walk_trc: P
 
 
 @pytest.mark.parametrize("target", ["--ratio=30", "--size=900"])
-def test_sizes_hold_for_the_whole_file(command: Command, walk: mc.Motion, walk_trc: Path, target: str) -> None:
+def test_size_and_ratio_are_kept_by_the_whole_file(
+    command: Command, walk: mc.Motion, walk_trc: Path, target: str
+) -> None:
     mc.write("walk.npz", mc.Motion(np.nan_to_num(walk.positions), walk.rate, walk.names))
     result = command("encode", "walk.npz", "-o", "x.mocz", "--codec", "tempo", target)
     assert result.code == 0, result.err
@@ -43,7 +45,7 @@ def test_sizes_hold_for_the_whole_file(command: Command, walk: mc.Motion, walk_t
     assert command("encode", "walk.npz", "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
 
 
-def test_the_same_file_twice(command: Command, walk_trc: Path) -> None:
+def test_encoding_twice_gives_the_same_file(command: Command, walk_trc: Path) -> None:
     for name in ("a.mocz", "b.mocz"):
         command("encode", walk_trc, "-o", name, "--codec", LOSSY)
     assert Path("a.mocz").read_bytes() == Path("b.mocz").read_bytes()
@@ -70,10 +72,10 @@ def test_verify_against_its_source(command: Command, walk_mocz: Path, walk_trc: 
     result = command("verify", walk_mocz, "--against", walk_trc, "--json")
     report = json.loads(result.out)
     assert result.code == 0
-    assert report["held"]
+    assert report["promise_kept"]
     assert report["promise"] == {"max_error": 0.002}
     assert 0 < report["max_error"] <= 0.002
-    assert "the promise holds" in command("verify", walk_mocz, "--against", walk_trc).out
+    assert "the promise is kept" in command("verify", walk_mocz, "--against", walk_trc).out
 
 
 @pytest.mark.parametrize("change", ["moved", "shorter", "gap filled", "renamed"])
@@ -91,16 +93,16 @@ def test_verify_against_another_recording_is_1(command: Command, walk_mocz: Path
     result = command("verify", walk_mocz, "--against", "other.npz")
     assert result.code == 1
     assert "broken:" in result.out
-    assert json.loads(command("verify", walk_mocz, "--against", "other.npz", "--json").out)["held"] is False
+    assert json.loads(command("verify", walk_mocz, "--against", "other.npz", "--json").out)["promise_kept"] is False
 
 
-def test_info_and_verify_say_a_promise_alike(command: Command, walk_mocz: Path) -> None:
-    told, verified = (json.loads(command(verb, walk_mocz, "--json").out) for verb in ("info", "verify"))
-    assert told["promise"] == verified["promise"] == {"max_error": 0.002}
+def test_info_and_verify_show_the_same_promise(command: Command, walk_mocz: Path) -> None:
+    shown, verified = (json.loads(command(verb, walk_mocz, "--json").out) for verb in ("info", "verify"))
+    assert shown["promise"] == verified["promise"] == {"max_error": 0.002}
     assert "max error  2 mm" in command("info", walk_mocz).out
 
 
-def test_verify_holds_a_ratio(command: Command, walk_trc: Path) -> None:
+def test_verify_checks_a_ratio(command: Command, walk_trc: Path) -> None:
     assert command("encode", walk_trc, "-o", "a.mocz", "--codec", LOSSY, "--ratio", "20").code == 0
     assert command("verify", "a.mocz", "--against", walk_trc).code == 0
     with mc.open("a.mocz") as opened:
@@ -111,18 +113,18 @@ def test_verify_holds_a_ratio(command: Command, walk_trc: Path) -> None:
     assert "broken: the ratio is" in result.out
 
 
-def test_what_a_format_has_no_place_for_is_said(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+def test_what_a_format_cannot_store_is_listed(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     analog = mc.Signal(np.arange(480, dtype=np.int16).reshape(240, 2), 120.0, ("Fx", "Fy"))
     extras = {"analog": analog, "events": [{"label": "Foot Strike", "time_s": 0.5}]}
     mc.write("full.c3d", replace(walk, extras=extras))
     assert command("encode", "full.c3d", "-o", "full.mocz", "--codec", "lossless").code == 0
-    assert "note: .trc holds no analog channels, events" in command("decode", "full.mocz", "-o", "x.trc").err
-    assert "note: .trc holds no analog channels, events" in command("cut", "full.c3d", "-o", "x.trc").err
+    assert "note: .trc cannot store analog channels, events" in command("decode", "full.mocz", "-o", "x.trc").err
+    assert "note: .trc cannot store analog channels, events" in command("cut", "full.c3d", "-o", "x.trc").err
     assert "note:" not in command("decode", "full.mocz", "-o", "x.c3d").err
     assert command("cut", "full.c3d", "-o", "x.trc", "-q").err == ""
 
 
-def test_bare_leaves_out_what_stands_beside_the_points(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+def test_bare_leaves_out_extras(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     analog = mc.Signal(np.random.default_rng(1).integers(0, 4096, (960, 8)).astype(np.int16), 480.0)
     mc.write("full.c3d", replace(walk, extras={"analog": analog}))
     assert command("encode", "full.c3d", "-o", "full.mocz").code == 0
@@ -132,11 +134,13 @@ def test_bare_leaves_out_what_stands_beside_the_points(command: Command, walk: m
         assert "analog" not in opened[:].extras
 
 
-def test_residuals_left_out_are_said_and_can_be_kept(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+def test_residuals_are_left_out_with_a_note_or_kept_on_request(
+    command: Command, walk: mc.Motion, walk_trc: Path
+) -> None:
     words = np.random.default_rng(1).integers(1, 2**15, (240, 7)).astype(np.int16)
     mc.write("noisy.c3d", replace(walk, extras={"residuals": mc.Signal(words, 120.0)}))
     left = command("encode", "noisy.c3d", "-o", "a.mocz", "--codec", "lossless")
-    assert "note: residuals and camera masks of the samples are left out" in left.err
+    assert "note: residuals and camera masks of samples are left out" in left.err
     kept = command("encode", "noisy.c3d", "-o", "b.mocz", "--codec", "lossless", "--residuals")
     assert "note:" not in kept.err
     assert np.array_equal(mc.decode("b.mocz").extras["residuals"].values[walk.gaps == 0], words[walk.gaps == 0])
@@ -164,7 +168,7 @@ def test_compare_draws(command: Command, walk_mocz: Path, walk_trc: Path) -> Non
     assert not Path("error.docx").exists()
 
 
-def test_compare_recordings_that_do_not_fit(command: Command, walk_trc: Path, walk: mc.Motion) -> None:
+def test_compare_recordings_of_different_length(command: Command, walk_trc: Path, walk: mc.Motion) -> None:
     mc.write("short.trc", walk[:10])
     result = command("compare", walk_trc, "short.trc")
     assert result.code == 3
@@ -190,10 +194,10 @@ def test_cut_to_a_mocz_keeps_a_promise_that_is_true(
     assert json.loads(verified.out)["promise"]["max_error"] == pytest.approx(0.003)
 
 
-def test_cut_of_all_chunks_codes_nothing_again(command: Command, walk_mocz: Path) -> None:
+def test_cut_with_chunks_encodes_nothing_again(command: Command, walk_mocz: Path) -> None:
     result = command("cut", walk_mocz, "--from", "0.5s", "--chunks", "-o", "part.mocz")
     assert result.code == 0
-    assert "nothing coded again" in result.err
+    assert "nothing encoded again" in result.err
     whole, part = mc.read(walk_mocz), mc.read("part.mocz")
     np.testing.assert_allclose(part.positions, whole.positions[-len(part) :], atol=1e-9)
 
@@ -209,4 +213,6 @@ def test_help_names_every_command_and_exit_code(command: Command) -> None:
 
 
 def test_version(command: Command) -> None:
-    assert mc.__version__ in command("--version").out
+    shown = command("--version").out
+    assert f"mocodec {mc.__version__}" in shown
+    assert ("compiled module in use" in shown) == native.available()

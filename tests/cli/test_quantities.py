@@ -1,4 +1,4 @@
-"""Numbers with units, as typed and as shown."""
+"""Numbers with units: parsing and formatting."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_lengths(text: str, metres: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["2", "mm", "2 parsec", "-1mm", "0mm", "1e999m", "nanmm", "", "2mm3"])
-def test_no_lengths(text: str) -> None:
+def test_invalid_lengths(text: str) -> None:
     with pytest.raises(click.BadParameter):
         quantities.LENGTH.convert(text, None, None)
 
@@ -95,12 +95,12 @@ def test_settings(text: str, name: str, value: object) -> None:
         "max_error=x",
     ],
 )
-def test_no_settings(text: str) -> None:
+def test_invalid_settings(text: str) -> None:
     with pytest.raises(BadInput, match=text.partition("=")[0]):
         quantities.setting(Settings, text)
 
 
-def test_shown() -> None:
+def test_formatting() -> None:
     assert [quantities.bound(m) for m in (0.002, 0.003, 0.0015)] == ["2 mm", "3 mm", "1.5 mm"]
     assert [quantities.length(m) for m in (0, 2e-8, 0.00123456, 0.5, 3)] == [
         "0 mm",

@@ -8,7 +8,7 @@ from mocodec import data
 from .conftest import Command
 
 
-def test_it_is_what_it_says(command: Command) -> None:
+def test_it_is_as_documented(command: Command) -> None:
     assert data.RECORDING.stat().st_size < 60_000
     assert command("verify", data.RECORDING).code == 0
     with mc.open(data.RECORDING) as f:

@@ -1,4 +1,4 @@
-"""`mocodec --help` imports little: what is slow to import waits until a command needs it."""
+"""`mocodec --help` imports no slow module: a command imports those when it needs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trouble: one clear line on standard error, the documented exit code, no half-written output, no traceback."""
+"""Errors: one clear line on standard error, the documented exit code, no half-written output, no traceback."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_bad_input_is_3(command: Command, walk_trc: Path, arguments: list[str]) 
     assert sorted(os.listdir()) == before
 
 
-def test_nothing_to_encode_is_3(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+def test_a_motion_without_samples_is_3(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     mc.write("nothing.npz", mc.Motion(np.full((20, 3, 3), np.nan), 120))
     mc.write("no_frames.npz", mc.Motion(np.zeros((0, 3, 3)), 120))
     for name in ("nothing.npz", "no_frames.npz"):
@@ -113,14 +113,14 @@ def test_damage_is_4(command: Command, walk_mocz: Path, verb: str) -> None:
     assert not Path("x.trc").exists()
 
 
-def test_salvage_writes_what_is_left(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
+def test_salvage_writes_the_undamaged_frames(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     assert command("encode", walk_trc, "-o", "walk.mocz", "--codec", "lossless", "--set", "chunk_seconds=0.5").code == 0
     data = bytearray(Path("walk.mocz").read_bytes())
     assert json.loads(command("info", "walk.mocz", "--json").out)["chunks"]["count"] == 4
     data[len(data) // 2] ^= 0x10
-    Path("hurt.mocz").write_bytes(data)
+    Path("damaged.mocz").write_bytes(data)
     Path("short.mocz").write_bytes(data[: len(data) // 2])
-    for name in ("hurt.mocz", "short.mocz"):
+    for name in ("damaged.mocz", "short.mocz"):
         result = command("decode", name, "-o", "left.npz", "--salvage")
         assert result.code == cli.DAMAGED
         left = mc.read("left.npz")
@@ -128,11 +128,11 @@ def test_salvage_writes_what_is_left(command: Command, walk: mc.Motion, walk_trc
         kept = ~left.gaps
         assert kept[:60].sum() == 60 * 7
         np.testing.assert_allclose(left.positions[kept], walk.positions[: len(left)][kept], atol=1e-6)
-    assert "60 frames are gaps" in command("decode", "hurt.mocz", "-o", "left.npz", "--salvage").err
+    assert "60 frames are gaps" in command("decode", "damaged.mocz", "-o", "left.npz", "--salvage").err
     assert command("decode", "walk.mocz", "-o", "all.npz", "--salvage").code == 0
 
 
-def test_a_device_is_written_to_not_replaced(command: Command, walk_trc: Path) -> None:
+def test_a_pipe_is_written_to_not_replaced(command: Command, walk_trc: Path) -> None:
     os.mkfifo("pipe")
     reader = subprocess.Popen(["cat", "pipe"], stdout=subprocess.PIPE)
     assert command("encode", walk_trc, "-o", "pipe", "--codec", "lossless").code == 0
@@ -141,9 +141,9 @@ def test_a_device_is_written_to_not_replaced(command: Command, walk_trc: Path) -
 
 
 def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:
-    Path("x.mocz").write_text("precious")
+    Path("x.mocz").write_text("unchanged")
     assert command("encode", "missing.c3d", "-o", "x.mocz").code == cli.BAD_INPUT
-    assert Path("x.mocz").read_text() == "precious"
+    assert Path("x.mocz").read_text() == "unchanged"
 
 
 def test_debug_shows_the_traceback(walk_trc: Path) -> None:
@@ -152,11 +152,11 @@ def test_debug_shows_the_traceback(walk_trc: Path) -> None:
             cli.run(arguments)
 
 
-def test_our_own_mistakes_are_one_line_too(command: Command, walk_trc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def mistake(*_: object, **__: object) -> None:
+def test_bugs_are_one_line_too(command: Command, walk_trc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def bug(*_: object, **__: object) -> None:
         raise ZeroDivisionError("division by\nzero")
 
-    monkeypatch.setattr("mocodec.api.read", mistake)
+    monkeypatch.setattr("mocodec.api.read", bug)
     result = command("info", walk_trc)
     assert_one_line(result, cli.BUG)
     assert "--debug" in result.err
@@ -192,8 +192,8 @@ def test_a_broken_pipe_is_quiet(walk_trc: Path) -> None:
 
 
 def test_interrupt_is_quiet(walk_trc: Path) -> None:
-    listening = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a suite in the background inherits deaf ears
-    process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE, preexec_fn=listening)
+    restore_sigint = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # processes in the background ignore SIGINT
+    process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE, preexec_fn=restore_sigint)
     time.sleep(1.5)  # it waits for standard input
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from mocodec.testing import corruption, odd, synthetic
+from mocodec.testing import corruption, edge_cases, synthetic
 
 
 def test_the_same_for_the_same_seed():
@@ -35,9 +35,9 @@ def test_joints_have_a_skeleton_with_rigid_bones():
             assert np.ptp(length) < 1e-9
 
 
-@pytest.mark.parametrize("name", odd.MOTIONS)
-def test_odd_motions_have_something_to_code(name: str):
-    assert not odd.motion(name).gaps.all()
+@pytest.mark.parametrize("name", edge_cases.MOTIONS)
+def test_edge_cases_have_at_least_one_sample(name: str):
+    assert not edge_cases.motion(name).gaps.all()
 
 
 def test_damaged_copies_differ():

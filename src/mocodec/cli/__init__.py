@@ -1,9 +1,9 @@
-"""The command line: one command per file, in the order of a journey.
+"""The command line: one module per command.
 
-    encode → info → verify → decode → compare → cut        demo runs them on a small real recording
+    encode → info → verify → decode → compare → cut        demo tries them on a small real recording
 
 `main` is the entry point: it runs a command and turns every error into one line on standard error and an exit code.
-A command's module is imported when that command is asked for, so that `mocodec --help` is quick.
+The module of a command is imported only when the command runs, so that `mocodec --help` is fast.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from ..errors import Corrupt, MocodecError, Truncated
 
 COMMANDS = {
     "encode": "Compress a recording into a .mocz file.",
-    "decode": "Write a .mocz file's motion in a format of the field.",
-    "info": "Show what a file holds.",
+    "decode": "Write the recording in a .mocz file as .c3d, .trc, .bvh, …",
+    "info": "Show the contents of a file.",
     "verify": "Check a .mocz file: every checksum, and the promised error.",
-    "compare": "Measure how far one recording is from another.",
-    "cut": "Take a stretch of time out of a file.",
+    "compare": "Measure the difference between two recordings.",
+    "cut": "Cut a time range out of a file.",
     "eval": "Run codecs and rivals over recordings and report.",
-    "archive": "Keep many recordings in one place.",
-    "view": "Look at a recording in the browser.",
-    "demo": "Do all of it on the small real recording inside the package.",
+    "demo": "Encode the recording in the package with several codecs and measure them.",
 }
 
-DONE, PROMISE_BROKEN, USAGE, BAD_INPUT, DAMAGED = 0, 1, 2, 3, 4
-BUG, INTERRUPTED, BROKEN_PIPE = 70, 130, 141  # the latter two as shells name SIGINT and SIGPIPE
+OK, PROMISE_BROKEN, USAGE, BAD_INPUT, DAMAGED = 0, 1, 2, 3, 4
+BUG, INTERRUPTED, BROKEN_PIPE = 70, 130, 141  # the latter two are 128 + SIGINT and 128 + SIGPIPE, as in shells
 
 EPILOG = """
 \b
 Exit codes:
-  0  done
-  1  the promise does not hold (verify)
-  2  usage: an option or argument is wrong
-  3  bad or unreadable input, or it cannot be coded as asked
-  4  damaged file: cut short, or a checksum does not hold
+  0  success
+  1  a promise is broken (verify)
+  2  an option or argument is wrong
+  3  the input is unreadable, or cannot be coded with these settings
+  4  the file is damaged: cut short, or a checksum does not match
 
-"-" as a file is standard input or output. Lengths take a unit (2mm, 0.3cm, 0.002m), times too (12.5s, 1500f = frames).
+\b
+"-" as a file is standard input or output.
+Lengths need a unit (2mm, 0.3cm, 0.002m), times too (12.5s, 500ms, 1500f for frame 1500).
 """
 
 
 class Commands(click.Group):
-    """The commands by name; each module holds a `command` and is imported when asked for."""
+    """The commands by name; each is the `command` of a module, which is imported when the command runs."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         here = Path(__file__).parent
@@ -67,13 +67,13 @@ class Commands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of commands from the table, so that help imports none of them."""
+        """Write the list of commands from COMMANDS, so that help imports none of their modules."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, COMMANDS[name]) for name in self.list_commands(ctx)])
 
 
 def debug_option() -> click.Option:
-    """--debug, on the group and on every command alike."""
+    """The option --debug, which the group and every command have."""
 
     def remember(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         if value and isinstance(ctx.obj, dict):
@@ -84,41 +84,57 @@ def debug_option() -> click.Option:
     )
 
 
+def version_option() -> click.Option:
+    """The option --version: of mocodec, Python and NumPy, and whether the compiled module is in use."""
+
+    def show(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+        if not value:
+            return
+        from .. import native
+
+        compiled = "in use" if native.available() else "not in use (everything works, more slowly)"
+        click.echo(f"mocodec {__version__}, compiled module {compiled}")
+        ctx.exit()
+
+    help_text = "Show the version, and whether the compiled module is in use."
+    return click.Option(["--version"], is_flag=True, expose_value=False, is_eager=True, callback=show, help=help_text)
+
+
 mocodec = Commands(
     "mocodec",
-    params=[debug_option()],
-    help="Compress human motion a hundredfold, with an error that is measured and guaranteed.",
+    params=[version_option(), debug_option()],
+    help="Compress recordings of human motion, with an error that is measured and guaranteed.",
     epilog=EPILOG,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     no_args_is_help=False,
 )
-click.version_option(__version__, prog_name="mocodec", message="%(prog)s %(version)s")(mocodec)
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns its exit code. Errors become one line on standard error, unless --debug."""
-    asked: dict[str, Any] = {"debug": False}
+    flags: dict[str, Any] = {"debug": False}
     try:
-        with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=asked) as ctx:
+        with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=flags) as ctx:
             result = mocodec.invoke(ctx)
-            for note in asked.get("notes", ()):  # of the files that were read
+            for note in flags.get("notes", ()):  # of the files that were read
                 click.echo(note, err=True)
         sys.stdout.flush()
-        return result if isinstance(result, int) else DONE
-    except click.exceptions.Exit as done:
-        return done.exit_code
+        return result if isinstance(result, int) else OK
+    except click.exceptions.Exit as exit_:
+        return exit_.exit_code
     except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+        return print_error("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains once more at exit
+        # Otherwise Python reports the broken pipe again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except Exception as error:
-        if asked["debug"]:
+        if flags["debug"]:
             raise
-        return complain(*explain(error))
+        return print_error(*message_and_code(error))
 
 
-def explain(error: Exception) -> tuple[str, int]:
+def message_and_code(error: Exception) -> tuple[str, int]:
     """An error as one line and an exit code."""
     match error:
         case click.UsageError():
@@ -134,13 +150,16 @@ def explain(error: Exception) -> tuple[str, int]:
             where = f"{error.filename}: " if error.filename else ""
             return f"{where}{error.strerror or error}", BAD_INPUT
         case MemoryError():
-            return "not enough memory for this recording", BAD_INPUT
+            return "not enough memory for this recording; cut it into parts", BAD_INPUT
         case _:
-            return f"a mistake in mocodec itself: {type(error).__name__}: {error} (--debug shows where)", BUG
+            return (
+                f"a bug in mocodec, please report it: {type(error).__name__}: {error} (--debug shows the traceback)",
+                BUG,
+            )
 
 
-def complain(message: str, code: int) -> int:
-    """One line on standard error, if anyone still reads that."""
+def print_error(message: str, code: int) -> int:
+    """Print one line on standard error, unless it is closed; returns the exit code."""
     with suppress(OSError):
         print("mocodec: " + " ".join(message.split()), file=sys.stderr, flush=True)
     return code

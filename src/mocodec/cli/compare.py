@@ -1,101 +1,128 @@
-"""`mocodec compare`: how far one recording is from another."""
+"""`mocodec compare`: measure the difference between two recordings."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import click
 
 from .. import metrics, plots
+from ..encoded import Recording
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities
 
 CLOUD_FRAMES = 12
+"""How many frames of point clouds are measured."""
 
 
 @click.command("compare")
 @click.argument("a", metavar="A")
 @click.argument("b", metavar="B")
-@click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, lengths in metres.")
 @click.option(
     "--plot", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw the error over time and per point."
 )
-@click.option("--poses", type=click.Path(dir_okay=False), metavar="FILE.png", help="Draw poses of both, side by side.")
+@click.option(
+    "--poses",
+    type=click.Path(dir_okay=False),
+    metavar="FILE.png",
+    help="Draw poses of both recordings over each other.",
+)
 @files.reader_options
 def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, **options: Any) -> None:
-    """Measure B against A; either may be a .mocz or any other recording. --asf, --unit and their like are for A, and
-    for B where it is of the same format.
+    """Measure the error of B against A; each is a .mocz or a recording in another format.
 
-    The ratio is A's positions as float32 over the bytes of the .mocz, where one of the two is one.
+    Reader options such as --asf and --unit apply to A, and to B if it has the same format. If one of the two is a
+    .mocz, the ratio is the size of A as float32 positions over the size of the .mocz.
     """
     if a == b == "-":
-        raise click.UsageError("only one of the two can be standard input")
+        raise click.UsageError("A and B cannot both be standard input")
     for path in filter(None, (plot, poses)):
         if Path(path).suffix.lower() not in plots.SUFFIXES:
-            raise click.UsageError(f"{path}: pictures are written as {', '.join(plots.SUFFIXES)}")
+            raise click.UsageError(f"{path}: the suffix of a picture must be one of {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
         original, other = (files.read(name, **options_for(name, a, options)) for name in (a, b))
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):
         if plot or poses:
-            raise click.UsageError("--plot and --poses draw motions, not point clouds")
-        click.echo(clouds(original, other, stored_bytes(b) or stored_bytes(a), as_json))
+            raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
+        result = compare_clouds(original, other, stored_bytes(b) or stored_bytes(a))
+        click.echo(clouds_as_text(result, as_json))
         return
     if not isinstance(original, Motion) or not isinstance(other, Motion):
-        raise BadInput("one of the two holds point clouds, the other a motion")
-    result = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
-    click.echo(result.to_json() if as_json else "\n".join(table(result)))
+        raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")
+    comparison = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
+    click.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
     for path in (plot, poses):
         if path:
             draw = plots.errors if path == plot else plots.recording
-            plots.save(draw(original, other, title(a, b, result)), path)
+            plots.save(draw(original, other, title(a, b, comparison)), path)
 
 
 def title(a: str, b: str, result: metrics.Comparison) -> str:
-    """What a picture compares."""
+    """The title of a picture."""
     ratio = f", {result.ratio:.0f} : 1" if result.ratio is not None else ""
     return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
 
 
 def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The readers' options that concern this file."""
+    """The reader options that apply to this file: all for A and for files of the same format."""
     if name == "-":
         return options
     alike = Path(name).suffix.lower() == Path(a).suffix.lower()
     return {**options, "format_": None} if alike else {}
 
 
-def clouds(a: PointClouds, b: PointClouds, stored: int | None, as_json: bool) -> str:
-    """How far point clouds are from others, over at most CLOUD_FRAMES of their frames, evenly spaced."""
+def kind(recording: Recording) -> str:
+    """The kind of a recording, in words."""
+    return "a motion" if isinstance(recording, Motion) else "point clouds"
+
+
+def compare_clouds(a: PointClouds, b: PointClouds, stored: int | None) -> dict[str, float]:
+    """Errors of point clouds against others, over at most CLOUD_FRAMES of their frames, evenly spaced.
+
+    Raises BadInput if they differ in the number of frames.
+    """
     from ..evaluation.cloud import measures
 
     if len(a) != len(b):
         raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
     frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
     frames = [f for f in frames if measures.has_points(a, f) and measures.has_points(b, f)]
-    result: dict[str, Any] = {"frames": len(a), "measured_frames": len(frames)}
+    result: dict[str, float] = {"frames": len(a), "measured_frames": len(frames)}
     if frames:
         result |= measures.compare(a, b, frames)
     if stored:
         result["ratio"] = a.raw_bytes / stored
+    return result
+
+
+def clouds_as_text(result: dict[str, float], as_json: bool) -> str:
+    """The errors of point clouds, as JSON or as lines; a measure that does not apply (NaN) is null or left out."""
     if as_json:
-        return json.dumps({k: None if v != v else v for k, v in result.items()}, indent=2)
-    units = {"m": lambda v: quantities.length(v), "db": lambda v: f"{v:.2f} dB"}
-    result = {k: v for k, v in result.items() if v == v}  # without colours, luma has no error
-    shown = (units.get(k.rpartition("_")[2], lambda v: f"{v:.6g}")(v) for k, v in result.items())
-    return "\n".join(f"{k.removesuffix('_m').removesuffix('_db'):16}{v}" for k, v in zip(result, shown, strict=True))
+        return json.dumps({name: None if math.isnan(value) else value for name, value in result.items()}, indent=2)
+    lines: list[str] = []
+    for name, value in result.items():
+        if name.endswith("_m"):
+            text = quantities.length(value)
+        else:
+            text = f"{value:.2f} dB" if name.endswith("_db") else f"{value:.6g}"
+        if not math.isnan(value):  # without colours, luma has no error
+            lines.append(f"{name.removesuffix('_m').removesuffix('_db'):16}{text}")
+    return "\n".join(lines)
 
 
 def stored_bytes(name: str) -> int | None:
-    """Size of a .mocz file on disk."""
+    """The size of a .mocz file on disk; None for other formats and URLs."""
     return Path(name).stat().st_size if files.is_mocz(name) and not files.is_url(name) else None
 
 
 def table(result: metrics.Comparison) -> list[str]:
-    """A comparison as lines for people; points in order of their largest error."""
+    """A comparison as lines of text; points in order of their largest error."""
     where = f" at frame {result.max_at[0]}, {files.printable(result.max_at[1])}" if result.max_at else ""
     lines = [
         f"{result.frames:,} frames, {result.points} points",

@@ -1,11 +1,11 @@
-"""`mocodec cut`: a stretch of time out of a file.
+"""`mocodec cut`: cut a time range out of a file.
 
-    .mocz → .mocz   whole chunks are copied as they are, where the cut falls on their borders and they stand alone;
-                    otherwise the stretch is decoded and coded again, and the new promise is the sum of the two errors
+    .mocz → .mocz   if the cut is on chunk borders and chunks decode alone, chunks are copied without loss;
+                    otherwise the range is decoded and encoded again, and the new promise is the sum of both bounds
     anything else   is read, cut and written
 
-Why not always copy: a codec may need a chunk's neighbours (its declared margin), and a cut at any frame is worth more
-to a user than one at a chunk's border. `--chunks` widens the cut to the borders, so that nothing is coded twice.
+Why not always copy: a codec may need the neighbours of a chunk (its declared margin), and users want to cut at any
+frame, not only at chunk borders. `--chunks` widens the cut to chunk borders, so that nothing is encoded twice.
 """
 
 from __future__ import annotations
@@ -18,48 +18,57 @@ import click
 import numpy as np
 
 from .. import api, codecs, container
-from ..encoded import Chunk, Encoded, extras_between
+from ..encoded import Chunk, Encoded, Recording
 from ..errors import BadInput, CannotEncode
-from ..motion import Motion, source_from
+from ..motion import Motion, extras_between, source_from
 from . import files, quantities
 
 Time = tuple[float | None, int | None]
-RECODING_SHARE = 0.5  # of the first promise, granted to coding a second time
+SECOND_BOUND = 0.5
+"""Bound of the second encoding, as a share of the first bound."""
 
 
 @click.command("cut")
 @click.argument("source", metavar="FILE")
 @click.option(
-    "--from", "begin", type=quantities.TIME, default="0f", help="Where to begin: 12.5s, or 1500f for a frame."
+    "--from",
+    "begin",
+    type=quantities.TIME,
+    default="0f",
+    help="Start: 12.5s, or 1500f for frame 1500. Default: the first frame.",
 )
-@click.option("--to", "end", type=quantities.TIME, help="Where to end; that frame is left out. Default: the end.")
-@click.option("-o", "--output", required=True, metavar="OUT", help="The file to write; its suffix is the format.")
 @click.option(
-    "--chunks", is_flag=True, help="Widen the cut to whole chunks of a .mocz, so that nothing is coded again."
+    "--to", "end", type=quantities.TIME, help="End; the frame there is not included. Default: the last frame, included."
 )
-@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+@click.option("-o", "--output", required=True, metavar="OUT", help="The file to write, in the format of its suffix.")
+@click.option(
+    "--chunks", is_flag=True, help="Widen the cut to whole chunks of a .mocz, so that nothing is encoded again."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
 @files.reader_options
 def command(source: str, begin: Time, end: Time | None, output: str, chunks: bool, quiet: bool, **options: Any) -> None:
-    """Take the frames of FILE from one time to another into OUT.
+    """Write a time range of FILE to OUT. Without a range, FILE is converted to the format of OUT.
 
-    From .mocz to .mocz nothing is coded again where the cut falls on chunk borders (--chunks sees to that); elsewhere
-    the stretch is coded again to half the promised error, and OUT promises the sum of both.
+    From .mocz to .mocz, chunks are copied without loss if the cut is on chunk borders (--chunks widens it to these).
+    Otherwise the range is encoded again with half the promised error, and OUT promises the sum of both errors.
     """
     compressed = files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
-        raise click.UsageError("--chunks is for a cut from one .mocz file to another")
+        raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")
     if not compressed:
-        recording = files.read(source, **options)
-        start, stop = frames(begin, end, recording.rate, len(recording))
+        with files.working(f"reading {source}"):
+            recording = files.read(source, **options)
+        start, stop = frame_range(begin, end, recording.rate, len(recording))
         files.write(output, recording[start:stop], quiet=quiet)
         how = "cut"
     else:
         with api.open(files.source_of(source)) as opened:
-            start, stop = frames(begin, end, opened.rate, len(opened))
+            start, stop = frame_range(begin, end, opened.rate, len(opened))
             if chunks:
                 start, stop = whole_chunks(opened.encoded, start, stop)
             if files.is_mocz(output) or output == "-":
-                encoded, how = cut(opened, start, stop)
+                with files.working(f"cutting {source}"):
+                    encoded, how = cut(opened, start, stop)
                 files.write_bytes(output, container.pack(encoded))
             else:
                 files.write(output, opened[start:stop], quiet=quiet)
@@ -68,37 +77,35 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
         click.echo(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
 
 
-def frames(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:
-    """Times as frames [start, stop): the first at or after each. Raises a usage error where nothing is between."""
+def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:
+    """Two times as frames [start, stop): the first frame at or after each. Raises a usage error for an empty range."""
 
-    def frame(time: Time) -> int:
+    def frame_at(time: Time) -> int:
         seconds, index = time
         return math.ceil(seconds * rate - 1e-6) if seconds is not None else index or 0
 
-    start, stop = frame(begin), min(count, frame(end)) if end else count
+    start, stop = frame_at(begin), min(count, frame_at(end)) if end else count
     if start >= stop:
-        raise click.UsageError(
-            f"nothing to cut: the file has {count} frames, {count / rate:g} s, the cut is {start} to {stop}"
-        )
+        raise click.UsageError(f"the time range is empty: frames {start} to {stop} of {count} ({count / rate:g} s)")
     return start, stop
 
 
 def whole_chunks(encoded: Encoded[Any], start: int, stop: int) -> tuple[int, int]:
-    """The cut widened to the borders of the chunks that it touches."""
-    touched = [chunk for chunk in encoded.chunks if chunk.stop > start and chunk.start < stop]
-    return touched[0].start, touched[-1].stop
+    """The range, widened to the borders of its first and last chunk."""
+    chunks = [chunk for chunk in encoded.chunks if chunk.stop > start and chunk.start < stop]
+    return chunks[0].start, chunks[-1].stop
 
 
-def cut(opened: api.File, start: int, stop: int) -> tuple[Encoded[Any], str]:
-    """Frames [start, stop) as a file of their own, and how that was done, in words."""
-    copied = copy(opened.encoded, start, stop)
-    if copied is not None and same(opened.codec.decode(copied), opened[start:stop]):
-        return copied, "chunks copied, nothing coded again"
-    return recode(opened, start, stop)
+def cut(opened: api.File[Recording], start: int, stop: int) -> tuple[Encoded[Any], str]:
+    """Frames [start, stop) as a recording of their own, and how it was made, in words."""
+    copied = copied_chunks(opened.encoded, start, stop)
+    if copied is not None and positions_equal(opened.codec.decode(copied), opened[start:stop]):
+        return copied, "chunks copied, nothing encoded again"
+    return reencoded(opened, start, stop)
 
 
-def copy(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] | None:
-    """The chunks of frames [start, stop) as they are; None where the cut divides one or they need their neighbours."""
+def copied_chunks(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] | None:
+    """The chunks of frames [start, stop), copied; None if the range divides one or they need their neighbours."""
     if encoded.margin and (start, stop) != (0, encoded.frames):
         return None
     if (start, stop) != whole_chunks(encoded, start, stop):
@@ -113,26 +120,26 @@ def copy(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] | None:
     return dataclasses.replace(encoded, about=about, chunks=kept)
 
 
-def same(a: Any, b: Any) -> bool:
-    """Whether two motions are equal to the last digit that counts; point clouds are compared frame by frame."""
-    pairs = [(a.positions, b.positions)] if isinstance(a, Motion) else zip(a.positions, b.positions, strict=True)
+def positions_equal(a: Recording, b: Recording) -> bool:
+    """Whether the positions of two recordings agree within 1e-9 m."""
+    pairs = [(np.asarray(a), np.asarray(b))] if isinstance(a, Motion) else zip(a.positions, b.positions, strict=True)
     return all(p.shape == q.shape and np.allclose(p, q, rtol=0, atol=1e-9, equal_nan=True) for p, q in pairs)
 
 
-def recode(opened: api.File, start: int, stop: int) -> tuple[Encoded[Any], str]:
-    """The decoded frames coded again with the file's codec and settings; its bound grows by the second error.
+def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encoded[Any], str]:
+    """The decoded frames, encoded again with the codec and settings of the file; the bound grows by the second error.
 
-    Raises CannotEncode where the codec no longer takes the settings that the file was made with.
+    Raises CannotEncode if this version of the codec does not accept the settings of the file.
     """
-    encoded, stretch = opened.encoded, opened[start:stop]
+    encoded, part = opened.encoded, opened[start:stop]
     settings: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in encoded.settings.items()}
     bounds: dict[str, float] = {name: settings[name] for name in ("max_error", "mean_error") if settings.get(name)}
-    settings |= {name: RECODING_SHARE * bound for name, bound in bounds.items()}
+    settings |= {name: SECOND_BOUND * bound for name, bound in bounds.items()}
     settings.pop("size", None)
     try:
-        again = api.with_options(codecs.codec_class(encoded.codec)(), **settings).encode(stretch)
+        again = api.with_options(codecs.codec_class(encoded.codec)(), **settings).encode(part)
     except BadInput as error:
-        raise CannotEncode(f"the cut must be coded again, and that failed: {error}; try --chunks") from error
-    promised = {name: (1 + RECODING_SHARE) * bound for name, bound in bounds.items()}
+        raise CannotEncode(f"this cut needs a second encoding, which failed: {error}; try --chunks") from error
+    promised = {name: (1 + SECOND_BOUND) * bound for name, bound in bounds.items()}
     grown = "".join(f", promised {n.replace('_', ' ')} now {quantities.bound(b)}" for n, b in promised.items())
-    return dataclasses.replace(again, settings={**again.settings, **promised}), f"coded again{grown}"
+    return dataclasses.replace(again, settings={**again.settings, **promised}), f"encoded again{grown}"

@@ -1,4 +1,4 @@
-"""`mocodec encode`: a recording to a .mocz file, measured against what went in."""
+"""`mocodec encode`: a recording to a .mocz file, which is decoded and measured before it is written."""
 
 from __future__ import annotations
 
@@ -9,59 +9,68 @@ from typing import Any
 
 import click
 
-from .. import api, codecs, metrics
+from .. import api, codecs, metrics, progress
+from ..codecs.base import Codec
+from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
-from ..pointcloud import PointClouds
 from . import files, quantities, verify
 
 
 @click.command("encode")
 @click.argument("source", metavar="IN")
-@click.option("-o", "--output", required=True, metavar="OUT.mocz", help='The file to write; "-" is standard output.')
+@click.option(
+    "-o", "--output", required=True, metavar="OUT.mocz", help='The file to write, or "-" for standard output.'
+)
 @click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds.")
 @click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
-@click.option("--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames: 1mm.")
-@click.option("--ratio", type=click.FloatRange(1), help="This many times smaller than float32 positions: 100.")
-@click.option("--size", type=quantities.SIZE, help="No larger than this: 50kB.")
-@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; may be repeated.")
 @click.option(
-    "--skeleton", type=click.Path(), metavar="FILE", help="For point clouds: a .bvh or .amc in the first frame's pose."
+    "--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames is at most this: 1mm."
+)
+@click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
+@click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
+@click.option(
+    "--skeleton",
+    type=click.Path(),
+    metavar="FILE",
+    help="For point clouds: a .bvh or .amc whose first frame has the pose of the first frame.",
 )
 @click.option(
     "--residual",
     type=quantities.RESIDUAL,
     metavar="PERCENT|exact",
-    help="For point clouds: how much of the residual, percent; bodycast has exact, every point as it is.",
+    help="For point clouds: share of the residual to store; 'exact' (bodycast only) keeps every point.",
 )
-@click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters; they are kept otherwise.")
-@click.option("-q", "--quiet", is_flag=True, help="No summary.")
+@click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
+@click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
 @files.reader_options
 def command(
     source: str, output: str, codec: str | None, settings: tuple[str, ...], bare: bool, quiet: bool, **options: Any
 ) -> None:
     """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
 
-    Every file that is written has been decoded and measured first; the error is in the summary, on standard error.
+    The file is decoded and measured before it is written; the summary on standard error shows the measured error.
     """
-    targets = {name: options.pop(name) for name in ("max_error", "mean_error", "ratio", "size")}
-    about_clouds = files.named(**{name: options.pop(name) for name in ("skeleton", "residual")})
-    settings += tuple(f"{name}={value}" for name, value in about_clouds.items())
+    targets = files.given(**{name: options.pop(name) for name in TARGETS})
+    cloud_settings = files.given(**{name: options.pop(name) for name in ("skeleton", "residual")})
+    settings += tuple(f"{name}={value}" for name, value in cloud_settings.items())
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
-        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec decode` writes the formats of the field")
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
     with files.working(f"reading {source}"):
         recording = files.read(source, **options)
     if bare:
         recording = replace(recording, extras={})
-    chosen = choose(codec or api.default_codec(recording), settings, files.named(**targets))
+    chosen = codec_with(codec or api.default_codec(recording), settings, targets)
     with files.working(f"encoding {source} with {chosen.name}"):
-        blob = api.pack(chosen, recording)
-        with api.open(blob) as opened:
+        with progress.phase(0.0, 0.9):
+            blob = api.pack(chosen, recording)
+        with progress.phase(0.9, 1.0), api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
     if isinstance(recording, Motion):
-        _, broken = verify.hold(files.named(**targets), recording, decoded, facts)
+        _, broken = verify.check(targets, recording, decoded, facts)
         if broken:
-            raise CannotEncode(f"{chosen.name} does not keep its promise, nothing was written: {'; '.join(broken)}")
+            raise CannotEncode(f"{chosen.name} did not keep its promise, so nothing was written: {'; '.join(broken)}")
     files.write_bytes(output, blob)
     if not quiet:
         click.echo(summary(output, recording, decoded, facts), err=True)
@@ -69,8 +78,8 @@ def command(
             click.echo(f"note: {note}", err=True)
 
 
-def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Any:
-    """The codec with these settings and targets. Raises a usage error for those that it does not have."""
+def codec_with(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Codec[Any]:
+    """The codec with these settings and targets. Raises a usage error for settings that it does not have."""
     kind = codecs.codec_class(codec)
     try:
         return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
@@ -78,27 +87,27 @@ def choose(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> 
         raise click.UsageError(str(error)) from error
 
 
-def notes(recording: Motion | PointClouds) -> Iterator[str]:
-    """What of the recording does not go into a .mocz, or may not be as it was meant, in words."""
+def notes(recording: Recording) -> Iterator[str]:
+    """What of the recording is not stored in the .mocz, and what may be misread, in words."""
     if isinstance(recording, Motion) and recording.rotations is not None:
         yield "joint positions are stored; rotations are not stored yet"
     if missing := recording.source.get("missing_numbers"):
-        yield f"{missing} numbers are missing between those of the files, which are taken as one frame after another"
+        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
     if ignored := recording.source.get("ignored"):
-        yield f"properties that are left out: {', '.join(ignored)}"
+        yield f"these properties of points are left out: {', '.join(ignored)}"
     if recording.source.get("residuals") == "left out":
-        yield "residuals and camera masks of the samples are left out; --residuals keeps them"
+        yield "residuals and camera masks of samples are left out; --residuals keeps them"
 
 
-def summary(output: str, recording: Motion | PointClouds, decoded: Any, facts: dict[str, Any]) -> str:
-    """One line: bytes, ratio and, for a motion, the error that was measured."""
+def summary(output: str, recording: Recording, decoded: Recording, facts: dict[str, Any]) -> str:
+    """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
     stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
     line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
     if extras > stored / 100:
         points = recording.raw_bytes / (stored - extras)
-        line += f" ({points:.1f} : 1 without the {extras:,} bytes of analog channels, parameters and the like)"
-    if isinstance(recording, Motion):
+        line += f" ({points:.1f} : 1 without {extras:,} bytes of analog channels, parameters and other extras)"
+    if isinstance(recording, Motion) and isinstance(decoded, Motion):
         error = metrics.compare(recording, decoded, stored)
         line += f", mean error {quantities.length(error.mean_error)}, max {quantities.length(error.max_error)}"
     return line

@@ -1,4 +1,4 @@
-"""`mocodec info`: what a file holds, without decoding it."""
+"""`mocodec info`: the contents of a file; a .mocz is not decoded."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from .. import api, formats
+from ..encoded import Recording
 from ..motion import Motion
-from ..pointcloud import PointClouds
 from . import files, quantities
 
 
@@ -19,17 +19,17 @@ from . import files, quantities
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @files.reader_options
 def command(source: str, as_json: bool, **options: Any) -> None:
-    """Show what FILE holds. Of a .mocz (a path, a URL or "-") only header and index are read."""
+    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read."""
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"]):
         with api.open(files.source_of(source)) as opened:
             facts = opened.info
     else:
-        facts = about(files.read(source, **options))
+        facts = facts_of(files.read(source, **options))
     click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
 
 
-def about(recording: Motion | PointClouds) -> dict[str, Any]:
-    """What a file of the field holds, with the keys that a .mocz file has too."""
+def facts_of(recording: Recording) -> dict[str, Any]:
+    """The contents of a file that is not a .mocz, under the same keys as those of a .mocz."""
     facts: dict[str, Any] = {
         "kind": "motion" if isinstance(recording, Motion) else "clouds",
         "frames": len(recording),
@@ -50,7 +50,7 @@ def about(recording: Motion | PointClouds) -> dict[str, Any]:
 
 
 def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
-    """Facts as aligned lines for people; nested ones are indented."""
+    """Facts as aligned lines; nested ones are indented."""
     width = max((len(key) for key in facts), default=0) + 2
     for key, value in facts.items():
         label = " " * indent + f"{files.printable(key).replace('_', ' '):{width}}"
@@ -62,11 +62,11 @@ def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
             yield label + f"{len(value)}"
         else:
-            yield label + shown(value)
+            yield label + as_text(value)
 
 
-def shown(value: Any) -> str:
-    """A fact's value for people."""
+def as_text(value: Any) -> str:
+    """A value as text."""
     match value:
         case bool():
             return "yes" if value else "no"
@@ -79,7 +79,7 @@ def shown(value: Any) -> str:
         case Mapping():
             return "none"
         case list() | tuple():
-            texts = (shown(item) if isinstance(item, float) else files.printable(str(item)) for item in value)
+            texts = (as_text(item) if isinstance(item, float) else files.printable(str(item)) for item in value)
             return ", ".join(texts) or "none"
         case _:
             return files.printable(str(value))

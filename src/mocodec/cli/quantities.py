@@ -1,4 +1,4 @@
-"""Numbers with units, as they are typed and as they are shown: 2mm, 12.5s, 50kB, name=value."""
+"""Numbers with units, parsed and formatted: 2mm, 12.5s, 50kB, name=value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([^\d\s.]*)"
 
 
 def split_unit(text: str) -> tuple[float, str] | None:
-    """ "2mm" → (2.0, "mm"); None where it is not a number with a unit."""
+    """ "2mm" → (2.0, "mm"); None if it is not a number with a unit."""
     match = NUMBER.fullmatch(text.strip())
     return (float(match[1]), match[2]) if match else None
 
@@ -55,7 +55,7 @@ class Time(click.ParamType):
             self.fail(f"{value!r} is not a time; write it as 12.5s, 500ms, 1.5min, or 1500f for a frame", param, ctx)
         if unit == "f":
             if number != int(number):
-                self.fail(f"{value!r}: there is no such thing as part of a frame", param, ctx)
+                self.fail(f"{value!r}: a frame number must be a whole number", param, ctx)
             return None, int(number)
         return number * SECONDS[unit], None
 
@@ -84,7 +84,7 @@ class Residual(click.ParamType):
             return value
         number, unit = split_unit(value) or (-1.0, "")
         if unit not in ("", "%") or not 0 <= number <= 100:
-            self.fail(f"{value!r} is neither a percentage from 0 to 100 nor exact", param, ctx)
+            self.fail(f"{value!r} is not a percentage from 0 to 100 or 'exact'", param, ctx)
         return number
 
 
@@ -92,15 +92,15 @@ LENGTH, TIME, SIZE, RESIDUAL = Length(), Time(), Size(), Residual()
 
 
 def setting(codec_class: Any, text: str) -> tuple[str, Any]:
-    """ "components=40" as a codec's setting, of the type of its default; a length may carry its unit.
+    """ "components=40" as a setting of a codec, in the type that the codec declares; a length can have a unit.
 
-    Raises BadInput for a setting that the codec does not have or of the wrong type.
+    Raises BadInput for a setting that the codec does not have, or a value of the wrong type.
     """
     name, equals, value = text.partition("=")
     name = name.strip().replace("-", "_")
     known = {f.name: f for f in fields(codec_class)}
     if not equals or name not in known:
-        raise BadInput(f"--set {text}: write name=value, where {codec_class.name} has the names {', '.join(known)}")
+        raise BadInput(f"--set {text}: write NAME=VALUE; the settings of {codec_class.name} are {', '.join(known)}")
     number, unit = split_unit(value) or (0.0, "")
     if unit in METRES:
         return name, number * METRES[unit]
@@ -112,7 +112,7 @@ def setting(codec_class: Any, text: str) -> tuple[str, Any]:
 
 
 def of_type(value: Any, field: Field[Any], text: str) -> Any:
-    """The value in the type that the field declares. Raises BadInput where it is of another."""
+    """The value, converted to the declared type of the field. Raises BadInput if that is not possible."""
     declared = str(field.type)
     while "[" in declared:  # tuple[str, ...] | None → tuple | None; a Literal's values are strings
         declared = re.sub(r"\[[^\[\]]*\]", "", declared.replace("Literal", "str"))
@@ -126,11 +126,11 @@ def of_type(value: Any, field: Field[Any], text: str) -> Any:
     kind = "None" if value is None else type(value).__name__
     if kind in wanted or not wanted <= {"int", "float", "bool", "str", "tuple", "None"}:
         return value
-    raise BadInput(f"--set {text}: a value of type {' or '.join(sorted(wanted - {'None'}))} is wanted")
+    raise BadInput(f"--set {text}: the value must be of type {' or '.join(sorted(wanted - {'None'}))}")
 
 
 def length(metres: float) -> str:
-    """A measured length for people, to three digits: "1.97 mm"."""
+    """A measured length as text, with three digits: "1.97 mm"."""
     mm = metres * 1000
     if mm == 0:
         return "0 mm"
@@ -140,10 +140,10 @@ def length(metres: float) -> str:
 
 
 def bound(metres: float) -> str:
-    """A length that was asked for, as short as it can be said: "2 mm"."""
+    """A length that a user chose as text, without trailing zeros: "2 mm"."""
     return f"{metres * 1000:.6g} mm"
 
 
 def size(count: int) -> str:
-    """A number of bytes for people: "12,345 bytes"."""
+    """A number of bytes as text: "12,345 bytes"."""
     return f"{count:,} bytes"

@@ -1,4 +1,4 @@
-"""`mocodec verify`: every checksum of a .mocz file and, beside its source, the promise that it makes."""
+"""`mocodec verify`: check every checksum of a .mocz file and, with its source, the promised error."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from ..errors import BadInput
 from ..motion import Motion, Signal
 from . import PROMISE_BROKEN, files, quantities
 
-SLACK = 1 + 1e-9  # a bound met exactly may differ in the last bit of a sum
+SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the last bit of a sum
 
 
 @click.command("verify")
 @click.argument("file", metavar="FILE.mocz")
-@click.option("--against", metavar="SOURCE", help="The recording that it was made from, to hold the promise against.")
+@click.option("--against", metavar="SOURCE", help="The recording that the file was encoded from.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
 @files.reader_options
 def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
-    """Check that every part of FILE is undamaged and decodes and, with --against, that its promise holds.
+    """Check that every part of FILE is undamaged and decodes and, with --against, that its promises are kept.
 
-    A promise is the max-error, mean-error, ratio or size that it was encoded for; names, rate, gaps and what was
-    beside the points are promised always.
+    Promises are the max-error, mean-error, ratio or size that it was encoded with. Equal names, rate, gaps and extras
+    (analog channels, events, …) are always promised.
     """
     with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
         opened.verify()
-        decoded, facts, stored = opened[:], opened.info, opened.encoded
+        decoded, facts, promise = opened[:], opened.info, opened.encoded.promise
     report: dict[str, Any] = {"file": file, "undamaged": True, "frames": facts.get("frames", len(decoded))}
-    report["promise"] = stored.promise
+    report["promise"] = promise
     broken: list[str] = []
     if against is not None:
         with files.working(f"reading {against}"):
             source = files.read(against, **options)
-        comparison, broken = hold(report["promise"], source, decoded, facts)
-        report |= {**comparison, "held": not broken, "broken": broken}
+        comparison, broken = check(report["promise"], source, decoded, facts)
+        report |= {**comparison, "promise_kept": not broken, "broken": broken}
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
@@ -47,15 +47,15 @@ def command(file: str, against: str | None, as_json: bool, **options: Any) -> in
     return PROMISE_BROKEN if broken else None
 
 
-def hold(
+def check(
     promise: Mapping[str, float], source: Any, decoded: Any, facts: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Measure a decoded motion against its source: the figures, and every promise that is broken, in words.
+    """Measure a decoded motion against its source: the measures, and every broken promise in words.
 
-    facts: the file's `info`. A ratio is promised for all of the file but its extras.
+    facts: the `info` of the file. A promised ratio is that of the file without its extras.
     """
     if not (isinstance(source, Motion) and isinstance(decoded, Motion)):
-        raise BadInput("--against measures motions, not point clouds")
+        raise BadInput("--against works for motions only; `mocodec compare` measures point clouds")
     if source.positions.shape != decoded.positions.shape:
         return {}, [
             f"the source has {len(source)} frames of {source.points} points, "
@@ -85,41 +85,43 @@ def hold(
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    """The names of what two motions have beside their points and do not share."""
-    return sorted(name for name in {*a, *b} if name not in a or name not in b or not same(a[name], b[name]))
+    """The names of the extras that differ between two motions."""
+    return sorted(name for name in {*a, *b} if name not in a or name not in b or not is_equal(a[name], b[name]))
 
 
-def same(a: Any, b: Any) -> bool:
-    """Whether two trees of extras are equal; NaN equals NaN."""
+def is_equal(a: Any, b: Any) -> bool:
+    """Whether two values of extras are equal; NaN equals NaN."""
     if isinstance(a, Signal) and isinstance(b, Signal):
         facts = (a.rate, tuple(a.labels), tuple(a.units)) == (b.rate, tuple(b.labels), tuple(b.units))
-        return facts and same(a.values, b.values)
+        return facts and is_equal(a.values, b.values)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return not differing(a, b)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
-        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+        return len(a) == len(b) and all(is_equal(x, y) for x, y in zip(a, b, strict=True))
     return type(a) is type(b) and (a == b or a != a)
 
 
 def lines(report: dict[str, Any], against: str | None) -> list[str]:
-    """The report for people."""
-    promise = ", ".join(f"{name.replace('_', ' ')} {shown(name, value)}" for name, value in report["promise"].items())
+    """The report as text."""
+    promise = ", ".join(
+        f"{name.replace('_', ' ')} {promise_as_text(name, value)}" for name, value in report["promise"].items()
+    )
     text = [f"{report['file']}: undamaged, all {report['frames']:,} frames decode; promise: {promise or 'no bound'}"]
     if against is None:
         return text
     if "max_error" in report:
         mean, largest = quantities.length(report["mean_error"]), quantities.length(report["max_error"])
         text.append(f"against {against}: mean error {mean}, max {largest}")
-    held = (
-        "the promise holds" if report["promise"] else "no bound was promised; names, rate, gaps and extras are the same"
+    kept = (
+        "the promise is kept" if report["promise"] else "no bound was promised; names, rate, gaps and extras are equal"
     )
-    return text + ([f"broken: {what}" for what in report["broken"]] or [held])
+    return text + ([f"broken: {what}" for what in report["broken"]] or [kept])
 
 
-def shown(name: str, value: float) -> str:
-    """A promised value for people."""
+def promise_as_text(name: str, value: float) -> str:
+    """A promised value as text."""
     if name.endswith("error"):
         return quantities.bound(value)
     return quantities.size(int(value)) if name == "size" else f"{value:g}"

@@ -1,4 +1,5 @@
-"""Motion to Encoded and back. `CODECS` is the literal table of names on disk: never change a released one."""
+# pyright: strict
+"""Codecs: recordings to Encoded and back. `CODECS` is the table of names on disk: never change a released one."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from ..errors import UnknownCodec
+from .base import Codec
 
 CODECS = {
     "liu2006": "mocodec.codecs.liu2006:Liu2006",
@@ -17,9 +19,9 @@ CODECS = {
 }
 
 
-def codec_class(name: str) -> Any:
-    """The class of a codec by its name on disk. Raises UnknownCodec."""
+def codec_class(name: str) -> type[Codec[Any]]:
+    """The class of a codec, by its name on disk. Raises UnknownCodec."""
     if name not in CODECS:
-        raise UnknownCodec(f"no codec named {name!r}; this package has: {', '.join(CODECS)}")
+        raise UnknownCodec(f"no codec named {name!r}; this version of mocodec has: {', '.join(CODECS)}")
     module, attribute = CODECS[name].split(":")
     return getattr(import_module(module), attribute)

@@ -1,49 +1,52 @@
-"""What every codec is: a frozen dataclass of settings with `encode`, and a static `decode` that needs only bytes."""
+# pyright: strict
+"""The contract of codecs: a frozen dataclass of settings with `encode`, and a static `decode` that needs only bytes."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
-from ..encoded import Encoded
+from ..encoded import Encoded, RecordingT
 from ..errors import CannotEncode
 from ..motion import Motion
 
 
-class Codec(Protocol):
-    """The contract. `name` is written on disk: never change one.
+class Codec(Protocol[RecordingT]):
+    """A frozen dataclass that codes motions, `Codec[Motion]`, or point clouds, `Codec[PointClouds]`.
 
-    Settings are the dataclass's fields, with the paper's defaults; those among `max_error`, `mean_error` (metres),
-    `ratio` and `size` (bytes) that are fields are the targets this codec can steer to.
+    Settings are the fields of the dataclass, with the defaults of the paper. Fields named `max_error`, `mean_error`
+    (metres), `ratio` or `size` (bytes) are the targets that this codec can meet. `name` is stored in files: never
+    change it.
     """
 
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
     name: ClassVar[str]
 
-    def encode(self, motion: Motion) -> Encoded[Motion]:
-        """Raises CannotEncode where the motion cannot be coded as the settings ask."""
+    def encode(self, recording: RecordingT, /) -> Encoded[RecordingT]:
+        """Raises CannotEncode if the recording cannot be coded with these settings, BadInput for unusable settings."""
         ...
 
     @staticmethod
-    def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
-        """The motion, or a slice of its frames, equal to the slice of the whole. Raises Corrupt."""
+    def decode(encoded: Encoded[RecordingT], frames: slice | None = None) -> RecordingT:
+        """The recording, or a slice of its frames; the same as the slice of the whole. Raises Corrupt."""
         ...
 
 
-def settings(codec: Any) -> dict[str, Any]:
-    """The settings that differ from the defaults, as JSON values: provenance for the file."""
-    changed = {}
+def settings(codec: Codec[Any]) -> dict[str, Any]:
+    """The settings that differ from the defaults, as JSON values: stored in the file as provenance."""
+    changed: dict[str, Any] = {}
     for f in dataclasses.fields(codec):
         value = getattr(codec, f.name)
         default = f.default_factory() if f.default_factory is not dataclasses.MISSING else f.default
         if value != default:
-            changed[f.name] = list(value) if isinstance(value, tuple) else value
+            changed[f.name] = list(cast("tuple[Any, ...]", value)) if isinstance(value, tuple) else value
     return changed
 
 
 def require_frames(motion: Motion) -> None:
-    """Raises CannotEncode for a motion without frames, without points, or without a single sample."""
+    """Raises CannotEncode for a motion without frames, without points, or with gaps only."""
     if len(motion) == 0:
         raise CannotEncode("the motion has no frames")
     if motion.points == 0:

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import progress
 from ..encoded import Chunk, Encoded
 from ..entropy import coder, varint
 from ..errors import BadInput, CannotEncode, Corrupt
@@ -113,7 +114,7 @@ class Lien2006:
         chunks, poses, held = list[Chunk](), list[Integers](), list[Residual]()
         strays = list[tuple[Floats, NDArray[np.uint8] | None]]()
         previous = np.zeros(3 + 3 * len(model.body), np.int64)
-        for i, (points, colours) in enumerate(frames):
+        for i, (points, colours) in progress.over(list(enumerate(frames))):
             is_body = len(points) >= FEWEST and i >= first
             if is_body:
                 given = _normals(clouds, i)
@@ -184,7 +185,7 @@ class Lien2006:
         atlas = _atlas(model, stored.share) if stored.share else []
         positions, colours = list[Floats](), list[NDArray[np.uint8]]()
         start, stop = encoded.range(frames)
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             for i, (points, colour) in enumerate(_decode_chunk(model, stored, atlas, chunk)):
                 if start <= chunk.start + i < stop:
                     positions.append(points)

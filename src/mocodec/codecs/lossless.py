@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import progress
 from ..encoded import Chunk, Encoded, about, restore
 from ..entropy import coder
 from ..errors import BadInput, CannotEncode, Corrupt
@@ -59,7 +60,7 @@ class Lossless:
         taps = fit_predictor(channels.astype(np.float64))
         chunk_frames = max(1, round(self.chunk_seconds * motion.rate))
         chunks = []
-        for run in segment.equal_length(len(motion), chunk_frames):
+        for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
             residual = ranks[run] - predict_chunk(ranks[run], form, taps, scale)
             packed_gaps = gaps.pack(gap_mask[run])
             payload = struct.pack("<I", len(packed_gaps)) + packed_gaps + coder.pack(residual)
@@ -225,7 +226,7 @@ def decode_ranks(
     ranks = np.zeros_like(residuals)
     ranks[0] = np.clip(residuals[0], -RANK_LIMIT, RANK_LIMIT)
     past = np.repeat(rank_to_fixed_point(ranks[:1], form, scale), ORDER, axis=0)
-    for t in range(1, longest):
+    for t in progress.over(range(1, longest)):
         predicted = fixed_point_to_rank(predict(past, taps), form, scale)
         ranks[t] = np.clip(predicted + residuals[t], -RANK_LIMIT, RANK_LIMIT)
         past = np.concatenate([rank_to_fixed_point(ranks[t : t + 1], form, scale), past[:-1]])

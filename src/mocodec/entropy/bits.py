@@ -19,7 +19,7 @@ _ONE, _5, _31, _32, _64 = (np.array(n, np.uint64) for n in (1, 5, 31, 32, 64))
 def pack(values: AnyInteger, widths: AnyInteger) -> Bytes:
     """Bits (sum of widths,), each 0 or 1, of values (n,) ≥ 0 in widths (n,) from 0 to 64."""
     values, widths = values.astype(np.int64), widths.astype(np.int64)
-    if (kernel := native.kernel("tempo_pack_bits")) is not None:
+    if (kernel := native.kernel("entropy_pack_bits")) is not None:
         return kernel(values, widths)
     ends = np.cumsum(widths)
     place = np.repeat(ends, widths) - np.arange(1, widths.sum() + 1)
@@ -29,7 +29,7 @@ def pack(values: AnyInteger, widths: AnyInteger) -> Bytes:
 def unpack(bits: Bytes, widths: AnyInteger) -> Integers:
     """The values (n,) of `pack`; bits that are missing at the end count as 0. A value of 64 bits wraps around."""
     widths = widths.astype(np.int64)
-    if (kernel := native.kernel("tempo_unpack_bits")) is not None:
+    if (kernel := native.kernel("entropy_unpack_bits")) is not None:
         return kernel(bits, widths)
     ends = np.cumsum(widths)
     total = int(widths.sum())

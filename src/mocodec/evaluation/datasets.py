@@ -69,7 +69,7 @@ def packaged() -> Motion:
     """The recording inside the package."""
     from .. import data
 
-    return api.decode(data.RECORDING)
+    return api.decode(data.RECORDING, Motion)
 
 
 def content_hash(motion: Motion) -> str:

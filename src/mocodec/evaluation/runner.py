@@ -114,7 +114,7 @@ def ours(codec: str, motion: Motion, **settings: Any) -> Outcome:
     started = time.perf_counter()
     data = container.pack(api.with_options(codec, **settings).encode(motion))
     encoded = time.perf_counter()
-    decoded = api.decode(data)
+    decoded = api.decode(data, Motion)
     done = time.perf_counter()
     with api.open(data) as f:
         parts = bytes_by_part(f)

@@ -1,9 +1,9 @@
-"""For authors of codecs: what every codec must pass, and motions to try it on.
+"""For authors of codecs: the tests that every codec must pass, and test data.
 
-CodecTests    a class of tests that a codec's own test class inherits       (needs pytest and hypothesis)
-strategies    motions for property tests                                    (needs hypothesis)
-synthetic     a walking figure, the same for the same seed: markers, joints
-odd           named motions with something odd about each
+CodecTests    base class for the test class of a codec                        (needs pytest and hypothesis)
+strategies    random motions for property tests                               (needs hypothesis)
+synthetic     a walking figure, deterministic for a seed: markers, joints
+edge_cases    named motions at the limits of what codecs must handle
 corruption    damaged copies of bytes
 """
 
@@ -18,7 +18,7 @@ __all__ = ["CodecTests"]
 
 
 def __getattr__(name: str) -> Any:
-    """CodecTests, without pytest for those who only want motions."""
+    """CodecTests on first use, so that the other modules work without pytest."""
     if name == "CodecTests":
         from .codec_tests import CodecTests
 

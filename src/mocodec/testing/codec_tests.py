@@ -1,10 +1,10 @@
-"""What every codec must pass.
+"""The tests that every codec must pass.
 
     class TestLiu2006(CodecTests):
         codec = staticmethod(lambda **settings: Liu2006(**settings))
         can_bound = True
 
-Run by pytest; hypothesis finds the odd motions that `odd` does not name.
+pytest runs them; hypothesis adds random motions to the named ones of `edge_cases`.
 """
 
 from __future__ import annotations
@@ -23,20 +23,22 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from .. import api, metrics
+from ..codecs.base import Codec
 from ..encoded import Encoded
 from ..errors import CannotEncode, MocodecError
 from ..motion import Motion, Signal
-from . import corruption, odd, synthetic
+from ..typing import Floats
+from . import corruption, edge_cases, synthetic
 from .strategies import motions
 
 SAME = 1e-9
-"""Positions of a figure of human size agree to this, in metres: between machines, and a slice with the whole."""
+"""Positions of a figure of human size agree to this on all machines, and a slice with the whole; metres."""
 
 ROUNDING = 1e-12
-"""What a bound may be exceeded by, as a share of the largest coordinate: float64 itself."""
+"""How far a bound may be exceeded, relative to the largest coordinate: rounding of float64."""
 
 OFFSET_ROUNDING = 5e-6 + 1e-12
-"""A file holds a skeleton's offsets in steps of 10 µm (docs/format.md): back within half a step, in metres."""
+"""Files store a skeleton's offsets in steps of 10 µm (docs/format.md): the error is at most half a step; metres."""
 
 FEW = settings(
     deadline=None,
@@ -44,44 +46,45 @@ FEW = settings(
     database=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.differing_executors],
 )
-"""The same examples every time, and no clock: a machine may be slow."""
+"""The same examples in every run, and no time limits, because machines may be slow."""
 
 
 class CodecTests:
-    """Inherit, set `codec`, and say what it can do. See the module's docstring."""
+    """Subclass it, set `codec`, and declare what the codec can do. See the module's docstring."""
 
-    codec: ClassVar[Callable[..., Any]]
-    """Settings by keyword → an instance."""
+    codec: ClassVar[Callable[..., Codec[Motion]]]
+    """Returns an instance with the settings that are given by keyword."""
 
     can_bound: ClassVar[bool] = False
-    """Whether it takes `max_error`."""
+    """Whether the codec has `max_error`."""
 
     qualities: ClassVar[tuple[Mapping[str, Any], ...]] = ()
-    """Settings from coarse to fine, spaced so that the error must fall; with `can_bound` there are some already."""
+    """Settings from coarse to fine, spaced so that the error must fall; three bounds by default with `can_bound`."""
 
     usual_error: ClassVar[float] = 0.03
-    """Mean error in metres that the default settings keep on a walking figure."""
+    """Largest mean error of the default settings on a walking figure, metres."""
 
     refuses: ClassVar[frozenset[str]] = frozenset()
-    """Names of `odd.MOTIONS` that it may refuse with CannotEncode; a codec that bounds should need few."""
+    """Names of `edge_cases.MOTIONS` that may raise CannotEncode; few, for a codec with `can_bound`."""
 
     quick: ClassVar[Mapping[str, Any]] = {}
-    """Settings for the tests that encode often."""
+    """Fast settings, for the tests that encode often."""
 
     def figure(self) -> Motion:
-        """The motion that most tests use; joint codecs may return `synthetic.joints`."""
+        """The motion of most tests; a codec for joints may return `synthetic.joints`."""
         return synthetic.markers(frames=240, seed=2)
 
     def small(self) -> Motion:
-        """A motion for the tests that decode thousands of damaged files."""
+        """A small motion, for the tests that decode thousands of damaged files."""
         names = ["C7", "LSHO", "RSHO", "LKNE", "LHEE"]
         return synthetic.markers(frames=60, seed=4).select(names)
 
-    def steps(self) -> tuple[Mapping[str, Any], ...]:
+    def settings_by_quality(self) -> tuple[Mapping[str, Any], ...]:
+        """Settings from coarse to fine: `qualities`, or three bounds."""
         bounds = ({"max_error": 0.05}, {"max_error": 0.01}, {"max_error": 0.002}) if self.can_bound else ()
         return self.qualities or bounds
 
-    # ------------------------------------------------------------------------------------------- what goes in comes out
+    # ------------------------------------------------------------------------------------------- round trip
 
     def test_round_trip(self) -> None:
         motion = self.figure()
@@ -91,20 +94,20 @@ class CodecTests:
         assert metrics.mean_distance(motion.positions, decoded.positions) <= self.usual_error
         assert encoded.payload_bytes < motion.raw_bytes
 
-    def test_a_bound_holds(self) -> None:
+    def test_max_error_is_kept(self) -> None:
         if not self.can_bound:
-            pytest.skip("this codec promises no bound")
+            pytest.skip("this codec has no max_error")
         motion = self.figure()
         for bound in (0.02, 0.001):
             decoded = self.through_bytes(motion, max_error=bound)
             assert metrics.distances(motion.positions, decoded.positions).max() <= bound
 
-    def test_more_quality_is_less_error_and_more_bytes(self) -> None:
+    def test_finer_settings_give_less_error_and_more_bytes(self) -> None:
         motion = self.figure()
-        if not self.steps():
-            pytest.skip("this codec has no knob")
+        if not self.settings_by_quality():
+            pytest.skip("this codec has no settings of quality")
         errors, sizes = [], []
-        for quality in self.steps():
+        for quality in self.settings_by_quality():
             encoded = type(self).codec(**quality).encode(motion)
             decoded = type(self).codec().decode(encoded)
             errors.append(metrics.mean_distance(motion.positions, decoded.positions))
@@ -113,11 +116,11 @@ class CodecTests:
         assert len(set(errors)) == len(errors)
         assert sizes == sorted(sizes)
 
-    def test_the_same_bytes_twice(self) -> None:
+    def test_encoding_is_deterministic(self) -> None:
         motion = self.figure()
         assert self.pack(motion) == self.pack(motion)
 
-    def test_what_is_not_positions_survives(self) -> None:
+    def test_metadata_and_extras_survive(self) -> None:
         plain = self.figure()
         motion = replace(
             plain,
@@ -152,25 +155,25 @@ class CodecTests:
         assert skeleton.parents == motion.skeleton.parents
         assert np.abs(skeleton.offsets - motion.skeleton.offsets).max() <= OFFSET_ROUNDING
 
-    # -------------------------------------------------------------------------------------------------- odd motions
+    # -------------------------------------------------------------------------------------------------- edge cases
 
-    @pytest.mark.parametrize("name", odd.MOTIONS)
-    def test_odd_motions(self, name: str) -> None:
-        self.check_any(odd.motion(name), may_refuse=name in self.refuses)
+    @pytest.mark.parametrize("name", edge_cases.MOTIONS)
+    def test_edge_cases(self, name: str) -> None:
+        self.check_round_trip(edge_cases.motion(name), may_refuse=name in self.refuses)
 
     @settings(FEW, max_examples=25)
     @given(motion=motions())
     def test_any_motion(self, motion: Motion) -> None:
-        self.check_any(motion, may_refuse=bool(self.refuses) or not self.can_bound)
+        self.check_round_trip(motion, may_refuse=bool(self.refuses) or not self.can_bound)
 
-    def test_nothing_to_encode_is_refused(self) -> None:
+    def test_motions_without_samples_are_refused(self) -> None:
         motion = self.figure()
         for empty in (motion[:0], motion.select([]), replace(motion, positions=np.full((9, motion.points, 3), np.nan))):
             with pytest.raises(CannotEncode):
                 type(self).codec().encode(empty)
 
-    def check_any(self, motion: Motion, may_refuse: bool) -> None:
-        """Gaps come back exactly where they were, everything else is finite, and a bound, where there is one, holds."""
+    def check_round_trip(self, motion: Motion, may_refuse: bool) -> None:
+        """Gaps are the same, all other positions are finite, and a bound is kept if the codec has one."""
         extent = float(np.nanmax(np.abs(motion.positions)))
         bound = max(0.002, extent * 1e-6)
         try:
@@ -187,7 +190,7 @@ class CodecTests:
 
     # -------------------------------------------------------------------------------------------------- random access
 
-    def test_a_slice_of_the_whole_is_the_slice_alone(self) -> None:
+    def test_a_decoded_slice_equals_the_slice_of_the_whole(self) -> None:
         motion = self.figure()
         positions = motion.positions.copy()
         positions[50:70, 3] = positions[200:, 8] = np.nan
@@ -201,14 +204,14 @@ class CodecTests:
         for start, stop in cuts:
             part = type(self).codec().decode(encoded, slice(start, stop))
             assert_same(part.positions, whole.positions[start:stop])
-        with api.open(self.pack(motion)) as file:
+        with api.open(self.pack(motion), Motion) as file:
             assert file.shape == motion.positions.shape
             assert_same(file[57:163].positions, whole.positions[57:163])
             some = [motion.names[1], motion.names[0]]
             assert_same(file[57:63, some].positions, whole.positions[57:63, [1, 0]])
             assert_same(np.concatenate([chunk.positions for chunk in file]), whole.positions)
 
-    def test_the_bytes_are_enough(self, tmp_path: Path) -> None:
+    def test_other_processes_decode_the_same(self, tmp_path: Path) -> None:
         motion = self.figure()
         blob = self.pack(motion)
         (tmp_path / "motion.mocz").write_bytes(blob)
@@ -221,7 +224,7 @@ class CodecTests:
             environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
             paths = [str(tmp_path / name) for name in ("motion.mocz", "whole.npy", "part.npy")]
             subprocess.run([sys.executable, "-c", program, *paths], check=True, env=environment, cwd=tmp_path)
-            here = api.decode(blob).positions
+            here = api.decode(blob, Motion).positions
             assert_same(np.load(paths[1]), here)
             assert_same(np.load(paths[2]), here[101:150])
 
@@ -240,10 +243,10 @@ class CodecTests:
                 api.decode(broken)
             except MocodecError:
                 continue
-            pytest.fail(f"byte {at} of {len(blob)} flipped, and nobody noticed")
+            pytest.fail(f"byte {at} of {len(blob)} flipped, was not detected")
 
-    def test_damage_behind_the_checksums_raises_or_decodes(self) -> None:
-        """A stream that was made to be wrong, checksums and all: MocodecError, or a motion of the right size."""
+    def test_damage_with_valid_checksums_raises_or_decodes(self) -> None:
+        """Damaged payloads with correct checksums raise MocodecError, or decode to a motion of the right size."""
         encoded = type(self).codec(**self.quick).encode(self.small())
         blobs = [*encoded.shared, *(chunk.payload for chunk in encoded.chunks)]
         rounds = 300
@@ -251,7 +254,7 @@ class CodecTests:
             broken = list(blobs)
             for bad in corruption.damaged(blob, rounds // min(len(blobs), 6), seed=place):
                 broken[place] = bad
-                self.decode_hostile(encoded, broken)
+                self.check_damaged(encoded, broken)
 
     @settings(FEW, max_examples=40)
     @given(data=st.data())
@@ -261,10 +264,10 @@ class CodecTests:
         blobs = [*encoded.shared, *(chunk.payload for chunk in encoded.chunks)]
         place = data.draw(st.integers(0, len(blobs) - 1))
         blobs[place] = data.draw(st.one_of(st.binary(max_size=60), st.just(blobs[place] + b"\0")))
-        self.decode_hostile(encoded, blobs)
+        self.check_damaged(encoded, blobs)
 
-    def decode_hostile(self, encoded: Encoded[Motion], blobs: list[bytes]) -> None:
-        """Decode with these instead of the shared bytes and payloads."""
+    def check_damaged(self, encoded: Encoded[Motion], blobs: list[bytes]) -> None:
+        """Decode with these blobs instead of the shared bytes and payloads."""
         shared = tuple(blobs[: len(encoded.shared)])
         payloads = blobs[len(shared) :]
         chunks = tuple(replace(c, payload=p) for c, p in zip(encoded.chunks, payloads, strict=True))
@@ -274,18 +277,18 @@ class CodecTests:
             return
         assert decoded.positions.shape == (encoded.frames, encoded.about.points, 3)
 
-    # -------------------------------------------------------------------------------------------------- help
+    # -------------------------------------------------------------------------------------------------- helpers
 
     def pack(self, motion: Motion, **chosen: Any) -> bytes:
-        """The bytes of a .mocz."""
+        """Encode to the bytes of a .mocz."""
         return api.encode(motion, codec=type(self).codec(**chosen))
 
     def through_bytes(self, motion: Motion, **chosen: Any) -> Motion:
-        """Encoded, packed, and decoded from the bytes."""
-        return api.decode(self.pack(motion, **chosen))
+        """Encode to the bytes of a .mocz and decode them."""
+        return api.decode(self.pack(motion, **chosen), Motion)
 
 
-def assert_same(a: np.ndarray, b: np.ndarray) -> None:
+def assert_same(a: Floats, b: Floats) -> None:
     """Equal shapes and gaps, positions within SAME."""
     assert a.shape == b.shape
     assert np.array_equal(np.isnan(a), np.isnan(b))

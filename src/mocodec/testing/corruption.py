@@ -1,4 +1,4 @@
-"""Damaged copies of bytes: cut anywhere, flipped anywhere, shuffled, stuffed."""
+"""Damaged copies of bytes: truncated, with flipped bits, with bytes replaced, removed or inserted."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 
 def prefixes(data: bytes, every: int = 1) -> Iterator[bytes]:
-    """All proper prefixes, or every so manieth, always with the empty one and the longest."""
+    """All proper prefixes, or those at multiples of `every` bytes; always the empty and the longest one."""
     for end in sorted({*range(0, len(data), every), len(data) - 1} - {-1}):
         yield data[:end]
 
 
 def flips(data: bytes, every: int = 1) -> Iterator[tuple[int, bytes]]:
-    """(place, copy with that byte flipped): one bit, another at each place, and at every third place all eight."""
+    """(offset, copy with that byte changed): a different bit flipped at each offset, all eight at every third."""
     for at in range(0, len(data), every):
         broken = bytearray(data)
         broken[at] ^= 0xFF if at % 3 == 0 else 1 << at % 8
@@ -22,7 +22,7 @@ def flips(data: bytes, every: int = 1) -> Iterator[tuple[int, bytes]]:
 
 
 def damaged(data: bytes, count: int, seed: int = 0) -> Iterator[bytes]:
-    """Copies damaged at random: bytes replaced, cut out, put in, the end cut off, all of it random."""
+    """Randomly damaged copies: bytes replaced, removed or inserted, the end cut off, or all bytes random."""
     random = np.random.default_rng(seed)
     for kind in random.integers(0, 5, count):
         at = int(random.integers(0, len(data) + 1))

@@ -1,4 +1,4 @@
-"""Motions for property tests with hypothesis: small, but with all that real ones have and some that none has."""
+"""Random motions for property tests with hypothesis: small, with all features of real recordings and some others."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from ..motion import Motion
 
 @st.composite
 def motions(draw: st.DrawFn, max_frames: int = 90, max_points: int = 8, max_scale: float = 1e4) -> Motion:
-    """Smooth motion with gaps, one frame, one point, stills, jumps, held samples, noise, huge and tiny coordinates.
+    """Smooth motion, noise or still poses, with gaps, jumps and repeated samples, at huge and tiny coordinates.
 
-    At least one sample is there. max_scale: the largest extent in metres.
+    One frame or one point occur too; at least one sample is present. max_scale: the largest extent, metres.
     """
     frames = draw(st.one_of(st.integers(1, 4), st.integers(1, max_frames)), label="frames")
     points = draw(st.one_of(st.just(1), st.integers(1, max_points)), label="points")
@@ -33,12 +33,12 @@ def motions(draw: st.DrawFn, max_frames: int = 90, max_points: int = 8, max_scal
         positions = positions[:1] + seconds * random.normal(size=(points, 3))
     for _ in range(draw(st.integers(0, 2), label="jumps")):
         positions[random.integers(frames)] += random.normal(size=(points, 3) if random.random() < 0.5 else 3)
-    held = draw(st.sampled_from([1, 1, 2, 5]), label="held")
-    positions = scale * positions[np.arange(frames) // held * held]
-    if draw(st.booleans(), label="far"):
+    repeats = draw(st.sampled_from([1, 1, 2, 5]), label="repeats of each sample")
+    positions = scale * positions[np.arange(frames) // repeats * repeats]
+    if draw(st.booleans(), label="far from the origin"):
         positions = positions + 1000 * scale
-    share = draw(st.sampled_from([0.0, 0.0, 0.02, 0.3, 0.9]), label="missing")
-    missing = random.random((frames, points)) < share
+    missing_share = draw(st.sampled_from([0.0, 0.0, 0.02, 0.3, 0.9]), label="missing share")
+    missing = random.random((frames, points)) < missing_share
     for _ in range(draw(st.integers(0, 2), label="gaps")):
         start, point = random.integers(frames), random.integers(points)
         missing[start : start + random.integers(1, frames + 1), point] = True

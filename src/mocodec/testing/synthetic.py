@@ -1,7 +1,7 @@
-"""A figure that walks, made of sines: the same motion for the same seed, human enough for codecs, free of any licence.
+"""A synthetic walking figure: deterministic for a seed, human enough to test codecs, free of any licence.
 
-phase, sway, noise of many periods ─► joint angles ─► forward kinematics ─► joints (21)
-                                                 └─► markers on the bones (41, Plug-in-Gait and the feet)
+gait phase, smooth noise ─► joint angles ─► forward kinematics ─► joints (21)
+                                                       └─► markers on the bones (41, Plug-in-Gait and the feet)
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry import kinematics, rigid
-from ..motion import Floats, Motion, Skeleton
+from ..motion import Motion, Skeleton
+from ..typing import Floats
 
 # joint: (parent, offset from the parent in metres; x forward, y left, z up)
 _JOINTS: dict[str, tuple[str, tuple[float, float, float]]] = {
@@ -36,7 +37,7 @@ _JOINTS: dict[str, tuple[str, tuple[float, float, float]]] = {
     "RightToe": ("RightAnkle", (0.16, 0.0, -0.06)),
 }
 
-# marker: (joint that carries it, offset in that joint's frame); those of the left side, mirrored for the right
+# marker: (joint that it moves with, offset in the frame of that joint); _SIDE is the left side, mirrored for the right
 _MIDDLE: dict[str, tuple[str, tuple[float, float, float]]] = {
     "C7": ("Chest", (-0.07, 0.0, 0.21)),
     "T10": ("Chest", (-0.11, 0.0, 0.02)),
@@ -65,7 +66,8 @@ _SIDE: dict[str, tuple[str, tuple[float, float, float]]] = {
     "TOE": ("Toe", (0.0, 0.0, 0.01)),
 }
 
-# joint: (axis, mean in degrees, swing, lag of a step's period, swing at twice the rate, its lag) for the left side
+# joint: (axis, mean angle, amplitude and phase at the gait frequency, amplitude and phase at twice that) of the left
+# side; angles in degrees, phases in periods
 _GAIT: dict[str, tuple[tuple[str, float, float, float, float, float], ...]] = {
     "Hip": (("y", -10, 24, 0.0, 3, 0.2), ("x", 0, 4, 0.3, 0, 0.0)),
     "Knee": (("y", 30, 24, 0.62, 14, 0.1),),
@@ -88,22 +90,22 @@ def joints(frames: int = 600, rate: float = 120.0, seed: int = 0) -> Motion:
 def markers(frames: int = 600, rate: float = 120.0, seed: int = 0, noise: float = 1e-4) -> Motion:
     """Markers on a walking figure (frames, 41, 3), named as in Plug-in-Gait; z up.
 
-    noise: standard deviation of a measurement's error in metres; a marker also slides on the skin by millimetres.
+    noise: standard deviation of the measurement error in metres. Markers also slide on the skin by millimetres.
     """
     skeleton, rotations, positions, random = _walk(frames, rate, seed)
     world = kinematics.world_rotations(skeleton, rotations)
-    carriers: dict[str, tuple[str, tuple[float, float, float]]] = dict(_MIDDLE)
+    carried_by: dict[str, tuple[str, tuple[float, float, float]]] = dict(_MIDDLE)
     for name, (joint, (x, y, z)) in _SIDE.items():
         for side, sign in (("Left", 1), ("Right", -1)):
-            carriers[side[0] + name] = (joint if joint in _JOINTS else side + joint, (x, sign * y, z))
-    placed = np.empty((frames, len(carriers), 3))
+            carried_by[side[0] + name] = (joint if joint in _JOINTS else side + joint, (x, sign * y, z))
+    placed = np.empty((frames, len(carried_by), 3))
     seconds = np.arange(frames) / rate
-    for column, (joint, offset) in enumerate(carriers.values()):
+    for column, (joint, offset) in enumerate(carried_by.values()):
         at = skeleton.names.index(joint)
-        skin = np.array(offset) + 0.002 * _wander(random, seconds, 3, 1.5)
+        skin = np.array(offset) + 0.002 * _smooth_noise(random, seconds, 3, 1.5)
         placed[:, column] = positions[:, at] + rigid.rotate(world[:, at], skin)
     placed += random.normal(scale=noise, size=placed.shape)
-    return Motion(placed, rate, tuple(carriers), "z", source={"format": "synthetic", "units": "mm", "unit_m": 0.001})
+    return Motion(placed, rate, tuple(carried_by), "z", source={"format": "synthetic", "units": "mm", "unit_m": 0.001})
 
 
 def _walk(frames: int, rate: float, seed: int) -> tuple[Skeleton, Floats, Floats, np.random.Generator]:
@@ -114,14 +116,14 @@ def _walk(frames: int, rate: float, seed: int) -> tuple[Skeleton, Floats, Floats
     skeleton = Skeleton(names, tuple(names.index(parent) if parent else -1 for parent, _ in _JOINTS.values()), offsets)
     seconds = np.arange(frames) / rate
     cadence = random.normal(0.9, 0.08)
-    phase = 2 * np.pi * (cadence * seconds + 0.08 * _wander(random, seconds, 1, 0.2)[:, 0])
-    effort = 1 + 0.12 * _wander(random, seconds, 1, 0.3)[:, 0]
+    phase = 2 * np.pi * (cadence * seconds + 0.08 * _smooth_noise(random, seconds, 1, 0.2)[:, 0])
+    effort = 1 + 0.12 * _smooth_noise(random, seconds, 1, 0.3)[:, 0]
 
     rotations = np.empty((frames, len(names), 4))
     for column, name in enumerate(names):
         side = 0.5 if name.startswith("Right") else 0.0
         gait = _GAIT.get(name.removeprefix("Left").removeprefix("Right"), ())
-        angles = np.radians(3.0) * _wander(random, seconds, 3, 0.8)
+        angles = np.radians(3.0) * _smooth_noise(random, seconds, 3, 0.8)
         for axis, mean, swing, lag, double, double_lag in gait:
             sign = -1 if side and axis != "y" else 1
             wave = swing * np.sin(phase + 2 * np.pi * (lag + side))
@@ -129,7 +131,7 @@ def _walk(frames: int, rate: float, seed: int) -> tuple[Skeleton, Floats, Floats
             angles[:, "xyz".index(axis)] += sign * np.radians(mean + effort * wave)
         rotations[:, column] = rigid.from_euler("zyx", angles[:, ::-1])
 
-    heading = 0.9 * _wander(random, seconds, 1, 0.05)[:, 0]
+    heading = 0.9 * _smooth_noise(random, seconds, 1, 0.05)[:, 0]
     speed = 1.25 * size * effort * cadence / 0.9
     root = np.empty((frames, 3))
     root[:, 0] = np.cumsum(speed * np.cos(heading)) / rate
@@ -139,10 +141,10 @@ def _walk(frames: int, rate: float, seed: int) -> tuple[Skeleton, Floats, Floats
     return skeleton, rotations, kinematics.forward(skeleton, rotations, root), random
 
 
-def _wander(random: np.random.Generator, seconds: Floats, lanes: int, hertz: float) -> Floats:
-    """Smooth unrest (frames, lanes) of unit size: sines up to some multiples of `hertz`, the faster the smaller."""
+def _smooth_noise(random: np.random.Generator, seconds: Floats, columns: int, hertz: float) -> Floats:
+    """Noise (frames, columns) of unit size: sines of random phases around `hertz`, the faster the smaller."""
     rates = hertz * np.array([0.31, 0.57, 1.0, 1.73, 2.9, 4.7]) * random.uniform(0.9, 1.1, 6)
     sizes = 1 / (1 + (rates / hertz) ** 2)
-    phases = random.uniform(0, 2 * np.pi, (6, lanes))
+    phases = random.uniform(0, 2 * np.pi, (6, columns))
     waves = np.sin(2 * np.pi * rates[:, None, None] * seconds[None, :, None] + phases[:, None])
     return np.einsum("k,ktl->tl", sizes * random.choice([-1, 1], 6), waves)

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import progress
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...formats.gltf import Surface
@@ -86,7 +87,8 @@ class Bodycast:
             [] if self.skeleton is None else self.skeleton if isinstance(self.skeleton, list) else [self.skeleton]
         )
         followers = enter(frames[first], skeletons, clouds.up, self.tracked_points, self.people)
-        cast = self._follow(followers, frames, first)
+        with progress.phase(0.0, 0.6):
+            cast = self._follow(followers, frames, first)
         coloured = clouds.colours is not None
         usual = int(np.mean([len(points) for points, _ in frames[first:] if len(points) >= FEWEST]))
         for role in cast:
@@ -96,7 +98,10 @@ class Bodycast:
         told = frames
         if self.residual == EXACT:
             told = [body_stream.clean(clouds, i, float(np.finfo(np.float32).max)) for i in range(len(clouds))]
-        written = [Chunk(s.start, s.stop - s.start, self._chunk(cast, told, s, coloured)) for s in spans]
+        with progress.phase(0.7, 1.0):
+            written = [
+                Chunk(s.start, s.stop - s.start, self._chunk(cast, told, s, coloured)) for s in progress.over(spans)
+            ]
         settings = base.settings(self)
         if self.skeleton is not None:
             settings["skeleton"] = [s if isinstance(s, str) else "given" for s in skeletons]
@@ -130,7 +135,7 @@ class Bodycast:
     def _follow(self, followers: list[Follower], frames: list[Cloud], first: int) -> list[Role]:
         """Every body through all frames."""
         cast = [Role(follower) for follower in followers]
-        for i, (points, colours) in enumerate(frames):
+        for i, (points, colours) in progress.over(list(enumerate(frames))):
             whose = shared_out(points, followers) if i >= first else np.full(len(points), -1)
             for number, role in enumerate(cast):
                 rows = slice(None) if len(cast) == 1 else np.flatnonzero(whose == number)
@@ -187,7 +192,7 @@ class Bodycast:
         stage = Stage(models(encoded))
         positions, colours = list[NDArray[np.float64]](), list[NDArray[np.uint8]]()
         start, stop = encoded.range(frames)
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             here = max(0, start - chunk.start), min(chunk.frames, stop - chunk.start)
             for points, colour in stage.play(chunk, *here):
                 positions.append(points)

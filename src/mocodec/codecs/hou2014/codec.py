@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
@@ -106,7 +106,7 @@ class Hou2014:
         start, stop = encoded.range(frames)
         header = _read_header(encoded)
         parts: list[Floats] = [np.zeros((0, header.points, 3))]
-        for chunk in encoded.covering(start, stop):
+        for chunk in progress.over(encoded.covering(start, stop)):
             positions = stream.unpack_payload(chunk.payload, chunk.frames, header)
             parts.append(positions[max(0, start - chunk.start) : stop - chunk.start])
         return encodeds.restore(encoded, np.concatenate(parts), start)
@@ -291,7 +291,7 @@ class _MotionEncoder:
     def _closest_within(self, share: Callable[[int], float], rising: bool) -> int | None:
         """The rung at which a share of what is allowed comes nearest to 1 from below."""
         found = search.closest_within(
-            lambda rung: (share(int(rung)), None),
+            progress.attempts(lambda rung: (share(int(rung)), None)),
             self.first_rung,
             rising=rising,
             stride=_stride,
@@ -301,7 +301,8 @@ class _MotionEncoder:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """At the step where coefficients and corrections together are smallest. Checks the bound by decoding."""
-        encoded = self.encoded(search.minimum(self.sampled_size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
+        size = progress.attempts(self.sampled_size, share=0.15)
+        encoded = self.encoded(search.minimum(size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
         decoded = Hou2014.decode(encoded).positions
         largest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not largest <= bound:

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
@@ -162,7 +162,7 @@ class Liu2006:
             body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1)
             for columns in markers.pca_groups
         ]
-        return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in models]
+        return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in progress.over(models)]
 
     @property
     def _default_fineness(self) -> float:
@@ -215,7 +215,7 @@ class Liu2006:
         models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)
         up = encoded.about.up
         positions = np.empty((stop - start, markers.points, 3))
-        for model, packed, residual in zip(models, packed_gaps, residuals, strict=True):
+        for model, packed, residual in progress.over(list(zip(models, packed_gaps, residuals, strict=True))):
             first, last = max(model.start, start), min(model.stop, stop)
             if first >= last:
                 continue
@@ -302,7 +302,7 @@ def steer(
         return max(measure(fitted), 1e-6), fitted
 
     found = search.closest_within(
-        tried,
+        progress.attempts(tried),
         0.0,
         rising=grows,
         stride=lambda log: min(abs(np.log(AIM) - log), 3.0) * (1 if grows else 2),

@@ -1,13 +1,14 @@
 """Tempo, the codec of this project.
 
 codec           settings; encode and decode, one verb a stage
+preparation     gaps filled, y up, spikes found
 repeats         frames that repeat                        header        the shared bytes: model and flags
 model_choice    which model makes a recording smallest    models/       coordinates and statistics
 target          steps for a bound, a mean error, a size   chunk         one chunk, both ways
 pose/           heading, leaps, bone directions           coding/       coefficients as bytes
 fallback        hou2014 in place of the chunks            stream        live encoding and decoding
 
-docs/tempo has how it works, its bytes, its results, and what was tried.
+docs/tempo has how it works and its results, docs/payloads/tempo.md its bytes.
 """
 
 from .codec import Tempo

@@ -26,6 +26,7 @@ from ...typing import Booleans, Floats, Integers
 from .coding import coefficients, corrections, direct, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
+from .preparation import Prepared
 
 TRANSFORM, DIRECT = 0, 1
 STEPPED, GAPPED = 4, 8
@@ -127,6 +128,12 @@ class ChunkEncoder:
         self.spikes = none if spikes is None else spikes
         self.gaps = gaps.pack(self.gap_mask)
         self.spectrum = model.analyse(self.smooth) if model.rows and spectrum is None else spectrum
+
+    @classmethod
+    def of(cls, model: Model, source: Prepared, frames: slice, spectrum: Floats | None = None) -> ChunkEncoder:
+        """Of some frames of a recording."""
+        positions, smooth = source.positions[frames], source.smooth[frames]
+        return cls(model, positions, smooth, source.gap_mask[frames], source.spikes[frames], spectrum)
 
     @property
     def frames(self) -> int:

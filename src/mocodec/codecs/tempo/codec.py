@@ -1,7 +1,7 @@
 """Tempo: mocodec's own codec for named points, small at any error and true to its bound.
 
     positions ─gaps filled, y up, spikes out─► ─chunks of about 4 s─► ─model─► coefficients of each chunk
-              stages.gaps, pose.leaps          chunk_bounds          model_choice, models
+                   preparation                   chunk_bounds      model_choice, models
     coefficients ─quantise─► integers ─contexts─► rANS ─► bytes
                   target, coding.quantise      coding
     bytes ─decode─► samples too far off ─corrections─► bytes            the bound is kept here: target.to_bound
@@ -19,11 +19,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ... import metrics
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput
 from ...motion import Motion
-from ...stages import gaps
 from ...typing import Booleans, Floats
 from ..base import require_frames, settings
 from . import chunk, fallback, model_choice, repeats, target
@@ -32,6 +31,7 @@ from .coding.contexts import OCTAVE
 from .header import Header, pack_weights, with_weights
 from .models import MODELS, Recording
 from .pose import heading, leaps
+from .preparation import prepare
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -39,6 +39,8 @@ FALLBACK_MODEL = "hou2014"
 MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
 COARSER_MODELS = 8
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
+CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
+"""Of the time: for the chunks, the rest for trying the fallback; and of that, for the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 REPEATS_TRIES = 3
@@ -86,19 +88,27 @@ class Tempo:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
         require_frames(motion)
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
-        if distinct is not None:
+        if distinct is None:
+            return self.encode_without_repeats(motion)
+        with progress.attempt(0):
             encoded = self._encode_distinct(motion, distinct)
-            if self._meets_target(encoded, motion):
-                return encoded
-        return self.encode_without_repeats(motion)
+        if self._meets_target(encoded, motion):
+            return encoded
+        with progress.attempt(1):
+            return self.encode_without_repeats(motion)
 
     def encode_without_repeats(self, motion: Motion) -> Encoded[Motion]:
         """All frames coded, whether they repeat or not."""
         if self.model == FALLBACK_MODEL:
             return fallback.encode(motion, self._stored_settings(), self._wanted_bytes(motion), self.chunk_seconds)
-        encoded = self.encode_chunks(motion)
         if self.weights or self.model != model_choice.AUTO:
-            return encoded
+            return self.encode_chunks(motion)
+        with progress.phase(0.0, CHUNKS_SHARE):
+            encoded = self.encode_chunks(motion)
+        with progress.phase(CHUNKS_SHARE, 1.0):
+            return self._or_fallback(encoded, motion)
+
+    def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
         if self._has_size:
             return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, Tempo.decode)
         kind = "max_error" if self.mean_error is None else "mean_error"
@@ -108,22 +118,21 @@ class Tempo:
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        filled, gap_mask = gaps.fill(motion.positions)
-        positions = heading.to_y_up(filled, motion.up)
-        spikes = leaps.spikes(positions) & ~gap_mask
-        smooth = leaps.without_spikes(positions, spikes)
-        cuts = leaps.discontinuities(smooth, motion.rate)
+        source = prepare(motion.positions, motion.up)
+        cuts = leaps.discontinuities(source.smooth, motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
-        choice = self._choose_model(motion, [smooth[a:b] for a, b in bounds])
+        with progress.phase(0.0, CHOICE_SHARE):
+            choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
         encoders = [
-            ChunkEncoder(model, positions[a:b], smooth[a:b], gap_mask[a:b], spikes[a:b], choice.spectra.get(number))
-            for number, (a, b) in enumerate(bounds)
+            ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
+            for number, frames in enumerate(bounds)
         ]
-        payloads = self._to_target(encoders, motion, len(header.pack()))
+        with progress.phase(CHOICE_SHARE, 1.0):
+            payloads = self._to_target(encoders, motion, len(header.pack()))
         if all(Payload.unpack(p).engine == DIRECT for p in payloads):
             header = Header(weights=header.weights)
         return Encoded(
@@ -146,7 +155,7 @@ class Tempo:
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
         covering = encoded.covering(start, stop)
-        for first in range(0, len(covering), chunk.BATCH):
+        for first in progress.over(range(0, len(covering), chunk.BATCH)):
             batch = covering[first : first + chunk.BATCH]
             for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
                 a, b = max(start, one.start), min(stop, one.stop)

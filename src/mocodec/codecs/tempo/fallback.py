@@ -20,12 +20,12 @@ from ... import metrics
 from ...encoded import Encoded
 from ...errors import CannotEncode
 from ...motion import Motion
-from ...stages import gaps
 from ...typing import Floats
 from ..hou2014 import Hou2014
 from ..hou2014.codec import SAMPLED_CHUNKS
 from .header import Header
-from .pose import heading, leaps
+from .pose import heading
+from .preparation import prepare
 
 LONGEST_CHUNK = 2.5
 """Chunks may be this many times as long as asked for, though no longer than"""
@@ -147,12 +147,9 @@ def _longest_chunk(motion: Motion, seconds: float) -> int:
 
 def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
     """Positions with gaps filled, and without spikes too: the same array where there are none."""
-    filled, gap_mask = gaps.fill(motion.positions)
-    upright = heading.to_y_up(filled, motion.up)
-    spikes = leaps.spikes(upright) & ~gap_mask
-    if not spikes.any():
-        return filled, filled
-    return filled, heading.from_y_up(leaps.without_spikes(upright, spikes), motion.up)
+    source = prepare(motion.positions, motion.up)
+    filled = heading.from_y_up(source.positions, motion.up)
+    return filled, heading.from_y_up(source.smooth, motion.up) if source.spikes.any() else filled
 
 
 def _candidates(motion: Motion, has_spikes: bool, target: str, wanted: float, longest: int) -> list[Hou2014]:

@@ -5,7 +5,7 @@
     decoder = tempo.Decoder(encoder.shared, about)
     for chunk in wire: show(decoder.push(chunk))
 
-Every chunk decodes alone, so a receiver may begin anywhere and lose any chunk. docs/tempo has the cost in bytes.
+Every chunk decodes alone, so a receiver may begin anywhere and lose any chunk. docs/tempo/results.md has the cost.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from ...encoded import Chunk
 from ...errors import BadInput
 from ...motion import Motion
-from ...stages import gaps
 from ...typing import Floats
 from . import chunk, model_choice, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR
 from .header import Header
 from .models import Recording
-from .pose import heading, leaps
+from .pose import heading
+from .preparation import prepare
 
 
 class Encoder:
@@ -49,7 +49,7 @@ class Encoder:
         self.about = about
         self.max_error = max_error
         self.chunk_frames = max(1, int(latency_seconds * about.rate))
-        earlier = [] if like is None else [heading.to_y_up(gaps.fill(like.positions)[0], like.up)]
+        earlier = [] if like is None else [prepare(like.positions, like.up).smooth]
         choice = model_choice.choose(Recording(earlier, about, target.step_for_bound(max_error)))
         self._model = choice.model
         self.shared: tuple[bytes, ...] = (choice.header.pack(),)
@@ -70,11 +70,8 @@ class Encoder:
         return [self._chunk(len(self._waiting))] if len(self._waiting) else []
 
     def _chunk(self, frames: int) -> Chunk:
-        filled, gap_mask = gaps.fill(self._waiting[:frames])
-        positions = heading.to_y_up(filled, self.about.up)
-        spikes = leaps.spikes(positions) & ~gap_mask
-        smooth = leaps.without_spikes(positions, spikes)
-        encoder = ChunkEncoder(self._model, positions, smooth, gap_mask, spikes)
+        source = prepare(self._waiting[:frames], self.about.up)
+        encoder = ChunkEncoder.of(self._model, source, slice(None))
         coded = Chunk(self._start, frames, target.to_bound([encoder], self.max_error)[0])
         self._start += frames
         self._waiting = self._waiting[frames:]

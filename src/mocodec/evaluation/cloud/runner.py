@@ -166,7 +166,7 @@ def of_ours(name: str, settings: dict[str, Any], skeleton: bool = False) -> Codi
     words = [f"{key} {value:g}{' %' if key == 'residual' else ''}" for key, value in settings.items()]
 
     def encode(clouds: PointClouds, performance: sequences.Performance) -> bytes:
-        given = {"skeleton": performance.skeleton()[:1]} if skeleton else {}
+        given: dict[str, Any] = {"skeleton": performance.skeleton()[:1]} if skeleton else {}
         return api.encode(clouds, name, **settings, **given)
 
     def once(blob: bytes) -> int:
@@ -179,7 +179,7 @@ def of_ours(name: str, settings: dict[str, Any], skeleton: bool = False) -> Codi
         True,
         "the whole .mocz: model of the body, poses, residuals, header, index",
         encode,
-        api.decode,
+        lambda blob: api.decode(blob, PointClouds),
         once,
         lambda: __version__,
     )
