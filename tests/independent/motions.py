@@ -9,7 +9,9 @@ import numpy as np
 from mocodec.motion import Motion, Skeleton
 from mocodec.testing import synthetic
 
-from .tempo_models import Array, prior, prior_tree
+from .payloads import Array
+from .tempo_statistics import prior
+from .trees import Tree, prior_tree
 
 DIRECTIONS_PRIOR = "1be90053"
 TREE = prior_tree(prior(DIRECTIONS_PRIOR))
@@ -39,10 +41,26 @@ def named_joints(frames: int, seed: int = 0, size: float = 0.15) -> Motion:
     return Motion(poses + place, 120.0, NAMES, "y", Skeleton(NAMES, tuple(tree.parents), tree.vectors))
 
 
+def with_tails(frames: int) -> Motion:
+    """A body under other names, with two chains of bones that the prior does not know, and a bone without length."""
+    more = [TREE.parents.index(0), 31, 32, NAMES.index("head"), 34]
+    vectors = np.array([[0.1, -0.2, -0.2], [0, -0.2, -0.1], [0, 0, 0], [0.1, 0.1, 0], [0, 0.2, 0.05]])
+    none, both = np.zeros(5, bool), np.array([False, True, False, False, True])
+    tree = Tree(
+        [*TREE.parents, *more],
+        np.concatenate([TREE.vectors, vectors]),
+        np.concatenate([TREE.hub, none]),
+        np.concatenate([TREE.relative, both]),
+    )
+    names = tuple(f"Bone {i}" for i in range(len(tree.parents)))
+    skeleton = Skeleton(names, tuple(tree.parents), tree.vectors)
+    return Motion(tree.positions(curves(frames, tree.dimensions, 7, 0.1)), 60.0, names, "y", skeleton)
+
+
 def renamed_joints(
     frames: int, with_skeleton: bool, gone: Sequence[str] = (), shuffled: bool = False, size: float = 0.15
 ) -> Motion:
-    """The same under other names, without some joints."""
+    """Named joints under other names, without some of them."""
     motion = named_joints(frames, 5, size)
     kept = [j for j, name in enumerate(NAMES) if name not in gone]
     parents = []

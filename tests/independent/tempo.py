@@ -15,8 +15,10 @@ import numpy as np
 
 from . import payloads
 from .integers import Bytes, bits_of, integers, number_of
-from .payloads import Array, Chunks, array, gap_mask
-from .tempo_models import BAND, Model, Prior, Recording, log2, prior, read_model
+from .ordered import BAND, log2
+from .payloads import Array, Chunks, gap_mask
+from .tempo_models import read_model
+from .tempo_statistics import Model, Prior, Recording, prior
 
 # --- docs/payloads/tempo.md: logarithms
 
@@ -62,8 +64,6 @@ def run_lengths(payload: bytes, frames: int) -> tuple[list[int], bytes]:
         lengths = [length for (length,) in integers(part.take(size), count, 1)]
     else:
         lengths = [part.varint()] * (count - 1)
-        if count == 1:
-            part.varint()
         lengths.append(frames - sum(lengths))
     assert sum(lengths) == frames
     return lengths, part.rest()
@@ -311,4 +311,4 @@ def direct(data: bytes, frames: int, points: int) -> Array:
     return v.reshape(frames, points, 3).astype(float)
 
 
-__all__ = ["Recording", "array", "decode"]
+__all__ = ["Recording", "decode"]
