@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,7 @@ def with_holes(motion: Motion) -> Motion:
     return replace(motion, positions=positions)
 
 
+PAGE = Path(__file__).parents[2] / "docs" / "payloads" / "tempo.md"
 MARKERS = synthetic.markers(frames=120, seed=3)
 FEW_MARKERS = MARKERS.select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
 NAMED = motions.named_joints(150)
@@ -97,8 +100,19 @@ def test_repeats(model: str) -> None:
 
 @pytest.mark.parametrize("up", ["x", "y", "z"])
 @pytest.mark.parametrize("target", [{"max_error": 0.0005}, {"max_error": 0.03}, {"mean_error": 0.003}, {"ratio": 20.0}])
-def test_gaps_spikes_leaps_and_every_axis(up: str, target: dict[str, float]) -> None:
+def test_gaps_spikes_leaps_and_every_axis(up: str, target: dict[str, Any]) -> None:
     check(Tempo(chunk_seconds=0.7, **target).encode_chunks(replace(with_holes(FEW_MARKERS), up=up)))
+
+
+def test_the_example_of_the_page() -> None:
+    example = PAGE.read_text(encoding="utf-8").split("## An example")[1]
+    blocks = re.findall(r"(?:^    .+\n)+", example, re.MULTILINE)
+    shared, chunk, poses, direct_chunk, direct_poses = blocks
+    like = tempo.Recording(("A", "B"), 30.0, "y")
+    for head, payload, wanted in ((shared, chunk, poses), ("04", direct_chunk, direct_poses)):
+        found = tempo.decode(bytes.fromhex(head), [(24, bytes.fromhex(payload))], like)
+        frames = np.array(wanted.split(), float).reshape(2, 2, 3)
+        np.testing.assert_allclose(found[[0, -1]], frames, rtol=0, atol=1e-9)
 
 
 def test_chunks_without_coefficients() -> None:
@@ -130,7 +144,7 @@ def test_coded_integers_with_contexts(shape: tuple[int, int]) -> None:
     values = np.rint(rng.laplace(size=shape) * contexts[:, None]).astype(np.int64)
     packed = coder.pack(values, contexts=np.repeat(contexts[:, None], shape[1], axis=1))
     assert len(packed) < len(coder.pack(values))
-    np.testing.assert_array_equal(integers(packed, *shape, contexts.tolist()), values)
+    np.testing.assert_array_equal(integers(packed, shape[0], shape[1], contexts.tolist()), values)
 
 
 @pytest.mark.parametrize("rate", [7.3, 24.0, 240.0, 1000.0])
