@@ -1,4 +1,4 @@
-"""Imports point down only: every import statement is checked against the layers of docs/architecture.md."""
+"""Import rules, checked for every import statement: layers of docs/architecture.md, no cycles, no benchmarks."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import mocodec
 
 PACKAGE = Path(mocodec.__file__).parent
+ROOT = Path(__file__).resolve().parents[1]
 
 # From top to bottom. A part may import the parts below it, and those in its row unless the row is in APART.
 LAYERS = (
     ("cli", "__main__"),
-    ("evaluation",),
     ("testing", "plots"),
     ("api",),
     ("codecs", "container"),
@@ -91,3 +93,62 @@ def test_the_rule_itself() -> None:
     assert not may_import("codecs", "container")
     assert not may_import("stages", "codecs")
     assert not may_import("motion", "metrics")
+
+
+def imported_modules(path: Path, name: str, modules: set[str]) -> set[str]:
+    """The modules of a package that one of its modules imports, inside functions too.
+
+    `from . import name` counts as an import of the module `name` if there is one, otherwise of the package itself.
+    """
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    found = set[str]()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            source = ".".join([*base, *(node.module or "").split(".")]).strip(".")
+            for alias in node.names:
+                submodule = f"{source}.{alias.name}"
+                found.add(submodule if submodule in modules else source)
+    return found & modules - {name}
+
+
+def cycles(folder: Path) -> list[set[str]]:
+    """Groups of a package's modules that import each other, directly or through others."""
+    files = {
+        ".".join((folder.name, *path.relative_to(folder).with_suffix("").parts)).removesuffix(".__init__"): path
+        for path in folder.rglob("*.py")
+    }
+    reached = {name: imported_modules(path, name, set(files)) for name, path in files.items()}
+    for middle in files:  # transitive closure
+        for name in files:
+            if middle in reached[name]:
+                reached[name] |= reached[middle]
+    groups = {frozenset(other for other in reached[name] if name in reached[other]) for name in files}
+    return sorted((set(group) for group in groups if group), key=sorted)
+
+
+def test_no_import_cycles() -> None:
+    assert cycles(PACKAGE) == []
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="no benchmarks beside the tests")
+def test_no_import_cycles_in_benchmarks() -> None:
+    assert cycles(ROOT / "benchmarks") == []
+
+
+def test_cycles_are_found(tmp_path: Path) -> None:
+    package = tmp_path / "p"
+    package.mkdir()
+    for name, text in (("__init__", "from .a import x"), ("a", "from . import b"), ("b", "def f(): from p.a import x")):
+        (package / f"{name}.py").write_text(text)
+    assert cycles(package) == [{"p.a", "p.b"}]
+
+
+def test_neither_package_nor_tests_import_benchmarks() -> None:
+    for path in (*PACKAGE.rglob("*.py"), *(ROOT / "tests").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            assert not any(name.split(".")[0] == "benchmarks" for name in names), path

@@ -8,7 +8,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import cli
-from mocodec.evaluation.cloud import actors, sequences
+from mocodec.testing import actors, sequences
 
 pytest.importorskip("PIL")
 pytest.importorskip("av")

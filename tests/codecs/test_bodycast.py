@@ -12,11 +12,11 @@ from mocodec import container
 from mocodec.codecs.bodycast import Bodycast, follow
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
-from mocodec.evaluation.cloud import actors, measures, sequences
 from mocodec.geometry import articulation, body_tracking, skinning
+from mocodec.metrics import point_clouds as measures
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
-from mocodec.testing import corruption
+from mocodec.testing import actors, corruption, sequences
 
 pytest.importorskip("av")
 

@@ -7,8 +7,9 @@ import pytest
 
 from mocodec.codecs.bodycast.live import Receiver, Sender
 from mocodec.errors import Corrupt
-from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.metrics import point_clouds as measures
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, sequences
 
 pytest.importorskip("av")
 

@@ -69,7 +69,7 @@ def test_what_is_too_far_apart():
 
 
 def test_damage_to_points_raises_or_decodes():
-    frames = [sphere(300), sphere(200, 1)]
+    frames = [sphere(120), sphere(80, 1)]
     for data, read in (
         (exact.pack(frames, 0.0, True), lambda d: exact.unpack(d, 2, True)),
         (exact.pack(frames, 0.002, True), lambda d: exact.unpack(d, 2, True)),

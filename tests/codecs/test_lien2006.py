@@ -9,9 +9,10 @@ import mocodec as mc
 from mocodec.codecs.lien2006 import Lien2006
 from mocodec.encoded import Chunk, Encoded
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
-from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.metrics import point_clouds as measures
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, sequences
 
 pytest.importorskip("PIL")
 

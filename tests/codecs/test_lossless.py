@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from mocodec.codecs.lossless import Lossless
 from mocodec.errors import BadInput, CannotEncode, Corrupt
 from mocodec.motion import Motion
 from mocodec.testing import CodecTests, synthetic
-
-RECORDINGS = Path(__file__).parents[2] / "../shared/data"
 
 
 def bits(positions: np.ndarray) -> np.ndarray:
@@ -74,14 +71,3 @@ def test_damaged_header_or_payload_raises_corrupt() -> None:
         Lossless.decode(replace(encoded, shared=(b"x",)))
     with pytest.raises(Corrupt):
         Lossless.decode(replace(encoded, chunks=(replace(encoded.chunks[0], payload=b"\xff"),)))
-
-
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="needs ../shared/data")
-def test_smaller_than_pcodec_on_a_real_recording() -> None:
-    pytest.importorskip("pcodec")
-    from mocodec.evaluation import rivals
-
-    motion = mc.read(RECORDINGS / "cmu/c3d/85_02.c3d")
-    assert isinstance(motion, Motion)
-    ours = len(mc.encode(motion, codec="lossless"))
-    assert ours < 0.95 * len(rivals.PcodecLossless().encode(motion.positions, 0.0))

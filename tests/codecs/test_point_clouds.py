@@ -9,8 +9,9 @@ import pytest
 from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.lien2006 import Lien2006
 from mocodec.errors import CannotEncode
-from mocodec.evaluation.cloud import actors, measures, sequences
+from mocodec.metrics import point_clouds as measures
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, sequences
 
 pytest.importorskip("av")
 pytest.importorskip("PIL")

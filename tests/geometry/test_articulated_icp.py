@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocodec.evaluation.cloud import actors, sequences
 from mocodec.geometry import articulated_icp, articulation, cylinder_map, icp, normals
+from mocodec.testing import actors, sequences
 
 RNG = np.random.default_rng(5)
 

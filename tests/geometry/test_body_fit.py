@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocodec.errors import BadInput, CannotEncode
-from mocodec.evaluation.cloud import actors, first_poses, sequences
 from mocodec.geometry import articulation, body_fit, pose_search, stock_body
 from mocodec.geometry.capsules import DistanceField, surface_distances
+from mocodec.testing import actors, poses, sequences
 
 
 def joint_errors(act: sequences.Performance, factor: float = 1.0, up: str = "y", **how: float) -> tuple[float, float]:
@@ -18,7 +18,7 @@ def joint_errors(act: sequences.Performance, factor: float = 1.0, up: str = "y",
     figure = body_fit.first_pose(points @ turn, up)
     truth = dict(zip(act.actor.names, act.joints[0] * factor, strict=True))
     ours = dict(zip(figure.names, figure.positions @ turn.T, strict=True))
-    off = [float(np.linalg.norm(ours[name] - truth[name])) for name in first_poses.JOINTS]
+    off = [float(np.linalg.norm(ours[name] - truth[name])) for name in poses.JOINTS]
     assert figure.error_m < 0.03
     return float(np.mean(off)), max(off)
 
@@ -28,14 +28,14 @@ def joint_errors(act: sequences.Performance, factor: float = 1.0, up: str = "y",
     [("arms raised", 1.0, 2.5, "z"), ("walking", 1.15, 4.0, "y"), ("slight crouch", 0.7, 1.0, "x")],
 )
 def test_first_pose_of_an_unknown_person(pose, factor, heading, up):
-    act = first_poses.posed(actors.capsules(), *first_poses.POSES[pose]).moved((3.0, 0.5, -2.0), heading)
+    act = poses.posed(actors.capsules(), *poses.POSES[pose]).moved((3.0, 0.5, -2.0), heading)
     mean, worst = joint_errors(act, factor, up)
     assert mean < 0.06
     assert worst < 0.12
 
 
 def test_largest_group_is_one_of_two_people():
-    act = first_poses.posed(actors.capsules(), *first_poses.POSES["T"])
+    act = poses.posed(actors.capsules(), *poses.POSES["T"])
     one = sequences.record(act, 3000).positions[0]
     other = sequences.record(act.moved((2.5, 0, 0)), 1000).positions[0]
     far = np.array([[400.0, 0, 0], [0, -900.0, 3]])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.evaluation.cloud import actors, sequences
 from mocodec.geometry import articulated_icp, articulation, link_grids, skinning
 from mocodec.geometry.body_matching import FramePoints, Matcher, Step
 from mocodec.geometry.gauss_newton import PosePrior
+from mocodec.testing import actors, sequences
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mocodec.codecs import bodycast
-from mocodec.evaluation.cloud import actors, sequences, tracking
 from mocodec.geometry import articulated_icp, articulation, body_tracking, limb_chains, skinning
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, sequences
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def tracker_of(performance, clouds) -> body_tracking.BodyTracker:
 
 
 def errors(tracker, performance, fit, frame) -> np.ndarray:
-    return tracking.joint_errors(performance, tracker.body, fit.pose, frame)
+    return performance.joint_errors(tracker.body, fit.pose, frame)
 
 
 def test_joints_are_tracked(performance, clouds):
@@ -106,22 +106,6 @@ def test_frames_without_points_leave_the_pose(performance, clouds):
         assert tracker.fit(points).pose is before
     same = tracker.fit(np.zeros((50, 3)))  # all at one place
     assert np.isfinite(same.pose.rotations).all()
-
-
-def test_tracking_evaluation_runs_without_recordings(tmp_path, monkeypatch):
-    monkeypatch.setattr(actors, "find", actors.capsules)
-    few = {name: tracking.CONDITIONS[name] for name in ("2,500 points", "2,500 points, 0.5 cm noise")}
-    results = tracking.run(tmp_path, 4, few)
-    assert results["motions"].keys() == {"jumping jacks"}
-    found = results["motions"]["jumping jacks"]
-    assert found.keys() == {*few, "2,500 points, NumPy alone"}
-    for measured in found.values():
-        assert measured["mean_cm"] < 3
-        assert measured["lost_frames"] == measured["longest_loss"] == 0
-    act = sequences.jumping_jacks(actors.capsules(), 14)
-    taken = tracking.recovery(act, at=(3,))
-    assert len(taken) == 4
-    assert max(taken) <= 10
 
 
 @pytest.mark.parametrize("limb", ["LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg"])

@@ -10,12 +10,12 @@ import pytest
 
 from mocodec import native
 from mocodec.codecs import bodycast
-from mocodec.evaluation.cloud import actors, sequences
 from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, limb_chains, rigid, skinning
 from mocodec.geometry.body_matching import FramePoints, Matcher, Step
 from mocodec.geometry.gauss_newton import PosePrior
 from mocodec.geometry.joint_limits import LinkLimits
 from mocodec.motion import Limits, Motion, Skeleton
+from mocodec.testing import actors, sequences
 
 FREE = [-np.inf, np.inf]
 FRAME, FIRST_ROTATION = (rigid.to_matrix(q / np.linalg.norm(q)) for q in np.random.default_rng(3).normal(size=(2, 4)))

@@ -5,7 +5,7 @@
 
 `NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres; for
 point clouds, positions to a micrometre and colours. A file of an earlier version is never overwritten. lien2006-lines
-has a form that the codec no longer writes; today tempo would match tempo-own-limbs to the limbs of its prior.
+has a form that the codec no longer writes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 import mocodec
-from mocodec.codecs.tempo import prior
-from mocodec.evaluation.cloud import actors, sequences
+from mocodec.codecs.tempo.models import prior
+from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.motion import Motion, Skeleton
 from mocodec.pointcloud import PointClouds
-from mocodec.testing import synthetic
+from mocodec.testing import actors, sequences, synthetic
 
 HERE = Path(__file__).parent
 
@@ -46,41 +46,39 @@ def joints() -> Motion:
     return Motion(motion.positions, motion.rate, motion.names, motion.up, motion.skeleton)
 
 
-def limbs() -> Motion:
+def named_skeleton() -> Motion:
     """240 frames of the prior's joints with constant bone lengths, with their skeleton."""
-    known = prior.of_limbs()
-    assert known is not None
-    points = known.sets[0]
-    assert points.limbs is not None
+    known = prior.for_directions().joints
     rng = np.random.default_rng(13)
     t = np.arange(240)[:, None, None] / 120
-    size = (points.limbs.dimensions, 3)
-    turns = (rng.normal(0, 0.15, size) * np.sin(2 * np.pi * rng.uniform(0.1, 2.0, size) * t)).sum(axis=2)
-    skeleton = Skeleton(points.names, points.limbs.parents, points.limbs.vectors)
-    return Motion(points.limbs.inverse(turns) + np.array([0.0, 1.0, 0.0]), 120.0, points.names, "y", skeleton)
+    size = (known.tree.dimensions, 3)
+    coordinates = (rng.normal(0, 0.15, size) * np.sin(2 * np.pi * rng.uniform(0.1, 2.0, size) * t)).sum(axis=2)
+    positions = bone_directions.inverse(known.tree, coordinates) + np.array([0.0, 1.0, 0.0])
+    skeleton = Skeleton(known.names, known.tree.parents, known.tree.vectors)
+    return Motion(positions, 120.0, known.names, "y", skeleton)
 
 
-def own_limbs() -> Motion:
-    """`limbs` without names and skeleton."""
-    motion = limbs()
+def unnamed_joints() -> Motion:
+    """`named_skeleton` without names and skeleton."""
+    motion = named_skeleton()
     return Motion(motion.positions, motion.rate, (), motion.up)
 
 
-def matched_limbs() -> Motion:
-    """72 frames of `own_limbs`, without fingers, thumbs and toes."""
-    motion = own_limbs()[:72]
-    removed = [i for i, name in enumerate(limbs().names) if name[1:] in ("fingers", "thumb", "toes")]
+def fewer_unnamed_joints() -> Motion:
+    """72 frames of `unnamed_joints`, without fingers, thumbs and toes."""
+    motion = unnamed_joints()[:72]
+    removed = [i for i, name in enumerate(named_skeleton().names) if name[1:] in ("fingers", "thumb", "toes")]
     return Motion(np.delete(motion.positions, removed, axis=1), motion.rate, (), motion.up)
 
 
-def on_bones() -> Motion:
+def full_body_markers() -> Motion:
     """72 frames of full-body markers, too few to fit a basis to them."""
     return synthetic.markers(frames=72, seed=14)
 
 
-def held() -> Motion:
-    """96 frames of `limbs`; every second frame repeats the previous one."""
-    motion = limbs()[:96]
+def repeated_frames() -> Motion:
+    """96 frames of `named_skeleton`; every second frame repeats the previous one."""
+    motion = named_skeleton()[:96]
     return replace(motion, positions=motion.positions[np.arange(96) // 2 * 2])
 
 
@@ -105,11 +103,16 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
     "tempo-markers": (markers, "tempo", {"max_error": 0.005}),
     "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
-    "tempo-limbs": (limbs, "tempo", {"max_error": 0.005}),
-    "tempo-own-limbs": (own_limbs, "tempo", {"max_error": 0.005}),
-    "tempo-matched-limbs": (matched_limbs, "tempo", {"max_error": 0.005}),
-    "tempo-on-bones": (on_bones, "tempo", {"max_error": 0.01}),
-    "tempo-held": (held, "tempo", {"max_error": 0.005}),
+    "tempo-directions": (named_skeleton, "tempo", {"max_error": 0.005}),
+    "tempo-directions-stored": (unnamed_joints, "tempo", {"max_error": 0.005, "model": "directions-stored"}),
+    "tempo-skeleton-matched": (fewer_unnamed_joints, "tempo", {"max_error": 0.005}),
+    "tempo-points-prior": (named_skeleton, "tempo", {"max_error": 0.005, "model": "points-prior"}),
+    "tempo-points-stored": (markers, "tempo", {"max_error": 0.005, "model": "points-stored"}),
+    "tempo-markers-on-bones": (full_body_markers, "tempo", {"max_error": 0.01}),
+    "tempo-direct": (markers, "tempo", {"max_error": 0.005, "model": "direct"}),
+    "tempo-fallback": (markers, "tempo", {"max_error": 0.005, "model": "hou2014"}),
+    "tempo-weights": (markers, "tempo", {"max_error": 0.005, "weights": {"LHEE": 4.0, "RTOE": 4.0}}),
+    "tempo-repeats": (repeated_frames, "tempo", {"max_error": 0.005}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
 }

@@ -29,7 +29,6 @@ COMMANDS = {
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure the difference between two recordings.",
     "cut": "Cut a time range out of a file.",
-    "eval": "Run codecs and rivals over recordings and report.",
     "demo": "Encode the recording in the package with several codecs and measure them.",
 }
 

@@ -12,6 +12,7 @@ import click
 from .. import metrics, plots
 from ..encoded import Recording
 from ..errors import BadInput
+from ..metrics import point_clouds
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import files, quantities
@@ -87,15 +88,13 @@ def compare_clouds(a: PointClouds, b: PointClouds, stored: int | None) -> dict[s
 
     Raises BadInput if they differ in the number of frames.
     """
-    from ..evaluation.cloud import measures
-
     if len(a) != len(b):
         raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
     frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
-    frames = [f for f in frames if measures.has_points(a, f) and measures.has_points(b, f)]
+    frames = [f for f in frames if point_clouds.has_points(a, f) and point_clouds.has_points(b, f)]
     result: dict[str, float] = {"frames": len(a), "measured_frames": len(frames)}
     if frames:
-        result |= measures.compare(a, b, frames)
+        result |= point_clouds.compare(a, b, frames)
     if stored:
         result["ratio"] = a.raw_bytes / stored
     return result

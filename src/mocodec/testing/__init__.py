@@ -3,6 +3,9 @@
 CodecTests    base class for the test class of a codec                        (needs pytest and hypothesis)
 strategies    random motions for property tests                               (needs hypothesis)
 synthetic     a walking figure, deterministic for a seed: markers, joints
+actors        body models: skinned meshes, for synthetic point clouds
+sequences     motions of an actor, with the true skeleton, and point clouds of them
+poses         standing poses of an actor
 edge_cases    named motions at the limits of what codecs must handle
 corruption    damaged copies of bytes
 """

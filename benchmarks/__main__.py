@@ -1,0 +1,66 @@
+"""`scripts/bench COMMAND …`: the benchmarks by name; without a command, the list of them.
+
+A command's module is imported when the command is run.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import click
+
+from mocodec.errors import MocodecError
+
+COMMANDS = {
+    "all": ("reproduce:all_command", "Measure everything again and write every table and figure: many hours."),
+    "tables": ("reproduce:tables_command", "Write every Markdown table again from the stored results."),
+    "eval": ("motion.command:command", "Every codec and rival over recordings, to equal errors."),
+    "report": ("motion.command:report_command", "The report of eval again, from its results."),
+    "liu2006": ("papers.liu2006:command", "Tables and figures of Liu and McMillan (2006)."),
+    "hou2014": ("papers.hou2014:command", "Tables and figures of Hou et al. (2014)."),
+    "lien2006": ("papers.lien2006:command", "Tables and figures of Lien and Bajcsy (2006)."),
+    "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo/results.md."),
+    "tempo-parts": ("tempo_parts:command", "tempo without each of its parts."),
+    "unknown": ("unknown:command", "tempo on points that its prior does not know."),
+    "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
+    "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),
+    "cloud-long": ("cloud.long:command", "Long sequences of point clouds, as whole files."),
+    "cloud-summary": ("cloud.summary:command", "Requirements and results of point clouds on one page."),
+    "tracking": ("cloud.tracking:command", "Tracking and recovery of a body: eight motions."),
+    "first-poses": ("cloud.first_poses:command", "First poses without a skeleton."),
+    "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
+    "fetch": ("fetch:command", "Download recordings from where they are published."),
+    "test": ("tests.command:command", "Test the benchmarks themselves."),
+}
+"""Module and attribute of each command, and its line in the list."""
+
+
+class Commands(click.Group):
+    """The commands of COMMANDS."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module, attribute = COMMANDS[cmd_name][0].split(":")
+        return getattr(import_module(f"benchmarks.{module}"), attribute)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+
+
+@click.group("bench", cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+def main() -> None:
+    """Measure the codecs of mocodec. Run from the root of the repository; docs/evaluation.md explains the results."""
+
+
+if __name__ == "__main__":
+    try:
+        main(prog_name="scripts/bench")
+    except MocodecError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(3)

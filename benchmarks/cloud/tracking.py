@@ -1,0 +1,162 @@
+"""How closely and how fast bodycast tracks a body: eight motions, by points, noise, views and frames a second.
+
+A result holds joint errors in centimetres, the frames whose worst joint is off by more than 10 cm and the longest run
+of them, and frames per second of processor time from raw points to a pose. A second measurement turns a limb away and
+counts the frames until it is tracked again. Times are those of the compiled kernels if they are built; the speed of
+NumPy alone is measured as well.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from mocodec import native
+from mocodec.codecs import bodycast
+from mocodec.geometry import articulation
+from mocodec.pointcloud import PointClouds
+from mocodec.testing import sequences
+from mocodec.testing.actors import Actor
+from mocodec.testing.sequences import Performance
+
+from .. import datasets
+from ..machine import machine_description
+from ..results import write_json
+from . import makehuman, retarget
+
+STARTS = {
+    "jumping jacks": 0.0, "01_01": 4.0, "02_05": 4.0, "03_03": 4.0, "49_20": 1.0, "118_30": 1.0, "131_04": 2.0,
+    "salsa_09": 2.0,
+}  # fmt: skip
+"""Motions, and the second at which each starts."""
+LOST_M = 0.10
+"""A frame is lost if a joint is off by more than this."""
+RATE = 15.0
+TRACKED_POINTS = 2500
+"""Largest number of points of a frame that the tracker uses."""
+
+
+def perform(actor: Actor, data: Path, name: str, frames: int, rate: float) -> Performance | None:
+    """A motion of STARTS on the actor; None if its recording is not there."""
+    if name == "jumping jacks":
+        return sequences.jumping_jacks(actor, frames, rate)
+    return retarget.perform_clip(actor, data, name, rate, STARTS[name], frames)
+
+
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "10,000 points": {}, "2,500 points": {"keep": 0.25}, "2,500 points, 0.5 cm noise": {"keep": 0.25, "noise_m": 0.005},
+    "10,000 points, 0.5 cm noise": {"noise_m": 0.005}, "10,000 points, 1 cm noise": {"noise_m": 0.01},
+    "10,000 points, 2 cm noise": {"noise_m": 0.02}, "500 points": {"keep": 0.05}, "100 points": {"keep": 0.01},
+    "3 views": {"views": 3}, "1 view": {"views": 1}, "no colours": {"coloured": False}, "30 frames/s": {"rate": 30.0},
+    "7.5 frames/s": {"rate": 7.5},
+}  # fmt: skip
+"""Ways of recording, as differences from 10,000 points without noise at 15 frames/s."""
+FOR_ALL_MOTIONS = tuple(CONDITIONS)[:3]
+"""Conditions that all motions are measured under."""
+IN_ALL_CONDITIONS = ("01_01", "131_04")
+"""Motions that are measured under all conditions."""
+POINTS = 10_000
+TURN_AWAY_RAD = 1.8
+"""Angle by which both long bones of a limb are turned away before its recovery is measured."""
+
+
+def record_and_track(
+    act: Performance, *, coloured: bool = True, frames: int | None = None, **condition: Any
+) -> dict[str, Any]:
+    """Record a motion with these options of `sequences.record` and track it."""
+    clouds = sequences.record(act, POINTS, seed=1, **condition)[:frames]
+    return track(act, clouds if coloured else replace(clouds, colours=None))
+
+
+def track(act: Performance, clouds: PointClouds) -> dict[str, Any]:
+    """Errors and speed of the tracker on a recording of this motion, with the true first pose and skeleton."""
+    colours = clouds.colours if clouds.colours is not None else [None] * len(clouds)
+    body, tracker = bodycast.begin(clouds.positions[0], colours[0], act.skeleton()[:1], "y", TRACKED_POINTS)
+    started = time.process_time()
+    poses = [tracker.fit(clouds.positions[f], colours[f], f).pose for f in range(1, len(clouds))]
+    seconds = time.process_time() - started
+    error = np.array([act.joint_errors(body, pose, frame) for frame, pose in enumerate(poses, start=1)])
+    lost = error.max(axis=1) > LOST_M
+    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~lost, [True]]))) - 1
+    return {
+        "mean_cm": round(float(error.mean()) * 100, 3), "max_cm": round(float(error.max()) * 100, 2),
+        "lost_frames": int(lost.sum()), "longest_loss": int(runs.max()), "fps": round(len(poses) / seconds, 1),
+    }  # fmt: skip
+
+
+def recovery(act: Performance, at: tuple[int, ...] = (10, 25, 40), most: int = 20) -> list[int]:
+    """Frames until no joint is off by more than 10 cm after a limb has been turned away; most + 1 if it takes longer.
+
+    One value for each start frame of `at` and each limb.
+    """
+    clouds = sequences.record(act, POINTS, seed=1)
+    assert clouds.colours is not None
+    body, tracker = bodycast.begin(clouds.positions[0], clouds.colours[0], act.skeleton()[:1], "y", TRACKED_POINTS)
+    recovery_frames, frame = list[int](), 0
+    for start in at:
+        while frame + 1 < min(start, len(clouds)):
+            frame += 1
+            tracker.fit(clouds.positions[frame], clouds.colours[frame], frame)
+        true, rng = (tracker.pose, tracker.previous_pose), np.random.default_rng(start)
+        for limb in tracker.limbs:
+            axes = rng.normal(size=(2, 3))
+            turned = true[0].rotations.copy()
+            away = articulation.exp(TURN_AWAY_RAD * axes / np.linalg.norm(axes, axis=1, keepdims=True))
+            turned[limb.links[:2]] = away @ turned[limb.links[:2]]
+            tracker.pose = tracker.previous_pose = articulation.Pose(turned, true[0].root)
+            recovery_frames.append(most + 1)
+            for f in range(start, min(start + most, len(clouds))):
+                pose = tracker.fit(clouds.positions[f], clouds.colours[f], f).pose
+                if act.joint_errors(body, pose, f).max() < LOST_M:
+                    recovery_frames[-1] = f - start + 1
+                    break
+            tracker.pose, tracker.previous_pose = true
+    return recovery_frames
+
+
+def run(
+    data: Path = datasets.SHARED, frames: int = 60, conditions: dict[str, dict[str, Any]] = CONDITIONS
+) -> dict[str, Any]:
+    """Errors and speed of all motions, recovery of limbs that were turned away, and the speed of NumPy alone."""
+    actor = makehuman.find()
+    results: dict[str, Any] = {
+        "command": "scripts/bench tracking", "machine": machine_description(), "actor": actor.name,
+        "frames": frames, "rate": RATE, "compiled": native.available(), "motions": {}, "recovery_frames": {},
+    }  # fmt: skip
+    for name in STARTS:
+        act = perform(actor, data, name, frames, RATE)
+        if act is None:
+            continue
+        by_condition = dict[str, Any]()
+        for condition, options in conditions.items():
+            if condition not in FOR_ALL_MOTIONS and name not in IN_ALL_CONDITIONS:
+                continue
+            recording = dict(options)
+            rate = recording.pop("rate", RATE)
+            resampled = act if rate == RATE else perform(actor, data, name, frames, rate)
+            assert resampled is not None
+            by_condition[condition] = record_and_track(resampled, **recording)
+        with native.without():
+            by_condition["2,500 points, NumPy alone"] = record_and_track(act, keep=0.25, frames=16)
+        results["motions"][name] = by_condition
+        results["recovery_frames"][name] = recovery(act)
+    return results
+
+
+@click.command("tracking")
+@click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
+@click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
+@click.option("--frames", default=60, show_default=True, type=click.IntRange(2), help="Frames of every clip.")
+def command(output: Path, data: Path, frames: int) -> None:
+    """Track a body through eight motions by points, noise, views and frame rate; recover limbs that are lost.
+
+    Writes bodycast_tracking.json.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    write_json(output / "bodycast_tracking.json", run(data, frames))
+    click.echo(output / "bodycast_tracking.json")

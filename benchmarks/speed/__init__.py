@@ -1,0 +1,1 @@
+"""Speed, single thread, with pytest-benchmark: codecs, the entropy coder, readers, opening a file, start."""

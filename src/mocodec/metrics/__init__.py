@@ -1,0 +1,18 @@
+"""Each measure of error once, with the number of its equation in the paper.
+
+motion          distances between motions: `compare` and the measures that it reports
+point_clouds    D1, D2, luma and rendered views of point clouds
+splats          the rendering of point clouds that the views are compared by
+"""
+
+from .motion import (
+    Comparison,
+    compare,
+    distances,
+    distortion_percent,
+    in_order_of,
+    mean_distance,
+    rms_per_frame,
+)
+
+__all__ = ["Comparison", "compare", "distances", "distortion_percent", "in_order_of", "mean_distance", "rms_per_frame"]

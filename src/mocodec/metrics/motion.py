@@ -1,0 +1,117 @@
+"""Error measures, with the equation numbers of the papers that define them. Lengths in metres; gaps are left out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from ..errors import BadInput
+from ..motion import Motion
+from ..typing import Floats
+
+
+def distances(original: Floats, decoded: Floats) -> Floats:
+    """Euclidean distance of every point in every frame: (frames, points, 3) twice → (frames, points); NaN at gaps."""
+    return np.sqrt(np.einsum("fpc,fpc->fp", d := original - decoded, d))
+
+
+def mean_distance(original: Floats, decoded: Floats) -> float:
+    """d̄, the average Euclidean distance. Hou 2014, equation (11)."""
+    return float(np.nanmean(distances(original, decoded)))
+
+
+def distortion_percent(original: Floats, decoded: Floats) -> float:
+    """d = 100 ‖A − Ã‖ / ‖A − E(A)‖ in the Frobenius norm; E(A) is the mean of each coordinate over time.
+
+    Liu & McMillan 2006, section 4.
+    """
+    present = ~np.isnan(original)
+    mean = np.nansum(original, axis=0) / np.maximum(present.sum(axis=0), 1)
+    spread = np.nansum((original - mean) ** 2)
+    return float(100 * np.sqrt(np.nansum((original - decoded) ** 2) / spread)) if spread > 0 else 0.0
+
+
+def rms_per_frame(original: Floats, decoded: Floats) -> Floats:
+    """Root mean square error over the points of each frame, (frames,). Liu and McMillan 2006, section 4, figure 4."""
+    squares = distances(original, decoded) ** 2
+    present = ~np.isnan(squares)
+    counts = np.where(present.any(axis=1), present.sum(axis=1), np.nan)
+    return np.sqrt(np.where(present, squares, 0).sum(axis=1) / counts)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far a decoded motion is from the original. The keys of `to_json` are these fields.
+
+    mean_error, p99_error, max_error, rms: over all points and frames, metres. max_at: frame and point of the largest
+    error. d_percent: `distortion_percent`. gaps_equal: both motions have the same gaps. per_point: mean, 99th
+    percentile and largest error of each point. ratio: size as float32 positions over stored bytes, if these are known.
+    """
+
+    frames: int
+    points: int
+    mean_error: float
+    p99_error: float
+    max_error: float
+    max_at: tuple[int, str] | None
+    rms: float
+    d_percent: float
+    gaps_equal: bool
+    per_point: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
+    ratio: float | None = None
+
+    def to_json(self, **extra: Any) -> str:
+        """All fields, and `extra` ones, as a JSON object."""
+        import json
+
+        return json.dumps({**asdict(self), **extra}, indent=2)
+
+
+def in_order_of(original: Motion, decoded: Motion) -> Motion:
+    """The decoded motion with its points in the order of the original, if both have the same, unique names."""
+    unique = len(set(original.names)) == original.points
+    same_names = unique and sorted(original.names) == sorted(decoded.names)
+    return decoded.select(original.names) if same_names else decoded
+
+
+def compare(original: Motion, decoded: Motion, stored_bytes: int | None = None) -> Comparison:
+    """Measure the error of `decoded` against `original`, point by point: points are matched by name.
+
+    stored_bytes: size of the decoded motion on disk, for the ratio to the original as float32 positions.
+    Raises BadInput if frames or points differ in number, or for point clouds (`mocodec compare` measures these).
+    """
+    for motion in (original, decoded):
+        if not isinstance(cast(object, motion), Motion):
+            raise BadInput(f"compare takes two motions, not {type(motion).__name__}; `mocodec compare` does both")
+    if original.positions.shape != decoded.positions.shape:
+        sizes = [f"{len(motion)} frames of {motion.points} points" for motion in (original, decoded)]
+        raise BadInput(f"cannot compare {sizes[0]} with {sizes[1]}")
+    decoded = in_order_of(original, decoded)
+    error = distances(original.positions, decoded.positions)
+    present = error[~np.isnan(error)]
+    largest = np.unravel_index(int(np.nanargmax(error)), error.shape) if present.size else None
+    columns = {name: e[~np.isnan(e)] for name, e in zip(original.names, error.T, strict=True)}
+    return Comparison(
+        frames=len(original),
+        points=original.points,
+        **_summary(present),
+        max_at=None if largest is None else (int(largest[0]), original.names[int(largest[1])]),
+        rms=float(np.sqrt((present**2).mean())) if present.size else 0.0,
+        d_percent=distortion_percent(original.positions, decoded.positions) if present.size else 0.0,
+        gaps_equal=bool((original.gaps == decoded.gaps).all()),
+        per_point={name: _summary(errors) for name, errors in columns.items() if errors.size},
+        ratio=original.raw_bytes / stored_bytes if stored_bytes else None,
+    )
+
+
+def _summary(errors: Floats) -> dict[str, float]:
+    """Mean, 99th percentile and largest of errors (n,); zeros for none."""
+    if not errors.size:
+        return {"mean_error": 0.0, "p99_error": 0.0, "max_error": 0.0}
+    return {
+        "mean_error": float(errors.mean()),
+        "p99_error": float(np.percentile(errors, 99)),
+        "max_error": float(errors.max()),
+    }
