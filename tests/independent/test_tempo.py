@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mocodec as mc
 from mocodec.codecs.tempo import Tempo, header
 from mocodec.codecs.tempo.models.skeleton_correspondence import rest_metric
 from mocodec.codecs.tempo.pose import bone_directions
@@ -24,7 +25,7 @@ from .integers import integers
 from .trees import Tree, metric
 
 
-def check(encoded: Encoded[Motion]) -> header.Header:
+def check(encoded: Encoded[Any]) -> header.Header:
     """Both decoders agree. Returns the header."""
     like = encoded.about
     bones = (None, None) if like.skeleton is None else (list(like.skeleton.parents), like.skeleton.offsets)
@@ -44,10 +45,17 @@ def with_holes(motion: Motion) -> Motion:
     return replace(motion, positions=positions)
 
 
+GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("tempo-*.mocz"))
 PAGE = Path(__file__).parents[2] / "docs" / "payloads" / "tempo.md"
 MARKERS = synthetic.markers(frames=120, seed=3)
 FEW_MARKERS = MARKERS.select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
 NAMED = motions.named_joints(150)
+
+
+@pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
+def test_golden_files(path: Path) -> None:
+    with mc.open(path) as f:
+        check(f.encoded)
 
 
 @pytest.mark.parametrize(
