@@ -1,1 +1,1 @@
-"""A second decoder of hou2014, liu2006 and lossless, written from docs/payloads/: it shows that the pages suffice."""
+"""A second decoder of hou2014, liu2006, lossless and tempo, written from docs/payloads/: the pages suffice."""

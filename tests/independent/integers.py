@@ -57,8 +57,9 @@ def number_of(bits: list[int]) -> int:
 # --- docs/payloads/integers.md: coded integers
 
 MIXTURES = [
-    (5, 2, 5, 2, 2, 0), (0, 0, 0, 0, 0, 16), (3, 1, 7, 3, 2, 0), (0, 0, 8, 5, 3, 0), (4, 2, 3, 2, 1, 4),
-    (7, 3, 3, 1, 2, 0), (0, 0, 0, 0, 0, 0),
+    (5, 2, 5, 2, 2, 0, 0), (0, 0, 0, 0, 0, 16, 0), (3, 1, 7, 3, 2, 0, 0), (0, 0, 8, 5, 3, 0, 0),
+    (4, 2, 3, 2, 1, 4, 0), (7, 3, 3, 1, 2, 0, 0), (0, 0, 0, 0, 0, 0, 0), (3, 1, 3, 1, 0, 0, 8),
+    (2, 0, 2, 0, 0, 4, 8), (1, 0, 1, 0, 0, 2, 12),
 ]  # fmt: skip
 FIELDS = [
     [12, 5, 8, 4, 6, 5, 5, 4, 4, 4], [2, 1], [2] * 4 + [4] * 8 + [6] * 10 + [3] * 6 + [1] * 4,
@@ -73,6 +74,10 @@ def mantissa_bits(token: int) -> int:
 
 def token_floor(token: int) -> int:
     return token if token < 16 else (4 + token % 4) << mantissa_bits(token)
+
+
+def token_of(magnitude: int) -> int:
+    return max(t for t in range(TOKENS) if token_floor(t) <= magnitude)
 
 
 def frequencies(weights: list[int], precision: int) -> list[tuple[int, int]]:
@@ -156,8 +161,9 @@ def kept(extent: int, symbol: int) -> int:
     return max(1, -(-extent * (symbol + 1) // 32))
 
 
-def integers(data: bytes, steps: int, lanes: int) -> list[list[int]]:
-    """The array (steps, lanes) of a stream of coded integers."""
+def integers(data: bytes, steps: int, lanes: int, contexts: list[int] | None = None) -> list[list[int]]:
+    """The array (steps, lanes) of a stream of coded integers. contexts: of each step, for all lanes alike."""
+    hints = [0] * steps if contexts is None else [token_of(c) for c in contexts]
     result = [[0] * lanes for _ in range(steps)]
     if not data or not steps * lanes:
         assert not data
@@ -171,9 +177,9 @@ def integers(data: bytes, steps: int, lanes: int) -> list[list[int]]:
             result[place // lanes][place % lanes] = value
         return result
     if len(data) > 5 and int.from_bytes(data[:2], "little") % 2**14 < 64:
-        fields, part = many_states(data, steps, lanes)
+        fields, part = many_states(data, steps, lanes, hints)
     else:
-        fields, part = one_state(data, steps, lanes)
+        fields, part = one_state(data, steps, lanes, hints)
     for t, row in enumerate(part):
         result[t][: len(row)] = row
     for _ in range(fields.order):
@@ -182,7 +188,7 @@ def integers(data: bytes, steps: int, lanes: int) -> list[list[int]]:
     return result
 
 
-def one_state(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[int]]]:
+def one_state(data: bytes, steps: int, lanes: int, hints: list[int]) -> tuple[Fields, list[list[int]]]:
     size = len(data) if len(data) <= 4 else 4 - len(data) % 2
     x = int.from_bytes(data[:size], "little")
     words = [int.from_bytes(data[i : i + 2], "little") for i in range(size, len(data), 2)][::-1]
@@ -215,8 +221,9 @@ def one_state(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[in
             if t == 0:
                 means[lane] = around(0, lane, 1, 0) << 8
             near = [around(t, lane, *d) for d in ((1, 0), (2, 0), (0, 1), (0, 2), (1, 1))]
-            *weights, mean_weight = MIXTURES[fields.mixture]
+            *weights, mean_weight, hint_weight = MIXTURES[fields.mixture]
             expected = sum(w * n for w, n in zip(weights, near, strict=True)) + (mean_weight * means[lane] >> 8)
+            expected += hint_weight * hints[t]
             law = fields.law(expected)
             token = symbol(tables[law])
             if token == len(tables[law]) - 1:
@@ -240,7 +247,7 @@ def one_state(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[in
     return fields, result
 
 
-def many_states(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[int]]]:
+def many_states(data: bytes, steps: int, lanes: int, hints: list[int]) -> tuple[Fields, list[list[int]]]:
     rest = int.from_bytes(data[2:5], "little")
     fields = Fields(
         rest >> 15 & 15, rest >> 22 & 1, rest >> 10 & 31, rest >> 19 & 7,
@@ -292,7 +299,13 @@ def many_states(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[
             return known.get((0, lane - 1), 0) if lane and t >= -2 else 0
         return known[t, lane]
 
-    *weights, mean_weight = MIXTURES[fields.mixture]
+    def hint(segment: tuple[int, int], t: int, lane: int) -> int:
+        """The context of a place, 0 in the padding of the last piece."""
+        group, piece = segment
+        a, b = piece * steps + t, group * lanes - max(0, group - wide_groups) + lane
+        return 0 if a >= long else hints[b if shape[1] > shape[0] else a]
+
+    *weights, mean_weight, hint_weight = MIXTURES[fields.mixture]
     for diagonal in range(steps + lanes - 1):
         places = [
             (segment, diagonal - lane, lane)
@@ -306,7 +319,8 @@ def many_states(data: bytes, steps: int, lanes: int) -> tuple[Fields, list[list[
                 means[segment][lane] = around(segment, -1, lane) << 8
             near = [around(segment, t - dt, lane - dl) for dt, dl in ((1, 0), (2, 0), (0, 1), (0, 2), (1, 1))]
             mean = (means[segment][lane] >> 4) * mean_weight >> 4
-            laws.append(fields.law(sum(w * n for w, n in zip(weights, near, strict=True)) + mean))
+            expected = sum(w * n for w, n in zip(weights, near, strict=True)) + mean
+            laws.append(fields.law(expected + hint_weight * hint(segment, t, lane)))
         found = symbols([tables[law] for law in laws])
         escaped = [i for i, law in enumerate(laws) if found[i] == len(tables[law]) - 1]
         for i, beyond in zip(escaped, symbols([tables[-1]] * len(escaped)), strict=True):

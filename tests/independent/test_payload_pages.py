@@ -82,4 +82,4 @@ def test_coded_integers_that_are_differences_or_mostly_zero() -> None:
     sparse = np.zeros((900, 20), np.int64)
     sparse[random.integers(0, 900, 60), random.integers(0, 20, 60)] = 5
     for values in (walk, walk[:100], sparse):
-        np.testing.assert_array_equal(integers(coder.pack(values), *values.shape), values)
+        np.testing.assert_array_equal(integers(coder.pack(values), len(values), values.shape[1]), values)
