@@ -155,6 +155,11 @@ class ChunkEncoder:
         error = (scaled - quantise.dequantise(found.values, np.ones(self.model.rows)))[:, rows.HEADING + 1 :]
         return found.bits, float((error**2).sum())
 
+    def bits_and_point_error(self, step: int) -> tuple[float, float]:
+        """Estimate of the coefficients' bits, and the sum of the points' squared errors, in squared steps."""
+        found, decoded = self.transformed(step)
+        return found.bits, float(((self.smooth - decoded) ** 2).sum() / rows.step_size(step) ** 2)
+
     def transformed(self, step: int, slope: float = quantise.SLOPE) -> tuple[quantise.Quantised, Floats]:
         """Integers (frequencies in the coded zone, rows), and the positions that they decode to."""
         found = self.quantised(step, slope)

@@ -82,10 +82,10 @@ def _direct(recording: Recording) -> Choice:
 
 
 def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[float, Choice]:
-    """Bytes, with squared errors at their price in bits, from some of the chunks; and the candidate with these."""
+    """Bytes, with the squared errors of points at their price in bits, from some of the chunks; and the candidate."""
     sample = [recording.chunks[i] for i in numbers]
     encoders = [ChunkEncoder(candidate.model, s) for s in sample]
-    bits = sum(b + e / quantise.SLOPE for b, e in (e.bits_and_error(recording.step) for e in encoders))
+    bits = sum(b + e / quantise.SLOPE for b, e in (e.bits_and_point_error(recording.step) for e in encoders))
     scale = recording.frames / max(1, sum(map(len, sample)))
     spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}
     return len(candidate.header.pack()) + scale * bits / 8, replace(candidate, spectra=spectra)
