@@ -35,6 +35,8 @@ GRID_OCTAVE = 256
 LARGEST_GRID_STEP = 200 * GRID_OCTAVE
 BATCH = 64
 """Chunks coded side by side: enough to be fast, few enough to need little memory."""
+LONGEST_SECONDS = 16
+"""No encoder writes longer chunks: at most 10 s are asked for, and rounding adds half at most."""
 REFILLS = 3
 """Rounds of replacing what fills gaps by what is decoded there."""
 BOUND_SLOPE = 0.1
@@ -45,7 +47,7 @@ DIRECT_WORTH_TRYING = 1.2
 
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """engine; numbers: of the engine, in bytes; step: of corrections or the grid; gaps: of `stages.gaps`."""
+    """engine; numbers: the engine's bytes; step: of corrections or of the grid, None if unused; gaps: `stages.gaps`."""
 
     engine: int
     numbers: bytes
@@ -266,6 +268,9 @@ def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[byte
 
 def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     """Positions (frames, points, 3), y up, of chunks, side by side; NaN in their gaps. Raises Corrupt."""
+    for c in chunks:
+        if c.frames > LONGEST_SECONDS * model.rate + 2:
+            raise Corrupt(f"tempo: a chunk of {c.frames} frames is longer than {LONGEST_SECONDS} s")
     payloads = [Payload.unpack(c.payload) for c in chunks]
     transformed = [i for i, p in enumerate(payloads) if p.engine == TRANSFORM]
     if transformed and not model.rows:

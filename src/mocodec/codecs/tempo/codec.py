@@ -37,10 +37,10 @@ DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
 FALLBACK_MODEL = "hou2014"
 MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
-COARSER_MODELS = 8
+COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
 CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
-"""Of the time: for the chunks, the rest for trying the fallback; and of that, for the choice of the model."""
+"""Shares of the progress: the chunks (the rest is the fallback); within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 REPEATS_TRIES = 3
@@ -202,7 +202,7 @@ class Tempo:
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
         step = self.first_step(motion)
         choice = model_choice.choose(Recording(chunks, motion, step), self.model, self.mean_error)
-        for coarser in range(1, COARSER_MODELS if self._has_size else 1):
+        for coarser in range(1, COARSER_MODELS + 1 if self._has_size else 1):
             if len(choice.header.pack()) <= self._wanted_bytes(motion) / 2:
                 break
             choice = model_choice.choose(Recording(chunks, motion, step + coarser * 2 * OCTAVE), self.model)
@@ -230,6 +230,6 @@ def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | Non
     edges = [0]
     for stop in (*(cuts or ()), frames):
         start = edges[-1]
-        count = max(1, round((stop - start) / (rate * seconds)))
+        count = min(max(1, round((stop - start) / (rate * seconds))), stop - start)
         edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
     return list(pairwise(edges))

@@ -42,7 +42,7 @@ STRETCH_FRAMES = 1000
 is counted once; if it is larger all the same, the whole is not promising."""
 
 BYTES_SLOPE = 0.7
-"""Octaves of bytes an octave of mean error."""
+"""Fall of the logarithm of the bytes per logarithm of the mean error."""
 
 MEAN_OF_BOUND = 0.5
 """Usual mean error under a bound: where the search for a mean by way of a bound begins."""

@@ -1,6 +1,6 @@
-"""The shared bytes of a tempo stream: which model, and flags for what is orthogonal to it.
+"""The shared bytes of a tempo stream: which model, and independent options.
 
-byte of flags · [rate of the distinct frames] · the rest of one of three forms
+byte of flags · [rate of the distinct frames] · then one of three forms
     model       [weights] · prior · the fitted model
     direct      [weights]                              every chunk is coded directly
     fallback    the shared bytes of hou2014, which codes the chunks

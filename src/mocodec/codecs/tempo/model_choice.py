@@ -20,13 +20,13 @@ from .models import MODELS, Recording, points, prior
 from .models.model import Model
 
 AUTO, DIRECT = "auto", "direct"
-BY_NAME = ("points-prior", "directions-prior")
+KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 ERROR_SLOPE = 0.85
-"""Octaves of mean error an octave of step."""
+"""Rise of the logarithm of the mean error per logarithm of the step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class Choice:
 def choose(recording: Recording, model: str = AUTO, mean_error: float | None = None) -> Choice:
     """The model that makes the recording smallest in about its step, among those of the given type, or of all.
 
-    mean_error: metres; the step is then where the search for the step of a mean begins. Raises CannotEncode where no
-    model of the type fits.
+    mean_error: metres; the recording's step is then only a first guess. Raises CannotEncode where no model of the type
+    fits.
     """
     if model == DIRECT:
         return _direct(recording)
@@ -66,7 +66,7 @@ def known_by_name(recording: Recording) -> bool:
 
 def _candidates(recording: Recording, model: str) -> list[Choice]:
     """Models of directions first: of a stream that has not begun, the first is taken."""
-    names = [model] if model != AUTO else BY_NAME if known_by_name(recording) else list(MODELS)
+    names = [model] if model != AUTO else KNOWN_NAME_MODELS if known_by_name(recording) else list(MODELS)
     out = []
     for name in sorted(names, key=lambda n: -MODELS[n].number):
         for fitted in MODELS[name].fit(recording):

@@ -34,25 +34,24 @@ SMALLEST_STEP, LARGEST_STEP = 1 - coefficients.MAX_STEP, coefficients.MAX_STEP -
 SAMPLED = 4
 """At most this many chunks are used for the first searches of a mean error."""
 USUAL_STEP = 140
-"""The step for people's mean error, both in metres, is about this times its power of 1.5: more coefficients are zero in
-coarser steps."""
+"""For people, step ≈ 140 · mean_error^1.5 (metres): more coefficients are zero in coarser steps."""
 MEAN_OF_RMS = 0.81
 """Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
 AIM, NEAR_SAMPLE, NEAR = -0.38, 1.5, 0.37
-"""The search aims at this excess of the mean error, 1/32 octave (1 % below the target), so that the target holds. It
-ends this near to the aim among a sample, and among all chunks."""
+"""Excess of the mean error over the target, 1/32 octave: the search aims at −0.38 (0.8 % below the target), so that the
+target holds; it ends within 1.5 of the aim among a sample of chunks, and within 0.37 among all."""
 ACCEPTED = -1.2
-"""Below this excess, 1/32 octave (2.6 %), other weights of error and bits are tried as well."""
-LOWER_STEPS = 8
-"""At most so many steps below the best one are tried where that exceeds the target."""
+"""Other values of λ are tried as well where the excess, 1/32 octave, is not between this (2.6 % below) and 0."""
+LOWER_STEPS = 7
+"""Where the best step exceeds the target, at most this many steps below it are tried."""
 OTHER_SLOPES = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0) for change in (0, -1, 1, -2, 2))
 """Changes of the step, and shares of λ, that are tried then."""
 CUBE_MEAN = 0.4803
 """Mean distance of the points of a cube from its centre, in sides."""
 USUAL_SLOPE, SLOPES = 0.75, (0.4, 1.0)
-"""Octaves of error an octave of step: at first, and their range."""
+"""Rise of the logarithm of the error per logarithm of the step: at first, and its range."""
 LARGEST_INTEGER = 2.0**40
-"""Whatever the size, steps are no smaller than the largest sample by this."""
+"""The finest step is the largest sample divided by this, whatever the size asked for."""
 COARSE_STEP_M = 0.004
 """The search for a size begins at this step."""
 
@@ -129,7 +128,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     best, over, drafts = int(found.setting), found.value + AIM, found.result
     if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
         return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
-    for lower in range(1, LOWER_STEPS):
+    for lower in range(1, LOWER_STEPS + 1):
         if over <= 0:
             break
         over, drafts = excess(encoders, best - lower)

@@ -2,7 +2,7 @@
 
     integers, step, threshold ─pack─► bytes            bytes of many chunks ─unpack─► integers of all of them
 
-    head (varints): lanes, lists?, threshold · step · [length and tables of the lists]
+    head (varints): lane code, whether there are lists, threshold, in one · step · [length and tables of the lists]
     final states of the lanes · words · raw bits that did not fit into the initial states
 
 Raw bits are signs and what symbols leave of large magnitudes. Each lane's initial state holds 16 of them.
@@ -183,7 +183,7 @@ def _lane_code(coded: int, raw: int) -> int:
 
 
 def _write_states(states: Integers) -> bytes:
-    """Of each state 4 bits with its length in bits, less 17; then the states without their leading ones."""
+    """A field of 4 bits for each state, its length in bits less 17; then each state without its top bit."""
     sizes = np.array([int(s).bit_length() for s in states])
     widths = np.full(len(states), 4)
     return np.packbits(

@@ -36,8 +36,8 @@ def quantise(model: Expectations, scaled: Floats, step: int, slope: float = SLOP
     """Integers for coefficients in steps, (frames, rows).
 
     Of the two integers next to each coefficient the one with less error² + λ · bits is chosen, and the coded zone ends
-    where coding further coefficients costs more than the error that it removes. λ is `slope`. Rows up to the heading
-    are rounded to the nearest integer.
+    where coding further coefficients costs more than the error that it removes. λ is `slope`. The heading is always
+    rounded to the nearest integer.
     """
     known = _prediction(model, len(scaled), step)
     values = np.zeros(scaled.shape, np.int64)
@@ -87,7 +87,7 @@ def _quantise(
     lowest = int(height[chosen > 0].min(initial=uppermost))
     above = np.maximum(highest - (lowest - 1), 0).ravel()  # 0: below every threshold that is considered
     worth, spent = (np.bincount(above, each.ravel())[::-1].cumsum()[::-1] for each in (gain, bits_each))
-    worth[1] = worth[0]  # the widest zone includes what is below it: tables thin out there
+    worth[1] = worth[0]  # below `lowest` nothing is worth coding; the bits of the widest zone stand for all of it
     threshold = lowest + int(worth[1 : uppermost - lowest + 2].argmax())
     values = np.zeros(scaled.shape, np.int64)
     values.ravel()[there] = np.where(height >= threshold, np.copysign(chosen, signed), 0)

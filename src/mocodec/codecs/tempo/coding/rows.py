@@ -2,8 +2,8 @@
 
     (frequencies, rows):  heading · place x, y, z · components of the pose
 
-All rows share one step, in metres, but the heading, whose steps depend on the number of frames only: it is rounded
-before the pose is computed, so that the pose holds what its rounding leaves.
+All rows except the heading share one step, in metres. The heading's steps depend on the number of frames only: it is
+rounded before the pose is computed, so that the pose absorbs its rounding error.
 """
 
 from __future__ import annotations

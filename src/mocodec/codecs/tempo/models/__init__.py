@@ -1,6 +1,6 @@
 """Models: what the coefficients of a recording are, and how large they are expected to be.
 
-A model has two parts, each from a short table:
+MODELS is the table of them: each combination of two parts.
 
     coordinates     positions of points · directions of bones
     statistics      the prior's, by way of a correspondence · a basis stored with the recording
@@ -13,7 +13,7 @@ A model has two parts, each from a short table:
     stored_basis      statistics stored with the recording
     predicted_motion  statistics of the prior for other coordinates than its own
     markers_on_bones, marker_fitting                markers of any names placed on the prior's bones
-    skeleton_correspondence, skeleton_matching      skeletons of any names matched to the prior's
+    skeleton_correspondence, skeleton_matching, tree_matching    skeletons of any names matched to the prior's
     build             proportions of a body
     ordered           linear algebra in a fixed order of operations
 """

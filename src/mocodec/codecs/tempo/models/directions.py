@@ -29,7 +29,8 @@ from .skeleton_matching import SAMPLED_FRAMES, STRETCH_STEPS
 from .stored_basis import StoredBasis
 
 BY_NAME, BY_NAME_MEASURED, MATCHED = 0, 1, 2
-"""First byte of a model with the prior: proportions are the skeleton's, or are stored. Never change them."""
+"""First byte of a model with the prior: known names, with the skeleton's or stored proportions, or a matched skeleton.
+Never change them."""
 POSE_FRAMES = 256
 """Frames of each chunk that the mean pose is computed from."""
 
@@ -60,6 +61,8 @@ class NamedDirections:
             raise Corrupt(MISSING_SKELETON)
         else:
             tree = known.tree.with_offsets(build.skeleton_offsets(like.skeleton, columns))
+        if not np.array_equal(tree.zero_length[1:], known.tree.zero_length[1:]) or not tree.lengths.max() < LARGEST_M:
+            raise Corrupt("tempo: proportions with bones of other lengths than zero, or zero, than the prior's")
         assert isinstance(known.coordinates, DirectionCoordinates)
         pose = known.coordinates.pose[np.argsort(columns)]
         coordinates = DirectionCoordinates(pose, tree, known.coordinates.metric_root, columns)
@@ -105,7 +108,10 @@ def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirect
     candidates = [NamedDirections(known)] if recording.like.skeleton is not None else []
     candidates.append(NamedDirections(known, build.pack(poses, known.joints.tree, recording.step - build.FINER)))
     for candidate in candidates:
-        coordinates = candidate.model(recording.like).coordinates
+        try:
+            coordinates = candidate.model(recording.like).coordinates
+        except Corrupt:  # proportions that a decoder would refuse
+            continue
         assert isinstance(coordinates, DirectionCoordinates)
         tree = coordinates.tree
         decoded = bone_directions.inverse(tree, bone_directions.forward(tree, poses))

@@ -21,6 +21,7 @@ from . import markers_on_bones, predicted_motion
 from .markers_on_bones import ARM_M, NO_BONE, OFFSET_UNIT_M, SCALE_UNIT, MarkerPlacement, MarkersOnBones
 from .model import Model
 from .prior import BoneMotion, Prior
+from .stored_basis import MOST_DIMENSIONS
 
 SAMPLE_FRAMES = 120
 POSE_FRAMES = 2000
@@ -42,6 +43,7 @@ FREE_SHARE = 0.8
 """A point of whose movement no bone explains more than 1 − this share has no bone."""
 FARTHEST_M = 0.75
 FEWEST_POINTS = 4
+MOST_POINTS = MOST_DIMENSIONS // 3
 POSE_STEP_BITS = -2
 """The mean pose is stored in steps of about 2^−(this) Δ/√frames, rounded to a power of two metres."""
 FIRST_LEVELS = (0, 0, -24, 0, -140)
@@ -63,7 +65,7 @@ def fit(
 ) -> MarkersOnBones | None:
     """How the points of chunks (frames, points, 3), y up, sit on bones, or None if they do not look like a body."""
     bones, frames = prior.bones, sum(map(len, positions))
-    if bones is None or len(names) < FEWEST_POINTS or not frames:
+    if bones is None or not FEWEST_POINTS <= len(names) <= MOST_POINTS or not frames:
         return None
     centred = np.concatenate([p[:: max(1, frames // POSE_FRAMES)] for p in positions])
     centred = centred - centred.mean(axis=1, keepdims=True)

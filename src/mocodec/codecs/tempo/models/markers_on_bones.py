@@ -24,6 +24,7 @@ from .coordinates import PointCoordinates
 from .model import Model
 from .predicted_motion import LARGEST_LEVEL, LEVEL_NAMES, MEAN_BELOW, PredictedMotion
 from .prior import BoneMotion, Prior
+from .stored_basis import MOST_DIMENSIONS
 
 SCALE_UNIT, OFFSET_UNIT_M = 1 / 64, 1 / 32
 """Steps of the body's size relative to the prior's, and of a point's offset from its joint."""
@@ -78,7 +79,7 @@ class MarkerPlacement:
 
     @property
     def weights(self) -> Floats:
-        """Of its bone's joint and three rotating points in each point, (points, 4)."""
+        """(points, 4): each point is this weighted sum of its bone's joint and three rotating points."""
         return weights(self.bone, np.asarray(self.offsets * OFFSET_UNIT_M, np.float64), self.scale * SCALE_UNIT)
 
     def mean_pose(self, bones: BoneMotion) -> Floats:
@@ -88,7 +89,10 @@ class MarkerPlacement:
 
 
 def weights(bone: Integers, offsets: Floats, scale: float) -> Floats:
-    """Of its bone's joint and three rotating points in each point, (points, 4); zero for points without a bone."""
+    """(points, 4): each point is this weighted sum of its bone's joint and three points that rotate with the bone.
+
+    Zero for points without a bone.
+    """
     arms = offsets / ARM_M
     joint = scale - ((arms[:, :1] + arms[:, 1:2]) + arms[:, 2:])
     return np.where((bone >= 0)[:, None], np.concatenate([joint, arms], axis=1), 0.0)
@@ -140,6 +144,8 @@ class MarkersOnBones:
         """Raises Corrupt."""
         if prior.bones is None:
             raise Corrupt("tempo: markers on bones, of a prior that knows no bones")
+        if 3 * points > MOST_DIMENSIONS:
+            raise Corrupt(f"tempo: {points} markers on bones, more than {MOST_DIMENSIONS // 3}")
         placement = MarkerPlacement.unpack(data, points, prior.bones)
         return cls(prior, placement, predict(placement, prior.bones))
 

@@ -89,13 +89,17 @@ class Model:
 
     def bands(self, frames: int) -> list[slice]:
         """The frequencies of a chunk that each basis serves. Integer arithmetic only."""
-        edges = [0, *(min(frames, -(-2 * frames * e // round(self.rate * 1000))) for e in BAND_EDGES_MHZ), frames]
+        edges = [
+            0,
+            *(min(frames, -(-2 * frames * e // max(1, round(self.rate * 1000)))) for e in BAND_EDGES_MHZ),
+            frames,
+        ]
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def analyse(self, positions: Floats) -> Floats:
         """Coefficients (frames, rows), metres, of positions (frames, points, 3), y up.
 
-        The heading is rounded to its steps, as it will be decoded: the pose holds what its rounding leaves.
+        The heading is rounded to its steps, as it will be decoded: the pose absorbs its rounding error.
         """
         frames, points = positions.shape[:2]
         positions = np.asfortranarray(positions)

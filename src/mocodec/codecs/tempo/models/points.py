@@ -126,7 +126,7 @@ class StoredPoints:
 
 
 def fit_stored(recording: Recording) -> Iterator[FittedModel]:
-    if recording.frames >= 2:
+    if recording.frames >= 2 and 3 * recording.like.points <= stored_basis.MOST_DIMENSIONS:
         for finer in FINER_STEPS:
             yield stored_points(recording, recording.step - finer)
 

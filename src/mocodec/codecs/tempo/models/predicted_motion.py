@@ -3,8 +3,8 @@
     components of the prior ─linear map─► movements of these coordinates ─► bases (orthonormal, strongest first)
     spreads of the components ─squared map─► variances ─levels─► spreads
 
-Five levels adapt the spreads to a recording: how much the prior's part is stronger, at 1 Hz and how that rises an
-octave; how strong the part is that the prior does not explain, the same; and white noise.
+Five levels adapt the spreads to a recording: the gain of the predicted part at 1 Hz, and its slope per octave; the
+strength of the unpredicted part at 1 Hz, and its slope; and white noise.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....errors import Corrupt
 from ....typing import Floats, Integers
 from ..coding import contexts
 from ..coding.rows import HEADING, POSE
@@ -22,10 +23,10 @@ from .model import BAND_EDGES_MHZ, Statistics
 LEVEL_NAMES = ("gain", "gain_rise", "rest", "rest_rise", "white")
 LEVELS = len(LEVEL_NAMES)
 LEVEL_UNIT = 4
-"""Levels are stored in eighths of an octave."""
+"""Levels are stored in 4/32 octave, that is, eighths of an octave."""
 LARGEST_LEVEL = 2000
 MEAN_BELOW = 128
-"""A component's mean over a chunk against its movement at 0.2 Hz over √frames (1/32 octave)."""
+"""The mean of a component over a chunk is expected this far (1/32 octave) below its spread at 0.2 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,16 @@ class PredictedMotion:
 
 
 def spreads(predicted: PredictedMotion, median_spread: Integers, levels: Integers) -> Integers:
-    """Spreads of the rows, (rows, frequencies), at these levels. median_spread (frequencies,): of the prior's rows."""
+    """Spreads of the rows, (rows, frequencies), at these levels. median_spread (frequencies,): of the prior's rows.
+
+    Raises Corrupt for levels that overflow.
+    """
     gain, gain_rise, rest, rest_rise, white = (int(v) * LEVEL_UNIT for v in levels)
     gains = ordered.square_of_exp2(gain + gain_rise * _OCTAVES // contexts.OCTAVE)
     noise = ordered.square_of_exp2(median_spread + rest + rest_rise * _OCTAVES // contexts.OCTAVE)
     noise = noise + ordered.square_of_exp2(np.full(len(_OCTAVES), white))
+    if not (np.isfinite(gains).all() and np.isfinite(noise).all() and (noise > 0).all()):
+        raise Corrupt("tempo: levels that are out of range")
     curves = [contexts.log2_of(v * gains + noise) // 2 for v in predicted.variances]
     return np.stack([curves[_band_of(f)][:, i] for i, f in enumerate(contexts.BANDS_MHZ)], axis=1)
 

@@ -1,8 +1,8 @@
 """What is learned from other people's motion and ships with the package: bases, spreads and the coder's tables.
 
-A prior is one .npz beside this package, identified in every file that uses it by the first four bytes of its BLAKE2b
-hash. `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that
-the entropy coder depends on is integer.
+A prior is one .npz beside this package, identified in every file that uses it by its BLAKE2b digest of four bytes.
+`scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that the
+entropy coder depends on is integer.
 
     points.npz        positions of the joints of one skeleton, by name; and how bones move, for markers on them
     directions.npz    directions of the bones of that skeleton, for any proportions
@@ -155,7 +155,7 @@ def for_directions() -> Prior:
 
 @contextmanager
 def installed(points: bytes | None = None, directions: bytes | None = None) -> Iterator[tuple[Prior, Prior]]:
-    """Within this context other priors encode, and can be decoded with: for people whom the packaged ones have seen."""
+    """Uses other priors within this context, to test on people whom the packaged ones were trained on."""
     both = (
         for_points() if points is None else read(points),
         for_directions() if directions is None else read(directions),

@@ -39,7 +39,8 @@ FINEST_DIGITS = 40
 DIRECTION_DIGITS = 7
 """Directions alone are stored in steps of 2^−(this) m."""
 USUAL_LEVELS = (0, 0, -24, 0, -150, 0)
-"""Levels of `predicted_motion`, and one more for coordinates that the prior predicts nothing of. Stored less these."""
+"""Levels of `predicted_motion`, and one more for coordinates that the prior predicts nothing of. Files store the
+difference from these."""
 NO_JOINT = -1
 HUB, RELATIVE = 1, 2
 """Marks of a bone."""
@@ -64,9 +65,11 @@ class Correspondence:
     """The stored form, in the order of the points.
 
     digits: vectors are in steps of 2^(−digits) m. parents: −1 for the root; empty where tree and proportions are those
-    of the file's skeleton. joint (points,): of the prior, or NO_JOINT. marks (points,): HUB, RELATIVE. vectors (points,
-    3): the bone, less the prior's bone if there is one; if that is of no hub, only its length, less the prior's.
-    levels (6,).
+    of the file's skeleton. joint (points,): of the prior, or NO_JOINT. marks (points,): HUB, RELATIVE. levels (6,).
+    vectors (points, 3), of the bone of each point:
+        without a joint of the prior     the whole vector
+        in a hub                         the difference from the prior's vector
+        otherwise                        the difference of the lengths, and two zeros
     """
 
     digits: int
@@ -284,7 +287,7 @@ def _spanning(found: Floats, moved: Floats) -> Floats:
     rest = moved / np.sqrt(np.maximum(ordered.sum_first_axis(moved.T**2), 1e-30))[:, None]
     for _ in range(2):
         rest = rest - ordered.matmul(ordered.matmul(rest, found.T.copy()), found)
-    return np.concatenate([found, ordered.orthonormal(rest, len(found[0]) - len(found), LEAST_ENERGY)])
+    return np.concatenate([found, ordered.orthonormal(rest, found.shape[1] - len(found), LEAST_ENERGY)])
 
 
 def _rotations(tree: BoneTree) -> Iterator[tuple[Floats, list[int]]]:

@@ -3,8 +3,8 @@
     spectra of the recording ─fit─► basis, gain of each component ─pack─► bytes ─unpack─► Statistics
 
 The basis is rounded as finely as each component deserves (`stages.basis`) and completed to all dimensions, so that what
-its rounding and the weak components leave can still be coded. Of the spectra only one gain a component is stored: the
-shape is that of the prior's component of the same rank.
+its rounding and the weak components leave can still be coded. The spectrum of a component is that of the prior's
+component of the same rank, times one stored gain.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from .predicted_motion import MEAN_BELOW
 from .prior import Prior
 
 GAIN_UNIT = 8
-"""Gains are stored in quarters of an octave."""
+"""Gains are stored in 8/32 octave, that is, quarters of an octave."""
+MOST_DIMENSIONS = 6144
+"""More coordinates (2,048 points) get no stored basis: its matrices would take too much memory."""
 WEAKEST = 96
-"""A component is stored while its standard deviation is above Δ/√frames by this (1/32 octave)."""
+"""A component is stored while its standard deviation exceeds Δ/√frames by 2^(96 / 32) = 8."""
 COARSER = 36
-"""Entries of the basis are rounded to steps of Δ/√(λ frames), made coarser by this (1/32 octave)."""
+"""Entries of the basis are rounded to steps of 2^(36 / 32) · Δ/√(λ frames)."""
 FITTED_HZ = (0.3, 2.0)
 """Gains are measured between these frequencies."""
 GAIN_FREQUENCY = 5
@@ -73,6 +75,8 @@ class StoredBasis:
     @classmethod
     def unpack(cls, data: bytes, dimensions: int) -> StoredBasis:
         """Raises Corrupt."""
+        if dimensions > MOST_DIMENSIONS:
+            raise Corrupt(f"tempo: a stored basis of {dimensions} dimensions, more than {MOST_DIMENSIONS}")
         values = BASIS.unpack(data, dimensions=dimensions)
         gains, precision = np.cumsum(values["gains"]), np.cumsum(values["precision"])
         if (precision != precision.clip(0, basis.FINEST)).any() or (np.abs(gains) > 4000).any():

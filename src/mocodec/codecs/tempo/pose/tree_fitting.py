@@ -26,7 +26,7 @@ RIGID_RAD = 1e-4
 SPREAD_SINE = 0.05
 """The bones of a hub make an angle of at least this sine, or its rotation would not be determined."""
 RELATIVE_REACH = 1.4
-"""A bone is relative where all that hangs on it reaches at most this many lengths of the bone before it."""
+"""A bone is relative if its whole subtree lies within this many lengths of the bone before it."""
 
 
 def trees(poses: Floats, skeleton: Skeleton | None, tolerance_m: float) -> Iterator[tuple[Sequence[int], bool]]:
