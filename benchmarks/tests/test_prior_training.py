@@ -12,7 +12,7 @@ import pytest
 from benchmarks import folds, prior_training
 from mocodec import metrics
 from mocodec.codecs.tempo import Tempo
-from mocodec.codecs.tempo.header import Header
+from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.errors import UnknownCodec
@@ -45,7 +45,7 @@ def rigid_bones(frames: int, seed: int) -> Motion:
 def check_coding(motion: Motion, model: str, learned: prior.Prior) -> None:
     """The motion is coded with the learned prior, and decodes within the bound."""
     encoded = Tempo(max_error=BOUND_M, model=model).encode_chunks(motion)
-    header = Header.unpack(encoded.shared, motion.points)
+    header = StreamHeader.unpack(encoded.shared, motion.points)
     assert header.model == model
     assert header.fitted[: prior.ID_BYTES] == learned.id
     assert metrics.distances(motion.positions, Tempo.decode(encoded).positions).max() <= BOUND_M

@@ -62,7 +62,7 @@ Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first)
     return out.give({steps, lanes});
 }
 
-// The loop of one_state.Encoder.finish: the final state, and words in the order in which they leave the state.
+// The loop of one_state.StateEncoder.finish: the final state, and words in the order in which they leave the state.
 nb::tuple entropy_encode(Table frequencies, Table starts, uint64_t state) {
     const size_t count = frequencies.shape(0);
     if (starts.shape(0) != count) throw std::invalid_argument("entropy_encode: shapes differ");

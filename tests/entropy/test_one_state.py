@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec.entropy import models, rans
-from mocodec.entropy.coder import Decoder, Encoder, Tables
+from mocodec.entropy.coder import StateDecoder, StateEncoder, Tables
 from mocodec.errors import Corrupt
 from mocodec.testing import corruption
 
@@ -18,7 +18,7 @@ TABLES = Tables([[5, 1, 1, 0, 9], [1, 1], list(range(1, 400)), [0, 7, 0]])
 def coded(calls: int = 40, width: int = 50, raw: int = 200) -> tuple[bytes, list, tuple]:
     """(bytes, calls of (table, symbols), (raw values, their bits))."""
     random = np.random.default_rng(7)
-    encoder, made = Encoder(), []
+    encoder, made = StateEncoder(), []
     choices = [np.array([0, 1, 2, 4]), np.arange(2), np.arange(399), np.array([1])]
     for _ in range(calls):
         table = random.integers(0, 4, random.integers(1, width + 1))
@@ -34,7 +34,7 @@ def coded(calls: int = 40, width: int = 50, raw: int = 200) -> tuple[bytes, list
 @pytest.mark.parametrize("raw", [0, 1, 200])
 def test_comes_back_call_for_call(raw: int):
     data, calls, (values, bits) = coded(raw=raw)
-    decoder = Decoder(data)
+    decoder = StateDecoder(data)
     for table, symbols in calls:
         assert np.array_equal(decoder.next(TABLES, table), symbols)
     assert np.array_equal(decoder.raw(bits), values)
@@ -46,7 +46,7 @@ def test_the_size_follows_from_the_tables():
     symbols = random.choice(4, 20_000, p=np.array(weights) / 1000)
     tables = Tables([weights])
     ideal = -np.log2(tables.frequency[symbols] / models.TOTAL).sum() / 8
-    encoder = Encoder()
+    encoder = StateEncoder()
     for part in np.split(symbols, 20):
         encoder.put(tables, np.zeros(len(part), int), part)
     assert len(encoder.finish()) <= 1.001 * ideal + 2
@@ -54,7 +54,7 @@ def test_the_size_follows_from_the_tables():
 
 def test_a_symbol_of_weight_zero_is_refused():
     with pytest.raises(ValueError, match="weight zero"):
-        Encoder().put(TABLES, np.array([0]), np.array([3]))
+        StateEncoder().put(TABLES, np.array([0]), np.array([3]))
 
 
 def test_normalised_frequencies_sum_to_a_power_of_two():
@@ -105,7 +105,7 @@ def test_damaged_bytes_are_corrupt_or_decode():
     data, calls, (_, bits) = coded()
     for broken in corruption.damaged(data, 150):
         with contextlib.suppress(Corrupt):
-            decoder = Decoder(broken)
+            decoder = StateDecoder(broken)
             for table, _ in calls:
                 decoder.next(TABLES, table)
             decoder.raw(bits)

@@ -25,14 +25,14 @@ from .integers import integers
 from .trees import Tree, metric
 
 
-def check(encoded: Encoded[Any]) -> header.Header:
+def check(encoded: Encoded[Any]) -> header.StreamHeader:
     """Both decoders agree. Returns the header."""
     like = encoded.about
     bones = (None, None) if like.skeleton is None else (list(like.skeleton.parents), like.skeleton.offsets)
     chunks = [(c.frames, c.payload) for c in encoded.chunks]
     found = tempo.decode(encoded.shared[0], chunks, tempo.Recording(like.names, like.rate, like.up, *bones))
     np.testing.assert_allclose(found, Tempo.decode(encoded).positions, rtol=0, atol=1e-9)
-    return header.Header.unpack(encoded.shared, like.points)
+    return header.StreamHeader.unpack(encoded.shared, like.points)
 
 
 def with_holes(motion: Motion) -> Motion:

@@ -21,10 +21,10 @@ from . import bulk, choice, models
 from .choice import Parameters, kept
 from .models import PRECISION, Tables
 from .neighbours import MIXTURES, WITHOUT_HINTS, Neighbours, mean_shift
-from .one_state import MANY, MASK, Decoder, Encoder
+from .one_state import MANY, MASK, StateDecoder, StateEncoder
 from .rans import LOW, WORD_BITS
 
-__all__ = ["Decoder", "Encoder", "Tables", "pack", "unpack"]
+__all__ = ["StateDecoder", "StateEncoder", "Tables", "pack", "unpack"]
 
 SPARSE = b"\0\0"
 """Instead of a stream: places and values of what is not zero."""
@@ -115,7 +115,7 @@ def _pack_dense(v: Integers, contexts: AnyInteger | None) -> bytes:
 
 
 def _pack_one(d: Integers, token: AnyInteger, around: Neighbours, parameters: Parameters) -> bytes:
-    encoder, family = Encoder(), parameters.family
+    encoder, family = StateEncoder(), parameters.family
     encoder.put(choice.parameter_tables(), np.arange(len(parameters)), np.array(parameters))
     law = parameters.ladder.take(around.expected(parameters.mixture))
     last = family.sizes.take(law) - 1
@@ -165,7 +165,7 @@ def _context_tokens(contexts: AnyInteger, shape: tuple[int, int]) -> Bytes:
 
 
 def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: AnyInteger | None) -> Integers:
-    decoder = None if _is_bulk(data) else Decoder(data)
+    decoder = None if _is_bulk(data) else StateDecoder(data)
     if decoder:
         parameters = Parameters(*decoder.next(choice.parameter_tables(), np.arange(len(Parameters._fields))).tolist())
     else:
@@ -197,7 +197,7 @@ def _is_bulk(data: bytes) -> bool:
     return len(data) > 5 and int.from_bytes(data[:2], "little") & MASK < MANY
 
 
-def _unpack_one(decoder: Decoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None) -> Integers:
+def _unpack_one(decoder: StateDecoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None) -> Integers:
     if shape[0] * shape[1] > ONE_STATE_SYMBOLS_SPARSE:
         raise Corrupt("coded integers of an unknown kind")
     token = _decode_tokens(decoder, parameters, shape, hints)
@@ -214,7 +214,7 @@ def _unpack_one(decoder: Decoder, parameters: Parameters, shape: tuple[int, int]
     return d
 
 
-def _decode_tokens(decoder: Decoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None) -> Bytes:
+def _decode_tokens(decoder: StateDecoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None) -> Bytes:
     """Tokens (steps, lanes), one after the other."""
     family, ladder = parameters.family, parameters.ladder
     kernel = native.kernel("entropy_decode")
@@ -229,7 +229,7 @@ def _decode_tokens(decoder: Decoder, parameters: Parameters, shape: tuple[int, i
 
 
 def _decode_tokens_in_python(
-    decoder: Decoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None
+    decoder: StateDecoder, parameters: Parameters, shape: tuple[int, int], hints: Bytes | None
 ) -> Bytes:
     """The same in Python. One function, with the decoder's step written out: calls would double its time."""
     steps, lanes = shape

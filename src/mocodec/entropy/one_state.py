@@ -21,7 +21,7 @@ MANY = 64
 """The low 14 bits of a stream with one state are at least this; those of a stream with many states are less."""
 
 
-class Encoder:
+class StateEncoder:
     """Collects symbols in the order in which they will be decoded; `finish` makes the bytes."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Encoder:
         self._raw: Bytes = np.zeros(0, np.uint8)
 
     def put(self, tables: Tables, table: AnyInteger, symbols: AnyInteger) -> None:
-        """Symbols (n,), each under the table of its number (n,): one call for each call of `Decoder.next`.
+        """Symbols (n,), each under the table of its number (n,): one call for each call of `StateDecoder.next`.
 
         Raises ValueError for a symbol that its table cannot code.
         """
@@ -69,8 +69,8 @@ class Encoder:
         return head + np.array(words[::-1], "<u2").tobytes()
 
 
-class Decoder:
-    """Returns the symbols of an `Encoder`, call for call. Every method raises Corrupt for damaged data.
+class StateDecoder:
+    """Returns the symbols of an `StateEncoder`, call for call. Every method raises Corrupt for damaged data.
 
     x: the state; words, at: those still to come are `words[at:]`.
     """
@@ -106,7 +106,7 @@ class Decoder:
             self.at += 1
 
     def raw(self, bits: AnyInteger) -> NDArray[np.uint64]:
-        """The integers of `Encoder.raw`, given their numbers of bits (0 … 64): once, at the end, which is checked."""
+        """The integers of `StateEncoder.raw`, given their widths in bits (0 … 64): once, at the end, which is checked."""
         total = int(bits.sum(dtype=np.int64))
         if total > 16 * len(self.words) + 32:
             raise Corrupt("coded integers end too early")

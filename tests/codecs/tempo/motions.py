@@ -11,7 +11,7 @@ import numpy as np
 from mocodec import metrics
 from mocodec.codecs.tempo import Tempo
 from mocodec.codecs.tempo.coding.rows import HEADING, step_size
-from mocodec.codecs.tempo.header import Header
+from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.models.coordinates import DirectionCoordinates
 from mocodec.codecs.tempo.models.model import Model
@@ -38,8 +38,8 @@ def through(motion: Motion, **settings: Any) -> tuple[Motion, int]:
     return Tempo.decode(encoded), encoded.payload_bytes
 
 
-def header(encoded: Encoded[Motion]) -> Header:
-    return Header.unpack(encoded.shared, encoded.about.points)
+def header(encoded: Encoded[Motion]) -> StreamHeader:
+    return StreamHeader.unpack(encoded.shared, encoded.about.points)
 
 
 def named_points(frames: int = 480, seed: int = 1) -> Motion:

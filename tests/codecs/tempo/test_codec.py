@@ -149,8 +149,8 @@ def test_the_same_integers_whatever_the_threads(tmp_path: Path) -> None:
     code = (
         "import sys, hashlib, mocodec; from mocodec.codecs.tempo.chunk import Payload;"
         "from mocodec.codecs.tempo.coding import coefficients, corrections;"
-        "from mocodec.codecs.tempo.header import Header;"
-        "e = mocodec.open(sys.argv[1]).encoded; m = Header.unpack(e.shared, e.about.points).read_model(e.about);"
+        "from mocodec.codecs.tempo.header import StreamHeader;"
+        "e = mocodec.open(sys.argv[1]).encoded; m = StreamHeader.unpack(e.shared, e.about.points).read_model(e.about);"
         "p = [Payload.unpack(c.payload).numbers for c in e.chunks];"
         "v = coefficients.unpack(m, [c.frames for c in e.chunks], p, corrections.FIELDS);"
         "print(hashlib.sha256(b''.join(a[0].tobytes() for a in v)).hexdigest())"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mocodec.codecs.tempo.header import DIRECT, FALLBACK, REPEATS, Header
+from mocodec.codecs.tempo.header import DIRECT, FALLBACK, REPEATS, StreamHeader
 from mocodec.codecs.tempo.models import MODELS
 from mocodec.errors import Corrupt
 
@@ -15,14 +15,14 @@ from mocodec.errors import Corrupt
 @pytest.mark.parametrize("millihertz", [None, 59_940])
 @pytest.mark.parametrize("model", [None, *MODELS])
 def test_a_header_is_what_was_packed(model: str | None, millihertz: int | None, weights: bytes) -> None:
-    header = Header(model, b"prior and model" if model else b"", weights, None, millihertz)
-    assert Header.unpack((header.pack(),), 3) == header
+    header = StreamHeader(model, b"prior and model" if model else b"", weights, None, millihertz)
+    assert StreamHeader.unpack((header.pack(),), 3) == header
 
 
 def test_a_fallback_carries_the_other_codecs_bytes() -> None:
-    header = Header(fallback=b"hou2014", millihertz=30_000)
-    assert Header.unpack((header.pack(),), 3) == header
-    assert Header.unpack((replace(header, millihertz=None).pack(),), 3).millihertz is None
+    header = StreamHeader(fallback=b"hou2014", millihertz=30_000)
+    assert StreamHeader.unpack((header.pack(),), 3) == header
+    assert StreamHeader.unpack((replace(header, millihertz=None).pack(),), 3).millihertz is None
 
 
 @pytest.mark.parametrize(
@@ -31,4 +31,4 @@ def test_a_fallback_carries_the_other_codecs_bytes() -> None:
 )  # fmt: skip
 def test_other_bytes_are_corrupt(shared: tuple[bytes, ...]) -> None:
     with pytest.raises(Corrupt):
-        Header.unpack(shared, 3)
+        StreamHeader.unpack(shared, 3)

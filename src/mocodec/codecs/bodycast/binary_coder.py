@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from ...entropy.coder import Decoder, Encoder, Tables
+from ...entropy.coder import StateDecoder, StateEncoder, Tables
 from ...typing import AnyInteger, Integers
 
 LEVELS = 128  # of a probability
@@ -50,7 +50,7 @@ class BinaryEncoder:
     """Groups of bits to bytes."""
 
     def __init__(self) -> None:
-        self._encoder = Encoder()
+        self._encoder = StateEncoder()
 
     def encode(self, counts: ContextCounts, context: AnyInteger, bits: AnyInteger) -> None:
         """One group: bits (n,) in their contexts (n,). Updates the counts."""
@@ -68,7 +68,7 @@ class BinaryDecoder:
     """The inverse of `BinaryEncoder`, call for call. Every method raises Corrupt."""
 
     def __init__(self, data: bytes) -> None:
-        self._decoder = Decoder(data)
+        self._decoder = StateDecoder(data)
 
     def decode(self, counts: ContextCounts, context: AnyInteger) -> Integers:
         """The bits (n,) of one group. Updates the counts."""

@@ -30,7 +30,7 @@ from ..clouds.body_record import round_body
 from ..clouds.raw_frames import Cloud, is_usable, pack_raw_frames, unpack_raw_frames, usable_points
 from ..clouds.tracked_motion import skeleton_motion, tracked_motion
 from .chunk_payload import ChunkParts, pack_chunk, unpack_chunk
-from .cylinder_model import CylinderModel, ResidualFormat, pack_model, round_model, stored_share, unpack_model
+from .cylinder_model import CylinderTemplate, ResidualFormat, pack_model, round_model, stored_share, unpack_model
 from .map_images import pack_images, unpack_images
 from .pose_stream import dequantise, pose_width, quantise
 from .residual_maps import MapTile, frame_maps, map_layout, reconstruct, residual_of, sheet_size
@@ -129,7 +129,7 @@ class Lien2006:
 
     def _fit_model(
         self, frame: Cloud, normals: Floats | None, up: str
-    ) -> tuple[CylinderModel, articulated_icp.ArticpTracker]:
+    ) -> tuple[CylinderTemplate, articulated_icp.ArticpTracker]:
         """The model of the first frame, as it will be decoded, and the tracker that follows it (section 3.1)."""
         points, colours = frame
         if self.skeleton is None:
@@ -155,7 +155,7 @@ class Lien2006:
             fitted.points[some], fitted.normals[some], None if colours is None else colours[some], fitted.links[some]
         )
         settings = articulated_icp.ArticpSettings(articulation=self.articulation, global_fitting=self.global_fitting)
-        model = round_model(CylinderModel(body, fitted.points, colours, fitted.links))
+        model = round_model(CylinderTemplate(body, fitted.points, colours, fitted.links))
         return model, articulated_icp.ArticpTracker(body, template, settings)
 
     def _track(
@@ -183,7 +183,7 @@ class Lien2006:
 
     def _chunk(
         self,
-        model: CylinderModel,
+        model: CylinderTemplate,
         tiles: Sequence[MapTile | None],
         frames: Sequence[Cloud],
         tracked: TrackedFrames,
@@ -220,7 +220,7 @@ def frame_normals(clouds: PointClouds, frame: int) -> Floats | None:
 
 
 def decode_chunk(
-    model: CylinderModel, stored: ResidualFormat, tiles: Sequence[MapTile | None], chunk: Chunk
+    model: CylinderTemplate, stored: ResidualFormat, tiles: Sequence[MapTile | None], chunk: Chunk
 ) -> Iterator[Cloud]:
     """The frames of a chunk. Raises Corrupt."""
     coloured = model.colours is not None

@@ -25,7 +25,7 @@ MORTON_BITS = 14  # of each coordinate
 DEPTH_STEP_M, OLD_DEPTH_STEP_M = 0.016, 0.008  # of residual maps; eight bits of DEPTH_STEP_M reach 2 m either way
 
 
-class CylinderModel(NamedTuple):
+class CylinderTemplate(NamedTuple):
     """The body, and its points in the canonical pose: points (n, 3) metres, colours (n, 3), links (n,) ascending."""
 
     body: Body
@@ -50,14 +50,14 @@ class ResidualFormat(NamedTuple):
         return DEPTH_STEP_M if self.depth_by_cell else OLD_DEPTH_STEP_M
 
 
-def round_model(model: CylinderModel) -> CylinderModel:
+def round_model(model: CylinderTemplate) -> CylinderTemplate:
     """The model as `unpack_model` returns it: points on the grid, ordered by link, then along a Morton curve."""
     grid = _grid(model.points)
     order = np.lexsort((_morton_codes(grid), model.links))
     colours = None
     if model.colours is not None:
         colours = np.minimum(np.round(model.colours[order] / COLOUR_STEP) * COLOUR_STEP, 255).astype(np.uint8)
-    return CylinderModel(model.body, grid[order].astype(np.float64) * POINT_STEP_M, colours, model.links[order])
+    return CylinderTemplate(model.body, grid[order].astype(np.float64) * POINT_STEP_M, colours, model.links[order])
 
 
 def _grid(points: Floats) -> Integers:
@@ -79,7 +79,7 @@ def stored_share(residual_percent: float) -> float:
     return round(residual_percent * RESIDUAL_SCALE) / (100 * RESIDUAL_SCALE)
 
 
-def pack_model(model: CylinderModel, residual_percent: float) -> bytes:
+def pack_model(model: CylinderTemplate, residual_percent: float) -> bytes:
     """A rounded model, and the share of the full residual maps that the chunks hold."""
     grid = _grid(model.points)
     columns = [grid]
@@ -92,7 +92,7 @@ def pack_model(model: CylinderModel, residual_percent: float) -> bytes:
     return pack_body(model.body) + head + points
 
 
-def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderModel, ResidualFormat]:
+def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderTemplate, ResidualFormat]:
     """The model, and how the chunks store residual maps. Raises Corrupt."""
     if len(shared) != 1:
         raise Corrupt(f"lien2006: a file has one model, this one has {len(shared)}")
@@ -108,5 +108,5 @@ def unpack_model(shared: Sequence[bytes]) -> tuple[CylinderModel, ResidualFormat
     values = np.cumsum(np.clip(differences, -MAX_STEPS, MAX_STEPS), axis=0)
     colours = np.clip(values[:, 3:] * COLOUR_STEP, 0, 255).astype(np.uint8) if coloured else None
     points = np.clip(values[:, :3], -MAX_STEPS, MAX_STEPS).astype(np.float64) * POINT_STEP_M
-    model = CylinderModel(body, points, colours, np.repeat(np.arange(len(body)), counts))
+    model = CylinderTemplate(body, points, colours, np.repeat(np.arange(len(body)), counts))
     return model, ResidualFormat(residual / (100 * RESIDUAL_SCALE), bool(flags & DEPTH_BY_CELL))

@@ -19,7 +19,7 @@ from ...geometry.articulation import Pose
 from ...geometry.cylinder_map import Cylinder, CylinderMap
 from ...typing import Booleans, Bytes, Floats
 from ..clouds.raw_frames import Cloud
-from .cylinder_model import DEPTH_STEP_M, CylinderModel
+from .cylinder_model import DEPTH_STEP_M, CylinderTemplate
 
 DEAD_ZONE_STEPS = 0.75  # smaller differences of depth are coded as zero
 ZERO = 128  # level of depth and colour that means "no difference"; depth 0 means "no point"
@@ -63,7 +63,7 @@ class MapTile(NamedTuple):
 # --- layout ---------------------------------------------------------------------------------------------------------
 
 
-def map_layout(model: CylinderModel, share: float) -> list[MapTile | None]:
+def map_layout(model: CylinderTemplate, share: float) -> list[MapTile | None]:
     """(links,): the tile of each link on the map sheet; None for links with too few points. share: of the full maps."""
     tiles = [_tile(model, link, share) for link in range(len(model.body))]
     shapes = [tile.shape if tile else (0, 0) for tile in tiles]
@@ -80,7 +80,7 @@ def map_layout(model: CylinderModel, share: float) -> list[MapTile | None]:
     return tiles
 
 
-def _tile(model: CylinderModel, link: int, share: float) -> MapTile | None:
+def _tile(model: CylinderTemplate, link: int, share: float) -> MapTile | None:
     """A link's map at the corner of the sheet; its size is the paper's, with `share` of the cells."""
     own = model.links == link
     if own.sum() < MIN_LINK_POINTS:
@@ -108,7 +108,7 @@ def _colours_as_floats(colours: Bytes | None, points: int) -> Floats:
 
 
 def frame_maps(
-    model: CylinderModel, tiles: Sequence[MapTile | None], pose: Pose, frame: Cloud
+    model: CylinderTemplate, tiles: Sequence[MapTile | None], pose: Pose, frame: Cloud
 ) -> list[CylinderMap | None]:
     """(links,): the frame's points as maps on the links, which stand where the decoded pose puts them."""
     points, colours = frame
@@ -149,7 +149,7 @@ def residual_of(tiles: Sequence[MapTile | None], maps: Sequence[CylinderMap | No
 
 
 def reconstruct(
-    model: CylinderModel,
+    model: CylinderTemplate,
     tiles: Sequence[MapTile | None],
     pose: Pose,
     residual: ResidualMap | None,
@@ -175,7 +175,7 @@ def reconstruct(
 
 
 def _corrected_points(
-    model: CylinderModel, link: int, tile: MapTile, occupied: Booleans, depth: Floats, colour: Floats
+    model: CylinderTemplate, link: int, tile: MapTile, occupied: Booleans, depth: Floats, colour: Floats
 ) -> tuple[Floats, Floats]:
     """A link's points in the canonical pose, and their colours, after the residual.
 

@@ -22,7 +22,7 @@ from .marker_groups import MarkerGroups
 
 
 @dataclass(frozen=True)
-class Statistics:
+class SequenceStatistics:
     """The counts of Table 2.
 
     components: of each segment, of each PCA group. average_components: over segments and groups. control_points: key
@@ -39,14 +39,14 @@ class Statistics:
     bytes_by_part: dict[str, int]
 
 
-def statistics(encoded: Encoded[Motion]) -> Statistics:
+def statistics(encoded: Encoded[Motion]) -> SequenceStatistics:
     """Count segments, components, control points, scalars and bytes. Raises Corrupt."""
     markers = read_shared(encoded)[1]
     segments = read_segments(encoded.chunks, markers)[0]
     pca_models = [model for segment in segments for model in segment.groups]
     scalars = sum(segment.markers.numbers.size for segment in segments)
     scalars += sum(model.mean.size + model.basis.size + model.track.numbers.size for model in pca_models)
-    return Statistics(
+    return SequenceStatistics(
         segments=len(segments),
         components=tuple(tuple(model.basis.shape[1] for model in segment.groups) for segment in segments),
         average_components=float(np.mean([model.basis.shape[1] for model in pca_models])) if pca_models else 0.0,

@@ -28,7 +28,7 @@ from ..base import require_frames, settings
 from . import chunk, fallback, model_choice, repeats, target
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
-from .header import Header, pack_weights, with_weights
+from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .pose import heading, leaps
 from .preparation import prepare
@@ -134,7 +134,7 @@ class Tempo:
         with progress.phase(CHOICE_SHARE, 1.0):
             payloads = self._to_target(encoders, motion, len(header.pack()))
         if all(Payload.unpack(p).engine == DIRECT for p in payloads):
-            header = Header(weights=header.weights)
+            header = StreamHeader(weights=header.weights)
         return Encoded(
             self.name,
             about(motion),
@@ -145,7 +145,7 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
-        header = Header.unpack(encoded.shared, encoded.about.points)
+        header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)
         if header.fallback is not None:

@@ -23,7 +23,7 @@ from ...motion import Motion
 from ...typing import Floats
 from ..hou2014 import Hou2014
 from ..hou2014.codec import SAMPLED_CHUNKS
-from .header import Header
+from .header import StreamHeader
 from .pose import heading
 from .preparation import prepare
 
@@ -112,14 +112,14 @@ def encode(motion: Motion, stored: dict[str, Any], size: int, seconds: float) ->
     return replace(_in_place_of(encoded, encoded), codec="tempo", settings=stored)
 
 
-def decode(encoded: Encoded[Motion], header: Header, frames: slice | None) -> Motion:
+def decode(encoded: Encoded[Motion], header: StreamHeader, frames: slice | None) -> Motion:
     """The motion, or a slice of its frames. Raises Corrupt."""
     return Hou2014.decode(replace(encoded, shared=(header.fallback or b"",)), frames)
 
 
 def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Motion]:
     """The rival's chunks and shared bytes, behind tempo's header."""
-    return replace(encoded, chunks=rival.chunks, shared=(Header(fallback=rival.shared[0]).pack(),))
+    return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
 
 
 def _estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:

@@ -31,7 +31,7 @@ LARGEST_MILLIHERTZ = 1 << 40
 
 
 @dataclass(frozen=True)
-class Header:
+class StreamHeader:
     """model: name in MODELS, None for direct coding. millihertz: rate of the distinct frames, None if none repeats.
 
     weights: a byte a point, empty without weights. fallback: the shared bytes of hou2014. fitted: prior and model.
@@ -44,7 +44,7 @@ class Header:
     millihertz: int | None = None
 
     @classmethod
-    def of_model(cls, name: str, fitted: FittedModel, weights: bytes = b"") -> Header:
+    def of_model(cls, name: str, fitted: FittedModel, weights: bytes = b"") -> StreamHeader:
         return cls(name, fitted.prior_id + fitted.pack(), weights)
 
     def pack(self) -> bytes:
@@ -56,7 +56,7 @@ class Header:
         return bytes([flags]) + rate + self.weights + (self.fallback or b"") + self.fitted
 
     @classmethod
-    def unpack(cls, shared: tuple[bytes, ...], points: int) -> Header:
+    def unpack(cls, shared: tuple[bytes, ...], points: int) -> StreamHeader:
         """Raises Corrupt."""
         if len(shared) != 1 or not shared[0]:
             raise Corrupt("tempo: a stream has one part of shared bytes")

@@ -15,7 +15,7 @@ from ...typing import Floats
 from .chunk import ChunkEncoder
 from .coding import coefficients, quantise
 from .coding.contexts import OCTAVE
-from .header import Header
+from .header import StreamHeader
 from .models import MODELS, Recording, points, prior
 from .models.model import Model
 
@@ -33,7 +33,7 @@ ERROR_SLOPE = 0.85
 class Choice:
     """spectra: coefficients of the chunks that were priced, by number."""
 
-    header: Header
+    header: StreamHeader
     model: Model
     spectra: Mapping[int, Floats] = field(default_factory=dict)
 
@@ -71,14 +71,14 @@ def _candidates(recording: Recording, model: str) -> list[Choice]:
     for name in sorted(names, key=lambda n: -MODELS[n].number):
         for fitted in MODELS[name].fit(recording):
             try:
-                out.append(Choice(Header.of_model(name, fitted), fitted.model(recording.like)))
+                out.append(Choice(StreamHeader.of_model(name, fitted), fitted.model(recording.like)))
             except Corrupt:  # numbers that a decoder would refuse
                 continue
     return out
 
 
 def _direct(recording: Recording) -> Choice:
-    return Choice(Header(), Model.without_rows(recording.like.names, recording.like.rate))
+    return Choice(StreamHeader(), Model.without_rows(recording.like.names, recording.like.rate))
 
 
 def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[float, Choice]:

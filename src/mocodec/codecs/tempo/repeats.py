@@ -19,7 +19,7 @@ from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...motion import Motion
 from ...typing import Booleans, Integers
-from .header import Header
+from .header import StreamHeader
 
 MOST_DISTINCT = 0.8
 """Where more of the frames than this share are distinct, all are coded."""
@@ -53,13 +53,13 @@ def encode(motion: Motion, distinct: Booleans, encode_distinct: Callable[[Motion
         Chunk(edges[c.start], edges[c.stop] - edges[c.start], _pack(lengths[c.start : c.stop]) + c.payload)
         for c in inner.chunks
     ]
-    header = replace(Header.unpack(inner.shared, motion.points), millihertz=millihertz)
+    header = replace(StreamHeader.unpack(inner.shared, motion.points), millihertz=millihertz)
     return replace(inner, about=about(motion), chunks=chunks, shared=(header.pack(),))
 
 
 def decode(
     encoded: Encoded[Motion],
-    header: Header,
+    header: StreamHeader,
     frames: slice | None,
     decode_distinct: Callable[[Encoded[Motion]], Motion],
 ) -> Motion:

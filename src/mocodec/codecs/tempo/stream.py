@@ -21,7 +21,7 @@ from ...typing import Floats
 from . import chunk, model_choice, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR
-from .header import Header
+from .header import StreamHeader
 from .models import Recording
 from .pose import heading
 from .preparation import prepare
@@ -87,7 +87,7 @@ class Decoder:
 
     def __init__(self, shared: Iterable[bytes], about: Motion) -> None:
         self.about = about
-        self._model = Header.unpack(tuple(shared), about.points).read_model(about)
+        self._model = StreamHeader.unpack(tuple(shared), about.points).read_model(about)
 
     def push(self, coded: Chunk) -> Floats:
         """The positions (frames, points, 3) of a chunk, in the axes of `about`. Raises Corrupt."""
