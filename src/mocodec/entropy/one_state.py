@@ -106,7 +106,7 @@ class StateDecoder:
             self.at += 1
 
     def raw(self, bits: AnyInteger) -> NDArray[np.uint64]:
-        """The integers of `StateEncoder.raw`, given their widths in bits (0 … 64): once, at the end, which is checked."""
+        """The integers of `StateEncoder.raw`, given their widths (0 … 64 bits): once, at the end, which is checked."""
         total = int(bits.sum(dtype=np.int64))
         if total > 16 * len(self.words) + 32:
             raise Corrupt("coded integers end too early")
