@@ -70,23 +70,36 @@ def colour_of(name: str) -> Any:
 
 
 def draw_curves(axes: Any, records: Sequence[Record], target: str) -> bool:
-    """Ratio against the error of one kind of target, a curve per coder; whether there are any."""
-    names = coders(good(records))
-    any_drawn = False
-    for name in names:
+    """Ratio against the error of one kind of target, a curve per coder; whether there are any.
+
+    The legend lists the curves from the top. Dashes and marks tell apart curves that lie on each other.
+    """
+    curves: list[tuple[str, list[tuple[float, float]]]] = []
+    for name in coders(good(records)):
         points = []
         for t, wanted in targets_of(records):
             ratios = [r.ratio for r in cell(records, name, t, wanted)] if t == target else []
             if ratios:
                 points.append((wanted * 100, geometric(ratios)))
         if points:
-            any_drawn = True
-            x, y = zip(*points, strict=True)
-            width = 2.4 if name in OURS else 1.1
-            axes.plot(x, y, "o-", color=colour_of(name), label=name, linewidth=width, markersize=4)
+            curves.append((name, points))
+    curves.sort(key=lambda curve: -curve[1][-1][1])
+    for number, (name, points) in enumerate(curves):
+        x, y = zip(*points, strict=True)
+        if name in OURS:
+            axes.plot(x, y, "o-", color=colour_of(name), label=name, linewidth=2.4, markersize=5, zorder=2)
+            continue
+        axes.plot(
+            x, y, MARKS[number % len(MARKS)], color=colour_of(name), label=name, linewidth=1.3, markersize=4.5,
+            linestyle=DASHES[number % len(DASHES)], zorder=3,
+        )  # fmt: skip
     axes.set_ylabel("compression ratio (float32)")
     set_logarithmic(axes)
-    return any_drawn
+    return bool(curves)
+
+
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (6, 2, 1, 2)))
+MARKS = ("o", "s", "^", "D", "v")
 
 
 def draw_mean(figure: Any, records: Sequence[Record]) -> bool:
@@ -101,7 +114,10 @@ def draw_mean(figure: Any, records: Sequence[Record]) -> bool:
             color="#555", label=f"{system} (printed)", markersize=5,
         )  # fmt: skip
     axes.set_xlabel("mean error, cm")
-    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(
+        fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), title_fontsize=7,
+        title="lines: measured here\nhollow: printed in papers,\non their own sequences",
+    )  # fmt: skip
     return drawn
 
 
