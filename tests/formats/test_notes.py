@@ -1,4 +1,4 @@
-"""What a reader guesses or settles is said once, in Python, at the command line and in JSON; options override it."""
+"""Notes of readers appear once in Python, at the command line and in JSON; options override what they report."""
 
 from __future__ import annotations
 

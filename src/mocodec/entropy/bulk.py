@@ -27,7 +27,7 @@ ESCAPE = 255
 """The symbol for a token beyond its law; how far beyond follows."""
 
 BITS_PER_STATE = 400
-"""About so many bits should share the cost of a state."""
+"""Bits per state at which the cost of a state is small."""
 MAX_TURNS = 15
 """A diagonal is coded in at most this many turns, each with all states."""
 

@@ -63,7 +63,7 @@ class Record:
     def unpack(self, data: bytes, **known: Any) -> Values:
         """The values of `pack`, None for a field that is absent. Raises Corrupt, also for bytes that are left over.
 
-        known: what the reader knows already, such as the number of points, by name, for shapes and limits.
+        known: values for shapes and limits that the reader has from elsewhere, by name (points=41).
         """
         cursor = Cursor(data, self.what, ends_early=Corrupt)
         values = self.read(cursor, known)

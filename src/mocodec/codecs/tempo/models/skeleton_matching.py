@@ -49,7 +49,7 @@ AMBIGUOUS_RAD = 2.5
 
 
 def match(chunks: Sequence[Floats], like: Motion, step: int, prior: Prior) -> MatchedSkeleton | None:
-    """The skeleton of chunks (frames, points, 3), y up, matched to the prior's; None if they have none that fits.
+    """The skeleton of chunks (frames, points, 3), y up, matched to the prior's; None if no tree fits.
 
     like: any motion with their names, rate and skeleton. step: log₂ of about the step, 1/32 octave.
     """
