@@ -103,9 +103,15 @@ class Hub:
 class Level:
     """Hubs and bones whose references are all known once the levels before are done.
 
-    points: the bones, those that others refer to first. numbers: of their coordinates. slots: of the frames of those
-    that others refer to. references: slots of the frames that all, and those, are expressed in (None: the body's).
-    rest (3, 3, bones, 1): their frames at rest, in their references.
+    A bone that others refer to is *framed*: its whole frame is computed. Of any other bone, only the direction is.
+
+    hubs
+    points                  the bones of the level, framed ones first
+    numbers                 index of each bone's coordinates
+    slots                   where the frames of the framed bones are stored
+    references              slot of the frame that each bone is expressed in; None if all refer to the body
+    references_of_framed    the same of the framed bones alone
+    rest (3, 3, bones, 1)   the bones' frames at rest, in their references
     """
 
     hubs: tuple[Hub, ...]
@@ -126,14 +132,24 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class BoneSchedule:
-    """The order of computation. A reference is a bone, −2 − joint for the hub at a joint, or BODY.
+    """The order of computation.
 
-    bones, hubs (by joint): in the order of their coordinates. hub_bones: of each hub. order: the bones in schedule
-    order: first the `framed` ones, which others refer to, then the `free` ones that refer to the body, then the rest.
-    slot: of each reference's frame, hubs last. axes: frames (3, 3) at rest, axes as columns, of each reference.
+    A reference is a bone, −2 − joint for the hub at a joint, or BODY. Schedule order is: framed bones (others refer to
+    them), free bones (they refer to the body), all other bones, and last the bones of hubs.
 
-    points: the bones in schedule order, then the bones of hubs, whose rest directions are `hub_directions` (3, n, 1).
-    references: slots of the frames of all of these. rest (3, 3, bones, 1): in schedule order, in their references.
+    bones                   in the order of their coordinates
+    hubs                    their joints, in the order of their coordinates
+    hub_bones               the bones of each hub
+    reference               of each bone
+    slot                    where the frame of each reference is stored; hubs last
+    axes                    frame (3, 3) at rest of each reference, axes as columns
+    levels
+    order                   index into `bones` of each bone in schedule order, without those of hubs
+    framed, free            how many bones are framed, and free
+    points                  all bones in schedule order
+    references              slot of the reference of each of these
+    rest (3, 3, bones, 1)   frames at rest in schedule order, in their references
+    hub_directions (3, n, 1)    rest directions of the bones of hubs
     """
 
     bones: tuple[int, ...]
