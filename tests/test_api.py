@@ -21,6 +21,7 @@ from mocodec import codecs
 from mocodec.codecs.base import settings
 from mocodec.container.byte_sources import Url
 from mocodec.encoded import Chunk, Encoded, about, restore
+from mocodec.testing import synthetic
 
 
 @dataclass(frozen=True)
@@ -299,3 +300,9 @@ def test_reprs_are_one_short_line():
     assert repr(motion.extras["analog"]) == "<Signal: 950 int64 at 1200 Hz>"
     clouds = mc.PointClouds([np.zeros((5, 3)), np.zeros((700, 3))], rate=15)
     assert repr(clouds) == "<PointClouds: 2 frames of 5 to 700 points at 15 Hz, 0.1333 s, y up>"
+
+
+def test_a_size_is_met_where_the_codec_stays_below_its_own() -> None:
+    motion = synthetic.markers(frames=600, seed=3)
+    for size in range(6000, 9000, 500):
+        assert len(mc.encode(motion, mc.Tempo(size=size, model="points-stored"))) <= size

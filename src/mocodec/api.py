@@ -152,7 +152,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
     for attempt in range(1, ATTEMPTS):
         if len(blob) <= limit:
             return blob
-        target_bytes = math.floor(target_bytes - (len(blob) - limit))
+        target_bytes = math.floor(min(target_bytes, encoded.payload_bytes) - (len(blob) - limit))
         if target_bytes < 1:
             break
         value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
