@@ -12,12 +12,12 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from mocodec import formats
+from mocodec.codecs.tempo.codec import chunk_bounds
 from mocodec.codecs.tempo.coding import contexts, rows
 from mocodec.codecs.tempo.coding.rows import POSE
 from mocodec.codecs.tempo.models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
@@ -212,7 +212,7 @@ def _aligned(motion: Motion, pose: Floats) -> Floats:
     """Every eighth pose in the body's frame."""
     centred = _centred(heading.to_y_up(motion.positions, motion.up))
     out = []
-    for a, b in chunk_bounds(len(centred), motion.rate):
+    for a, b in chunk_bounds(len(centred), motion.rate, CHUNK_SECONDS):
         angle = dct.inverse(smooth_heading(heading.heading(centred[a:b], pose), motion.rate), b - a)
         out.append(heading.rotate(centred[a:b], -angle)[::8])
     return np.concatenate(out)
@@ -222,15 +222,9 @@ def _centred(positions: Floats) -> Floats:
     return positions - positions.mean(axis=1, keepdims=True)
 
 
-def chunk_bounds(frames: int, rate: float, seconds: float = CHUNK_SECONDS) -> list[tuple[int, int]]:
-    """Start and stop of equal chunks of about `seconds`."""
-    count = max(1, round(frames / (rate * seconds)))
-    return list(pairwise(frames * i // count for i in range(count + 1)))
-
-
 def _spectra(model: Model, motion: Motion) -> Iterable[Floats]:
     positions = heading.to_y_up(motion.positions, motion.up)
-    for start, stop in chunk_bounds(len(positions), motion.rate):
+    for start, stop in chunk_bounds(len(positions), motion.rate, CHUNK_SECONDS):
         yield model.analyse(positions[start:stop])
 
 

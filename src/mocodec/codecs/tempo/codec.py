@@ -110,7 +110,7 @@ class Tempo:
 
     def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
         if self._has_size:
-            return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, Tempo.decode)
+            return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
         wanted = encoded.settings[kind]
         smaller = fallback.smaller(encoded, motion, kind, wanted, self.chunk_seconds)
@@ -184,18 +184,21 @@ class Tempo:
             wanted = self._wanted_bytes(motion) - repeats.RUN_BYTES * chunks
             codec = replace(self, ratio=None, size=max(1, wanted))
         encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
-        for _ in range(REPEATS_TRIES if self.mean_error else 0):
-            mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
-            if mean <= (self.mean_error or 0.0):
-                break
-            codec = replace(codec, mean_error=(codec.mean_error or 0.0) * (self.mean_error or 0.0) / mean)
-            encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
+        if self.mean_error is not None:
+            wanted = self.mean_error
+            for _ in range(REPEATS_TRIES):
+                mean = decoded_mean_error(encoded, motion)
+                if mean <= self.mean_error:
+                    break
+                wanted *= self.mean_error / mean
+                codec = replace(codec, mean_error=wanted)
+                encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
         return replace(encoded, settings=self._stored_settings())
 
     def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
         """Whether an encoding by other means has the mean error, or the size, that was asked for."""
         if self.mean_error is not None:
-            mean = metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
+            mean = decoded_mean_error(encoded, motion)
             return MEAN_SHARE <= mean / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
@@ -223,6 +226,11 @@ class Tempo:
         if not stored.keys() & {"mean_error", "ratio", "size"}:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
         return stored
+
+
+def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:
+    """Mean distance, metres, between a motion and what a stream of it decodes to."""
+    return metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:

@@ -83,14 +83,17 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
 
 
 def nearer(
-    encoded: Encoded[Motion], motion: Motion, size: int, seconds: float, decode: Callable[[Encoded[Motion]], Motion]
+    encoded: Encoded[Motion],
+    motion: Motion,
+    size: int,
+    seconds: float,
+    mean_error: Callable[[Encoded[Motion], Motion], float],
 ) -> Encoded[Motion]:
-    """The encoding given, or hou2014's of at most `size` bytes where its mean error is smaller. decode: tempo's."""
+    """The encoding given, or hou2014's of at most `size` bytes where its mean error is smaller.
 
-    def mean_error(of: Encoded[Motion]) -> float:
-        return metrics.mean_distance(motion.positions, decode(of).positions)
-
-    mean = mean_error(encoded)
+    mean_error: of a tempo stream against the motion, metres.
+    """
+    mean = mean_error(encoded, motion)
     if mean == 0 or smaller(encoded, motion, "mean_error", mean, seconds) is encoded:
         return encoded
     codec = Hou2014(chunk_frames=_longest_chunk(motion, seconds), ratio=motion.raw_bytes / max(size - 1, 1))
@@ -98,7 +101,7 @@ def nearer(
         rival = _in_place_of(encoded, codec.encode(motion))
     except CannotEncode:
         return encoded
-    return rival if mean_error(rival) < mean else encoded
+    return rival if mean_error(rival, motion) < mean else encoded
 
 
 def encode(motion: Motion, stored: dict[str, Any], size: int, seconds: float) -> Encoded[Motion]:

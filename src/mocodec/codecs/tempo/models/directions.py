@@ -104,7 +104,7 @@ def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirect
     sampled = (r[:: max(1, len(r) // SAMPLED_FRAMES)] for r in recording.chunks)
     poses = np.concatenate([r[:, columns] for r in sampled])
     poses = poses - poses.mean(axis=1, keepdims=True)
-    tolerance = STRETCH_STEPS * step_size(recording.step)
+    tolerance = float(STRETCH_STEPS * step_size(recording.step))
     candidates = [NamedDirections(known)] if recording.like.skeleton is not None else []
     candidates.append(NamedDirections(known, build.pack(poses, known.joints.tree, recording.step - build.FINER)))
     for candidate in candidates:
@@ -113,10 +113,7 @@ def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirect
         except Corrupt:  # proportions that a decoder would refuse
             continue
         assert isinstance(coordinates, DirectionCoordinates)
-        tree = coordinates.tree
-        decoded = bone_directions.inverse(tree, bone_directions.forward(tree, poses))
-        off = np.sqrt(((decoded - poses) ** 2).sum(axis=2))
-        if (off > tolerance).mean() < tree_fitting.LOOSE_SHARE:
+        if tree_fitting.represents(coordinates.tree, poses, tolerance):
             return candidate
     return None
 
@@ -194,7 +191,7 @@ class StoredDirections:
             marks & HUB != 0,
             marks & RELATIVE != 0,
         )
-        if not tree.dimensions or any(len(children) < 2 for children in tree.schedule.hub_bones.values()):
+        if not tree.has_rotations:
             raise Corrupt("tempo: a tree without bones, or a hub of one bone")
         if skeleton is not None and not self.parents:
             tree = tree.with_offsets(build.skeleton_offsets(skeleton, columns))
@@ -248,9 +245,7 @@ def _fit_tree(recording: Recording) -> tuple[StoredDirections, DirectionCoordina
             coordinates = stored.coordinates(skeleton)
         except Corrupt:  # bones shorter than their rounding
             continue
-        poses = every - every.mean(axis=1, keepdims=True)
-        off = np.sqrt(((coordinates.inverse(coordinates.forward(poses)) - poses) ** 2).sum(axis=2))
-        if (off > 2 * tolerance).mean() < tree_fitting.LOOSE_SHARE:
+        if tree_fitting.represents(coordinates.tree, every[:, columns], 2 * tolerance):
             return stored, coordinates
     return None
 

@@ -190,7 +190,7 @@ def rest_tree(stored: Correspondence, like: BoneTree, skeleton: Skeleton | None)
         if stored.joint[columns[j]] >= 0:
             vectors[j] = sum((like.vectors[b] for b in path), np.zeros(3))
     tree = BoneTree(in_order, vectors, marks & HUB != 0, marks & RELATIVE != 0)
-    if not tree.dimensions or any(len(children) < 2 for children in tree.schedule.hub_bones.values()):
+    if not tree.has_rotations:
         raise Corrupt("tempo: a skeleton without bones, or a hub of one bone")
     return tree, columns
 

@@ -77,20 +77,13 @@ def match(chunks: Sequence[Floats], like: Motion, step: int, prior: Prior) -> Ma
             matched = MatchedSkeleton.of(stored, prior, like.skeleton)
         except Corrupt:
             continue
-        if _is_rigid(matched, np.concatenate(rotated), 2 * tolerance):
+        in_order = np.concatenate(rotated)[:, matched.columns]
+        if tree_fitting.represents(matched.tree, in_order, 2 * tolerance):
             sample = chunks[:: -(-len(chunks) // LEVEL_CHUNKS)]
             start = matched.model(like.names, like.rate)
             levels = cheapest_levels(sample, start, matched.pose_spreads, USUAL_LEVELS, step)
             return replace(matched, stored=replace(stored, levels=levels))
     return None
-
-
-def _is_rigid(matched: MatchedSkeleton, poses: Floats, tolerance_m: float) -> bool:
-    """Whether poses (frames, points, 3) come back from their directions within the tolerance, nearly everywhere."""
-    centred = poses[:, matched.columns] - poses.mean(axis=1, keepdims=True)
-    decoded = bone_directions.inverse(matched.tree, bone_directions.forward(matched.tree, centred))
-    off = np.sqrt(((decoded - centred) ** 2).sum(axis=2))
-    return bool((off > tolerance_m).mean() < tree_fitting.LOOSE_SHARE)
 
 
 def _best_match(

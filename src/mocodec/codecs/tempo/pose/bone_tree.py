@@ -65,6 +65,11 @@ class BoneTree:
         """Numbers that describe a pose: two a bone, three a hub."""
         return 2 * len(self.schedule.bones) + 3 * len(self.schedule.hubs)
 
+    @property
+    def has_rotations(self) -> bool:
+        """Whether there are bones, and every hub has the two or more that determine its rotation."""
+        return self.dimensions > 0 and all(len(bones) > 1 for bones in self.schedule.hub_bones.values())
+
     def with_offsets(self, offsets: Floats) -> BoneTree:
         """The same tree on a body of other proportions: offsets (points, 3) from parent to point in any pose."""
         size = np.sqrt((offsets**2).sum(axis=1))

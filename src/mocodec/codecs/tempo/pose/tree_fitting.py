@@ -20,7 +20,7 @@ FEWEST_FRAMES, FEWEST_POINTS = 16, 4
 MOST_POINTS = 128
 """A tree is searched among at most this many points."""
 LOOSE_SHARE = 0.01
-"""A bone is rigid if in fewer than this share of the frames its length differs by more than the tolerance."""
+"""A bone is rigid, and a tree represents poses, if fewer than this share of the samples exceed the tolerance."""
 RIGID_RAD = 1e-4
 """Bones of one joint whose angle never varies by more than this form a hub."""
 SPREAD_SINE = 0.05
@@ -59,6 +59,15 @@ def _rigid_tree(poses: Floats, tolerance_m: float) -> tuple[int, ...] | None:
         closer = cost[at] < nearest
         nearest[closer], link[closer] = cost[at][closer], at
     return tuple(int(p) for p in parents)
+
+
+def represents(tree: BoneTree, poses: Floats, tolerance_m: float) -> bool:
+    """Whether poses (frames, points, 3), in the tree's order, come back from their bone directions within the
+    tolerance, in nearly all samples."""
+    centred = poses - poses.mean(axis=1, keepdims=True)
+    decoded = bone_directions.inverse(tree, bone_directions.forward(tree, centred))
+    off = np.sqrt(((decoded - centred) ** 2).sum(axis=2))
+    return bool((off > tolerance_m).mean() < LOOSE_SHARE)
 
 
 def topological_order(parents: Sequence[int]) -> Integers | None:
