@@ -165,7 +165,7 @@ WORDS: tuple[str, ...] = (
 MORE_WORDS: tuple[str, ...] = (
     "notes", "time_of_frame_1", "chunk_seconds", "chunk_frames", "clips", "start_s", "animation", "skin",
 )  # fmt: skip
-"""Further words of settings, source and extras, which take two bytes (the type byte 14, then the place in this table)."""
+"""Further words of settings, source and extras, which take two bytes (type 14, then the place in this table)."""
 
 SOURCES: tuple[dict[str, object], ...] = (
     {},

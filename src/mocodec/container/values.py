@@ -23,7 +23,8 @@ from .arrays import Array, Budget
 from .tables import MORE_WORDS, SOURCES, WORDS
 from .wire import Cursor, blob, deflate, inflate, text, varint, zigzag
 
-NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, ARRAY, SIGNAL, SMALL_ARRAY, MORE = range(15)
+NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE = range(11)
+ARRAY, SIGNAL, SMALL_ARRAY, MORE = 11, 12, 13, 14
 SMALL, SHORT, WORD = 32, 96, 128
 WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
 MORE_WORD_NUMBER = {word: number for number, word in enumerate(MORE_WORDS)}
