@@ -19,6 +19,7 @@ LAYERS = (
     ("testing", "plots"),
     ("api",),
     ("codecs", "container"),
+    ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
     ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing"),
 )

@@ -20,7 +20,7 @@ from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, CannotEncode
 from .metrics import compare
-from .motion import Deferred, Motion
+from .motion import Deferred, Motion, Signal, with_signals
 from .pointcloud import PointClouds
 from .progress import Callback
 from .selection import Frames, counted, frame_steps, point_columns, split_key
@@ -186,9 +186,9 @@ def _require_room(recording: Recording, codec: Codec[Any]) -> None:
 
 
 def extras_bytes(blob: bytes) -> int:
-    """Bytes of the extras in a .mocz."""
+    """Bytes of the extras in a .mocz, signals included."""
     with open(blob) as f:
-        return f.info["bytes_by_part"]["extras"]
+        return f.info["bytes_by_part"]["extras"] + f.info["bytes_by_part"]["signals"]
 
 
 def default_codec(recording: Recording) -> str:
@@ -220,7 +220,7 @@ def decode(source: Source, kind: type[Recording] | None = None, *, progress: Cal
     with progress_.listening(progress), open(source, kind) as f:
         recording = f[:]
         if isinstance(recording.extras, Deferred):
-            recording = dataclasses.replace(recording, extras=dict(recording.extras))
+            recording = dataclasses.replace(recording, extras=with_signals(recording.extras, Signal.loaded))
         return recording
 
 

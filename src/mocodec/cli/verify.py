@@ -137,7 +137,7 @@ def check(
     broken += broken_errors(promise, result)
     if "size" in promise and stored_bytes > promise["size"]:
         broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
-    ratio = source.raw_bytes / (stored_bytes - facts["bytes_by_part"]["extras"])
+    ratio = source.raw_bytes / (stored_bytes - sum(facts["bytes_by_part"].get(name, 0) for name in ("extras", "signals")))
     if "ratio" in promise and ratio * SLACK < promise["ratio"]:
         broken.append(f"the ratio is {ratio:.3g}, promised {promise['ratio']:g}")
     return asdict(result), broken

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 
-from ..entropy.deflated import deflate, inflate
+from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..entropy.varint import unsigned as unzigzag
 from ..fields.cursor import Cursor, blob, text, varint

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..entropy import bits
-from ..entropy.deflated import deflate, inflate
+from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
 from ..entropy.varint import signed as zigzag
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
@@ -29,7 +29,9 @@ from .residuals import Lane
 Array = NDArray[Any]
 
 KEPT, REPEATS, SPECIAL = 0, 1, 2
-HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR = 1, 2, 4, 8
+HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
+ITEMS_SHARE = 0.9
+"""A channel is tried as plain items if it has at most this many distinct ones for each sample."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
 REPEATS_SHARE = 0.3
 REPEAT_BITS = 2.0
@@ -51,15 +53,12 @@ class _Source:
         return _held(self.integers, self.codes == KEPT)
 
 
-def encode(values: Array, channel_forms: Sequence[Form], bounds: Sequence[float | None]) -> list[bytes]:
-    """The record of each channel in a chunk (samples, channels), nothing for a constant one: the chunk is all of them.
-
-    bounds: the largest error of each channel, None for none at all.
-    """
+def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
+    """The record of each channel in a chunk (samples, channels), nothing for a constant one: the chunk is all of them."""
     columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
     sources = [
-        None if form.kind == CONSTANT else _source(column, form, bound)
-        for column, form, bound in zip(columns, channel_forms, bounds, strict=True)
+        None if form.kind == CONSTANT else _source(column, form)
+        for column, form in zip(columns, channel_forms, strict=True)
     ]
     ranks = _ranks(channel_forms)
     channels = [
@@ -76,11 +75,24 @@ def encode(values: Array, channel_forms: Sequence[Form], bounds: Sequence[float 
             streams.append(_residuals_of(source, predictor, held))
             streams += [source.extra] if source.form.kind == CORRECTED else []
     lanes = iter(residuals.encode(streams))
+    referred = {channel for predictor in predictors if predictor for channel, _ in predictor.references}
     out, before = [], b""
-    for source, predictor in zip(sources, predictors, strict=True):
-        out.append(b"" if source is None else _pack(source, predictor, lanes, before))
-        before = source.codes.tobytes() if source is not None and source.codes.any() else before
+    for i, (source, predictor) in enumerate(zip(sources, predictors, strict=True)):
+        record = b"" if source is None else _pack(source, predictor, lanes, before)
+        items = _items(columns[i], channel_forms[i]) if source is not None and i not in referred else None
+        if items is not None and len(items) < len(record):
+            record = items
+        elif source is not None and source.codes.any():
+            before = source.codes.tobytes()
+        out.append(record)
     return out
+
+
+def _items(values: Array, form: Form) -> bytes | None:
+    """The record of a channel as plain items, for floats of which many occur more than once."""
+    if form.kind in EXACT_COUNTS or len(np.unique(forms.words(values))) > ITEMS_SHARE * len(values):
+        return None
+    return bytes([ITEMS]) + blob(lzma2(values.tobytes(), 6, lc=0, lp=2, pb=2))
 
 
 def _ranks(channel_forms: Sequence[Form]) -> list[int]:
@@ -92,11 +104,11 @@ def _ranks(channel_forms: Sequence[Form]) -> list[int]:
     return ranks
 
 
-def _source(values: Array, form: Form, bound: float | None) -> _Source:
-    integers, special = forms.forward(form, values) if bound is None else forms.within(form, values, bound)
+def _source(values: Array, form: Form) -> _Source:
+    integers, special = forms.forward(form, values)
     codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
-    same = integers if bound is not None else forms.words(values)
-    repeats = np.concatenate([[False], same[1:] == same[:-1]]) & ~special
+    plain = forms.words(values)
+    repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
     repeats[1:] &= ~special[:-1]
     if repeats.mean() > REPEATS_SHARE:
         trial = np.where(repeats, REPEATS, codes).astype(np.uint8)
@@ -168,6 +180,7 @@ class _Record:
     predictor: Predictor | None
     lanes: tuple[Lane, ...]
     lower: bytes
+    items: bytes | None = None
 
 
 def decode(
@@ -180,16 +193,18 @@ def decode(
     for i, form in enumerate(channel_forms):
         if form.kind != CONSTANT:
             records[i] = record = _read(cursor, form, dtype, before, len(channel_forms))
-            before = record.codes if record.codes.any() else before
+            before = record.codes if record.items is None and record.codes.any() else before
     cursor.done()
     wanted = list(wanted)
-    levels = _levels(records, [i for i in wanted if i in records])
+    levels = _levels(records, [i for i in wanted if i in records and records[i].items is None])
     integers = _integers(records, levels)
     result = {}
     for i in wanted:
         form = channel_forms[i]
         if form.kind == CONSTANT:
             result[i] = np.frombuffer(form.item * samples, dtype)
+        elif (items := records[i].items) is not None:
+            result[i] = np.frombuffer(unlzma2(items, samples * dtype.itemsize, "a chunk of signals"), dtype)
         else:
             result[i] = _values(records[i], form, integers[i], dtype)
     return result
@@ -197,6 +212,8 @@ def decode(
 
 def _read(cursor: Cursor, form: Form, dtype: np.dtype[Any], before: Bytes, channels: int) -> _Record:
     flags = cursor.byte()
+    if flags == ITEMS:
+        return _Record(before, np.zeros(0, dtype), 0, None, (), b"", cursor.blob())
     if flags > 15 or (not flags & HAS_REMOVED and flags & (SAME_REMOVED | EQUAL_SPECIALS)):
         raise cursor.corrupt("reserved flags of a channel")
     codes, specials = np.zeros(len(before), np.uint8), np.zeros(0, dtype)
@@ -229,8 +246,8 @@ def _levels(records: dict[int, _Record], wanted: list[int]) -> list[list[int]]:
     while stack:
         predictor = records[stack.pop()].predictor
         for channel, _ in predictor.references if predictor else ():
-            if channel not in records:
-                raise Corrupt("a chunk of signals: a predictor refers to a constant channel")
+            if channel not in records or records[channel].items is not None:
+                raise Corrupt("a chunk of signals: a predictor refers to a channel without integers")
             if channel not in needed:
                 needed.add(channel)
                 stack.append(channel)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..entropy.deflated import deflate, inflate
+from ..entropy.compressors import deflate, inflate
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
 from . import chunks, forms
@@ -46,65 +46,44 @@ def suits(values: Array) -> bool:
     return forms.suits(values.dtype) and values.size > 0 and values[0].size <= MAX_CHANNELS
 
 
-def encode(values: Array, rate: float, bounds: Sequence[float | None] | None = None) -> tuple[Head, list[bytes]] | None:
-    """Head and chunks of a signal; None where its numbers are too large for the coder's integers.
+def encode(values: Array, rate: float) -> tuple[Head, list[bytes]] | None:
+    """Head and chunks of a signal (samples, …); None where its numbers are too large for the coder's integers.
 
-    values (samples, …); rate in hertz; bounds: the largest error of each channel, None for an exact one.
+    rate in hertz: a chunk has some seconds.
     """
     table = values.reshape(len(values), -1)
-    chosen = _forms(table, [None] * table.shape[1] if bounds is None else bounds)
-    if chosen is None:
-        return None
-    channel_forms, used = chosen
+    known: list[Form] = []
+    channel_forms: list[Form] = []
+    for column in table.T:
+        form = forms.fit(np.ascontiguousarray(column), known)
+        if form is None:
+            return None
+        channel_forms.append(form)
+        if form.kind == forms.COUNTS and form not in known:
+            known.insert(0, form)
     length = chunk_samples(len(table), rate)
-    count = -(-len(table) // length)
-    channel_forms = _with_palettes(table[:length], table, channel_forms, used, count)
-    payloads = [
-        b"".join(chunks.encode(table[start : start + length], channel_forms, used))
-        for start in range(0, len(table), length)
-    ]
+    channel_forms = _with_palettes(table, length, channel_forms)
+    starts = range(0, len(table), length)
+    payloads = [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
     return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
 
 
-def _forms(table: Array, bounds: Sequence[float | None]) -> tuple[list[Form], list[float | None]] | None:
-    """The form of each channel, and the bounds of those that are not exact; None if integers would be too large."""
-    known: list[Form] = []
-    chosen: list[Form] = []
-    used: list[float | None] = []
-    for i, bound in enumerate(bounds):
-        column = np.ascontiguousarray(table[:, i])
-        exact = None if bound is None else forms.bounded(column, bound)
-        form = exact or forms.fit(column, known)
-        if form is None:
-            return None
-        chosen.append(form)
-        used.append(bound if exact is not None else None)
-        if form.kind == forms.COUNTS and exact is None and form not in known:
-            known.insert(0, form)
-    return chosen, used
-
-
-def _with_palettes(
-    first: Array, table: Array, channel_forms: list[Form], bounds: list[float | None], count: int
-) -> list[Form]:
-    """The forms, with palettes for channels of which the first chunk is shorter with one; count: of chunks."""
-    plain = (forms.CONSTANT, forms.COUNTS)
-    palettes = {
-        i: palette
-        for i, form in enumerate(channel_forms)
-        if form.kind not in plain or form.step < SMALL_STEP * np.abs(first[:, i]).max()
-        if bounds[i] is None and (palette := forms.palette(np.ascontiguousarray(table[:, i]))) is not None
-    }
+def _with_palettes(table: Array, length: int, channel_forms: list[Form]) -> list[Form]:
+    """The forms, with palettes for the channels of which the first chunk is shorter with one."""
+    first = table[:length]
+    palettes: dict[int, Form] = {}
+    for i, form in enumerate(channel_forms):
+        fine_steps = form.kind == forms.COUNTS and form.step < SMALL_STEP * np.abs(first[:, i]).max()
+        if form.kind in (forms.GRID, forms.CORRECTED) or fine_steps:
+            palette = forms.palette(np.ascontiguousarray(table[:, i]))
+            palettes |= {} if palette is None else {i: palette}
     if not palettes:
         return channel_forms
     trial = [palettes.get(i, form) for i, form in enumerate(channel_forms)]
-    sizes = [list(map(len, chunks.encode(first, tried, bounds))) for tried in (channel_forms, trial)]
-    return [
-        palettes[i]
-        if i in palettes and sizes[1][i] + len(forms.pack(palettes[i])) / count < sizes[0][i]
-        else form
-        for i, form in enumerate(channel_forms)
-    ]
+    without, with_ = (list(map(len, chunks.encode(first, tried))) for tried in (channel_forms, trial))
+    share = length / len(table)
+    shorter = {i for i, palette in palettes.items() if with_[i] + share * len(forms.pack(palette)) < without[i]}
+    return [palettes[i] if i in shorter else form for i, form in enumerate(channel_forms)]
 
 
 def chunk_samples(samples: int, rate: float) -> int:

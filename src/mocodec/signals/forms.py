@@ -1,7 +1,7 @@
 """A channel as integers, and back bit for bit.
 
     constant     every sample has the same bits                             nothing to code
-    integers     value = k · step, an integer type                          step 1 unless the error is bounded
+    integers     value = k · step, an integer type
     counts       value = offset + k · step, rounded to the channel's type   converter counts behind floats
     corrected    as counts, then some last bits up or down                  counts that were filtered or shifted since
     palette      k = place in the channel's distinct values, sorted         few values, without a step
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..entropy import bits
-from ..entropy.deflated import deflate, inflate
+from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Booleans, Integers
@@ -136,8 +136,9 @@ def fit(values: Array, known: list[Form]) -> Form | None:
     if len(values) == 0 or (plain == plain[0]).all():
         return Form(CONSTANT, item=values[:1].tobytes() or bytes(values.dtype.itemsize))
     if values.dtype.kind in "biu":
-        small = -MAX_INTEGER < int(values.min()) and int(values.max()) < MAX_INTEGER
-        return Form(INTEGERS) if small else None
+        low, high = int(values.min()), int(values.max())
+        step = int(np.gcd.reduce(np.unique(values.astype(np.int64)))) if high < 1 << 62 else 1
+        return Form(INTEGERS, step) if -MAX_INTEGER < low // step and high // step < MAX_INTEGER else None
     for form in known:
         if _gives_back(form, values):
             return form
@@ -157,26 +158,12 @@ def palette(values: Array) -> Form | None:
     return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
 
 
-def bounded(values: Array, bound: float) -> Form | None:
-    """A form whose steps keep each value within `bound` of the original; None if the bound allows no larger step."""
-    if values.dtype.kind in "biu":
-        step = 2 * int(min(bound, 1 << 39)) + 1
-        return Form(INTEGERS, step=step) if step > 1 else None
-    finite = values[np.isfinite(values)].astype(np.float64)
-    step = 2 * bound
-    if not len(finite) or not step or not np.isfinite(step) or np.abs(finite).max() / step >= MAX_INTEGER - 1:
-        return None
-    rounding = np.spacing(np.abs(finite).max().astype(values.dtype)).astype(np.float64)
-    step -= rounding  # of the decoded value to the channel's type
-    return Form(COUNTS, step=step) if step > rounding else None
-
-
 def forward(form: Form, values: Array) -> tuple[Integers, Booleans]:
     """Integers of a channel (samples,), and which samples are special: their integers are 0."""
     if form.kind == INTEGERS:
         step = int(form.step)
         whole = values.astype(np.int64)
-        return (whole + step // 2) // step, np.zeros(len(values), bool)
+        return whole // step, np.zeros(len(values), bool)
     if form.kind == GRID:
         return _truncated(form, values)[:2]
     if form.kind == PALETTE:
@@ -296,20 +283,6 @@ def _nearest(form: Form, values: Array) -> tuple[Integers, Booleans]:
         extra = _corrections(form, integers, values)
         usable &= np.abs(extra) < MAX_CORRECTION
     special = ~usable | (words(inverse(form, integers, extra, values.dtype)) != words(values))
-    integers[special] = 0
-    return integers, special
-
-
-def within(form: Form, values: Array, bound: float) -> tuple[Integers, Booleans]:
-    """As `forward`, but special are the samples that come back farther off than `bound`."""
-    if form.kind == INTEGERS:
-        return forward(form, values)
-    with np.errstate(all="ignore"):
-        counts = np.rint(values.astype(np.float64) / form.step)
-        usable = np.abs(counts) < MAX_INTEGER
-        integers = np.where(usable, counts, 0).astype(np.int64)
-        decoded = inverse(form, integers, integers, values.dtype).astype(np.float64)
-        special = ~(np.abs(decoded - values.astype(np.float64)) <= bound)
     integers[special] = 0
     return integers, special
 
