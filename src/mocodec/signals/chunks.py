@@ -50,7 +50,7 @@ class _Source:
 
     @property
     def held(self) -> Integers:
-        return _held(self.integers, self.codes == KEPT)
+        return _held(self.integers, self.codes)
 
 
 def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
@@ -119,13 +119,14 @@ def _source(values: Array, form: Form) -> _Source:
     return _Source(form, codes, values[codes == SPECIAL], integers[kept], extra[kept])
 
 
-def _held(integers: Integers, kept: Booleans) -> Integers:
-    """Samples (n,) of the kept ones: a removed sample is the one before, or the first."""
-    if kept.all():
+def _held(integers: Integers, codes: Bytes) -> Integers:
+    """Samples (n,) for other channels to refer to: 0 for special ones, that of the sample before for repeats."""
+    if not codes.any():
         return integers
-    if not len(integers):
-        return np.zeros(len(kept), np.int64)
-    return integers[np.maximum(np.cumsum(kept) - 1, 0)]
+    present = codes != REPEATS
+    distinct = np.zeros(max(1, int(present.sum())), np.int64)
+    distinct[: present.sum()][codes[present] == KEPT] = integers
+    return distinct[np.maximum(np.cumsum(present) - 1, 0)]
 
 
 def _residuals_of(source: _Source, predictor: Predictor | None, held: dict[int, Integers]) -> Integers:
@@ -286,7 +287,7 @@ def _integers(records: dict[int, _Record], levels: list[list[int]]) -> dict[int,
         restored |= dict(zip(predicted, prediction.inverse(inputs, predictors), strict=True))
         for i in level:
             integers = restored.get(i, np.zeros(0, np.int64))
-            held[i] = _held(integers, kept[i])
+            held[i] = _held(integers, records[i].codes)
             result[i] = integers, streams[i][-1] if streams[i] else integers
     return result
 

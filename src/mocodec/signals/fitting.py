@@ -34,7 +34,7 @@ MOST_SUM_BITS = 58
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A channel in a chunk: integers of all samples (n,), a removed one holding the one before; which are kept."""
+    """A channel in a chunk: integers of all samples (n,), as others refer to them; which are kept."""
 
     samples: Integers
     kept: Booleans

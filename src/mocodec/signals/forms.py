@@ -38,7 +38,7 @@ MAX_PALETTE = 1 << 14
 PALETTE_SHARE = 0.9
 """A palette has at most this many values for each sample."""
 MOST_SPECIAL = 0.03
-"""The share of samples that may differ from their counts."""
+"""The share of samples that may differ from their counts; zeros and gaps do not matter."""
 GRID_BITS = 28
 MAX_CORRECTION = 1 << 20
 CORRECTION_COST = 2.0
@@ -143,8 +143,9 @@ def fit(values: Array, known: list[Form]) -> Form | None:
         if _gives_back(form, values):
             return form
     candidates = _counts(values)
-    exact = next((form for form in candidates if _gives_back(form, values)), None)
-    return exact or _corrected(values, [*known, *candidates]) or _grid(values)
+    exact = [form for form in candidates if _gives_back(form, values)]
+    best = min(exact, key=lambda form: int(_nearest(form, values)[1].sum()), default=None)
+    return best or _corrected(values, [*known, *candidates]) or _grid(values)
 
 
 def palette(values: Array) -> Form | None:
@@ -295,10 +296,10 @@ def _corrected(values: Array, candidates: list[Form]) -> Form | None:
     for form in dict.fromkeys((candidate.step, candidate.offset) for candidate in candidates):
         trial = Form(CORRECTED, *form)
         integers, special = _nearest(trial, values)
-        if special.mean() <= MOST_SPECIAL:
+        if _are_few(special, values):
             size = np.abs(_corrections(trial, integers, values)[~special])
             gain = np.log2(trial.step) - grid.exponent
-            cost = float(np.log2(2.0 * size + 1).mean()) + CORRECTION_COST - gain + 40 * float(special.mean())
+            cost = float(np.log2(2.0 * size + 1).mean()) + CORRECTION_COST - gain + 40 * float((special & (values != 0) & np.isfinite(values)).mean())
             if cost < best_cost:
                 best, best_cost = trial, cost
     return best
@@ -308,10 +309,17 @@ def _gives_back(form: Form, values: Array) -> bool:
     """Whether few samples of a channel are special in this form; the first samples decide early."""
     if form.kind != COUNTS:
         return False
-    for part in (values[:256], values):
-        if _nearest(form, part)[1].mean() > MOST_SPECIAL:
+    usual = values[np.isfinite(values) & (values != 0)]
+    for part in (usual[:256], values):
+        if not _are_few(_nearest(form, part)[1], part):
             return False
     return True
+
+
+def _are_few(special: Booleans, values: Array) -> bool:
+    """Whether few samples are special, but for gaps and the −0 of a plate that is switched off."""
+    usual = np.isfinite(values) & (values != 0)
+    return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
 
 
 def _counts(values: Array) -> list[Form]:

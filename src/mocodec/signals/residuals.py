@@ -114,7 +114,7 @@ def encode(lanes: Sequence[Integers]) -> list[Lane]:
     if (kernel := native.kernel("signals_encode")) is not None:
         coded = (kernel(lane, start_of(start), high, low) for lane, start in zip(lanes, starts, strict=True))
         return [Lane(start, *parts) for start, parts in zip(starts, coded, strict=True)]
-    return _encode_side_by_side(lanes, starts)
+    return _encode_side_by_side(lanes, starts) if lanes else []
 
 
 def decode(lanes: Sequence[Lane], counts: Sequence[int]) -> list[Integers]:
@@ -128,7 +128,7 @@ def decode(lanes: Sequence[Lane], counts: Sequence[int]) -> list[Integers]:
         if any(values is None for values in result):
             raise Corrupt(NOT_A_LANE)
         return result
-    return _decode_side_by_side(lanes, counts)
+    return _decode_side_by_side(lanes, counts) if lanes else []
 
 
 NOT_A_LANE = "coded samples do not end where they should"
