@@ -1,4 +1,4 @@
-"""Signals, written from docs/payloads/signals.md; of mocodec it reads only the two tables of ratios. Not made to be fast."""
+"""Signals, written from docs/payloads/signals.md and not made to be fast; of mocodec it reads two tables."""
 
 from __future__ import annotations
 

@@ -109,9 +109,9 @@ def pack_extras(tree: Mapping[str, Any]) -> Extras:
 
 
 def unpack_extras(data: bytes, size: int, signals: stored_signals.Section | None = None) -> dict[str, Any]:
-    """The inverse of `pack_extras`, from its section; allocates no more than `size` declares. Raises Corrupt, Truncated.
+    """The inverse of `pack_extras`, from its section; allocates no more than `size` declares.
 
-    signals: where the chunks of signals are in the file.
+    Raises Corrupt, Truncated. signals: where the chunks of signals are in the file.
     """
     signals = signals or stored_signals.Section(lambda start, count: b"", 0)
     cursor = Cursor(data, "extras")

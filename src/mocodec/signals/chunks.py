@@ -20,7 +20,7 @@ from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
 from ..entropy.varint import signed as zigzag
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
-from ..typing import Booleans, Bytes, Integers
+from ..typing import Bytes, Integers
 from . import fitting, forms, prediction, residuals
 from .forms import CONSTANT, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
@@ -54,7 +54,7 @@ class _Source:
 
 
 def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
-    """The record of each channel in a chunk (samples, channels), nothing for a constant one: the chunk is all of them."""
+    """The record of each channel in a chunk (samples, channels), nothing for a constant one; joined, the chunk."""
     columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
     sources = [
         None if form.kind == CONSTANT else _source(column, form)

@@ -94,7 +94,9 @@ def chunk_samples(samples: int, rate: float) -> int:
 
 def pack(head: Head) -> bytes:
     """varint length and deflated fields: samples of a chunk, forms, bytes of each chunk."""
-    fields = varint(head.chunk_samples) + b"".join(map(forms.pack, head.forms)) + b"".join(map(varint, head.chunk_bytes))
+    fields = (
+        varint(head.chunk_samples) + b"".join(map(forms.pack, head.forms)) + b"".join(map(varint, head.chunk_bytes))
+    )
     return varint(len(fields)) + blob(deflate(fields))
 
 

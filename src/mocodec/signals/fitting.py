@@ -1,8 +1,8 @@
 """The encoder's choice of predictors in a chunk: weighted least squares in floats, then taps rounded to integers.
 
-    short fit of each channel ─► local size of its residuals ─► weights
-    differences of all channels ─► for each, the earlier channels that explain it best (orthogonal matching pursuit)
-    own past, other channels ─► nested fits ─► the one of the shortest code
+short fit of each channel ─► local size of its residuals ─► weights
+differences of all channels ─► for each, the earlier channels that explain it best (orthogonal matching pursuit)
+own past, other channels ─► nested fits ─► the one of the shortest code
 """
 
 from __future__ import annotations
@@ -55,7 +55,11 @@ def choose(channels: Sequence[Channel | None]) -> list[Predictor | None]:
     for i in sorted(present, key=ranks.__getitem__):
         channel = channels[i]
         assert channel is not None
-        earlier = [place for place, j in enumerate(present) if ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]]
+        earlier = [
+            place
+            for place, j in enumerate(present)
+            if ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
+        ]
         named = [present[place] for place in _pursuit(differences, present.index(i), earlier, channel.kept)]
         predictor = _fit(channel, [(j, other.samples) for j in named if (other := channels[j])])
         result[i] = predictor
@@ -211,7 +215,7 @@ def _rounded(
     log_residual: float,
     matrix: Floats,
 ) -> Predictor:
-    """Taps as integers, as fine as the size of the samples needs; the bias for samples that are not shifted by `first`."""
+    """Taps as integers, as fine as the size of the samples needs, and the bias for samples as they are."""
     largest = float(np.abs(matrix[:, subset[1:]]).max(initial=1.0))
     reach = max([abs(first), *(int(np.abs(samples).max()) for _, samples in others)]) + int(largest)
     most = MOST_SUM_BITS - reach.bit_length()

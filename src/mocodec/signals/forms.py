@@ -5,7 +5,7 @@
     counts       value = offset + k · step, rounded to the channel's type   converter counts behind floats
     corrected    as counts, then some last bits up or down                  counts that were filtered or shifted since
     palette      k = place in the channel's distinct values, sorted         few values, without a step
-    grid         k = value / 2^exponent, truncated                          other floats; their lower bits are stored raw
+    grid         k = value / 2^exponent, truncated                          other floats; lower bits are stored raw
 
 Samples that their form does not give back (NaN, infinities, −0, tiny values beside a coarse grid) are special: their
 bits are stored as they are.
@@ -138,7 +138,7 @@ def fit(values: Array, known: list[Form]) -> Form | None:
     if values.dtype.kind in "biu":
         low, high = int(values.min()), int(values.max())
         step = int(np.gcd.reduce(np.unique(values.astype(np.int64)))) if high < 1 << 62 else 1
-        return Form(INTEGERS, step) if -MAX_INTEGER < low // step and high // step < MAX_INTEGER else None
+        return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
     for form in known:
         if _gives_back(form, values):
             return form
@@ -299,7 +299,12 @@ def _corrected(values: Array, candidates: list[Form]) -> Form | None:
         if _are_few(special, values):
             size = np.abs(_corrections(trial, integers, values)[~special])
             gain = np.log2(trial.step) - grid.exponent
-            cost = float(np.log2(2.0 * size + 1).mean()) + CORRECTION_COST - gain + 40 * float((special & (values != 0) & np.isfinite(values)).mean())
+            cost = (
+                float(np.log2(2.0 * size + 1).mean())
+                + CORRECTION_COST
+                - gain
+                + 40 * float((special & (values != 0) & np.isfinite(values)).mean())
+            )
             if cost < best_cost:
                 best, best_cost = trial, cost
     return best
@@ -310,10 +315,7 @@ def _gives_back(form: Form, values: Array) -> bool:
     if form.kind != COUNTS:
         return False
     usual = values[np.isfinite(values) & (values != 0)]
-    for part in (usual[:256], values):
-        if not _are_few(_nearest(form, part)[1], part):
-            return False
-    return True
+    return all(_are_few(_nearest(form, part)[1], part) for part in (usual[:256], values))
 
 
 def _are_few(special: Booleans, values: Array) -> bool:

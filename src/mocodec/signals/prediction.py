@@ -1,6 +1,7 @@
 """Linear prediction in integers: a sample from its channel's past and from channels that are decoded before it.
 
-    prediction[t] = (bias + Σᵢ own[i] · x[t − 1 − i] + Σ_channels Σⱼ taps[j] · y[t − j]) >> shift        residual = x − prediction
+    prediction[t] = (bias + Σᵢ own[i] · x[t − 1 − i] + Σ_channels Σⱼ taps[j] · y[t − j]) >> shift
+    residual[t] = x[t] − prediction[t]
 
 Before its first sample a channel has the value of the first. Sums wrap around at 64 bits, as in C and NumPy.
 """
@@ -74,9 +75,7 @@ def forward(samples: Integers, predictor: Predictor, sums: Integers) -> Integers
     return samples - _prediction(total, predictor.shift)
 
 
-def inverse(
-    lanes: Sequence[tuple[Integers, Integers, int]], predictors: Sequence[Predictor]
-) -> list[Integers]:
+def inverse(lanes: Sequence[tuple[Integers, Integers, int]], predictors: Sequence[Predictor]) -> list[Integers]:
     """Samples of lanes that do not depend on each other, from residuals, known sums and first sample of each."""
     if (kernel := native.kernel("signals_restore")) is not None:
         return [

@@ -28,7 +28,8 @@ LOWEST = 1 << 16
 LIMIT = 1 << 30
 """Residuals are at most this large: samples and predictions are at most half of it."""
 FIRST_SCALED = 40
-"""Contexts below it are for residuals without raw bits, a quarter of an octave of the mean each; four are for others."""
+"""Contexts below it are for residuals without raw bits, a quarter of an octave of the mean each; four are for others.
+"""
 START_CODES = 144
 MAX_ZEROS = 30
 FAST, SLOW = 3, 6
@@ -98,8 +99,9 @@ def _starts(masses: list[int]) -> list[int]:
 
 def start_code(residuals: Integers) -> int:
     """The byte for the first value of the running means: from the first residuals."""
-    mean = int(np.abs(residuals[:32]).mean() * 256) if len(residuals) else 0
-    return min(START_CODES - 1, max(0, 4 * (mean.bit_length() - 3) + (mean >> mean.bit_length() - 3) - 4)) if mean > 4 else 0
+    mean = max(4, int(np.abs(residuals[:32]).mean() * 256) if len(residuals) else 0)
+    octave = mean.bit_length() - 3
+    return min(START_CODES - 1, 4 * octave + (mean >> octave) - 4)
 
 
 def start_of(code: int) -> int:
