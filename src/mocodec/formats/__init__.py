@@ -27,6 +27,7 @@ FORMATS = {
     ".amc": "mocodec.formats.asf_amc",
     ".npz": "mocodec.formats.npz",
     ".glb": "mocodec.formats.gltf",
+    ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
 CLOUDS = (".ply", ".npz")
