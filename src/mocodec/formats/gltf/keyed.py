@@ -35,14 +35,26 @@ def curves(
     ]
     exact = _shell(tree, locals_, len(motion))
 
-    def error(sampled: list[Floats]) -> float:
+    def errors(sampled: list[Floats]) -> Floats:
         replaced = [local._asdict() for local in locals_]
         for (node, path, _), values in zip(moving, sampled, strict=True):
             replaced[node][path] = values
         made = _shell(tree, [Local(**local) for local in replaced], len(motion))
-        return float(np.sqrt(np.sum((made - exact) ** 2, axis=-1)).max())
+        off = np.sqrt(np.sum((made - exact) ** 2, axis=-1)).max(axis=1)
+        return _below(tree, off)[[node for node, _, _ in moving]]
 
-    return keys.fit(properties, error, tolerance_m)
+    return keys.fit(properties, errors, tolerance_m)
+
+
+def _below(tree: NodeTree, errors: Floats) -> Floats:
+    """For each node the largest error (nodes, frames) of it and the joints below; errors (joints, frames)."""
+    result = np.zeros((len(tree), errors.shape[1]))
+    for node in reversed(range(len(tree))):
+        if tree.joints[node] >= 0:
+            result[node] = np.maximum(result[node], errors[tree.joints[node]])
+        if (parent := tree.parents[node]) >= 0:
+            result[parent] = np.maximum(result[parent], result[node])
+    return result
 
 
 def _shell(tree: NodeTree, locals_: Sequence[Local], frames: int) -> Floats:

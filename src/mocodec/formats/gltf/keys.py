@@ -1,11 +1,11 @@
 """Sparse cubic key frames: few keys whose splines keep every joint within a tolerance at every frame.
 
-    track ─► longest segments within its tolerance ─► keys ─► forward kinematics ─► largest error ─► tolerances ─┐
-                          ▲──────────────────────────────────────────────────────────────────────────────────────┘
+    track ─► longest segments within its tolerances ─► keys ─► forward kinematics ─► errors of joints ─┐
+                          ▲── tolerances of a track at a frame: smaller where the joints below are off ─┘
 
 A segment interpolates its two keys; its two tangents are fitted to the frames between by least squares. Segments share
-only their keys, so the longest possible segments, one after the other, need about the fewest keys that a tolerance
-allows. A rotation's tolerance is the tolerance in metres over the reach of the joints below.
+only their keys, so the longest possible segments, one after the other, need about the fewest keys that the tolerances
+allow. The tolerance of a rotation begins as the tolerance in metres over the reach of the joints below.
 """
 
 from __future__ import annotations
@@ -14,12 +14,17 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from ...errors import CannotEncode
 from ...typing import Booleans, Floats, Integers
 
-ROUNDS = 7
-"""Tolerances that are tried for the tracks, to come close to the tolerance of the joints from below."""
+ROUNDS = 4
+"""Searches with tolerances that follow the errors of the joints."""
+START = 0.7
+"""First tolerance of a track, as a share of the tolerance of the joints."""
+AIM, DAMPING, NEAR_FRAMES = 0.9, 0.7, 6
+"""A tolerance is multiplied by (AIM · tolerance of the joints / their error within NEAR_FRAMES) ^ DAMPING."""
 RIDGE = 1e-9
 """Added to the normal equations: segments of one frame between two keys have two tangents."""
 
@@ -53,70 +58,112 @@ class Property(NamedTuple):
     reach: float
 
 
-def fit(properties: Sequence[Property], error_of: Callable[[list[Floats]], float], tolerance_m: float) -> list[Curve]:
-    """A curve for each property, so that `error_of` of their samples is at most the tolerance, metres.
+def fit(properties: Sequence[Property], errors_of: Callable[[list[Floats]], Floats], tolerance_m: float) -> list[Curve]:
+    """A curve for each property, so that no error exceeds the tolerance, metres.
 
-    Raises CannotEncode if keys at every frame do not suffice.
+    errors_of: from samples of the properties, for each property and frame the largest error (properties, frames) of
+    what it moves, metres. Raises CannotEncode if keys at every frame do not suffice.
     """
-    frames = len(properties[0].values) if properties else 0
-    best, low, high, share = list[Curve](), 0.0, np.inf, 0.5
-    for _ in range(ROUNDS):
-        curves = _curves(properties, [share * tolerance_m / p.reach for p in properties])
-        error = error_of([c.sample(frames, p.is_rotation) for c, p in zip(curves, properties, strict=True)])
-        if error <= tolerance_m:
-            best, low = curves, share
-            share = min(2 * share, (share + high) / 2)
-        else:
-            high = share
-            share = (low + share) / 2 if low else share * min(0.9 * tolerance_m / error, 0.5)
-    if not best:
-        best = _curves(properties, [0.0 for _ in properties])
-        if error_of([p.values for p in properties]) > tolerance_m:
-            raise CannotEncode(f"key frames cannot keep the joints within {tolerance_m:g} m")
-    return best
-
-
-def _curves(properties: Sequence[Property], tolerances: Sequence[float]) -> list[Curve]:
-    """A curve for each property by longest segments within its tolerance; all properties step together."""
+    if not properties:
+        return []
     frames = len(properties[0].values)
     values = np.zeros((len(properties), frames, 4))
     for row, prop in zip(values, properties, strict=True):
         row[:, : prop.values.shape[1]] = prop.values
-    limits, rotates = np.array(tolerances), np.array([prop.is_rotation for prop in properties])
-    moves = np.abs(values - values[:, :1]).max(axis=(1, 2)) > limits
-    keys: list[list[int]] = [[0] for _ in properties]
-    tangents: list[list[Floats]] = [[] for _ in properties]
-    flat = values.reshape(-1, 4)
-    active = np.flatnonzero(moves) if frames > 1 else np.zeros(0, np.int64)
-    search = _Search.start(active, np.zeros(len(active), np.int64), np.full(len(active), 2), flat, frames)
+    rotates = np.array([prop.is_rotation for prop in properties])
+    reach = np.where(rotates, 2.0, 1.0) * [prop.reach for prop in properties]  # a quaternion moves half its angle
+
+    def sampled(is_key: Booleans) -> tuple[list[Curve], Floats, Floats]:
+        curves = _through(values, is_key, rotates, properties)
+        samples = [c.sample(frames, p.is_rotation) for c, p in zip(curves, properties, strict=True)]
+        off = [np.linalg.norm(s - p.values, axis=1) for s, p in zip(samples, properties, strict=True)]
+        return curves, errors_of(samples), np.array(off) * reach[:, None]
+
+    tolerances = np.repeat((START * tolerance_m / reach)[:, None], frames, axis=1)
+    is_key = _longest_segments(values, tolerances, rotates)
+    for _ in range(ROUNDS):
+        _, errors, _ = sampled(is_key)
+        around = maximum_filter1d(errors, 2 * NEAR_FRAMES + 1, axis=1, mode="nearest")
+        ratio = (AIM * tolerance_m / np.maximum(around, 1e-3 * tolerance_m)) ** DAMPING
+        tolerances = tolerances * np.clip(ratio, 0.4, 2.0)
+        is_key = _longest_segments(values, tolerances, rotates)
+    while True:
+        curves, errors, own = sampled(is_key)
+        if errors.max() <= tolerance_m:
+            return curves
+        more = _split(is_key, errors, own, tolerance_m)
+        if not (more & ~is_key).any():
+            raise CannotEncode(f"key frames cannot keep the joints within {tolerance_m:g} m")
+        is_key |= more
+
+
+def _split(is_key: Booleans, errors: Floats, own: Floats, tolerance_m: float) -> Booleans:
+    """Keys to add: in each run of frames beyond the tolerance, at its peak, of the property that is farthest off.
+
+    errors, own (properties, frames): the largest error of what a property moves, and its part in it, metres. Where only
+    keys are beyond the tolerance, every property gets a key.
+    """
+    worst = errors.max(axis=0)
+    is_beyond = worst > tolerance_m
+    run = np.cumsum(np.diff(is_beyond, prepend=False) & is_beyond) * is_beyond
+    more = np.zeros_like(is_key)
+    for number in range(1, int(run.max()) + 1):
+        frames = np.flatnonzero(run == number)
+        at = frames[worst[frames].argmax()]
+        moved = np.where((errors[:, at] > tolerance_m) & ~is_key[:, at], own[:, at], -1.0)
+        more[moved.argmax() if moved.max() >= 0 else slice(None), at] = True
+    return more
+
+
+def _through(values: Floats, is_key: Booleans, rotates: Booleans, properties: Sequence[Property]) -> list[Curve]:
+    """The curves with these keys (properties, frames), whose tangents fit the frames between."""
+    owner, at = np.nonzero(is_key)
+    begins = np.flatnonzero(owner[1:] == owner[:-1])
+    frames = is_key.shape[1]
+    starts, lengths = owner[begins] * frames + at[begins], np.diff(at)[begins]
+    none = np.ones(values.shape[0] * frames)
+    pairs, _ = _segments(values.reshape(-1, 4), none, starts, lengths, rotates[owner[begins]])
+    tangents_in, tangents_out = np.zeros((2, len(at), 4))
+    tangents_out[begins], tangents_in[begins + 1] = pairs[:, 0], pairs[:, 1]
+    curves = list[Curve]()
+    for number, prop in enumerate(properties):
+        mine, width = owner == number, prop.values.shape[1]
+        keys = at[mine]
+        curves.append(Curve(keys, prop.values[keys], tangents_in[mine, :width], tangents_out[mine, :width]))
+    return curves
+
+
+def _longest_segments(values: Floats, tolerances: Floats, rotates: Booleans) -> Booleans:
+    """Keys (properties, frames) between the longest segments within the tolerances; all properties step together.
+
+    values (properties, frames, 4), tolerances (properties, frames). A property that stays within them has one key.
+    """
+    count, frames = tolerances.shape
+    is_key = np.zeros((count, frames), bool)
+    is_key[:, 0] = True
+    flat, limits = values.reshape(-1, 4), tolerances.reshape(-1)
+    moves = (np.sqrt(np.sum((values - values[:, :1]) ** 2, axis=2)) > tolerances).any(axis=1)
+    active = np.flatnonzero(moves)
+    search = _Search.start(np.zeros(len(active), np.int64), np.full(len(active), 2), frames)
     while len(active):
-        pairs, errors = _segments(flat, active * frames + search.begin, search.length, rotates[active])
-        search = search.narrowed(pairs, errors <= limits[active])
-        done = np.flatnonzero(search.good + 1 >= search.bad)
-        for i in done.tolist():
-            keys[active[i]].append(int(search.begin[i] + search.good[i]))
-            tangents[active[i]].append(search.pairs[i])
-        if len(done):
-            begin = search.begin.copy()
-            begin[done] += search.good[done]
-            fresh = _Search.start(active, begin, search.good, flat, frames)
-            moved = begin != search.begin
-            search = _Search(*(np.where(_like(moved, old), new, old) for old, new in zip(search, fresh, strict=True)))
+        starts = active * frames + search.begin
+        _, errors = _segments(flat, limits, starts, search.length, rotates[active])
+        search = search.narrowed(errors <= 1.0)
+        done = search.good + 1 >= search.bad
+        if done.any():
+            begin = search.begin + np.where(done, search.good, 0)
+            is_key[active[done], begin[done]] = True
+            fresh = _Search.start(begin, search.good, frames)
+            search = _Search(*(np.where(done, new, old) for old, new in zip(search, fresh, strict=True)))
             going = begin < frames - 1
             active, search = active[going], _Search(*(part[going] for part in search))
-    return [_assembled(p.values, np.array(k), t) for p, k, t in zip(properties, keys, tangents, strict=True)]
-
-
-def _like(mask: Booleans, values: Floats) -> Booleans:
-    """A mask (n,) that broadcasts over values (n, …)."""
-    return mask.reshape(-1, *[1] * (values.ndim - 1))
+    return is_key
 
 
 class _Search(NamedTuple):
     """The search for the longest segment of each property: one of `good` frames fits, one of `bad` frames does not.
 
-    begin: the first frame. most: frames to the end. length: the next to try. pairs (n, 2, 4): tangents of the segment
-    of `good` frames.
+    begin: the first frame. most: frames to the end. length: the next to try.
     """
 
     begin: Integers
@@ -124,32 +171,26 @@ class _Search(NamedTuple):
     good: Integers
     bad: Integers
     length: Integers
-    pairs: Floats
 
     @staticmethod
-    def start(active: Integers, begin: Integers, guess: Integers, flat: Floats, frames: int) -> _Search:
+    def start(begin: Integers, guess: Integers, frames: int) -> _Search:
         most = np.maximum(frames - 1 - begin, 1)
-        at = active * frames + np.minimum(begin, frames - 2)
-        straight = np.repeat((flat[at + 1] - flat[at])[:, None], 2, axis=1)
-        length = np.minimum(np.maximum(guess, 2), most)
-        return _Search(begin, most, np.ones_like(begin), most + 1, length, straight)
+        return _Search(begin, most, np.ones_like(begin), most + 1, np.minimum(np.maximum(guess, 2), most))
 
-    def narrowed(self, pairs: Floats, fits: Booleans) -> _Search:
+    def narrowed(self, fits: Booleans) -> _Search:
         """The search after trying `length`: doubled until it does not fit, then halved."""
         good, bad = np.where(fits, self.length, self.good), np.where(fits, self.bad, self.length)
         length = np.where(bad > self.most, np.minimum(2 * self.length, self.most), (good + bad) // 2)
-        return _Search(self.begin, self.most, good, bad, length, np.where(fits[:, None, None], pairs, self.pairs))
+        return _Search(self.begin, self.most, good, bad, length)
 
 
-def _assembled(values: Floats, keys: Integers, pairs: list[Floats]) -> Curve:
-    """The curve of keys (k,) and the tangents of the segments between them."""
-    width = values.shape[1]
-    both, none = np.array(pairs).reshape(-1, 2, 4)[:, :, :width], np.zeros((1, width))
-    return Curve(keys, values[keys], np.concatenate([none, both[:, 1]]), np.concatenate([both[:, 0], none]))
+def _segments(
+    flat: Floats, limits: Floats, starts: Integers, lengths: Integers, rotates: Booleans
+) -> tuple[Floats, Floats]:
+    """Least-squares tangents (n, 2, 4) per frame of segments of `flat` (frames, 4).
 
-
-def _segments(flat: Floats, starts: Integers, lengths: Integers, rotates: Booleans) -> tuple[Floats, Floats]:
-    """Least-squares tangents (n, 2, 4) per frame of segments of `flat` (frames, 4), and their largest errors (n,)."""
+    Also their largest errors (n,), each as a share of its frame's limit.
+    """
     first, last = flat[starts], flat[starts + lengths]
     straight = last - first
     pairs, errors = np.repeat(straight[:, None], 2, axis=1), np.zeros(len(starts))
@@ -170,7 +211,7 @@ def _segments(flat: Floats, starts: Integers, lengths: Integers, rotates: Boolea
         made = base + h10 * pairs[owner, 0] + h11 * pairs[owner, 1]
         turning = rotates[owner][:, None]
         made /= np.where(turning, np.maximum(np.linalg.norm(made, axis=1, keepdims=True), 1e-9), 1.0)
-        off = np.sqrt(np.sum((made - inner) ** 2, axis=1)) * np.where(rotates[owner], 2.0, 1.0)
+        off = np.sqrt(np.sum((made - inner) ** 2, axis=1)) / limits[starts[owner] + step]
         errors[some] = np.maximum.reduceat(off, bounds)
     return pairs / lengths[:, None, None], errors
 

@@ -23,6 +23,8 @@ from .rates import frame_times, key_times, rate_of
 FREE_SAMPLES = 1 << 22
 SAMPLES_PER_BYTE = 16
 """Frames × moving nodes that a file may be sampled to: FREE_SAMPLES, and SAMPLES_PER_BYTE for each of its bytes."""
+MAX_NODES = 1 << 13
+"""Joints and the nodes above them; more are no skeleton."""
 ALL_SKINS = "all"
 
 
@@ -61,6 +63,10 @@ def _read(
     number, channels = _animation(document, nodes, animation, notes)
     joints = _joints(document, nodes, channels, skin, notes)
     chosen = nodes.with_ancestors(set(joints))
+    if len(chosen) > MAX_NODES:
+        raise BadInput(
+            f"{path}: its {len(chosen):,} joints and the nodes above them are no skeleton: at most {MAX_NODES:,}"
+        )
     tracks = {
         (node, kind): animations.track(document, sampler, kind, unit_m)
         for (node, kind), sampler in channels.items()

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import BadInput
+from ...geometry import bone_frames
 from ...motion import Motion
 from ...typing import AnyInteger, Bytes, Floats
 from .. import replace_whole
@@ -34,8 +35,9 @@ def write(path: str | Path, motion: Motion, surface: Surface | None = None, keys
     """Write a .glb, or for the suffix .gltf text with its buffer inside.
 
     A motion with rotations gets its joints as a skin with a mesh that shows them; one without becomes nodes that only
-    translate. surface: the body's surface in place of that mesh. keys: in place of a key at every frame, the fewest
-    cubic keys that keep every joint, and points 3 cm off it, within this distance, metres.
+    translate. Of a motion from an AMC, joints are at the starts of bones. surface: the body's surface in place of that
+    mesh. keys: in place of a key at every frame, few cubic keys that keep every joint, and points 3 cm off it, within
+    this distance, metres.
     Raises BadInput for gaps and for an empty motion, CannotEncode for `keys` that cannot be met.
     """
     if motion.gaps.any():
@@ -44,7 +46,7 @@ def write(path: str | Path, motion: Motion, surface: Surface | None = None, keys
         raise BadInput(f"{path}: a GLB needs at least one frame and one point")
     if keys is not None and not 0 < keys < float("inf"):
         raise BadInput(f"{path}: keys is a distance in metres above zero, not {keys}")
-    description, blob = _Writer(motion).file(surface, keys)
+    description, blob = _Writer(bone_frames.to_starts(motion)).file(surface, keys)
     if Path(path).suffix.lower() == ".gltf":
         description["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
         replace_whole(path, json.dumps(description, separators=(",", ":")).encode())
