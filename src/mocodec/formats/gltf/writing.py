@@ -60,6 +60,7 @@ class _Writer:
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self.tree: NodeTree = node_tree_of(motion)
+        self.rest = rest_matrices(self.tree)
         self.blob = bytearray()
         self.views, self.accessors = list[dict[str, Any]](), list[dict[str, Any]]()
         self.times = dict[bytes, int]()
@@ -162,7 +163,7 @@ class _Writer:
             moving = [(0, "translation", np.tile(self.tree.translation[0], (len(every), 1)))]
         channels = list[tuple[int, str, dict[str, Any]]]()
         for node, path, values in moving:
-            tolerance = MIN_ROTATION if path == "rotation" else MIN_TRANSLATION_M
+            tolerance = MIN_ROTATION if path == "rotation" else self._min_translation(node)
             is_constant = not is_still and np.abs(values - values[:1]).max() <= tolerance
             frames = every[:1] if is_constant else every
             output = self.add(_components(path, values[frames]), KINDS[path])
@@ -187,11 +188,17 @@ class _Writer:
         moving, tree = list[tuple[int, str, Floats]](), self.tree
         for node, local in enumerate(locals_):
             rest = (tree.translation[node], tree.rotation[node], tree.scale[node])
-            limits = (MIN_TRANSLATION_M, MIN_ROTATION, 0.0)
+            limits = (self._min_translation(node), MIN_ROTATION, 0.0)
             for path, values, still, limit in zip(KINDS, local, rest, limits, strict=True):
                 if values is not None and np.abs(values - still).max() > limit:
                     moving.append((node, path, values))
         return moving
+
+    def _min_translation(self, node: int) -> float:
+        """MIN_TRANSLATION_M in the unit of the node's parent, which may be scaled."""
+        parent = self.tree.parents[node]
+        size = np.abs(np.linalg.det(self.rest[parent, :3, :3])) ** (1 / 3) if parent >= 0 else 1.0
+        return MIN_TRANSLATION_M / max(float(size), 1e-9)
 
     def _add_surface(self, description: dict[str, Any], surface: Surface, roots: list[int]) -> None:
         """Add the surface as a mesh of points with a skin."""
@@ -219,7 +226,7 @@ class _Writer:
         assert skeleton is not None
         node_of = {joint: node for node, joint in enumerate(tree.joints) if joint >= 0}
         nodes = [node_of[joint] for joint in range(self.motion.points)]
-        rest = rest_matrices(tree)[nodes]
+        rest = self.rest[nodes]
         mesh = bones.mesh(rest[:, :3, 3], skeleton.parents)
         joints = np.zeros((len(mesh.points), 4), np.uint8 if len(nodes) <= 256 else np.uint16)
         joints[:, 0] = mesh.joints
