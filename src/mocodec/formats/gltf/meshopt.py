@@ -72,7 +72,7 @@ def _group(stored: Bytes, at: int, mode: int) -> tuple[Bytes, int]:
     if mode == 3:
         return packed, at
     shifts, sentinel = (np.array([6, 4, 2, 0], np.uint8), 3) if mode == 1 else (np.array([4, 0], np.uint8), 15)
-    codes = ((packed[:, None] >> shifts) & sentinel).reshape(-1)
+    codes = ((packed[:, None] >> shifts) & np.uint8(sentinel)).reshape(-1).astype(np.uint8)
     escaped = np.flatnonzero(codes == sentinel)
     whole = stored[at : at + len(escaped)]
     if len(whole) < len(escaped):

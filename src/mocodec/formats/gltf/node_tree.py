@@ -105,8 +105,11 @@ def unpack(motion: Motion) -> NodeTree | None:
         return None
     try:
         names, parents, joints = (list(entry[name]) for name in ("names", "parents", "joints"))
-        arrays = [np.asarray(entry[name], np.float64) for name in ("translation", "rotation", "scale")]
-        tree = NodeTree(tuple(map(str, names)), tuple(map(int, parents)), tuple(map(int, joints)), *arrays)
+        translation, rotation, scale = arrays = [
+            np.asarray(entry[name], np.float64) for name in ("translation", "rotation", "scale")
+        ]
+        indices = tuple(map(int, parents)), tuple(map(int, joints))
+        tree = NodeTree(tuple(map(str, names)), *indices, translation, rotation, scale)
         scales = _scales(motion, entry, len(tree))
     except (KeyError, TypeError, ValueError, AttributeError):
         return None

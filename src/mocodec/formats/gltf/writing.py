@@ -240,7 +240,12 @@ class _Writer:
         index_type = np.uint16 if len(mesh.points) < 1 << 16 else np.uint32
         indices = self.add(mesh.triangles.reshape(-1, 1).astype(index_type), "SCALAR", target=INDICES)
         self._add_skinned(
-            description, roots, "bones", nodes, np.linalg.pinv(rest), {"attributes": attributes, "indices": indices}
+            description,
+            roots,
+            "bones",
+            nodes,
+            np.asarray(np.linalg.pinv(rest), np.float64),
+            {"attributes": attributes, "indices": indices},
         )
 
     def _add_skinned(
