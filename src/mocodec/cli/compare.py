@@ -63,12 +63,12 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if plot or poses:
             raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
         result = compare_clouds(original, other, stored_bytes(b) or stored_bytes(a))
-        click.echo(clouds_as_text(result, as_json))
+        files.echo(clouds_as_text(result, as_json))
         return
     if not isinstance(original, Motion) or not isinstance(other, Motion):
         raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")
     comparison = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a), shell)
-    click.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
+    files.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
     for path in (plot, poses):
         if path:
             draw = plots.errors if path == plot else plots.recording

@@ -4,33 +4,91 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from .. import api, metrics
+from .. import api, formats, metrics
 from ..errors import BadInput
 from ..motion import Motion, Signal
-from . import PROMISE_BROKEN, files, quantities
+from . import PROMISE_BROKEN, BrokenPromise, files, many, quantities
 
 SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the last bit of a sum
 
 
 @click.command("verify")
-@click.argument("file", metavar="FILE.mocz")
-@click.option("--against", metavar="SOURCE", help="The recording that the file was encoded from.")
+@click.argument("sources", metavar="FILE.mocz...", nargs=-1, required=True)
+@click.option(
+    "--against",
+    metavar="SOURCE",
+    help="The recording that the file was encoded from; of many files, the folder with the recordings.",
+)
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
+@many.options
 @files.reader_options
-def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
+def command(
+    sources: tuple[str, ...], against: str | None, as_json: bool, jobs: int, again: bool, **options: Any
+) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promises are kept.
 
     Promises are the max-error, mean-error, max-rotation, ratio or size that it was encoded with. If the file keeps
     rotations, errors are promised of joints and of shell points beside them. Equal names, rate, gaps and extras
     (analog channels, events, …) are always promised.
+
+    Several files, or a folder, are checked one by one; --against names the folder that they were encoded from.
     """
+    if many.is_many(sources):
+        if against is not None and not Path(against).is_dir():
+            raise click.UsageError(f"{against}: of many files, --against names the folder that they were encoded from")
+        found = many.find(sources, (files.SUFFIX,))
+        originals = {} if against is None else original_of(found, against)
+        chosen = {"against": against, **files.given(**options)}
+        each = {path: {"original": original} for path, original in originals.items()}
+        return many.run("verify", found, {}, "", many.Settings(chosen, jobs, again, as_json), each)
+    report = checked(sources[0], against, **options)
+    files.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report, against)))
+    return PROMISE_BROKEN if report.get("broken") else None
+
+
+def one(
+    source: str,
+    _: str | None,
+    against: str | None,
+    original: str | None = None,
+    may_replace: bool = True,
+    **options: Any,
+) -> dict[str, Any]:
+    """Check one of many files; returns its record for the summary. Nothing is written. Raises BrokenPromise."""
+    if against is not None and original is None:
+        raise BadInput(f"{against} has no recording of this name")
+    report = checked(source, original, **options)
+    if report.get("broken"):
+        raise BrokenPromise("; ".join(report["broken"]))
+    promise = ", ".join(f"{n.replace('_', ' ')} {promise_as_text(n, v)}" for n, v in report["promise"].items())
+    record = {"frames": report["frames"], "promise": promise, "kept": report.get("promise_kept")}
+    if "mean_error" in report:
+        record |= {name: report[name] for name in ("mean_error", "max_error", "samples")}
+    return record
+
+
+def original_of(found: Sequence[many.Source], folder: str) -> dict[str, str]:
+    """The recording in a folder that each .mocz was encoded from, by path: the one that is mirrored to its name."""
+    recordings = many.find([folder], formats.FORMATS)
+    path_of = {
+        name: path
+        for path, name in many.output_names(
+            recordings, dict.fromkeys((recording.path for recording in recordings), files.SUFFIX)
+        ).items()
+    }
+    return {source.path: path_of[source.name] for source in found if source.name in path_of}
+
+
+def checked(file: str, against: str | None, **options: Any) -> dict[str, Any]:
+    """What was found about a file: undamaged, frames, promise and, against its source, errors and broken promises."""
     with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
         opened.verify()
         decoded, facts, promise = opened[:], opened.info, dict(opened.encoded.promise)
@@ -38,17 +96,13 @@ def command(file: str, against: str | None, as_json: bool, **options: Any) -> in
     promise |= {name: settings[name] for name in ("max_rotation",) if isinstance(settings.get(name), float | int)}
     report: dict[str, Any] = {"file": file, "undamaged": True, "frames": facts.get("frames", len(decoded))}
     report["promise"] = promise
-    broken: list[str] = []
     if against is not None:
         with files.working(f"reading {against}"):
             source = files.read(against, **options)
         comparison, broken = check(report["promise"], source, decoded, facts, shell_of(settings))
-        report |= {**comparison, "promise_kept": not broken, "broken": broken}
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        click.echo("\n".join(lines(report, against)))
-    return PROMISE_BROKEN if broken else None
+        samples = int((~source.gaps).sum()) if isinstance(source, Motion) else 0
+        report |= {**comparison, "samples": samples, "promise_kept": not broken, "broken": broken}
+    return report
 
 
 def check(
