@@ -28,6 +28,7 @@ FORMATS = {
     ".npz": "mocodec.formats.npz",
     ".npy": "mocodec.formats.npy",
     ".glb": "mocodec.formats.gltf",
+    ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
 PICKLES = (".pkl", ".pickle")
