@@ -154,6 +154,7 @@ def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str
 DESCRIPTIONS = {
     "amass": "body model parameters beside the poses (betas, gender, …)",
     "analog": "analog channels",
+    "gltf": "the node tree of a GLB",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 
 import mocodec as mc
-from mocodec import BadInput, formats
+from mocodec import BadInput, Motion, formats
 from mocodec.formats import gltf
 from mocodec.formats.conventions import start_s
 from mocodec.geometry import kinematics
 
+from ..samples import SHARED
 from .build import Build, about, leg, packed, parts
 
 TIMES = np.arange(30) / 30
 SWING = about("x", 40 * np.sin(TIMES * 5))
 PATH = np.stack([0.3 * TIMES, np.ones(30), 0.1 * np.sin(TIMES)], axis=1)
+CASES = SHARED.parent / "cases" / "glb"
 SKIN = [{"joints": [0, 1, 2, 3]}]
 
 
@@ -382,3 +384,16 @@ def test_without_a_skin_animated_nodes_are_joints(tmp_path):
     nodes = [*leg(shin={"mesh": 0}, foot={"mesh": 0}), {"name": "camera", "camera": 0}]
     build = Build(nodes).animation().move(1, "rotation", TIMES, SWING).move(2, "rotation", TIMES, SWING)
     assert gltf.read(build.glb(tmp_path / "x.glb")).names == ("thigh", "shin")
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases in ../shared/cases are not here")
+def test_the_shared_cases():
+    frames = {"cubic.glb": 30, "ext.gltf": 30, "extbin.glb": 30, "nonuniform.glb": 30, "sparse.glb": 30}
+    for name, count in {**frames, "twoanims.glb": 30, "uscale.glb": 30}.items():
+        assert len(mc.read(CASES / name)) == count
+    np.testing.assert_array_equal(
+        mc.read(CASES / "ext.gltf", Motion).positions, mc.read(CASES / "extbin.glb", Motion).positions
+    )
+    for name, problem in {"meshopt.glb": "EXT_meshopt_compression", "long.glb": "too many"}.items():
+        with pytest.raises(BadInput, match=problem):
+            mc.read(CASES / name)
