@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,8 +73,8 @@ def command(
     files.write_bytes(output, blob)
     if not quiet:
         click.echo(summary(output, recording, decoded, facts), err=True)
-        for note in notes(recording):
-            click.echo(f"note: {note}", err=True)
+        if isinstance(recording, Motion) and recording.rotations is not None:
+            files.note(source, "joint positions are stored; rotations are not stored yet")
 
 
 def codec_with(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Codec[Any]:
@@ -85,18 +84,6 @@ def codec_with(codec: str, settings: tuple[str, ...], targets: dict[str, float])
         return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
     except (BadInput, TypeError) as error:
         raise click.UsageError(str(error)) from error
-
-
-def notes(recording: Recording) -> Iterator[str]:
-    """What of the recording is not stored in the .mocz, and what may be misread, in words."""
-    if isinstance(recording, Motion) and recording.rotations is not None:
-        yield "joint positions are stored; rotations are not stored yet"
-    if missing := recording.source.get("missing_numbers"):
-        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
-    if ignored := recording.source.get("ignored"):
-        yield f"these properties of points are left out: {', '.join(ignored)}"
-    if recording.source.get("residuals") == "left out":
-        yield "residuals and camera masks of samples are left out; --residuals keeps them"
 
 
 def summary(output: str, recording: Recording, decoded: Recording, facts: dict[str, Any]) -> str:

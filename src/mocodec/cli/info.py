@@ -10,7 +10,7 @@ import click
 
 from .. import api, formats
 from ..encoded import Recording
-from ..motion import Motion
+from ..motion import Motion, Signal
 from . import files, quantities
 
 
@@ -21,8 +21,11 @@ from . import files, quantities
 def command(source: str, as_json: bool, **options: Any) -> None:
     """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read."""
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"]):
+        files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
             facts = opened.info
+            if notes := formats.notes(opened.encoded.about):
+                facts = {**facts, "notes": notes}
     else:
         facts = facts_of(files.read(source, **options))
     click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
@@ -41,12 +44,27 @@ def facts_of(recording: Recording) -> dict[str, Any]:
         facts["names"] = list(recording.names)
         facts["skeleton"] = recording.skeleton is not None
         facts["gaps"] = int(recording.gaps.sum())
+        if listed := dict(signals(recording.extras)):
+            facts["signals"] = listed
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
     if notes := formats.notes(recording):
         facts["notes"] = notes
     return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
+
+
+def signals(extras: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+    """The path and a description of each signal in extras: "analog", "38 at 1000 Hz (N)"."""
+    for key, value in extras.items():
+        name = f"{path}/{key}" if path else key
+        if isinstance(value, Signal):
+            channels = value.values.shape[1] if value.values.ndim > 1 else 1
+            units = ", ".join(dict.fromkeys(unit for unit in value.units if unit))
+            labels = f": {', '.join(value.labels)}" if value.labels else ""
+            yield name, f"{channels} at {value.rate:g} Hz{f' ({units})' if units else ''}{labels}"
+        elif isinstance(value, Mapping):
+            yield from signals(value, name)
 
 
 def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
