@@ -121,7 +121,10 @@ def test_a_file_of_outputs_only(tmp_path):
 
 def test_lists_of_labels_are_written_where_the_parameters_lack_them(tmp_path):
     values = np.arange(120, dtype=np.float32).reshape(20, 2, 3)
-    signals = {"ANGLES": Signal(values, 120.0, ("a", "b"), ("rad", "rad")), "TORSION": Signal(values, 120.0, ("c", "d"), ("N", "N"))}  # fmt: skip
+    signals = {
+        "ANGLES": Signal(values, 120.0, ("a", "b"), ("rad", "rad")),
+        "TORSION": Signal(values, 120.0, ("c", "d"), ("N", "N")),
+    }
     extras = {"model_outputs": {"signals": signals, "columns": np.array([0, 1, 7, 8], np.uint16)}}
     formats.write(tmp_path / "x.c3d", replace(markers(), extras=extras))
     again = formats.read(tmp_path / "x.c3d")
@@ -131,7 +134,9 @@ def test_lists_of_labels_are_written_where_the_parameters_lack_them(tmp_path):
         formats.write(tmp_path / "y.c3d", replace(markers(5), extras=extras))
 
 
-@pytest.mark.parametrize("groups", [["ANGLES", "ANGLE"], [["ANGLES", "MOMENTS", "POWERS"], ["ANGLE", "MOMENT", "POWER"]]])
+@pytest.mark.parametrize(
+    "groups", [["ANGLES", "ANGLE"], [["ANGLES", "MOMENTS", "POWERS"], ["ANGLE", "MOMENT", "POWER"]]]
+)
 def test_type_groups_in_other_shapes(tmp_path, groups):
     def with_groups(tree: dict[str, Any]) -> None:
         tree["POINT"] |= {"ANGLES": ["M1"], "TYPE_GROUPS": groups, "ANGLE_UNITS": "rad"}

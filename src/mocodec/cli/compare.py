@@ -38,8 +38,8 @@ CLOUD_FRAMES = 12
 def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, **options: Any) -> None:
     """Measure the error of B against A; each is a .mocz or a recording in another format.
 
-    Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz, the
-    ratio is the size of A as float32 positions over the size of the .mocz.
+    Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz,
+    the ratio is the size of A as float32 positions over the size of the .mocz.
     """
     if a == b == "-":
         raise click.UsageError("A and B cannot both be standard input")

@@ -90,6 +90,8 @@ def summary(output: str, recording: Recording, decoded: Recording, facts: dict[s
     """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
     stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
+    if isinstance(recording, Motion) and not recording.points:
+        return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
     line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
     if extras > stored / 100:
         points = recording.raw_bytes / (stored - extras)

@@ -1,4 +1,4 @@
-"""Missing markers that a file parks at exactly (0, 0, 0): gaps of the motion, and the zeros again where it is written."""
+"""Missing markers that a file parks at exactly (0, 0, 0): gaps of the motion, and zeros again when written."""
 
 from __future__ import annotations
 

@@ -16,8 +16,15 @@ __all__ = ["HOLDS", "analog", "model_outputs", "read", "write"]
 
 HOLDS = frozenset(
     {
-        "analog", "events", "model_outputs", "parameters", "parameter_notes", "parameters_locked", "residuals",
-        "rotations", "zero_samples",
-    }  # fmt: skip
+        "analog",
+        "events",
+        "model_outputs",
+        "parameters",
+        "parameter_notes",
+        "parameters_locked",
+        "residuals",
+        "rotations",
+        "zero_samples",
+    }
 )
 """Extras that a C3D stores beside the positions."""
