@@ -84,7 +84,7 @@ def command(
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
-        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
     recording, record, blob = encoded(source, **chosen, **options)
     files.write_bytes(output, blob)
     if as_json:

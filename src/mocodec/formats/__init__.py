@@ -15,7 +15,7 @@ from typing import Any
 from ..errors import BadInput
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
-from .conventions import with_start
+from .conventions import UNITS_M, metres_in, with_start
 from .decisions import notes
 
 __all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "read_options", "replace_whole", "write"]
@@ -28,6 +28,7 @@ FORMATS = {
     ".npz": "mocodec.formats.npz",
     ".npy": "mocodec.formats.npy",
     ".glb": "mocodec.formats.gltf",
+    ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
 PICKLES = (".pkl", ".pickle")
@@ -74,10 +75,28 @@ def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClo
 
 
 def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: Any) -> None:
-    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for data that the format cannot hold."""
+    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for data that the format cannot hold.
+
+    `unit` (a name such as "cm") is that of lengths in the file, for formats that have one: .bvh .amc .c3d .trc.
+    """
     path = Path(path)
     folder = isinstance(motion, PointClouds) and not path.suffix
-    _call(FORMATS[".ply"] if folder else _module(path), "write", path, motion, **options)
+    module = FORMATS[".ply"] if folder else _module(path)
+    if "unit" in options and "unit" not in _parameters(import_module(module).write):
+        motion = _in_unit(path, motion, options.pop("unit"))
+    _call(module, "write", path, motion, **options)
+
+
+def _in_unit(path: Path, motion: Motion | PointClouds, unit: Any) -> Motion | PointClouds:
+    """A motion whose source has this unit, which the writers of .c3d and .trc follow. Raises BadInput for others."""
+    suffix = path.suffix.lower()
+    if suffix not in (".c3d", ".trc") or not isinstance(motion, Motion):
+        what = f"a {suffix}" if suffix else "a folder of .ply"
+        raise BadInput(f"{path}: {what} has a unit of its own; unit= (--to-unit) is for .bvh .amc .c3d .trc")
+    unit_m = metres_in(str(unit))
+    if unit_m is None:
+        raise BadInput(f"{path}: a {suffix} names its unit: one of {', '.join(UNITS_M)}, not {unit!r:.40}")
+    return replace(motion, source={**motion.source, "format": suffix[1:], "units": str(unit).strip(), "unit_m": unit_m})
 
 
 def _module(path: Path) -> str:
