@@ -171,6 +171,7 @@ DESCRIPTIONS = {
     "amass": "body model parameters beside the poses (betas, gender, …)",
     "analog": "analog channels",
     "model_outputs": "joint angles, forces, moments and powers of a model",
+    "gltf": "the node tree of a GLB",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",
