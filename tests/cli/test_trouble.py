@@ -96,8 +96,11 @@ def test_a_motion_without_frames_is_3(command: Command, walk: mc.Motion, walk_tr
 
 @pytest.mark.parametrize("codec", ["tempo", "hou2014", "liu2006", "lossless"])
 @pytest.mark.parametrize("points", [0, 3])
-def test_a_motion_without_samples_keeps_its_signals(command: Command, codec: str, points: int) -> None:
+def test_a_motion_without_samples_keeps_its_signals(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: str, points: int
+) -> None:
     """Force plates that were recorded without markers, or with all markers hidden."""
+    monkeypatch.chdir(tmp_path)
     analog = mc.Signal(np.arange(200, dtype=np.int16).reshape(100, 2), 600.0, ("Fx", "Fz"))
     mc.write("plates.c3d", mc.Motion(np.full((20, points, 3), np.nan), 120, extras={"analog": analog}))
     assert command("encode", "plates.c3d", "-o", "x.mocz", "--codec", codec).code == 0
