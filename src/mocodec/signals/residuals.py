@@ -142,8 +142,8 @@ class _Models:
     def __init__(self, starts: Integers) -> None:
         count = len(starts)
         high, low = tables()
-        self.high = np.repeat(high[None].astype(np.int32), count, axis=0)
-        self.low = np.repeat(low[None].astype(np.int32), count, axis=0)
+        self.high = np.repeat(high[None].astype(np.int64), count, axis=0)
+        self.low = np.repeat(low[None].astype(np.int64), count, axis=0)
         self.seen_high = np.zeros(self.high.shape[:2], np.int64)
         self.seen_low = np.zeros(self.low.shape[:3], np.int64)
         self.fast, self.slow = starts.copy(), starts.copy()
