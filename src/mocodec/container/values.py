@@ -378,8 +378,9 @@ class _TreeReader:
             raise self.stream.corrupt("a signal without rate or samples")
         if not all(isinstance(part, list) and all(isinstance(s, str) for s in part) for part in (labels, units)):
             raise self.stream.corrupt("a signal's labels or units are not strings")
-        kind = Signal if isinstance(samples, np.ndarray) else stored_signals.StoredSignal
-        return kind(samples, rate, tuple(labels), tuple(units))
+        if isinstance(samples, np.ndarray):
+            return Signal(samples, rate, tuple(labels), tuple(units))
+        return stored_signals.StoredSignal(samples, rate, tuple(labels), tuple(units))
 
 
 class _Placeholder:

@@ -97,7 +97,7 @@ def _pursuit(differences: Floats, target: int, candidates: list[int], kept: Bool
         return []
     weights = _weights(differences[target, rows])
     left = differences[target, rows] * weights
-    others = differences[np.ix_(candidates, rows)] * weights
+    others = differences[candidates][:, rows] * weights
     sizes = (others * others).sum(axis=1)
     start, floor = sizes.copy(), 1e-13 * float(left @ left)
     chosen: list[int] = []
