@@ -11,7 +11,7 @@ import click
 from .. import api, formats
 from ..encoded import Recording
 from ..geometry import joint_tree
-from ..motion import Motion
+from ..motion import Motion, Signal
 from . import files, many, quantities
 
 MAX_ITEMS = 60
@@ -49,8 +49,10 @@ def one(source: str, _: str | None, may_replace: bool = True, **options: Any) ->
 def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
     """The facts of a file, a URL or standard input."""
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
+        files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
-            return opened.info
+            notes = formats.notes(opened.encoded.about)
+            return {**opened.info, **({"notes": notes} if notes else {})}
     return facts_of(files.read(source, **options))
 
 
@@ -68,6 +70,8 @@ def facts_of(recording: Recording) -> dict[str, Any]:
         facts["skeleton"] = recording.skeleton is not None
         facts["rotations"] = recording.rotations is not None
         facts["gaps"] = int(recording.gaps.sum())
+        if listed := dict(signals(recording.extras)):
+            facts["signals"] = listed
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
@@ -94,6 +98,19 @@ def shown(facts: Mapping[str, Any]) -> Iterator[str]:
         brief["source"] = source
     yield from lines(brief)
     yield from joint_tree.lines_of(tree)
+
+
+def signals(extras: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+    """The path and a description of each signal in extras: "analog", "38 at 1000 Hz (N)"."""
+    for key, value in extras.items():
+        name = f"{path}/{key}" if path else key
+        if isinstance(value, Signal):
+            channels = value.values.shape[1] if value.values.ndim > 1 else 1
+            units = ", ".join(dict.fromkeys(unit for unit in value.units if unit))
+            labels = f": {', '.join(value.labels)}" if value.labels else ""
+            yield name, f"{channels} at {value.rate:g} Hz{f' ({units})' if units else ''}{labels}"
+        elif isinstance(value, Mapping):
+            yield from signals(value, name)
 
 
 def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:

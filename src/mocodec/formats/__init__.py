@@ -18,7 +18,7 @@ from ..pointcloud import PointClouds
 from .conventions import UNITS_M, metres_in, with_start
 from .decisions import notes
 
-__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "replace_whole", "write"]
+__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "read_options", "replace_whole", "write"]
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -43,7 +43,8 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
 
     Every format takes `up` (vertical axis), `unit` (of its lengths: a name, or metres) and `rate` (hertz) in place of
-    what the file says; motions take `start`, the time of the first frame in seconds.
+    what the file says; motions take `start`, the time of the first frame in seconds. `salvage=True` reads a truncated
+    file as far as it goes. `read_options` names the options of a format.
     Raises BadInput if there is no such file, format or option, or if the content does not match the suffix.
     """
     path = Path(path)
@@ -121,7 +122,7 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
     names = _parameters(function)
     for name in options:
         if name not in names:
-            raise BadInput(f"{path}: {verb} of {path.suffix.lower() or 'this format'} has no option {name!r}")
+            raise BadInput(f"{path}: {_no_option(path, verb, name)}")
     try:
         return function(path, *args, **options)
     except OSError as error:
@@ -132,6 +133,21 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
             raise
         printable = "".join(c if c.isprintable() else " " for c in message)
         raise BadInput(printable[:MAX_MESSAGE_CHARACTERS]) from None
+
+
+def _no_option(path: Path, verb: str, name: str) -> str:
+    """What is wrong with an option that a format does not have: the formats that have it."""
+    takers = [suffix for suffix in FORMATS if verb == "read" and name in read_options(f"x{suffix}")]
+    only = f"; --{name} is for {', '.join(takers)}" if takers else ""
+    return f"{verb} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
+
+
+def read_options(path: str | PathLike[str]) -> frozenset[str]:
+    """The names of the options that the reader of a path's format takes. Raises BadInput for an unknown suffix."""
+    path = Path(path)
+    module = FORMATS[".ply"] if path.is_dir() else _module(path)
+    names = frozenset(_parameters(import_module(module).read)) | {"up"}
+    return names if module == FORMATS[".ply"] else names | {"start"}
 
 
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:
@@ -154,6 +170,7 @@ def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str
 DESCRIPTIONS = {
     "amass": "body model parameters beside the poses (betas, gender, …)",
     "analog": "analog channels",
+    "model_outputs": "joint angles, forces, moments and powers of a model",
     "gltf": "the node tree of a GLB",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from mocodec.formats import gltf
 from mocodec.testing import synthetic
 
 from ..samples import AMC, ASF, BVH
+from .test_reading import SWING, TIMES, two_people
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
@@ -34,3 +37,17 @@ def test_convert_bvh_and_amc_and_back(tmp_path):
         there, back = mc.read(tmp_path / "x.glb", mc.Motion), mc.read(tmp_path / "back.bvh", mc.Motion, unit="cm")
         joints = [back.names.index(name) for name in there.names]
         np.testing.assert_allclose(back.positions[:, joints], there.positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("option", ["--animation", "--skin"])
+def test_options_at_the_command_line(tmp_path, capsys, option):
+    build = two_people()
+    build.json["animations"][0]["name"] = "Both"
+    build.animation("Right").move(5, "rotation", TIMES / 2, SWING)
+    path = build.glb(tmp_path / "x.glb")
+    value = {"--animation": "Right", "--skin": "right"}[option]
+    assert run(["info", str(path), option, value, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["points"] == 3
+    assert run(["info", str(path), option, "none of them"]) != 0
+    assert "it has: 0" in capsys.readouterr().err

@@ -18,11 +18,7 @@ from ...motion import UP_AXES, Motion
 from ...typing import Floats
 from . import node_tree
 from .node_tree import NodeTree
-from .nodes import WORLD, Pose, child_pose, mirrored
-
-MIN_DETERMINANT = 1e-18
-"""Of a parent's matrix; below it the parent is scaled to nothing, and the translation at rest is kept."""
-
+from .nodes import MIN_DETERMINANT, WORLD, Pose, child_pose, mirrored
 
 SAME_REST_M, SAME_REST = 5e-5, 1e-5
 """Offsets at rest that differ by no more than this, and this share of the longest one, are the same."""
@@ -115,7 +111,10 @@ def local_tracks(motion: Motion, tree: NodeTree) -> list[Local]:
 
 
 def _solved(above: Pose, position: Floats, rotation: Floats | None, at_rest: Floats, scale: Floats | None) -> Local:
-    """The local transform of a joint with this world position (frames, 3) and rotation Q (frames, 4)."""
+    """The local transform of a joint with this world position (frames, 3) and rotation Q (frames, 4).
+
+    Where a parent is scaled to nothing, the translation at rest is kept.
+    """
     away = position - above.position
     if above.linear is None:
         translation = rigid.rotate(rigid.inverse(above.rotation), away)

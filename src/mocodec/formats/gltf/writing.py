@@ -22,6 +22,7 @@ from .. import replace_whole
 from ..conventions import first_frame, start_s
 from . import bones, keyed, keys
 from .binary import BYTE, FLOAT, INT, SHORT, TO_Y_UP, Surface, pack
+from .document import MAX_VALUE
 from .local_tracks import Local, local_tracks, node_tree_of, rest_matrices
 from .node_tree import NodeTree, world_name
 
@@ -38,12 +39,15 @@ def write(path: str | Path, motion: Motion, surface: Surface | None = None, keys
     translate. Of a motion from an AMC, joints are at the starts of bones. surface: the body's surface in place of that
     mesh. keys: in place of a key at every frame, few cubic keys that keep every joint, and points 3 cm off it, within
     this distance, metres.
-    Raises BadInput for gaps and for an empty motion, CannotEncode for `keys` that cannot be met.
+    Raises BadInput for gaps, for positions beyond 10^12 m and for an empty motion, CannotEncode for `keys` that cannot
+    be met.
     """
     if motion.gaps.any():
         raise BadInput(f"{path}: a GLB cannot hold gaps; write a .c3d, .trc or .npz")
     if not len(motion) or not motion.points:
         raise BadInput(f"{path}: a GLB needs at least one frame and one point")
+    if np.abs(motion.positions).max() > MAX_VALUE:
+        raise BadInput(f"{path}: positions beyond {MAX_VALUE:g} m do not fit the 32-bit floats of a GLB")
     if keys is not None and not 0 < keys < float("inf"):
         raise BadInput(f"{path}: keys is a distance in metres above zero, not {keys}")
     description, blob = _Writer(bone_frames.to_starts(motion)).file(surface, keys)
