@@ -17,6 +17,7 @@ from .. import api, formats, progress
 from ..errors import BadInput, MocodecError
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
+from . import closed_streams, printable
 
 SUFFIX = ".mocz"
 
@@ -75,6 +76,8 @@ class StandardInput(BytesIO):
     name = "standard input"
 
     def __init__(self) -> None:
+        if "stdin" in closed_streams:
+            raise click.UsageError('"-" reads standard input, which is closed')
         if sys.stdin.isatty():
             raise click.UsageError('"-" reads standard input, which is the terminal: pipe a file into it')
         super().__init__(sys.stdin.buffer.read())
@@ -119,11 +122,6 @@ def with_notes(name: str, recording: Motion | PointClouds) -> Motion | PointClou
         lines = [f"note: {name}: {printable(note)}" for note in formats.notes(recording)]
         shown.extend(line for line in lines if line not in shown)
     return recording
-
-
-def printable(text: str) -> str:
-    """The text without control characters, which files may put into names."""
-    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 def echo(text: str, err: bool = False) -> None:
@@ -171,7 +169,9 @@ def write_bytes(name: str, data: bytes) -> None:
 
 
 def refuse_terminal() -> None:
-    """Raises a usage error where standard output is a terminal."""
+    """Raises a usage error where standard output is a terminal, or closed."""
+    if "stdout" in closed_streams:
+        raise click.UsageError("standard output is closed: redirect it, or name a file with -o")
     if sys.stdout.isatty():
         raise click.UsageError("standard output is the terminal: redirect it, or name a file with -o")
 
