@@ -31,6 +31,12 @@ READER_OPTIONS = (
     click.option(
         "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc; by default the .asf file beside it."
     ),
+    click.option(
+        "--smplx",
+        type=click.Path(),
+        metavar="FILE",
+        help="Your own SMPL, SMPL-H or SMPL-X model (.npz), for the bones of AMASS files.",
+    ),
     click.option("--rate", type=click.FloatRange(0, min_open=True), help="Frames per second, in place of the file's."),
     click.option(
         "--fps", type=click.FloatRange(0, min_open=True), help="Frames per second of a folder of point clouds."

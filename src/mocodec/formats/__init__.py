@@ -26,9 +26,12 @@ FORMATS = {
     ".bvh": "mocodec.formats.bvh",
     ".amc": "mocodec.formats.asf_amc",
     ".npz": "mocodec.formats.npz",
+    ".npy": "mocodec.formats.npy",
     ".glb": "mocodec.formats.gltf",
+    ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
+PICKLES = (".pkl", ".pickle")
 CLOUDS = (".ply", ".npz")
 """Formats of point clouds; .npz stores motions too."""
 
@@ -79,6 +82,10 @@ def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: An
 
 def _module(path: Path) -> str:
     suffix = path.suffix.lower()
+    if suffix in PICKLES:
+        raise BadInput(
+            f"{path}: a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
+        )
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
         raise BadInput(f"{path}: {problem}; the formats are {' '.join(FORMATS)} .mocz")
@@ -112,18 +119,22 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:
     """Descriptions of the data beside the positions that `write` leaves out, since the format of `path` cannot hold it.
 
-    Positions, gaps, names and rate are never left out: `write` raises instead. Raises BadInput for an unknown suffix.
+    Positions and gaps are never left out: `write` raises instead; names and rate only by an .npy. Raises BadInput for
+    an unknown suffix.
     """
     if not isinstance(motion, Motion):
         return []
-    kept: frozenset[str] = getattr(import_module(_module(Path(path))), "HOLDS", frozenset())
-    present = [*motion.extras]
+    module = import_module(_module(Path(path)))
+    kept: frozenset[str] = module.holds(motion) if hasattr(module, "holds") else getattr(module, "HOLDS", frozenset())
+    lacks: tuple[str, ...] = getattr(module, "LACKS", ())
+    present = [*motion.extras, *lacks]
     present += ["skeleton"] if motion.skeleton is not None else []
     present += ["joint rotations"] if motion.rotations is not None else []
     return list(dict.fromkeys(DESCRIPTIONS.get(name, name) for name in present if name not in kept))
 
 
 DESCRIPTIONS = {
+    "amass": "body model parameters beside the poses (betas, gender, …)",
     "analog": "analog channels",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",

@@ -34,6 +34,8 @@ def guesses(recording: Motion | PointClouds) -> list[str]:
         found.append(f"up {recording.up} (--up)")
     if source.get("unit_guessed") or (format_ == "bvh" and not source.get("unit_given")):
         found.append(f"unit {source.get('units')} (--unit)")
+    if source.get("rate_guessed"):
+        found.append(f"rate {recording.rate:g} Hz (--rate)")
     if format_ == "amc" and recording.rate == ASSUMED_AMC_RATE and not source.get("rate_given"):
         found.append(f"rate {recording.rate:g} Hz (--rate)")
     return found

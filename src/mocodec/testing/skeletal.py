@@ -1,11 +1,12 @@
-"""Skeletal motions for tests: random trees with random rotations, in both conventions."""
+"""Skeletal motions: random trees with smooth random rotations, in both conventions of `Skeleton`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mocodec import Motion, Skeleton
-from mocodec.geometry import kinematics, rigid
+from ..geometry import kinematics, rigid
+from ..motion import Motion, Skeleton
+from ..typing import Floats
 
 
 def random_skeleton(joints: int, seed: int, zeros: float = 0.0) -> Skeleton:
@@ -17,7 +18,7 @@ def random_skeleton(joints: int, seed: int, zeros: float = 0.0) -> Skeleton:
     return Skeleton(tuple(f"j{j}" for j in range(joints)), parents, offsets)
 
 
-def smooth_rotations(frames: int, joints: int, seed: int) -> np.ndarray:
+def smooth_rotations(frames: int, joints: int, seed: int) -> Floats:
     """Rotations (frames, joints, 4) that turn slowly."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0, 2, frames)[:, None, None]
