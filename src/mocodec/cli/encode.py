@@ -38,7 +38,7 @@ from . import files, many, quantities, verify
     "--chunk-seconds",
     type=click.FloatRange(0, min_open=True),
     metavar="S",
-    help="Length of the parts that damage spares or loses as a whole, by default 4; 1 or 2 lose less and take more bytes.",
+    help="Length of the parts that damage spares or loses as a whole; default 4. Shorter ones lose less and cost more.",
 )
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
 @click.option(
