@@ -108,7 +108,7 @@ def test_encoders_stay_within_the_limit(codec: str, kind: str, monkeypatch: pyte
     if kind == "repeats":
         which = np.concatenate([np.arange(60), np.full(240, 60), np.arange(61, 121)])
         motion = replace(motion, positions=motion.positions[which])
-    target = {} if codec == "lossless" else {"max_error": 0.005}
+    target: dict[str, Any] = {} if codec == "lossless" else {"max_error": 0.005}
     data = mc.encode(motion, codec, **target)
     with mc.open(data) as opened:
         assert max(chunk.frames for chunk in opened.encoded.chunks) <= 50
