@@ -49,8 +49,8 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     If both have joint rotations, the errors of shell points (beside the joints, where the skin is) and the angles
     between the joints' frames are measured too.
 
-    Reader options such as --asf and --unit apply to A, and to B if it has the same format. If one of the two is a
-    .mocz, the ratio is the size of A as float32 positions over the size of the .mocz.
+    Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz,
+    the ratio is the size of A as float32 positions over the size of the .mocz.
     """
     if a == b == "-":
         raise click.UsageError("A and B cannot both be standard input")
@@ -85,7 +85,7 @@ def read_both(a: str, b: str, options: dict[str, Any]) -> tuple[Recording, Recor
     """Both recordings. A .mocz is read first: it knows the rate of point clouds whose files do not say theirs."""
     found: dict[str, Recording] = {}
     for name in sorted({a, b}, key=lambda name: not files.is_mocz(name)):
-        chosen = options_for(name, a, options)
+        chosen = options_for(name, (a, b), options)
         known = next(iter(found.values()), None)
         if isinstance(known, PointClouds) and not files.is_mocz(name) and Path(name).suffix.lower() in ("", ".ply"):
             chosen = files.given(**chosen)
@@ -94,12 +94,13 @@ def read_both(a: str, b: str, options: dict[str, Any]) -> tuple[Recording, Recor
     return found[a], found[b]
 
 
-def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The reader options that apply to this file: all for A and for files of the same format."""
-    if name == "-":
-        return options
-    alike = Path(name).suffix.lower() == Path(a).suffix.lower()
-    return {**options, "format_": None} if alike else {}
+def options_for(name: str, both: tuple[str, str], options: dict[str, Any]) -> dict[str, Any]:
+    """The reader options for one of both files: those that its format takes; for the first also those of no format."""
+    chosen = files.given(**options)
+    format_ = chosen.pop("format_", None)
+    takers = {option: [file for file in both if files.takes(file, format_, option)] for option in chosen}
+    mine = {option: chosen[option] for option, taking in takers.items() if name in (taking or both[:1])}
+    return {**mine, "format_": format_} if name == "-" else mine
 
 
 def kind(recording: Recording) -> str:

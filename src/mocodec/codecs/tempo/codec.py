@@ -24,7 +24,7 @@ from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restor
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
-from ..base import require_frames, settings
+from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from . import chunk, fallback, model_choice, repeats, target
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
@@ -86,7 +86,9 @@ class Tempo:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
-        require_frames(motion)
+        if not has_samples(motion):
+            return encode_gaps(self, motion, self._stored_settings())
+        require_usual_lengths(self, motion)
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -147,6 +149,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if not encoded.shared:
+            return decode_gaps(encoded, frames)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)
