@@ -236,7 +236,7 @@ def test_decoding_another_format_names_the_command_that_is_meant(
     monkeypatch.chdir(tmp_path)
     result = command("decode", name, "-o", "x.npz")
     assert_one_line(result, cli.USAGE)
-    assert f"{name} -o x.npz" in result.err
+    assert f"`mocodec convert {name} x.npz`" in result.err
     assert f"`mocodec encode {name} -o walk.mocz`" in result.err
 
 
