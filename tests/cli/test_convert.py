@@ -135,6 +135,23 @@ def test_point_clouds_are_converted_and_not_changed(tmp_path: Path, command: Com
     assert (result.code, "holds point clouds" in result.err) == (3, True)
 
 
+def test_a_c3d_at_another_rate_keeps_whole_frames_of_analog_samples(tmp_path: Path, command: Command) -> None:
+    analog = mc.Signal(np.arange(200, dtype=np.int16)[:, None], 1200.0, ("Fx",), ("N",))
+    positions = np.random.default_rng(1).normal(size=(20, 2, 3))
+    mc.write(tmp_path / "a.c3d", mc.Motion(positions, 120.0, ("A", "B"), extras={"analog": analog}))
+    result = command("convert", tmp_path / "a.c3d", tmp_path / "b.c3d", "--rate", 50)
+    assert result.code == 0, result.err
+    assert "left out, for a whole number of analog samples a frame: 8 analog samples after the last frame" in result.err
+    motion = mc.read(tmp_path / "b.c3d", mc.Motion)
+    assert (len(motion), len(motion.extras["analog"].values)) == (8, 192)
+    short = command("convert", tmp_path / "a.c3d", tmp_path / "b.c3d", "--rate", 40)
+    assert "the last 1 frame, 20 analog samples after the last frame" in short.err
+    refused = command("convert", tmp_path / "a.c3d", tmp_path / "c.c3d", "--rate", 70)
+    assert (refused.code, "1200 Hz is no multiple of 70 Hz" in refused.err) == (3, True)
+    mc.write(tmp_path / "a.mocz", mc.read(tmp_path / "a.c3d"), codec="lossless")
+    assert "8 analog samples" in command("decode", tmp_path / "a.mocz", "-o", tmp_path / "d.c3d", "--rate", 50).err
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [

@@ -54,12 +54,14 @@ def command(
     with files.working(f"reading {source}"):
         recording, more = read(source, suffix, options)
     try:
-        recording = output.changed(recording, **changes)
+        recording, notes = output.prepared(recording, suffix, changes)
     except BadInput as error:
         raise BadInput(f"{source}: {error}") from error
     with files.working(f"writing {name}"):
         files.write(name, recording, to_format, quiet, **writer_options, **more)
     if not quiet:
+        for note in notes:
+            click.echo(f"note: {note}", err=True)
         click.echo(summary(name, recording), err=True)
 
 

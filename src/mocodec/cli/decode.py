@@ -68,15 +68,17 @@ def command(
     lost: list[str] = []
     changes, writer_options = output_options.split(options)
     more: dict[str, Any] = {}
+    suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
     with files.working(f"decoding {source}"):
         if salvage:
             recording, lost = salvaged(container.Reader(files.source_of(source), salvage=True))
         else:
-            suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
             recording, more = decoded_for(source, suffix)
-        recording = output_options.changed(recording, **changes)
+        recording, notes = output_options.prepared(recording, suffix, changes)
     with files.working(f"writing {output}"):
         files.write(output, recording, format_, quiet, **writer_options, **more)
+    for note in [] if quiet else notes:
+        files.echo(f"note: {note}", err=True)
     for line in lost:
         files.echo(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
@@ -93,12 +95,12 @@ def one(
     suffix = target.suffix.lower() if format_ or target.suffix.lower() in formats.FORMATS else ""
     changes, writer_options = output_options.split(options)
     recording, more = decoded_for(source, suffix)
-    recording = output_options.changed(recording, **changes)
+    recording, notes = output_options.prepared(recording, suffix, changes)
     target.parent.mkdir(parents=True, exist_ok=True)
     if suffix or isinstance(recording, Motion):
         api.write(target, recording, **writer_options, **more)
         left_out = formats.dropped(f"motion{suffix}", recording) if suffix else []
-        notes = [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
+        notes += [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
         return {"frames": len(recording), "notes": notes}
     temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}-part")
     try:

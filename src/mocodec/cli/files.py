@@ -46,7 +46,7 @@ READER_OPTIONS = (
     click.option("--up", type=click.Choice(UP_AXES), help="The vertical axis, in place of the file's."),
     click.option("--start", type=float, metavar="SECONDS", help="Time of the first frame, in place of the file's."),
     click.option("--animation", metavar="NAME|N", help="Which animation of a .glb or .gltf; by default the longest."),
-    click.option("--skin", metavar="NAME|N", help="Which skin of a .glb or .gltf; by default the first."),
+    click.option("--skin", metavar="NAME|N", help="Which skin of a .glb or .gltf, or all; by default the largest."),
     click.option(
         "--gaps",
         type=click.Choice(GAP_OPTIONS),

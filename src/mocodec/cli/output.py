@@ -5,14 +5,17 @@ They are named `--to-…`, since `--unit` and `--up` say how the input is read; 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import click
 
 from ..encoded import Recording
 from ..errors import BadInput
-from ..motion import UP_AXES, Motion
+from ..motion import UP_AXES, Motion, Signal
+from ..selection import counted
 from . import quantities
 
 CHANGES = ("points", "to_rate", "to_up")
@@ -57,7 +60,12 @@ def split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return changes, {writer: given[name] for name, writer in WRITERS.items() if given.get(name) is not None}
 
 
-def changed(
+def prepared(recording: Recording, suffix: str, changes: dict[str, Any]) -> tuple[Recording, list[str]]:
+    """The recording with the changes, for a file with this suffix, and notes on what is left out. Raises BadInput."""
+    return _in_whole_frames(_changed(recording, **changes), suffix, changes)
+
+
+def _changed(
     recording: Recording, points: Sequence[str] = (), to_rate: float | None = None, to_up: str | None = None
 ) -> Recording:
     """The recording with the changes. Raises BadInput for point clouds and for names that it does not have."""
@@ -70,6 +78,31 @@ def changed(
     if to_rate is not None:
         recording = recording.resample(to_rate)
     return recording if to_up is None else recording.turned(to_up)
+
+
+def _in_whole_frames(recording: Recording, suffix: str, changes: dict[str, Any]) -> tuple[Recording, list[str]]:
+    """A resampled motion for a C3D, which has a whole number of analog samples a frame; and what that leaves out.
+
+    Raises BadInput if the rate of the analog channels is no multiple of the frame rate.
+    """
+    analog = recording.extras.get("analog") if isinstance(recording, Motion) and changes.get("to_rate") else None
+    if suffix != ".c3d" or not isinstance(recording, Motion) or not isinstance(analog, Signal):
+        return recording, []
+    per_frame = round(analog.rate / recording.rate)
+    if per_frame < 1 or not math.isclose(per_frame * recording.rate, analog.rate, rel_tol=1e-6):
+        raise BadInput(
+            f"a C3D has a whole number of analog samples a frame, and {analog.rate:g} Hz is no multiple of "
+            f"{recording.rate:g} Hz: choose another rate, or a format without analog channels"
+        )
+    frames = min(len(recording), len(analog.values) // per_frame)
+    samples = len(analog.values) - frames * per_frame
+    left_out = [f"the last {counted(len(recording) - frames, 'frame')}"] if frames < len(recording) else []
+    left_out += [f"{counted(samples, 'analog sample')} after the last frame"] if samples else []
+    kept = replace(analog, values=analog.values[: frames * per_frame])
+    recording = replace(recording[:frames], extras={**recording[:frames].extras, "analog": kept})
+    return recording, [f"left out, for a whole number of analog samples a frame: {', '.join(left_out)}"] * bool(
+        left_out
+    )
 
 
 def names_in(texts: Sequence[str], known: Sequence[str]) -> list[str]:
