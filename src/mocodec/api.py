@@ -186,9 +186,9 @@ def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[Recordi
             raise CannotEncode(f"{failure}; please report it, and try another codec") from error
         targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
         names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
-        default = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
-        encoded = cast("Codec[Motion]", default).encode(recording)
-        return cast("Encoded[RecordingT]", rescue.with_note(encoded, f"{failure}; {default.name} codes the motion"))
+        default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
+        encoded = rescue.with_note(default.encode(recording), f"{failure}; {default.name} codes the motion")
+        return cast("Encoded[RecordingT]", encoded)
 
 
 def _require_room(recording: Recording, codec: Codec[Any]) -> None:

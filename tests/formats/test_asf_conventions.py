@@ -165,3 +165,32 @@ def test_a_damaged_memory_is_one_line(tmp_path, entry, value):
     motion = read(tmp_path, UNLIMITED)
     with pytest.raises(BadInput, match="source"):
         formats.write(tmp_path / "walk.amc", replace(motion, source={**motion.source, entry: value}))
+
+
+@pytest.mark.parametrize("in_degrees", [True, False])
+def test_an_amc_in_another_unit_of_angle_than_its_asf_stays_so(tmp_path, in_degrees):
+    asf, amc = (RADIANS, AMC) if in_degrees else (ASF, AMC.replace(":DEGREES", ":RADIANS"))
+    amc = amc if in_degrees else re.sub(r"(-50|90|-100|-20|100)\b", "1", amc)
+    motion = read(tmp_path, asf, amc)
+    formats.write(tmp_path / "walk.amc", motion)
+    assert (":DEGREES" in (tmp_path / "walk.amc").read_text()) == in_degrees
+    assert read_asf(tmp_path / "walk.asf").degrees != in_degrees
+    assert np.allclose(formats.read(tmp_path / "walk.amc").positions, motion.positions, atol=1e-6)
+
+
+def test_a_still_body_keeps_its_degrees_of_freedom(tmp_path):
+    motion = random_motion(30)
+    still = np.broadcast_to([1.0, 0, 0, 0], motion.rotations.shape)
+    motion = replace(motion, rotations=still, positions=np.broadcast_to(_rest(motion.skeleton), motion.positions.shape))
+    formats.write(tmp_path / "walk.amc", motion)
+    again = formats.read(tmp_path / "walk.amc")
+    assert np.allclose(again.positions[:, 0], motion.positions[:, 0], atol=1e-7)
+    assert sum(bone.dof == ("rx", "ry", "rz") for bone in read_asf(tmp_path / "walk.asf").bones) > 10
+
+
+def _rest(skeleton) -> np.ndarray:
+    """Positions (joints, 3) of the rest pose."""
+    places = skeleton.offsets.copy()
+    for joint, parent in enumerate(skeleton.parents):
+        places[joint] += places[parent] if parent >= 0 else 0.0
+    return places

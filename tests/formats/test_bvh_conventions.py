@@ -231,6 +231,12 @@ def test_zero_length_bones_and_nan_angles(tmp_path):
         read(tmp_path, BVH.replace("-30 40 100", "-30 NaN 100"))
 
 
+def test_no_channels_at_all(tmp_path):
+    text = re.sub(r"CHANNELS .*", "", BVH).partition("Frame Time: 0.0083333")
+    with pytest.raises(BadInput, match="its joints have no channels"):
+        read(tmp_path, "".join(text[:2]) + "\n\n")
+
+
 @pytest.mark.parametrize("name", ["", "a{b", "a}b", "a  b", " a", "a\nb"])
 def test_names_that_a_bvh_cannot_hold(tmp_path, name):
     motion = random_motion(3)

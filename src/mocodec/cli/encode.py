@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -84,15 +84,15 @@ def command(
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
-        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
     recording, record, blob = encoded(source, **chosen, **options)
     files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
         files.echo(summary(output, record), err=True)
-        for note in notes(recording):
-            files.echo(f"note: {note}", err=True)
+        for text in unstored(recording):
+            files.note(source, text)
     return None
 
 
@@ -101,7 +101,7 @@ def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dic
     recording, record, blob = encoded(source, **chosen)
     Path(where).parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(where, blob)
-    return {**record, "notes": [*formats.notes(recording), *notes(recording)]}
+    return {**record, "notes": [*formats.notes(recording), *unstored(recording)]}
 
 
 def encoded(
@@ -156,16 +156,10 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
         raise click.UsageError(str(error)) from error
 
 
-def notes(recording: Recording) -> Iterator[str]:
-    """What of the recording is not stored in the .mocz, and what may be misread, in words."""
-    if isinstance(recording, Motion) and recording.rotations is not None:
-        yield "joint positions are stored; rotations are not stored yet"
-    if missing := recording.source.get("missing_numbers"):
-        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
-    if ignored := recording.source.get("ignored"):
-        yield f"these properties of points are left out: {', '.join(ignored)}"
-    if recording.source.get("residuals") == "left out":
-        yield "residuals and camera masks of samples are left out; --residuals keeps them"
+def unstored(recording: Recording) -> list[str]:
+    """What of the recording is not stored in the .mocz, in words."""
+    has_rotations = isinstance(recording, Motion) and recording.rotations is not None
+    return ["joint positions are stored; rotations are not stored yet"] if has_rotations else []
 
 
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,6 +178,8 @@ def summary(output: str, record: Mapping[str, Any]) -> str:
     """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
     stored, extras, raw = record["bytes"], record["extras"], record["raw_bytes"]
+    if not raw:
+        return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
     line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
     if extras > stored / 100:
         points = raw / (stored - extras)

@@ -74,6 +74,7 @@ def read(
         source |= {"rate_given": True} if header.rate == CMU_RATE else {}
         rate = header.rate
     source |= remembered(acclaim)
+    source |= {} if is_degrees == acclaim.degrees else {"amc_angle": "deg" if is_degrees else "rad"}
     skeleton = acclaim.skeleton
     return Motion(positions, rate or CMU_RATE, skeleton.names, "y", skeleton, rotations, source)
 
@@ -191,15 +192,16 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None, unit:
         asf = path.with_suffix(".asf")
         if asf.exists():
             raise BadInput(f"{path}: {asf} is another skeleton's or in another unit; remove it, or write elsewhere")
-        text = asf_text(acclaim_of(own, unit_m, bone_frames.is_own_frame(motion)))
+        text = asf_text(acclaim_of(own, unit_m))
         replace_whole(asf, text.encode("utf-8"))
         acclaim = read_asf(asf)
     elif not _has_bones(acclaim, own):
         raise BadInput(f"{path}: {asf} differs from this motion's skeleton; name the right one with asf= (--asf)")
-    lines = [":FULLY-SPECIFIED", ":DEGREES" if acclaim.degrees else ":RADIANS"]
+    is_degrees = {"deg": True, "rad": False}.get(str(own.source.get("amc_angle")), acclaim.degrees)
+    lines = [":FULLY-SPECIFIED", ":DEGREES" if is_degrees else ":RADIANS"]
     if own.rate != CMU_RATE or own.source.get("rate_given"):
         lines.append(f":SAMPLES-PER-SECOND {own.rate:.10g}")
-    lines += _frame_lines(path, own, acclaim)
+    lines += _frame_lines(path, own, acclaim, is_degrees)
     replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
@@ -247,7 +249,7 @@ def _has_bones(acclaim: Acclaim, own: Motion) -> bool:
     return same_tree and bool(np.allclose(target.offsets, skeleton.offsets, rtol=0, atol=SAME_OFFSET_M))
 
 
-def _frame_lines(path: Path, own: Motion, acclaim: Acclaim) -> list[str]:
+def _frame_lines(path: Path, own: Motion, acclaim: Acclaim, is_degrees: bool) -> list[str]:
     """The lines of all frames: a number, then each bone that has degrees of freedom."""
     assert own.rotations is not None
     translation = own.positions[:, 0] - acclaim.skeleton.offsets[0]
@@ -255,7 +257,9 @@ def _frame_lines(path: Path, own: Motion, acclaim: Acclaim) -> list[str]:
     if np.abs(translation[:, ["xyz".index(axis) for axis in fixed]]).max(initial=0.0) > SAME_OFFSET_M:
         raise BadInput(f"{path}: the root moves along {' and '.join(fixed)}, for which its ASF has no channel")
     try:
-        columns = [_angles(bone, own.rotations[:, j], translation, acclaim) for j, bone in enumerate(acclaim.bones)]
+        columns = [
+            _angles(bone, own.rotations[:, j], translation, acclaim, is_degrees) for j, bone in enumerate(acclaim.bones)
+        ]
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     first = first_frame(own.source)
@@ -266,7 +270,7 @@ def _frame_lines(path: Path, own: Motion, acclaim: Acclaim) -> list[str]:
     return lines
 
 
-def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim) -> Floats:
+def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim, is_degrees: bool) -> Floats:
     """The channels (frames, dof) of a bone: the inverse of `_rotation`. Raises BadInput if its dof do not suffice."""
     frame = axis_frame(bone, acclaim)
     m = rigid.multiply(rigid.multiply(rigid.inverse(frame), rotation), frame)
@@ -275,7 +279,7 @@ def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim)
     off = float(np.degrees(euler_curves.distance(order, angles, m).mean())) if len(m) else 0.0
     if off > MAX_OFF_DEGREES:
         raise BadInput(f"bone {bone.name} lacks the degrees of freedom for its rotations, which are {off:.3g}° off")
-    values = np.degrees(angles) if acclaim.degrees else angles
+    values = np.degrees(angles) if is_degrees else angles
     columns = [
         translation[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, order.index(dof[1])]
         for dof in bone.dof

@@ -38,19 +38,15 @@ def remembered(acclaim: Acclaim) -> dict[str, Any]:
     return entries | ({} if acclaim.degrees else {"angle": "rad"})
 
 
-def acclaim_of(motion: Motion, unit_m: float, is_acclaim: bool) -> Acclaim:
-    """The skeleton file of a motion in own frames; unit_m: metres in its unit of length.
+def acclaim_of(motion: Motion, unit_m: float) -> Acclaim:
+    """The inverse of `remembered`: the skeleton file of a motion in own frames; unit_m: metres in its unit of length.
 
-    is_acclaim: it comes from such a file, so that this is the inverse of `remembered`; of other motions, bones that
-    rotate do so about x, y and z. Raises BadInput for a source with entries that cannot be read.
+    Raises BadInput for a source with entries that cannot be read.
     """
     skeleton, source = motion.skeleton, motion.source
     assert skeleton is not None
     degrees = source.get("angle") != "rad"
     channels = _usual_channels(skeleton)
-    if not is_acclaim and motion.rotations is not None:
-        rotates = np.abs(motion.rotations[..., 1:]).max(axis=(0, 2), initial=0.0) > 0
-        channels = [ROOT_CHANNELS, *("xyz" if turns else "" for turns in rotates[1:])]
     if "channels" in source:
         stored = expanded(source["channels"], CHANNEL_RUN, "channels")
         channels = stored if len(stored) == len(skeleton) and "end" not in stored else channels

@@ -11,7 +11,7 @@ or that of the sample before the run, whose error the run then has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -56,8 +56,13 @@ class Split:
     holds: bool = True
 
     def __getitem__(self, frames: slice) -> Split:
-        parts = (self.positions, self.missing, self.frozen, self.constant)
-        return Split(*(part[frames] for part in parts), self.tolerance, self.holds)
+        return replace(
+            self,
+            positions=self.positions[frames],
+            missing=self.missing[frames],
+            frozen=self.frozen[frames],
+            constant=self.constant[frames],
+        )
 
     @property
     def apart(self) -> Booleans:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import mocodec as mc
-from mocodec import BadInput, formats
+from mocodec import BadInput, Motion, formats
 from mocodec.formats import gltf
 from mocodec.formats.conventions import start_s
 from mocodec.geometry import kinematics
 
-from .build import Build, about, leg, packed
+from ..samples import SHARED
+from .build import Build, about, leg, packed, parts
 
 TIMES = np.arange(30) / 30
 SWING = about("x", 40 * np.sin(TIMES * 5))
 PATH = np.stack([0.3 * TIMES, np.ones(30), 0.1 * np.sin(TIMES)], axis=1)
+CASES = SHARED.parent / "cases" / "glb"
 SKIN = [{"joints": [0, 1, 2, 3]}]
 
 
@@ -237,7 +240,7 @@ def test_the_nodes_above_and_between_joints_come_back(tmp_path):
     root = motion.positions[:, 0] - motion.skeleton.offsets[0]
     np.testing.assert_allclose(kinematics.forward(motion.skeleton, motion.rotations, root), motion.positions, atol=1e-6)
     gltf.write(tmp_path / "y.glb", motion)
-    content = json.loads((tmp_path / "y.glb").read_bytes()[20:].split(b"BIN\0")[0].rstrip(b"\0 ")[:-4].decode())
+    content, _ = parts(tmp_path / "y.glb")
     for before, after in zip(nodes, content["nodes"], strict=False):
         assert before["name"] == after["name"]
         assert before.get("children") == after.get("children")
@@ -248,6 +251,45 @@ def test_the_nodes_above_and_between_joints_come_back(tmp_path):
     assert moved == {(1, "translation"), (3, "rotation")}
     again = gltf.read(tmp_path / "y.glb")
     np.testing.assert_allclose(again.positions, motion.positions, atol=1e-6)
+
+
+def armature() -> Build:
+    """A leg in centimetres, lying, under a node that turns and scales it, with nodes that are turned at rest."""
+    nodes = [
+        {"name": "Armature", "rotation": about("x", -90.0)[0].tolist(), "scale": [0.01] * 3, "children": [1]},
+        {"name": "hip", "translation": [0, 0, 100], "rotation": about("z", 30.0)[0].tolist(), "children": [2]},
+        {"name": "knee", "translation": [5, 0, -45], "rotation": about("y", 20.0)[0].tolist(), "children": [3]},
+        {"name": "foot", "translation": [0, 0, -40]},
+    ]
+    build = Build(nodes, [{"joints": [1, 2, 3]}]).animation("Walk")
+    return build.move(1, "translation", TIMES, PATH * 100).move(2, "rotation", TIMES, SWING)
+
+
+@pytest.mark.parametrize(
+    ("change", "is_same_tree"),
+    [
+        (lambda m: m.turned("z"), True),
+        (lambda m: m.turned("x"), True),
+        (lambda m: mc.decode(mc.encode(m, codec="lossless"), mc.Motion), False),
+        (lambda m: m[7:19], True),
+        (lambda m: m[::3], True),
+        (lambda m: m.resample(24), True),
+        (lambda m: m.select(["hip", "knee"]), False),
+        (lambda m: replace(m, skeleton=replace(m.skeleton, offsets=m.skeleton.offsets * 1.1)), False),
+        (lambda m: replace(m, extras={"gltf": {**m.extras["gltf"], "parents": [0, 1, 2, 3]}}), False),
+        (lambda m: replace(m, extras={"gltf": {"names": 7}}), False),
+    ],
+)
+def test_a_motion_that_was_changed_is_written_right(tmp_path, change, is_same_tree):
+    motion = change(gltf.read(armature().glb(tmp_path / "x.glb")))
+    gltf.write(tmp_path / "y.glb", motion)
+    again = gltf.read(tmp_path / "y.glb")
+    assert again.up == motion.up
+    np.testing.assert_allclose(again.positions, motion.positions, atol=2e-6)
+    if motion.rotations is not None:
+        assert np.abs(np.sum(again.rotations * motion.rotations, axis=2)).min() > 1 - 1e-6
+        names = [node["name"] for node in parts(tmp_path / "y.glb")[0]["nodes"]]
+        assert ("Armature" in names) == is_same_tree
 
 
 def test_a_node_above_the_joints_may_move_them(tmp_path):
@@ -342,3 +384,16 @@ def test_without_a_skin_animated_nodes_are_joints(tmp_path):
     nodes = [*leg(shin={"mesh": 0}, foot={"mesh": 0}), {"name": "camera", "camera": 0}]
     build = Build(nodes).animation().move(1, "rotation", TIMES, SWING).move(2, "rotation", TIMES, SWING)
     assert gltf.read(build.glb(tmp_path / "x.glb")).names == ("thigh", "shin")
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases in ../shared/cases are not here")
+def test_the_shared_cases():
+    frames = {"cubic.glb": 30, "ext.gltf": 30, "extbin.glb": 30, "nonuniform.glb": 30, "sparse.glb": 30}
+    for name, count in {**frames, "twoanims.glb": 30, "uscale.glb": 30}.items():
+        assert len(mc.read(CASES / name)) == count
+    np.testing.assert_array_equal(
+        mc.read(CASES / "ext.gltf", Motion).positions, mc.read(CASES / "extbin.glb", Motion).positions
+    )
+    for name, problem in {"meshopt.glb": "EXT_meshopt_compression", "long.glb": "too many"}.items():
+        with pytest.raises(BadInput, match=problem):
+            mc.read(CASES / name)

@@ -1,5 +1,5 @@
 // usage: node gltf_witness.mjs NODE_MODULES validate|play FILE [SECONDS,SECONDS,…]
-// validate: issues that the Khronos validator finds. play: world positions of all nodes by name that three.js' GLTFLoader
+// validate: issues that the Khronos validator finds. play: world positions of nodes (the first of each name) that three.js' GLTFLoader
 // and AnimationMixer give at these times. Prints JSON. Buffers beside a .gltf are not loaded.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -28,7 +28,9 @@ if (task === "validate") {
     mixer.setTime(Number(seconds));
     scene.updateMatrixWorld(true);
     const frame = {};
-    scene.traverse((node) => (frame[node.userData.name ?? node.name] = place.setFromMatrixPosition(node.matrixWorld).toArray()));
+    scene.traverse((node) => {
+      frame[node.userData.name ?? node.name] ??= place.setFromMatrixPosition(node.matrixWorld).toArray();
+    });
     return frame;
   });
   const skinned = [];

@@ -101,10 +101,12 @@ class Liu2006:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode for a motion without samples, unknown marker names, or a target that cannot be met."""
-        base.require_frames(motion)
+        if not base.has_samples(motion):
+            return base.encode_gaps(self, motion, base.settings(self))
         error = self.max_error or self.mean_error
         bones, holds = motion.skeleton is not None, self.mean_error is None
         apart = frozen.split(motion.positions, error and FROZEN_SHARE * error, bones, holds)
+        base.require_usual_lengths(self, apart.moving)
         positions, _ = gaps.fill(apart.moving)
         moving = dataclasses.replace(motion, positions=apart.moving)
         markers = marker_groups.assign(moving, self.normalisation_markers, self.foot_markers)
@@ -217,6 +219,8 @@ class Liu2006:
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
+        if not encoded.shared:
+            return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         blend_frames, markers, max_error = read_shared(encoded)
         models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)

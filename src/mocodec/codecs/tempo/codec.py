@@ -25,7 +25,7 @@ from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
 from .. import rescue
-from ..base import require_frames, settings
+from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
 from . import chunk, fallback, model_choice, repeats, target
 from .chunk import DIRECT, ChunkEncoder, Payload
@@ -93,7 +93,8 @@ class Tempo:
 
         Where the models fail, direct coding is tried, then lossless coding; a note in `about.source` says so.
         """
-        require_frames(motion)
+        if not has_samples(motion):
+            return encode_gaps(self, motion, self._stored_settings())
         stored = self._stored_settings()
         ways: list[rescue.Way] = [("with tempo's models", lambda: self.encode_smallest(motion))]
         if self.model != model_choice.DIRECT:
@@ -143,6 +144,7 @@ class Tempo:
         source = prepare(
             motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
         )
+        require_usual_lengths(self, source.positions)
         cuts = leaps.discontinuities(source.smooth, motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
         with progress.phase(0.0, CHOICE_SHARE):
@@ -174,6 +176,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if not encoded.shared:
+            return decode_gaps(encoded, frames)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)

@@ -92,8 +92,10 @@ def _split(text: str, path: str | Path) -> tuple[str, str]:
 def _channel_table(values: Floats, declared: int, joints: list[Joint], path: str | Path, notes: list[str]) -> Floats:
     """The channels (frames, channels). A frame more or fewer than declared is noted; other numbers raise BadInput."""
     width = sum(len(joint.channels) for joint in joints)
-    frames, rest = divmod(values.size, width) if width else (0, 0)
-    if not width or rest or abs(frames - declared) > MAX_FRAME_MISMATCH:
+    if not width:
+        raise BadInput(f"{path}: its joints have no channels, so there is no motion")
+    frames, rest = divmod(values.size, width)
+    if rest or abs(frames - declared) > MAX_FRAME_MISMATCH:
         problem = "cut off: " if values.size < declared * width else ""
         raise BadInput(
             f"{path}: {problem}{declared} frames of {width} channels need {declared * width} numbers, not {values.size}"

@@ -34,6 +34,8 @@ WITHOUT_MOTION = re.compile(
 )
 """Required extensions of surfaces, pictures and lights: they change no joint."""
 
+MAX_VALUE = 1e12
+"""Largest number of a transform or an animation; larger ones are damage."""
 FREE_VALUES = 1 << 22
 VALUES_PER_BYTE = 4
 """Numbers that accessors may make: FREE_VALUES and VALUES_PER_BYTE for each byte of the file and its buffers."""
@@ -161,8 +163,8 @@ class Document:
                 result = values.astype(np.float64)
             if accessor.get("normalized") and dtype.kind in "iu":
                 result = np.maximum(result / np.iinfo(dtype).max, -1.0)
-            if not np.isfinite(result).all():
-                raise self.damaged(f"accessor {number} has values that are not finite")
+            if not (np.abs(result) < MAX_VALUE).all():
+                raise self.damaged(f"accessor {number} has values that are not finite, or beyond {MAX_VALUE:g}")
             self._values[number] = result
         return self._values[number]
 

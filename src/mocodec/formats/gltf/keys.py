@@ -97,6 +97,13 @@ def fit(properties: Sequence[Property], errors_of: Callable[[list[Floats]], Floa
         is_key |= more
 
 
+def still(curve: Curve, frames: int) -> Curve:
+    """A curve of one key with the same key at the last frame."""
+    at = np.unique([0, frames - 1])
+    values, none = np.repeat(curve.values, len(at), axis=0), np.zeros((len(at), curve.values.shape[1]))
+    return Curve(at, values, none, none)
+
+
 def _split(is_key: Booleans, errors: Floats, own: Floats, tolerance_m: float) -> Booleans:
     """Keys to add: in each run of frames beyond the tolerance, at its peak, of the property that is farthest off.
 

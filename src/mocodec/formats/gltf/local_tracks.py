@@ -8,19 +8,20 @@ rotations and scales above are.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ...geometry import kinematics, rigid
-from ...motion import Motion
+from ...geometry import kinematics, rigid, turning
+from ...motion import UP_AXES, Motion
 from ...typing import Floats
 from . import node_tree
 from .node_tree import NodeTree
-from .nodes import WORLD, Pose, child_pose, mirrored
+from .nodes import MIN_DETERMINANT, WORLD, Pose, child_pose, mirrored
 
-MIN_DETERMINANT = 1e-18
-"""Of a parent's matrix; below it the parent is scaled to nothing, and the translation at rest is kept."""
+SAME_REST_M, SAME_REST = 5e-5, 1e-5
+"""Offsets at rest that differ by no more than this, and this share of the longest one, are the same."""
 
 
 class Local(NamedTuple):
@@ -39,9 +40,27 @@ def node_tree_of(motion: Motion) -> NodeTree:
     if motion.skeleton is None or motion.rotations is None:
         return NodeTree(names, (-1,) * n, joints, motion.positions[0], *still)
     tree = node_tree.unpack(motion)
-    if tree is not None:
+    if tree is not None and (tree := _turned(tree, motion)) is not None:
         return tree
     return NodeTree(_labels(motion), motion.skeleton.parents, joints, motion.skeleton.offsets, *still)
+
+
+def _turned(tree: NodeTree, motion: Motion) -> NodeTree | None:
+    """The tree, turned as the motion was since it was read; None if the skeleton at rest is another."""
+    skeleton = motion.skeleton
+    assert skeleton is not None
+    turns = [rigid.IDENTITY, *(turning.quarter_turn(up, motion.up) for up in UP_AXES if up != motion.up)]
+    is_root = np.array(tree.parents)[:, None] < 0
+    place = np.argsort([joint if joint >= 0 else len(tree) for joint in tree.joints], kind="stable")[: len(skeleton)]
+    for turn in turns:
+        translation = np.where(is_root, rigid.rotate(turn, tree.translation), tree.translation)
+        rotation = np.where(is_root, rigid.multiply(turn, tree.rotation), tree.rotation)
+        turned = replace(tree, translation=translation, rotation=rotation)
+        rest = rest_matrices(turned)[place, :3, 3]
+        above = np.array([rest[parent] if parent >= 0 else np.zeros(3) for parent in skeleton.parents])
+        if np.abs(rest - above - skeleton.offsets).max() <= SAME_REST_M + SAME_REST * np.abs(skeleton.offsets).max():
+            return turned
+    return None
 
 
 def _labels(motion: Motion) -> tuple[str, ...]:
@@ -92,7 +111,10 @@ def local_tracks(motion: Motion, tree: NodeTree) -> list[Local]:
 
 
 def _solved(above: Pose, position: Floats, rotation: Floats | None, at_rest: Floats, scale: Floats | None) -> Local:
-    """The local transform of a joint with this world position (frames, 3) and rotation Q (frames, 4)."""
+    """The local transform of a joint with this world position (frames, 3) and rotation Q (frames, 4).
+
+    Where a parent is scaled to nothing, the translation at rest is kept.
+    """
     away = position - above.position
     if above.linear is None:
         translation = rigid.rotate(rigid.inverse(above.rotation), away)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...geometry import articulation, rigid
 from ...typing import Floats
-from .document import Document
+from .document import MAX_VALUE, Document
 from .tracks import Track
 
 Tracks = Mapping[tuple[int, str], Track]
@@ -51,6 +51,10 @@ class Pose(NamedTuple):
         return rigid.to_matrix(self.rotation) if self.linear is None else self.linear
 
 
+MIN_DETERMINANT = 1e-30
+"""Of a matrix; a smaller one is scaled to nothing."""
+MIN_ROTATION = 1e-9
+"""Largest component of a rotation; a smaller one is none."""
 WORLD = Pose(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]), np.ones(3), None)
 
 
@@ -148,14 +152,15 @@ class Nodes:
         translation = np.array(content.get("translation", (0, 0, 0)), float).reshape(3)
         x, y, z, w = (float(v) for v in content.get("rotation", (0, 0, 0, 1)))
         rotation, scale = np.array([w, x, y, z]), np.array(content.get("scale", (1, 1, 1)), float).reshape(3)
-        if not np.isfinite(np.concatenate([translation, rotation, scale])).all() or not rotation.any():
+        is_usable = (np.abs(np.concatenate([translation, rotation, scale])) < MAX_VALUE).all()
+        if not is_usable or np.abs(rotation).max() < MIN_ROTATION:
             raise self._document.damaged(f"node {node} has a transform that is not finite, or a zero rotation")
         return Local(translation * self._unit_m, rotation / np.linalg.norm(rotation), np.diag(scale))
 
     def _decomposed(self, node: int, matrix: Floats) -> Local:
         """Translation, the nearest rotation, and what remains: scale, and shear if there is one."""
         linear = matrix[:3, :3]
-        if not np.isfinite(matrix).all() or abs(np.linalg.det(linear)) < 1e-30:
+        if not (np.abs(matrix) < MAX_VALUE).all() or abs(np.linalg.det(linear)) < MIN_DETERMINANT:
             raise self._document.damaged(f"node {node} has a matrix that cannot be inverted")
         signs = np.array([np.sign(np.linalg.det(linear)), 1.0, 1.0])
         u, _, vt = np.linalg.svd(linear * signs)

@@ -16,7 +16,7 @@ from ..c3d.labels import unique_names
 from ..conventions import first_frame, unit_option, with_start
 from . import animations, node_tree
 from .animations import Channels
-from .document import Document
+from .document import MAX_VALUE, Document
 from .nodes import Nodes, Tracks
 from .rates import frame_times, key_times, rate_of
 
@@ -43,7 +43,8 @@ def read(
     animated nodes and the nodes below them are joints. Raises BadInput.
     """
     try:
-        return _read(path, rate, unit, animation, skin)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+            return _read(path, rate, unit, animation, skin)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:
         if isinstance(error, BadInput):
             if str(error).startswith(str(path)):
@@ -200,6 +201,8 @@ def _motion(
         if parent >= 0:
             local[:, joint] = rigid.multiply(rigid.inverse(turned[:, parent]), turned[:, joint])
     offsets = np.array([rest[i] - (rest[p] if p >= 0 else 0) for i, p in enumerate(parents)])
+    if not all(np.abs(values).max() < MAX_VALUE for values in (positions, local, offsets)):
+        raise BadInput(f"damaged: its joints are beyond {MAX_VALUE:g} m")
     names, originals = unique_names([nodes.name(node) for node in joints], len(joints))
     source |= {"labels": originals} if originals else {}
     tree = node_tree.of_nodes(nodes, chosen - {world}, place, names, world)

@@ -20,8 +20,9 @@ from ...motion import Motion
 from ...typing import AnyInteger, Bytes, Floats
 from .. import replace_whole
 from ..conventions import first_frame, start_s
-from . import bones, keyed
+from . import bones, keyed, keys
 from .binary import BYTE, FLOAT, INT, SHORT, TO_Y_UP, Surface, pack
+from .document import MAX_VALUE
 from .local_tracks import Local, local_tracks, node_tree_of, rest_matrices
 from .node_tree import NodeTree, world_name
 
@@ -38,12 +39,15 @@ def write(path: str | Path, motion: Motion, surface: Surface | None = None, keys
     translate. Of a motion from an AMC, joints are at the starts of bones. surface: the body's surface in place of that
     mesh. keys: in place of a key at every frame, few cubic keys that keep every joint, and points 3 cm off it, within
     this distance, metres.
-    Raises BadInput for gaps and for an empty motion, CannotEncode for `keys` that cannot be met.
+    Raises BadInput for gaps, for positions beyond 10^12 m and for an empty motion, CannotEncode for `keys` that cannot
+    be met.
     """
     if motion.gaps.any():
         raise BadInput(f"{path}: a GLB cannot hold gaps; write a .c3d, .trc or .npz")
     if not len(motion) or not motion.points:
         raise BadInput(f"{path}: a GLB needs at least one frame and one point")
+    if np.abs(motion.positions).max() > MAX_VALUE:
+        raise BadInput(f"{path}: positions beyond {MAX_VALUE:g} m do not fit the 32-bit floats of a GLB")
     if keys is not None and not 0 < keys < float("inf"):
         raise BadInput(f"{path}: keys is a distance in metres above zero, not {keys}")
     description, blob = _Writer(bone_frames.to_starts(motion)).file(surface, keys)
@@ -156,16 +160,16 @@ class _Writer:
 
     def _sampled(self, locals_: Sequence[Local]) -> list[tuple[int, str, dict[str, Any]]]:
         """A channel for each property that is not as at rest: of every frame, or of one key if it does not change."""
-        moving = self._moving(locals_)
+        moving, channels = self._moving(locals_), list[tuple[int, str, dict[str, Any]]]()
         every = np.arange(len(self.motion))
-        is_still = all((values == values[:1]).all() for _, _, values in moving)
-        if not moving:  # nothing moves, but an animation needs a channel
-            moving = [(0, "translation", np.tile(self.tree.translation[0], (len(every), 1)))]
-        channels = list[tuple[int, str, dict[str, Any]]]()
-        for node, path, values in moving:
-            tolerance = MIN_ROTATION if path == "rotation" else self._min_translation(node)
-            is_constant = not is_still and np.abs(values - values[:1]).max() <= tolerance
-            frames = every[:1] if is_constant else every
+        changes = [
+            np.abs(values - values[:1]).max() > (MIN_ROTATION if path == "rotation" else self._min_translation(node))
+            for node, path, values in moving
+        ]
+        for number, (node, path, values) in enumerate(moving):
+            frames = every if changes[number] else every[:1]
+            if number == 0 and not any(changes):  # one channel has the last frame, too
+                frames = np.unique(every[[0, -1]])
             output = self.add(_components(path, values[frames]), KINDS[path])
             channels.append((node, path, {"input": self._time(frames), "output": output, "interpolation": "LINEAR"}))
         return channels
@@ -174,24 +178,32 @@ class _Writer:
         """A channel of sparse cubic keys for each property that is not as at rest."""
         moving = self._moving(locals_)
         curves = keyed.curves(self.motion, self.tree, locals_, moving, tolerance_m)
+        if all(len(curve.keys) == 1 for curve in curves):  # one channel has the last frame, too
+            curves[0] = keys.still(curves[0], len(self.motion))
         channels = list[tuple[int, str, dict[str, Any]]]()
         for (node, path, _), curve in zip(moving, curves, strict=True):
-            tangents = [_components(path, t * self.motion.rate) for t in (curve.in_tangents, curve.out_tangents)]
-            values = np.stack([tangents[0], _components(path, curve.values), tangents[1]], axis=1)
-            output = self.add(values.reshape(-1, values.shape[2]), KINDS[path])
-            sampler = {"input": self._time(curve.keys), "output": output, "interpolation": "CUBICSPLINE"}
+            values, interpolation = _components(path, curve.values), "LINEAR"
+            if len(curve.keys) > 1:  # a cubic spline needs two keys
+                tangents = [_components(path, t * self.motion.rate) for t in (curve.in_tangents, curve.out_tangents)]
+                values = np.stack([tangents[0], values, tangents[1]], axis=1).reshape(-1, values.shape[1])
+                interpolation = "CUBICSPLINE"
+            output = self.add(values, KINDS[path])
+            sampler = {"input": self._time(curve.keys), "output": output, "interpolation": interpolation}
             channels.append((node, path, sampler))
         return channels
 
     def _moving(self, locals_: Sequence[Local]) -> list[tuple[int, str, Floats]]:
-        """Properties that are not as at rest in every frame: node, path and values over time."""
+        """Properties that are not as at rest in every frame, at least one: node, path and values over time."""
         moving, tree = list[tuple[int, str, Floats]](), self.tree
+        is_flat = self.motion.rotations is None  # without a skin, animated nodes are the points
         for node, local in enumerate(locals_):
             rest = (tree.translation[node], tree.rotation[node], tree.scale[node])
             limits = (self._min_translation(node), MIN_ROTATION, 0.0)
             for path, values, still, limit in zip(KINDS, local, rest, limits, strict=True):
-                if values is not None and np.abs(values - still).max() > limit:
+                if values is not None and (is_flat or np.abs(values - still).max() > limit):
                     moving.append((node, path, values))
+        if not moving:  # an animation needs a channel
+            moving.append((0, "translation", np.tile(tree.translation[0], (len(self.motion), 1))))
         return moving
 
     def _min_translation(self, node: int) -> float:
