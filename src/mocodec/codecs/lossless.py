@@ -13,6 +13,7 @@ mark it.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import progress
-from ..encoded import Chunk, Encoded, about, restore
+from ..encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ..entropy import coder
 from ..errors import BadInput, Corrupt
 from ..motion import Motion
@@ -35,7 +36,6 @@ GRID_LARGEST = 1 << 36  # largest multiple of a step
 STEPS_PER_UNIT = tuple(10.0**digits for digits in range(8))  # text with up to seven decimals
 FIT_SAMPLES = 100_000  # about as many samples are used to fit the predictor
 FIT_ITERATIONS = 8
-LONGEST_CHUNK = 1 << 17  # frames, whatever the rate
 RANK_LIMIT = 1 << 37  # every rank is within ±RANK_LIMIT
 HEADER = struct.Struct("<Bdd" + "i" * (ORDER - 1) + "bI")
 ON_GRID, FLOAT32, FLOAT64 = 1, 0, 2  # forms on disk: never change one
@@ -59,6 +59,7 @@ class Lossless:
             return base.encode_gaps(self, motion, base.settings(self))
         if not self.chunk_seconds > 0:
             raise BadInput(f"lossless: chunk_seconds must be positive, not {self.chunk_seconds}")
+<<<<<<< HEAD
         apart = frozen.split(motion.positions, tolerance=0.0, bones=motion.skeleton is not None)
         filled, mask = gaps.fill(apart.moving)
         if self.float64 or not fits_float32(filled):
@@ -71,6 +72,16 @@ class Lossless:
             scale = fixed_point_scale(form, values)
             taps = fit_predictor(channels.astype(np.float64))
         chunk_frames = min(max(1, round(self.chunk_seconds * motion.rate)), LONGEST_CHUNK)
+=======
+        filled, gap_mask = gaps.fill(motion.positions)
+        form, unit, steps, values = to_numbers(filled, ~gap_mask, float(motion.source.get("unit_m", 1.0)))
+        channels = values.reshape(len(values), -1)
+        ranks = channels if form == ON_GRID else float_to_rank(channels)
+        scale = fixed_point_scale(form, values)
+        taps = fit_predictor(channels.astype(np.float64))
+        longest = most_chunk_frames(motion.points)
+        chunk_frames = max(1, round(min(self.chunk_seconds * motion.rate, longest)))
+>>>>>>> main
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
             if form == FLOAT64:
@@ -98,9 +109,17 @@ class Lossless:
         if not -1100 < scale < 1100:
             raise Corrupt(f"lossless: the header has the scale {scale}, outside ±1100")
         chunks = list(encoded.covering(start, stop))
+<<<<<<< HEAD
         if form == FLOAT64:
             return restore(encoded, decode_float64(chunks, points)[slice(*within(chunks, start, stop))], start)
         decoded_chunks = decode_ranks(chunks, points, form, np.array(taps, np.int64), scale)
+=======
+        decoded_chunks = (
+            decoded
+            for batch in batches(chunks, points, len(chunks))
+            for decoded in decode_ranks(batch, points, form, np.array(taps, np.int64), scale)
+        )
+>>>>>>> main
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
         for chunk, (ranks, packed_gaps) in zip(chunks, decoded_chunks, strict=True):
@@ -283,9 +302,15 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 
 def decode_ranks(
+<<<<<<< HEAD
     chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
 ) -> list[tuple[Integers, bytes]]:
     """Ranks (frames, channels) and the packed gaps of each chunk. All chunks step through time together."""
+=======
+    chunks: Sequence[Chunk], points: int, form: int, taps: Integers, scale: int
+) -> list[tuple[Integers, Booleans]]:
+    """Ranks (frames, channels) and gaps (frames, points) of each chunk. All chunks step through time together."""
+>>>>>>> main
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]
     if not chunks:
         return []

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ...encoded import Chunk
+from ...encoded import Chunk, most_chunk_frames
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Floats
@@ -48,7 +48,7 @@ class Encoder:
             raise BadInput("the earlier recording must have the same points")
         self.about = about
         self.max_error = max_error
-        self.chunk_frames = max(1, int(latency_seconds * about.rate))
+        self.chunk_frames = max(1, min(int(latency_seconds * about.rate), most_chunk_frames(about.points)))
         earlier = [] if like is None else [prepare(like.positions, like.up).smooth]
         choice = model_choice.choose(Recording(earlier, about, target.step_for_bound(max_error)))
         self._model = choice.model
