@@ -24,7 +24,7 @@ from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, Corrupt, MocodecError
 from .metrics import compare
 from .motion import Deferred, Motion, with_signals
-from .packing import pack
+from .packing import default_codec, pack, with_options
 from .pointcloud import PointClouds
 from .progress import Callback
 from .selection import Frames, counted, frame_steps, point_columns, split_key
@@ -36,8 +36,6 @@ __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
 Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
-DEFAULT_CODECS = ("tempo", "bodycast")
-"""The codecs that are used by default: for motion, and for point clouds."""
 
 
 @overload
@@ -139,22 +137,6 @@ def encode(
 def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:
     """The settings without the targets that are None."""
     return {name: value for name, value in settings.items() if value is not None or name not in TARGETS}
-
-
-def default_codec(recording: Recording) -> str:
-    """The name of the codec that is used by default."""
-    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
-
-
-def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
-    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
-    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
-    known = [f.name for f in dataclasses.fields(chosen)]
-    for name in options:
-        if name not in known:
-            what = "target" if name in TARGETS else "setting"
-            raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")
-    return dataclasses.replace(chosen, **options)
 
 
 @overload

@@ -6,11 +6,16 @@ import dataclasses
 import math
 from typing import Any, cast
 
+from . import codecs
 from . import progress as progress_
+from .codecs import rescue
 from .codecs.base import Codec
-from .encoded import Encoded, Recording, RecordingT
-from .errors import CannotEncode
+from .encoded import TARGETS, Encoded, Recording, RecordingT
+from .errors import BadInput, CannotEncode, MocodecError
+from .motion import Motion
 
+DEFAULT_CODECS = ("tempo", "bodycast")
+"""The codecs that are used by default: for motion, and for point clouds."""
 ATTEMPTS = 5
 """How often a recording is encoded to meet a size or a ratio."""
 SMALLEST_FILE_BYTES = 64
@@ -30,11 +35,11 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     promised = {} if signal_error is None else {"signal_error": signal_error}
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
-        return container.pack(_promising(codec.encode(recording), promised))
+        return container.pack(_promising(_encoded(codec, recording), promised))
     if target == "size":
         _require_room(recording, codec)
     with progress_.attempt(0):
-        encoded = _promising(codec.encode(recording), promised)
+        encoded = _promising(_encoded(codec, recording), promised)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
     limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
@@ -46,7 +51,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
             break
         value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
         with progress_.attempt(attempt):
-            encoded = dataclasses.replace(codec, **{target: value}).encode(recording)
+            encoded = _encoded(dataclasses.replace(codec, **{target: value}), recording)
         blob = container.pack(dataclasses.replace(encoded, settings=settings))
     if len(blob) <= limit:
         return blob
@@ -54,6 +59,23 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
         f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
         f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
     )
+
+
+def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[RecordingT]:
+    """By the codec, or for a motion by the default codec if an error in mocodec ends the codec; a note says so."""
+    try:
+        return codec.encode(recording)
+    except (MocodecError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        failure = rescue.in_words(f"with {codec.name}", error)
+        if not isinstance(recording, Motion):
+            raise CannotEncode(f"{failure}; please report it, and try another codec") from error
+        targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
+        names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
+        default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
+        encoded = rescue.with_note(default.encode(recording), f"{failure}; {default.name} codes the motion")
+        return cast("Encoded[RecordingT]", encoded)
 
 
 def with_signal_error(recording: RecordingT, signal_error: str) -> RecordingT:
@@ -86,3 +108,19 @@ def extras_bytes(blob: bytes) -> int:
     with container.Reader(blob) as reader:
         sizes = reader.info()["bytes_by_part"]
         return sizes["extras"] + sizes["signals"]
+
+
+def default_codec(recording: Recording) -> str:
+    """The name of the codec that is used by default."""
+    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
+
+
+def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
+    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
+    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
+    known = [f.name for f in dataclasses.fields(chosen)]
+    for name in options:
+        if name not in known:
+            what = "target" if name in TARGETS else "setting"
+            raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")
+    return dataclasses.replace(chosen, **options)
