@@ -59,7 +59,6 @@ class Lossless:
             return base.encode_gaps(self, motion, base.settings(self))
         if not self.chunk_seconds > 0:
             raise BadInput(f"lossless: chunk_seconds must be positive, not {self.chunk_seconds}")
-<<<<<<< HEAD
         apart = frozen.split(motion.positions, tolerance=0.0, bones=motion.skeleton is not None)
         filled, mask = gaps.fill(apart.moving)
         if self.float64 or not fits_float32(filled):
@@ -71,17 +70,8 @@ class Lossless:
             ranks = channels if form == ON_GRID else float_to_rank(channels)
             scale = fixed_point_scale(form, values)
             taps = fit_predictor(channels.astype(np.float64))
-        chunk_frames = min(max(1, round(self.chunk_seconds * motion.rate)), LONGEST_CHUNK)
-=======
-        filled, gap_mask = gaps.fill(motion.positions)
-        form, unit, steps, values = to_numbers(filled, ~gap_mask, float(motion.source.get("unit_m", 1.0)))
-        channels = values.reshape(len(values), -1)
-        ranks = channels if form == ON_GRID else float_to_rank(channels)
-        scale = fixed_point_scale(form, values)
-        taps = fit_predictor(channels.astype(np.float64))
         longest = most_chunk_frames(motion.points)
         chunk_frames = max(1, round(min(self.chunk_seconds * motion.rate, longest)))
->>>>>>> main
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
             if form == FLOAT64:
@@ -109,17 +99,13 @@ class Lossless:
         if not -1100 < scale < 1100:
             raise Corrupt(f"lossless: the header has the scale {scale}, outside ±1100")
         chunks = list(encoded.covering(start, stop))
-<<<<<<< HEAD
         if form == FLOAT64:
             return restore(encoded, decode_float64(chunks, points)[slice(*within(chunks, start, stop))], start)
-        decoded_chunks = decode_ranks(chunks, points, form, np.array(taps, np.int64), scale)
-=======
         decoded_chunks = (
             decoded
             for batch in batches(chunks, points, len(chunks))
             for decoded in decode_ranks(batch, points, form, np.array(taps, np.int64), scale)
         )
->>>>>>> main
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
         for chunk, (ranks, packed_gaps) in zip(chunks, decoded_chunks, strict=True):
@@ -302,15 +288,9 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 
 def decode_ranks(
-<<<<<<< HEAD
     chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
 ) -> list[tuple[Integers, bytes]]:
     """Ranks (frames, channels) and the packed gaps of each chunk. All chunks step through time together."""
-=======
-    chunks: Sequence[Chunk], points: int, form: int, taps: Integers, scale: int
-) -> list[tuple[Integers, Booleans]]:
-    """Ranks (frames, channels) and gaps (frames, points) of each chunk. All chunks step through time together."""
->>>>>>> main
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]
     if not chunks:
         return []
