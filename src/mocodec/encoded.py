@@ -90,9 +90,13 @@ def about(motion: Motion) -> Motion:
     return replace(motion, positions=motion.positions[:0], rotations=None)
 
 
-def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0) -> Motion:
-    """The motion of decoded positions (frames, points, 3), whose first frame is `start` of the encoded motion."""
+def restore(
+    encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None
+) -> Motion:
+    """The motion of decoded positions (frames, points, 3) and rotations (frames, joints, 4), whose first frame is
+    `start` of the encoded motion."""
     like = encoded.about
     complete = start == 0 and len(positions) == encoded.frames
     extras = like.extras if complete else extras_between(like.extras, start, start + len(positions), like.rate)
-    return replace(like, positions=positions, extras=extras, source=source_from(like.source, start))
+    source = source_from(like.source, start)
+    return replace(like, positions=positions, rotations=rotations, extras=extras, source=source)

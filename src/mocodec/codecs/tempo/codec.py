@@ -12,7 +12,7 @@ repeat are coded once (`repeats`); where hou2014 is smaller on the whole recordi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -26,6 +26,9 @@ from ...motion import Motion
 from ...typing import Booleans, Floats
 from ..base import require_frames, settings
 from . import chunk, fallback, model_choice, repeats, target
+from .rotation_layer import layer
+from .rotation_layer.encoder import Encoder as RotationEncoder
+from .rotation_layer.encoder import Promise
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .header import StreamHeader, pack_weights, with_weights
@@ -66,6 +69,8 @@ class Tempo:
     chunk_seconds: float = 4.0
     weights: Mapping[str, float] | None = None
     model: str = model_choice.AUTO
+    max_rotation: float | None = None
+    shell: float = 0.03
 
     def __post_init__(self) -> None:
         targets = {t: getattr(self, t) for t in TARGETS if getattr(self, t) is not None}
@@ -87,6 +92,32 @@ class Tempo:
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
         require_frames(motion)
+        if motion.rotations is None or layer.keeps(motion) is not None:
+            return self.encode_positions(motion)
+        return self._encode_rotations(motion)
+
+    def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
+        weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
+        has_bound = not (self._has_size or self.mean_error)
+        bound = (self.max_error or DEFAULT_MAX_ERROR) if has_bound else None
+        turn = None if self.max_rotation is None else np.radians(self.max_rotation)
+        encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
+        positions = replace(motion, rotations=None)
+        bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None)
+
+        def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
+            return lambda value: replace(bare, **{kind: value}).encode_positions(positions)
+
+        if self.mean_error is not None:
+            encoded = encoder.to_mean(self.mean_error, inner("mean_error"), Tempo.decode)
+        elif self._has_size:
+            encoded = encoder.to_size(self._wanted_bytes(motion), inner("size"), Tempo.decode)
+        else:
+            encoded = encoder.to_bound(inner("max_error"), Tempo.decode)
+        return replace(encoded, settings=self._stored_settings())
+
+    def encode_positions(self, motion: Motion) -> Encoded[Motion]:
+        """Without rotations."""
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -145,6 +176,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if layer.has_rotations(encoded):
+            return layer.decode(encoded, frames, Tempo.decode)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)
