@@ -92,6 +92,7 @@ def header_record(
     """The header's fields, and the extras section that they declare."""
     extras, extras_size = values.pack_extras(about.extras) if about.extras else (b"", 0)
     skeleton = about.skeleton if isinstance(about, Motion) else None
+    has_rotations = isinstance(about, Motion) and about.rotations is not None
     present = {
         records.MARGIN: margin > 0,
         records.SKELETON: skeleton is not None,
@@ -106,7 +107,7 @@ def header_record(
         "codec": codec,
         "rate": about.rate,
         "margin": margin,
-        "skeleton": skeleton,
+        "skeleton": (skeleton, has_rotations),
         "settings": dict(settings),
         "source": dict(about.source),
         "extras": (len(extras), extras_size),

@@ -27,7 +27,7 @@ from ..models import prior
 from . import choose, layer, payload, record, shell, side, solve
 from .payload import Layer
 
-MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.8, 0.9
+MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.7, 0.9
 """Of the mean error, of the bound and of the bytes that the target allows: what the inner stream gets at first."""
 FLOOR = 0.985
 """With exact side values, at most this share of the mean error may be used up by positions."""
