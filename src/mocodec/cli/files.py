@@ -126,6 +126,11 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
+def echo(text: str, err: bool = False) -> None:
+    """Print text on standard output or error; control characters, which files may put into names, are replaced."""
+    click.echo("\n".join(map(printable, text.split("\n"))), err=err)
+
+
 def write(
     name: str, motion: Motion | PointClouds, format_: str | None = None, quiet: bool = False, **options: Any
 ) -> None:
@@ -153,7 +158,7 @@ def print_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> Non
     if quiet or suffix.lower() == SUFFIX:
         return
     if left_out := formats.dropped(f"motion{suffix}", motion):
-        click.echo(f"note: {suffix.lower()} cannot store {printable(', '.join(left_out))}", err=True)
+        echo(f"note: {suffix.lower()} cannot store {', '.join(left_out)}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:

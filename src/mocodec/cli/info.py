@@ -11,21 +11,43 @@ import click
 from .. import api, formats
 from ..encoded import Recording
 from ..motion import Motion
-from . import files, quantities
+from . import files, many, quantities
 
 
 @click.command("info")
-@click.argument("source", metavar="FILE")
+@click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@many.options
 @files.reader_options
-def command(source: str, as_json: bool, **options: Any) -> None:
-    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read."""
-    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"]):
+def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
+    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read.
+
+    Of several files, or of a folder, a table shows the main facts; --json has all of them.
+    """
+    if many.is_many(sources):
+        found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
+        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, again, as_json))
+    facts = facts_of_source(sources[0], **options)
+    files.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
+    return None
+
+
+def one(source: str, _: str | None, may_replace: bool = True, **options: Any) -> dict[str, Any]:
+    """The record of one of many files for the summary, with all of its facts. Nothing is written."""
+    facts = facts_of_source(source, **options)
+    record: dict[str, Any] = {name: facts.get(name) for name in ("kind", "codec", "frames", "points", "rate")}
+    record |= {"duration": facts["seconds"], "raw_bytes": facts.get("raw_bytes_float32")}
+    if "bytes" in facts:
+        record |= {"bytes": facts["bytes"], "ratio": facts["ratio"]}
+    return {**record, "facts": facts}
+
+
+def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
+    """The facts of a file, a URL or standard input."""
+    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
         with api.open(files.source_of(source)) as opened:
-            facts = opened.info
-    else:
-        facts = facts_of(files.read(source, **options))
-    click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
+            return opened.info
+    return facts_of(files.read(source, **options))
 
 
 def facts_of(recording: Recording) -> dict[str, Any]:

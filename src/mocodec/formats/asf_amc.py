@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import BadInput
-from ..geometry import kinematics, rigid
+from ..geometry import euler_curves, kinematics, rigid
 from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole
@@ -30,6 +30,8 @@ HOLDS = frozenset({"skeleton", "joint rotations"})
 CMU_RATE = 120.0
 MAX_RADIANS = 50.0
 """Angles of continuous rotation, eight turns."""
+MAX_OFF_DEGREES = 5.0
+"""How far rotations may be on average from those that a bone's degrees of freedom can make: coding errors, not more."""
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
@@ -206,10 +208,10 @@ def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim)
     frame = axis_frame(bone, acclaim)
     m = rigid.multiply(rigid.multiply(rigid.inverse(frame), rotation), frame)
     order = "".join(axis for axis in bone.order[::-1] if f"r{axis}" in bone.dof)
-    try:
-        angles = rigid.to_euler_along_time(order, m)
-    except BadInput as error:
-        raise BadInput(f"bone {bone.name} lacks the degrees of freedom for its rotation: {error}") from None
+    angles = euler_curves.along_time(order, m)
+    off = float(np.degrees(euler_curves.distance(order, angles, m).mean())) if len(m) else 0.0
+    if off > MAX_OFF_DEGREES:
+        raise BadInput(f"bone {bone.name} lacks the degrees of freedom for its rotations, which are {off:.3g}° off")
     values = np.degrees(angles) if acclaim.degrees else angles
     columns = [
         translation[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, order.index(dof[1])]

@@ -1,0 +1,1 @@
+"""Geometry: rotations, kinematics, registration, and conversion of skeletal motions."""
