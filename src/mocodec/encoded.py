@@ -85,9 +85,12 @@ class Encoded(Generic[RecordingT]):
         return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
 
 
-def about(motion: Motion) -> Motion:
-    """The motion without its frames and rotations: the `about` of its Encoded."""
-    return replace(motion, positions=motion.positions[:0], rotations=None)
+def about(motion: Motion, has_rotations: bool = False) -> Motion:
+    """The motion without its frames: the `about` of its Encoded. has_rotations: whether the codec codes rotations; the
+    result then has rotations, of no frames.
+    """
+    rotations = motion.rotations if has_rotations else None
+    return replace(motion, positions=motion.positions[:0], rotations=None if rotations is None else rotations[:0])
 
 
 def restore(

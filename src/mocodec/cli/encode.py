@@ -32,6 +32,12 @@ from . import files, many, quantities, verify
 @click.option(
     "--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames is at most this: 1mm."
 )
+@click.option(
+    "--max-rotation",
+    type=click.FloatRange(0, 180, min_open=True),
+    metavar="DEGREES",
+    help="No rotation of a joint is farther off than this, beside any other target: 2.",
+)
 @click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
@@ -74,6 +80,8 @@ def command(
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
     cloud_settings = files.given(**{name: options.pop(name) for name in ("skeleton", "residual")})
     settings += tuple(f"{name}={value}" for name, value in cloud_settings.items())
+    if (max_rotation := options.pop("max_rotation")) is not None:
+        settings += (f"max_rotation={max_rotation}",)
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     if many.is_many(sources, output):
         refuse_file(output)
@@ -85,7 +93,7 @@ def command(
     source = sources[0]
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
-    recording, record, blob = encoded(source, **chosen, **options)
+    recording, record, blob = encoded(source, **chosen, **options, quiet=quiet)
     files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
@@ -98,16 +106,27 @@ def command(
 
 def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dict[str, Any]:
     """Encode one of many files to `where`; returns its record for the summary."""
-    recording, record, blob = encoded(source, **chosen)
+    recording, record, blob = encoded(source, **chosen, quiet=True)
     Path(where).parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(where, blob)
-    return {**record, "notes": [*formats.notes(recording), *notes(recording)]}
+    kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
+    lost = api.not_kept(recording, kind)
+    left_out = [f"not kept: {', '.join(lost)}"] if lost else []
+    return {**record, "notes": [*left_out, *formats.notes(recording), *notes(recording)]}
 
 
 def encoded(
-    source: str, codec: str | None, settings: Sequence[str], targets: dict[str, float], bare: bool, **options: Any
+    source: str,
+    codec: str | None,
+    settings: Sequence[str],
+    targets: dict[str, float],
+    bare: bool,
+    quiet: bool,
+    **options: Any,
 ) -> tuple[Recording, dict[str, Any], bytes]:
     """The recording of a source, what was measured on its .mocz, and the bytes of that.
+
+    Says before the work what will not be kept, unless `quiet`.
 
     Raises CannotEncode if the decoded bytes do not keep their promise.
     """
@@ -116,6 +135,8 @@ def encoded(
     if bare:
         recording = replace(recording, extras={})
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
+    if (lost := api.not_kept(recording, chosen)) and not quiet:
+        files.echo(f"note: {source}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"):
         with progress.phase(0.0, 0.9):
             blob = api.pack(chosen, recording)
@@ -158,8 +179,6 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
 
 def notes(recording: Recording) -> Iterator[str]:
     """What of the recording is not stored in the .mocz, and what may be misread, in words."""
-    if isinstance(recording, Motion) and recording.rotations is not None:
-        yield "joint positions are stored; rotations are not stored yet"
     if missing := recording.source.get("missing_numbers"):
         yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
     if ignored := recording.source.get("ignored"):

@@ -1,8 +1,10 @@
-"""Lossless coding: every float32 bit of the positions, in the units of the source file.
+"""Lossless coding: every float32 bit of the positions, in the units of the source file, and every bit of rotations.
 
     positions ─► units of the source ─► multiples of a step? ── yes ─► integers k, x = k / steps ──────┐
                  as float32                     └─ no ──► bit patterns as integers in numeric order ───├─► residual
                                 one linear predictor for the recording, in fixed-point arithmetic ─────┘
+
+    rotations ─► differences in time of their bits ─► bytes of equal weight together ─► deflate
 
 The residual is entropy coded. Recordings are smooth far below a millimetre. One linear predictor, fitted to all points
 for the least absolute error (which determines the bits), leaves only the noise of the cameras. Text formats and integer
@@ -13,6 +15,7 @@ mark it.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -38,6 +41,7 @@ FIT_ITERATIONS = 8
 RANK_LIMIT = 1 << 37  # every rank is within ±RANK_LIMIT
 HEADER = struct.Struct("<Bdd" + "i" * (ORDER - 1) + "bI")
 ON_GRID, FLOAT32 = 1, 0  # forms on disk: never change one
+WITH_ROTATIONS = b"\x01"  # the second shared part, if chunks begin with rotations
 
 
 @dataclass(frozen=True)
@@ -59,21 +63,32 @@ class Lossless:
         scale = fixed_point_scale(form, values)
         taps = fit_predictor(channels.astype(np.float64))
         chunk_frames = max(1, round(self.chunk_seconds * motion.rate))
+        has_rotations = self.lost_rotations(motion) is None and motion.rotations is not None
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
             residual = ranks[run] - predict_chunk(ranks[run], form, taps, scale)
             packed_gaps = gaps.pack(gap_mask[run])
             payload = struct.pack("<I", len(packed_gaps)) + packed_gaps + coder.pack(residual)
+            if has_rotations and motion.rotations is not None:
+                packed = pack_rotations(motion.rotations[run])
+                payload = struct.pack("<I", len(packed)) + packed + payload
             chunks.append(Chunk(run.start, len(residual), payload))
         shared = HEADER.pack(form, unit, steps, *taps.tolist(), scale, chunk_frames)
-        return Encoded(self.name, about(motion), tuple(chunks), (shared,), settings=base.settings(self))
+        parts = (shared, WITH_ROTATIONS) if has_rotations else (shared,)
+        return Encoded(self.name, about(motion, has_rotations), tuple(chunks), parts, settings=base.settings(self))
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return "it has no skeleton" if motion.skeleton is None else None
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
         start, stop = encoded.range(frames)
         points = encoded.about.points
-        if len(encoded.shared) != 1 or len(encoded.shared[0]) != HEADER.size:
+        has_rotations = encoded.shared[1:] == (WITH_ROTATIONS,)
+        if len(encoded.shared) != 1 + has_rotations or len(encoded.shared[0]) != HEADER.size:
             raise Corrupt(f"lossless: the shared bytes must be one header of {HEADER.size} bytes")
         form, unit, steps, *taps, scale, _ = HEADER.unpack(encoded.shared[0])
         if form not in (ON_GRID, FLOAT32):
@@ -81,6 +96,10 @@ class Lossless:
         if not -1100 < scale < 1100:
             raise Corrupt(f"lossless: the header has the scale {scale}, outside ±1100")
         chunks = list(encoded.covering(start, stop))
+        rotations: list[Floats] = []
+        if has_rotations:
+            parts = [split_rotations(chunk, points) for chunk in chunks]
+            chunks, rotations = [c for c, _ in parts], [q for _, q in parts]
         decoded_chunks = decode_ranks(chunks, points, form, np.array(taps, np.int64), scale)
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
@@ -91,7 +110,46 @@ class Lossless:
             positions[at : at + chunk.frames] = gaps.apply(decoded, gap_mask)
             at += chunk.frames
         first = chunks[0].start if chunks else 0
-        return restore(encoded, positions[start - first : stop - first], start)
+        turned = np.concatenate([*rotations, np.zeros((0, points, 4))])[start - first : stop - first]
+        return restore(
+            encoded, positions[start - first : stop - first], start, turned if has_rotations else None
+        )
+
+
+# --- rotations ⇄ bytes
+
+
+def pack_rotations(rotations: Floats) -> bytes:
+    """Rotations (frames, joints, 4) to the bit: each is combined by exclusive or with that of the frame before."""
+    bits = np.ascontiguousarray(rotations, "<f8").view("<u8").reshape(len(rotations), -1)
+    changed = bits.copy()
+    changed[1:] ^= bits[:-1]
+    planes = changed.T.copy().view(np.uint8).reshape(-1, 8).T
+    return zlib.compress(planes.tobytes(), 9)
+
+
+def unpack_rotations(data: bytes, frames: int, joints: int) -> Floats:
+    """The inverse of `pack_rotations`. Raises Corrupt."""
+    size = frames * joints * 4 * 8
+    unpacker = zlib.decompressobj()
+    try:
+        planes = unpacker.decompress(data, size)
+    except zlib.error as problem:
+        raise Corrupt(f"lossless: the rotations cannot be unpacked: {problem}") from None
+    if len(planes) != size or unpacker.unconsumed_tail or unpacker.unused_data or not unpacker.eof:
+        raise Corrupt("lossless: the rotations do not unpack to their size")
+    changed = np.frombuffer(planes, np.uint8).reshape(8, -1).T.copy().view("<u8").reshape(joints * 4, frames).T
+    bits = np.bitwise_xor.accumulate(changed, axis=0)
+    return np.ascontiguousarray(bits).view("<f8").reshape(frames, joints, 4).astype(np.float64)
+
+
+def split_rotations(chunk: Chunk, joints: int) -> tuple[Chunk, Floats]:
+    """A chunk without its rotations, and the rotations (frames, joints, 4). Raises Corrupt."""
+    size = int.from_bytes(chunk.payload[:4], "little")
+    if len(chunk.payload) < 4 + size:
+        raise Corrupt(f"lossless: the chunk at frame {chunk.start} ends within its rotations")
+    rotations = unpack_rotations(chunk.payload[4 : 4 + size], chunk.frames, joints)
+    return Chunk(chunk.start, chunk.frames, chunk.payload[4 + size :]), rotations
 
 
 # --- positions ⇄ numbers ⇄ ranks

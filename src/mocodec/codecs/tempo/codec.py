@@ -58,6 +58,10 @@ class Tempo:
     weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
     model: "auto" takes the smallest. Or one of "points-prior", "points-stored", "directions-prior",
     "directions-stored" (coordinates and statistics, see `models`), "direct" (a grid without a model) and "hou2014".
+
+    Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
+    of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
+    max_rotation: degrees, beside any target; no rotation of a joint, against the world or its parent, is farther off.
     """
 
     name: ClassVar[str] = "tempo"
@@ -86,13 +90,17 @@ class Tempo:
             raise BadInput("weights must lie between 1 and 1000")
         if self.model not in MODEL_NAMES:
             raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
+        if self.max_rotation is not None and not 0 < self.max_rotation <= 180:
+            raise BadInput("max_rotation must lie between 0 and 180 degrees")
+        if not 1e-4 <= self.shell <= 10:
+            raise BadInput("shell must lie between 0.0001 and 10 metres")
         if self.weights and self.model == FALLBACK_MODEL:
             raise BadInput("hou2014 does not take weights")
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
         require_frames(motion)
-        if motion.rotations is None or layer.keeps(motion) is not None:
+        if motion.rotations is None or self.lost_rotations(motion) is not None:
             return self.encode_positions(motion)
         return self._encode_rotations(motion)
 
@@ -115,6 +123,11 @@ class Tempo:
         else:
             encoded = encoder.to_bound(inner("max_error"), Tempo.decode)
         return replace(encoded, settings=self._stored_settings())
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return layer.lost_rotations(motion)
 
     def encode_positions(self, motion: Motion) -> Encoded[Motion]:
         """Without rotations."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .... import progress
-from ....encoded import Chunk, Encoded
+from ....encoded import Chunk, Encoded, about
 from ....errors import CannotEncode
 from ....motion import Motion
 from ....stages import search
@@ -206,15 +206,15 @@ class Encoder:
 
     def __init__(self, motion: Motion, reach_m: float, promise: Promise) -> None:
         assert motion.skeleton is not None
+        assert motion.rotations is not None
         self.motion, self.promise, self.reach_m = motion, promise, reach_m
-        local = layer.unit_rotations(motion)
+        local = layer.unit_rotations(motion.rotations, motion.names)
         skeleton = record.rounded(motion.skeleton)
         own_frame = motion.source.get("format") == "amc"
         self.rules = choose.choose(skeleton, own_frame, motion.positions, local)
         self.values = choose.side_values(self.rules, motion.positions, local)
         self.original = Original(motion.positions, local, choose.world_rotations(skeleton, local))
         self.factor = side.coordinates(self.rules, reach_m)
-        self.positions_only = replace(motion, rotations=None)
 
     def to_mean(self, target: float, inner: Callable[[float], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
         """inner(mean error) codes the positions."""
@@ -305,15 +305,19 @@ class Encoder:
         step = round(np.log2(step_m) * OCTAVE)
         bounds = [(c.start, c.stop) for c in encoded.chunks]
         values = [choose.chunk_values(self.rules, self.values[a:b]) for a, b in bounds]
-        known, rate = prior.for_points(), self.motion.rate
-        stored = side.fit(values, self.factor, known, rate, step) if self.rules.side_values else None
-        shared = record.pack(self.rules, self.reach_m, record.pack_statistics(stored, known))
-        of = Layer(self.rules, self.reach_m, side.SideModel.of(stored, known, self.rules, self.factor, rate))
+        of, shared = self.fitted(values, step)
         made = [
             ChunkLayer(of, self.original.between(a, b), v, decoded[a:b])
             for (a, b), v in zip(bounds, values, strict=True)
         ]
         return Coded(of, shared, step, made)
+
+    def fitted(self, values: Sequence[Floats], step: int) -> tuple[Layer, bytes]:
+        """The layer for chunks of side values (frames, n) in about this step, and its shared bytes."""
+        known, rate = prior.for_points(), self.motion.rate
+        stored = side.fit(values, self.factor, known, rate, step) if self.rules.side_values else None
+        shared = record.pack(self.rules, self.reach_m, record.pack_statistics(stored, known))
+        return Layer(self.rules, self.reach_m, side.SideModel.of(stored, known, self.rules, self.factor, rate)), shared
 
     def _mean(self, coded: Coded, drafts: Sequence[Draft], every: int = 1) -> float:
         """Mean distance of joints and shell points, metres, of every so many frames."""
@@ -355,6 +359,29 @@ def _stride(logarithm: float) -> int:
     return max(24, round(64 * abs(logarithm)))
 
 
+class StreamEncoder:
+    """The rotations of a stream, by the rules of an earlier recording of the same skeleton. Raises BadInput."""
+
+    def __init__(self, like: Motion, max_error: float, reach_m: float) -> None:
+        self.promise = Promise(max_error, None, None)
+        fitting = Encoder(like, reach_m, self.promise)
+        self.step = round(np.log2(BOUND_STEP * max_error) * OCTAVE)
+        self.layer, self.shared = fitting.fitted([choose.chunk_values(fitting.rules, fitting.values)], self.step)
+
+    def part(self, positions: Floats, rotations: Floats, targets: Floats) -> bytes:
+        """The part of a chunk: positions (frames, joints, 3), rotations (frames, joints, 4), and the positions that the
+        inner stream decodes to. Raises CannotEncode.
+        """
+        rules = self.layer.rules
+        original = Original(positions, rotations, choose.world_rotations(rules.skeleton, rotations))
+        values = choose.chunk_values(rules, choose.side_values(rules, positions, rotations))
+        chunk = ChunkLayer(self.layer, original, values, targets)
+        draft = chunk.draft(self.step, BOUND_SLOPE)
+        if chunk.broken(*chunk.solved(draft), self.promise).any():
+            return chunk.mended(self.step, self.promise)
+        return payload.pack_transforms(self.layer, [(draft.numbers, draft.grid)])[0]
+
+
 Decode = Callable[[Encoded[Motion]], Motion]
 
 
@@ -373,5 +400,5 @@ def _joined(motion: Motion, encoded: Encoded[Motion], coded: Coded, parts: Seque
         Chunk(c.start, c.frames, payload.join(part, c.payload)) for c, part in zip(encoded.chunks, parts, strict=True)
     ]
     return replace(
-        encoded, about=layer.with_rotations_about(motion), chunks=chunks, shared=(*encoded.shared, coded.shared)
+        encoded, about=about(motion, has_rotations=True), chunks=chunks, shared=(*encoded.shared, coded.shared)
     )

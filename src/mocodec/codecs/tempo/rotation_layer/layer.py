@@ -9,14 +9,14 @@ points* are checked: three points at a set distance off each joint along the axe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from ....encoded import Chunk, Encoded, about, restore
+from ....encoded import Chunk, Encoded, restore
 from ....errors import BadInput, Corrupt
 from ....motion import Motion, Skeleton
 from ....typing import Floats
@@ -35,24 +35,22 @@ def has_rotations(encoded: Encoded[Motion]) -> bool:
     return len(encoded.shared) == PARTS
 
 
-def keeps(motion: Motion) -> str | None:
-    """None where the rotations of a motion can be kept, else why not, in words."""
-    if motion.rotations is None:
-        return None
+def lost_rotations(motion: Motion) -> str | None:
+    """Why the rotations of a motion are not kept, in words; None where they are."""
     if motion.skeleton is None:
-        return "a motion without a skeleton"
-    return "a motion with gaps" if motion.gaps.any() else None
+        return "it has no skeleton"
+    return "it has gaps" if motion.gaps.any() else None
 
 
-def unit_rotations(motion: Motion) -> Floats:
-    """The rotations (frames, joints, 4) as unit quaternions. Raises BadInput for NaN and other lengths."""
-    assert motion.rotations is not None
-    length = np.sqrt((motion.rotations**2).sum(axis=2))
+def unit_rotations(rotations: Floats, names: Sequence[str]) -> Floats:
+    """Rotations (frames, joints, 4) as unit quaternions. Raises BadInput for NaN and other lengths."""
+    length = np.sqrt((rotations**2).sum(axis=2))
     if not (np.abs(length - 1) < UNIT_WITHIN).all():
         frame, joint = np.argwhere(~(np.abs(length - 1) < UNIT_WITHIN))[0]
-        what = "missing" if np.isnan(length[frame, joint]) else f"no unit quaternion (its length is {length[frame, joint]:.4g})"
-        raise BadInput(f"the rotation of {motion.names[joint]} at frame {frame} is {what}")
-    return motion.rotations / length[..., None]
+        size = float(length[frame, joint])
+        what = "missing" if np.isnan(size) else f"no unit quaternion (its length is {size:.4g})"
+        raise BadInput(f"the rotation of {names[joint]} at frame {frame} is {what}")
+    return rotations / length[..., None]
 
 
 def decode(
@@ -117,8 +115,3 @@ def _unpack(data: bytes, rate: float, skeleton: _SkeletonKey) -> Layer:
     stored, known = record.unpack_statistics(statistics, rules.side_values)
     factor = side.coordinates(rules, reach_m)
     return Layer(rules, reach_m, side.SideModel.of(stored, known, rules, factor, rate))
-
-
-def with_rotations_about(motion: Motion) -> Motion:
-    """The `about` of a stream with rotations: no frames, but marked to have rotations."""
-    return replace(about(motion), rotations=np.zeros((0, motion.points, 4)))
