@@ -93,9 +93,7 @@ def about(motion: Motion, has_rotations: bool = False) -> Motion:
     return replace(motion, positions=motion.positions[:0], rotations=None if rotations is None else rotations[:0])
 
 
-def restore(
-    encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None
-) -> Motion:
+def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None) -> Motion:
     """The motion of decoded positions (frames, points, 3) and rotations (frames, joints, 4), whose first frame is
     `start` of the encoded motion."""
     like = encoded.about

@@ -137,7 +137,9 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     """
     encoded, part = opened.encoded, opened[start:stop]
     settings: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in encoded.settings.items()}
-    bounds: dict[str, float] = {name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)}
+    bounds: dict[str, float] = {
+        name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)
+    }
     settings |= {name: SECOND_BOUND * bound for name, bound in bounds.items()}
     settings.pop("size", None)
     try:

@@ -111,9 +111,7 @@ class Lossless:
             at += chunk.frames
         first = chunks[0].start if chunks else 0
         turned = np.concatenate([*rotations, np.zeros((0, points, 4))])[start - first : stop - first]
-        return restore(
-            encoded, positions[start - first : stop - first], start, turned if has_rotations else None
-        )
+        return restore(encoded, positions[start - first : stop - first], start, turned if has_rotations else None)
 
 
 # --- rotations ⇄ bytes

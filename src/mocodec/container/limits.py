@@ -26,7 +26,6 @@ EXACT_WITHIN = 1e-12
 MOST = 1 << 48
 
 
-
 def _ranged(known: Mapping[str, Any]) -> int:
     """How many axes have a range."""
     return int((known["kinds"] == RANGE).sum())

@@ -26,15 +26,15 @@ from ...motion import Motion
 from ...typing import Booleans, Floats
 from ..base import require_frames, settings
 from . import chunk, fallback, model_choice, repeats, target
-from .rotation_layer import layer
-from .rotation_layer.encoder import Encoder as RotationEncoder
-from .rotation_layer.encoder import Promise
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .pose import heading, leaps
 from .preparation import prepare
+from .rotation_layer import layer
+from .rotation_layer.encoder import Encoder as RotationEncoder
+from .rotation_layer.encoder import Promise
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")

@@ -31,7 +31,6 @@ from .rotation_layer import payload
 from .rotation_layer.encoder import BOUND_SHARE, StreamEncoder
 from .rotation_layer.layer import PARTS, unit_rotations
 
-
 SHELL_M = 0.03
 """Distance of a stream's shell points from their joints."""
 

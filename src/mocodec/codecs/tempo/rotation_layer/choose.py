@@ -1,7 +1,7 @@
 """Which rule each joint follows, chosen once per recording, and the side values of the recording.
 
-    skeleton, positions, rotations ─choose─► rules        constant · restricted freedom · what the positions show
-    the same and rules ─side_values─► (frames, side values)
+skeleton, positions, rotations ─choose─► rules        constant · restricted freedom · what the positions show
+the same and rules ─side_values─► (frames, side values)
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from ....geometry import articulation, rigid
 from ....motion import Skeleton
-from ....typing import Floats
+from ....typing import Floats, Integers
 from . import rules as r
 from . import solve
 from .rules import Carried, Form, JointRule, Rules, carried_vectors, form_angles, limits_form
@@ -120,7 +120,7 @@ def stored_usual(q: Floats) -> Floats:
     return np.rint(articulation.log(rigid.to_matrix(q)) * USUAL_UNIT)
 
 
-def rounded_usual(stored: Floats) -> Floats:
+def rounded_usual(stored: Floats | Integers) -> Floats:
     """The rotation (4,) of stored units."""
     vector = np.asarray(stored, np.float64) / USUAL_UNIT
     angle = float(np.sqrt(vector @ vector))

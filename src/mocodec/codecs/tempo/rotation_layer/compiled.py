@@ -15,10 +15,10 @@ from .rules import Rules
 def tables(rules: Rules) -> tuple[Integers, Floats, Integers, Floats, Integers, Floats]:
     """Integers and floats of joints, of carried vectors and of hinges.
 
-    joints: rule, parent (−1: none), whether it is held at its target, branch, first side value, anchor, first and number
-    of carried vectors, pair, first and number of hinges, whether in its own frame (12 + 1); offset 3, usual 4, A 4, B 4,
-    C 4, first axis 3, second axis 3, direction 3, lever 1 (29). carried: target (1); vector 3, weight 1. hinges: child,
-    whether its start is its own target (2); axis 3, along 1, scale 1.
+    joints, 13 integers: rule, parent (−1: none), whether it is held at its target, branch, first side value, anchor,
+    first and number of carried vectors, pair, first and number of hinges, whether in its own frame.
+    joints, 29 floats: offset 3, usual 4, A 4, B 4, C 4, first axis 3, second axis 3, direction 3, lever 1.
+    carried: target; vector 3, weight 1. hinges: child, whether its start is its own target; axis 3, along 1, scale 1.
     """
     joint_integers = np.zeros((len(rules.joints), 13), np.int64)
     joint_floats = np.zeros((len(rules.joints), 29))
@@ -53,5 +53,3 @@ def tables(rules: Rules) -> tuple[Integers, Floats, Integers, Floats, Integers, 
         np.array(hinges, np.int64).reshape(-1, 2),
         np.array(axes).reshape(-1, 5),
     )
-
-

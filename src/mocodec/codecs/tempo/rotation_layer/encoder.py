@@ -239,7 +239,8 @@ class Encoder:
             share *= LESS
         if best is not None:
             return best
-        assert encoded is not None and coded is not None
+        assert encoded is not None
+        assert coded is not None
         return self._directly_to_mean(encoded, coded, target)
 
     def _step_for_mean(self, coded: Coded, target: float) -> list[Draft] | None:

@@ -53,9 +53,7 @@ def unit_rotations(rotations: Floats, names: Sequence[str]) -> Floats:
     return rotations / length[..., None]
 
 
-def decode(
-    encoded: Encoded[Motion], frames: slice | None, decode_inner: Callable[[Encoded[Motion]], Motion]
-) -> Motion:
+def decode(encoded: Encoded[Motion], frames: slice | None, decode_inner: Callable[[Encoded[Motion]], Motion]) -> Motion:
     """The motion with rotations, or a slice of its frames. Raises Corrupt."""
     start, stop = encoded.range(frames)
     like = encoded.about

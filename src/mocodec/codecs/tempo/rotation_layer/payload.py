@@ -16,6 +16,7 @@ import numpy as np
 from ....encoded import Chunk
 from ....entropy import varint
 from ....errors import Corrupt
+from ....geometry import rigid
 from ....typing import Floats, Integers
 from ..chunk import LARGEST_GRID_STEP, grid_size
 from ..coding import coefficients, corrections, direct
@@ -61,9 +62,7 @@ def join(part: bytes, inner: bytes) -> bytes:
     return varint.write([len(part)]) + part + inner
 
 
-def pack_transforms(
-    layer: Layer, chunks: Sequence[tuple[coefficients.ChunkNumbers | None, int | None]]
-) -> list[bytes]:
+def pack_transforms(layer: Layer, chunks: Sequence[tuple[coefficients.ChunkNumbers | None, int | None]]) -> list[bytes]:
     """The part of each chunk, from its numbers and the grid step of its corrections."""
     there = [numbers for numbers, _ in chunks if numbers is not None]
     parts = iter(coefficients.pack(layer.model, there) if there else [])
@@ -116,9 +115,7 @@ def _limited(step: int) -> int:
     return step
 
 
-def corrected(
-    layer: Layer, targets: Floats, side: Floats, lists: Integers, grid: int | None
-) -> tuple[Floats, Floats]:
+def corrected(layer: Layer, targets: Floats, side: Floats, lists: Integers, grid: int | None) -> tuple[Floats, Floats]:
     """Targets and side values after the corrections of the lists. Raises Corrupt."""
     if not lists.size or grid is None:
         return targets, side
@@ -153,22 +150,19 @@ def pack_direct(layer: Layer, local: Floats, positions: Floats, grid: int) -> by
 
 def rigid_relative(usual: Floats, q: Floats) -> Floats:
     """Rotations (frames, 4) after a usual one."""
-    from ....geometry import rigid
-
     return rigid.multiply(rigid.inverse(usual), q)
 
 
 def unpack_direct(layer: Layer, chunk: Chunk) -> tuple[Floats, Floats]:
     """The inverse of `pack_direct`. Raises Corrupt."""
-    from ....geometry import rigid
-
     rules, frames = layer.rules, chunk.frames
     if chunk.payload[0] != DIRECT:
         raise Corrupt("tempo: rotations of an unknown kind")
     (folded,), at = varint.read(chunk.payload, 1, 1)
     held = [j for j, rule in enumerate(rules.joints) if rule.placed or rules.skeleton.parents[j] < 0]
     width = sum(_directly_coded(rule.rule) for rule in rules.joints) + 3 * len(held)
-    values = direct.unpack(chunk.payload[at:], (frames, width)) * grid_size(_limited(varint.unsigned(folded)))
+    steps = direct.unpack(chunk.payload[at:], (frames, width))
+    values = np.asarray(steps * grid_size(_limited(varint.unsigned(folded))), np.float64)
     local = np.empty((frames, layer.joints, 4))
     positions = np.zeros((frames, layer.joints, 3))
     column = 0

@@ -65,7 +65,9 @@ class Form:
         every = np.empty((*angles.shape[:-1], 3))
         every[:] = self.locked
         every[..., self.free] = angles
-        return rigid.multiply(rigid.multiply(self.frame, rigid.from_euler(self.order, every)), rigid.inverse(self.frame))
+        return rigid.multiply(
+            rigid.multiply(self.frame, rigid.from_euler(self.order, every)), rigid.inverse(self.frame)
+        )
 
     @cached_property
     def factors(self) -> tuple[list[Floats], list[Floats]]:
@@ -76,7 +78,7 @@ class Form:
                 axes.append(np.eye(3)["xyz".index(letter)])
                 constants.append(IDENTITY)
             else:
-                constants[-1] = rigid.multiply(constants[-1], rigid.about_axis(letter, np.float64(angle)))
+                constants[-1] = rigid.multiply(constants[-1], rigid.about_axis(letter, np.asarray(angle, np.float64)))
         constants[-1] = rigid.multiply(constants[-1], rigid.inverse(self.frame))
         return constants, axes
 

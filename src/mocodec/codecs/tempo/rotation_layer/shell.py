@@ -25,8 +25,8 @@ class Errors(NamedTuple):
     shell: Floats
     total: float
 
-    def beyond(self, bound: float) -> Booleans:
-        """(frames, joints): whether a joint or one of its shell points is farther off than the bound."""
+    def beyond(self, bound: float | Floats) -> Booleans:
+        """(frames, joints): whether a joint or one of its shell points is farther off than the bound, or than that of each joint."""
         return (self.joints > bound) | (self.shell > bound)
 
     @property

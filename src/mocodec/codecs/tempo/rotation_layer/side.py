@@ -48,7 +48,7 @@ def coordinates(rules: Rules, reach_m: float) -> Floats:
     derivative = (points[:count] - points[count:]) / (2 * DIFFERENCE)
     gram = derivative @ derivative.T
     largest = max(float(np.diag(gram).max(initial=0.0)), reach_m**2)
-    return np.linalg.cholesky(gram + RIDGE * largest * np.eye(count))
+    return np.asarray(np.linalg.cholesky(gram + RIDGE * largest * np.eye(count)), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class SideModel:
 
     @cached_property
     def _inverse(self) -> Floats:
-        return np.linalg.solve(self.factor.T, self.basis.T).T
+        return np.asarray(np.linalg.solve(self.factor.T, self.basis.T).T, np.float64)
 
     def quantised(self, coefficients: Floats, step: int, slope: float) -> quantise.Quantised:
         return quantise.quantise(self, coefficients / step_size(step), step, slope)

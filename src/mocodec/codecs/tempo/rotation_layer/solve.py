@@ -21,7 +21,6 @@ from .rules import (
     HINGE_CODED,
     HUB,
     SWING,
-    UNIVERSAL,
     UNIVERSAL_CODED,
     UNIVERSAL_REFINED,
     Carried,
@@ -189,7 +188,7 @@ def _hinge_aims(
 
 
 def _refined(coded: Floats, terms: list[tuple[Floats, Floats, Floats]]) -> Floats:
-    """The angle x (frames,) with the least r² (x − coded)² + Σ (A cos x + B sin x − E)², by Gauss–Newton from `coded`."""
+    """The angle x (frames,) with the least r² (x − coded)² + Σ (A cos x + B sin x − E)²: Gauss–Newton from `coded`."""
     x = coded
     weight = REFINE_WEIGHT_M**2
     for _ in range(REFINEMENTS):
@@ -288,7 +287,5 @@ def _two_angles(rule: JointRule, carried: Carried, aims: Floats, coded: Floats |
     cos, sin = np.cos(y)[:, None], np.sin(y)[:, None]
     u = lengthwise + cos * (w - lengthwise) + sin * np.cross(second, w)
     u = rigid.rotate(between, u)
-    x = np.arctan2(
-        np.cross(u, e) @ first, (u * e).sum(axis=1) - (u @ first) * (e @ first)
-    )
+    x = np.arctan2(np.cross(u, e) @ first, (u * e).sum(axis=1) - (u @ first) * (e @ first))
     return np.stack([x, y], axis=1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocodec import Limits, Motion, Skeleton
-from mocodec.geometry import kinematics, rigid
-from mocodec.typing import Floats
+from ..geometry import kinematics, rigid
+from ..motion import Limits, Motion, Skeleton
+from ..typing import Floats
 
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 9, 8, 11, 12)
 NAMES = ("hips", "l_hip", "l_knee", "l_foot", "r_hip", "r_knee", "r_foot", "spine", "chest", "l_arm", "l_hand",
@@ -28,7 +28,7 @@ def curves(frames: int, count: int, seed: int, amplitude: float = 0.5) -> Floats
 
 
 def figure(frames: int = 96, seed: int = 1, own_frame: bool = False) -> Motion:
-    """A figure of 14 joints at 60 Hz with hinges at knees and an elbow; leaves do not rotate in the usual convention."""
+    """A figure of 14 joints at 60 Hz with hinges at knees and an elbow; leaves rotate in their own frame only."""
     joints = len(NAMES)
     angles = curves(frames, 3 * joints, seed).reshape(frames, joints, 3)
     for joint, axis in HINGES.items():
