@@ -73,10 +73,10 @@ def test_a_size_and_a_ratio_are_met() -> None:
     assert errors(motion, mocodec.decode(blob, Motion)).joints_and_shell.mean < 0.05
 
 
-@pytest.mark.parametrize("target", [{"max_error": 0.05}, {"mean_error": 0.01}])
-def test_a_bound_of_angles_is_kept_beside_a_target(target: dict[str, float]) -> None:
+@pytest.mark.parametrize("codec", [Tempo(max_error=0.05, max_rotation=1.5), Tempo(mean_error=0.01, max_rotation=1.5)])
+def test_a_bound_of_angles_is_kept_beside_a_target(codec: Tempo) -> None:
     motion = skeletal.figure()
-    decoded = mocodec.decode(mocodec.encode(motion, Tempo(**target, max_rotation=1.5)), Motion)
+    decoded = mocodec.decode(mocodec.encode(motion, codec), Motion)
     found = errors(motion, decoded)
     assert max(found.world_degrees.largest, found.local_degrees.largest) <= 1.5
 

@@ -26,7 +26,7 @@ class Errors(NamedTuple):
     total: float
 
     def beyond(self, bound: float | Floats) -> Booleans:
-        """(frames, joints): whether a joint or one of its shell points is farther off than the bound, or than that of each joint."""
+        """(frames, joints): whether a joint or one of its shell points is farther off than the bound, or each joint's."""
         return (self.joints > bound) | (self.shell > bound)
 
     @property
