@@ -9,8 +9,7 @@ import pytest
 
 from mocodec import BadInput, Limits
 from mocodec.geometry import bone_frames, kinematics
-
-from .skeletons import random_motion
+from mocodec.testing.skeletal import random_motion
 
 
 def placed(motion, own_frame=False):

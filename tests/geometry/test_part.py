@@ -9,8 +9,7 @@ import pytest
 
 from mocodec import Limits, Skeleton
 from mocodec.geometry import kinematics
-
-from .skeletons import random_motion
+from mocodec.testing.skeletal import random_motion
 
 NAMES = ("hips", "spine", "neck", "arm", "hand", "leg", "foot")
 PARENTS = (-1, 0, 1, 1, 3, 0, 5)

@@ -9,8 +9,7 @@ import pytest
 
 from mocodec import BadInput, Motion, Signal
 from mocodec.geometry import kinematics, rigid
-
-from .skeletons import random_motion
+from mocodec.testing.skeletal import random_motion
 
 
 def curve(rate: float, seconds: float = 2.0, points: int = 3) -> Motion:

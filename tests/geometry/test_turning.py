@@ -10,8 +10,7 @@ import pytest
 
 from mocodec import BadInput, Limits
 from mocodec.geometry import kinematics, rigid
-
-from .skeletons import random_motion
+from mocodec.testing.skeletal import random_motion
 
 
 @pytest.mark.parametrize(("old", "new"), list(permutations("xyz", 2)))

@@ -25,7 +25,7 @@ from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.motion import Motion, Skeleton
 from mocodec.pointcloud import PointClouds
-from mocodec.testing import actors, sequences, skeletal, synthetic
+from mocodec.testing import actors, hinged_figures, sequences, synthetic
 
 HERE = Path(__file__).parent
 
@@ -84,17 +84,17 @@ def repeated_frames() -> Motion:
 
 def figure() -> Motion:
     """48 frames of a figure with hinges, and rotations."""
-    return skeletal.figure(48)
+    return hinged_figures.figure(48)
 
 
 def own_frame_figure() -> Motion:
     """The same in AMC's convention, with joint limits."""
-    return skeletal.figure(48, own_frame=True)
+    return hinged_figures.figure(48, own_frame=True)
 
 
 def figure_with_translations() -> Motion:
     """48 frames of a figure with joints that slide and stretch."""
-    return skeletal.with_translations(48)
+    return hinged_figures.with_translations(48)
 
 
 def jumper() -> PointClouds:

@@ -13,7 +13,7 @@ from mocodec.codecs.tempo import Tempo
 from mocodec.codecs.tempo.rotation_layer import encoder, payload, record
 from mocodec.encoded import Encoded
 from mocodec.motion import Motion
-from mocodec.testing import skeletal
+from mocodec.testing import hinged_figures
 
 from . import tempo_rotations
 from .tempo_statistics import Recording
@@ -52,10 +52,10 @@ def test_golden_files(path: Path) -> None:
 @pytest.mark.parametrize(
     ("motion", "options"),
     [
-        (skeletal.figure(40), {"mean_error": 0.005}),
-        (skeletal.figure(40, own_frame=True), {"mean_error": 0.002}),
-        (skeletal.figure(60, own_frame=True), {"max_error": 0.01, "chunk_seconds": 0.5}),
-        (skeletal.with_translations(40), {"max_error": 0.01}),
+        (hinged_figures.figure(40), {"mean_error": 0.005}),
+        (hinged_figures.figure(40, own_frame=True), {"mean_error": 0.002}),
+        (hinged_figures.figure(60, own_frame=True), {"max_error": 0.01, "chunk_seconds": 0.5}),
+        (hinged_figures.with_translations(40), {"max_error": 0.01}),
     ],
 )
 def test_every_convention(motion: Motion, options: dict[str, Any]) -> None:
@@ -65,15 +65,15 @@ def test_every_convention(motion: Motion, options: dict[str, Any]) -> None:
 def test_direct_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(encoder, "TIGHTER", ())
     for own_frame in (False, True):
-        assert 1 in check(Tempo(max_error=1e-4).encode(skeletal.figure(24, own_frame=own_frame)))
+        assert 1 in check(Tempo(max_error=1e-4).encode(hinged_figures.figure(24, own_frame=own_frame)))
 
 
 def test_trees_with_every_rule() -> None:
     parents = (-1, 0, 1, 2, 2, 0, 5, -1)
     offsets = np.random.default_rng(6).normal(0, 0.2, (8, 3))
     for locked in range(3):
-        angles = skeletal.curves(20, 24, 5, 0.6).reshape(20, 8, 3)
+        angles = hinged_figures.curves(20, 24, 5, 0.6).reshape(20, 8, 3)
         angles[:, 1::2, locked] = 0.4
         angles[:, 4, 1:] = 0.0
         for own_frame in (False, True):
-            check(Tempo(mean_error=0.004).encode(skeletal.tree(parents, offsets, angles, own_frame)))
+            check(Tempo(mean_error=0.004).encode(hinged_figures.tree(parents, offsets, angles, own_frame)))

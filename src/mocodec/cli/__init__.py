@@ -26,6 +26,7 @@ from . import interrupts
 COMMANDS = {
     "encode": "Compress a recording into a .mocz file.",
     "decode": "Write the recording in a .mocz file as .c3d, .trc, .bvh, …",
+    "convert": "Write a recording in another format, without compression.",
     "info": "Show the contents of a file.",
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure the difference between two recordings.",

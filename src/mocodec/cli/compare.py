@@ -49,8 +49,8 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     If both have joint rotations, the errors of shell points (beside the joints, where the skin is) and the angles
     between the joints' frames are measured too.
 
-    Reader options such as --asf and --unit apply to A, and to B if it has the same format. If one of the two is a
-    .mocz, the ratio is the size of A as float32 positions over the size of the .mocz.
+    Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz,
+    the ratio is the size of A as float32 positions over the size of the .mocz.
     """
     if a == b == "-":
         raise click.UsageError("A and B cannot both be standard input")
@@ -58,7 +58,7 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if Path(path).suffix.lower() not in plots.SUFFIXES:
             raise click.UsageError(f"{path}: the suffix of a picture must be one of {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
-        original, other = (files.read(name, **options_for(name, a, options)) for name in (a, b))
+        original, other = (files.read(name, **options_for(name, (a, b), options)) for name in (a, b))
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):
         if plot or poses:
             raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
@@ -81,12 +81,13 @@ def title(a: str, b: str, result: metrics.Comparison) -> str:
     return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
 
 
-def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The reader options that apply to this file: all for A and for files of the same format."""
-    if name == "-":
-        return options
-    alike = Path(name).suffix.lower() == Path(a).suffix.lower()
-    return {**options, "format_": None} if alike else {}
+def options_for(name: str, both: tuple[str, str], options: dict[str, Any]) -> dict[str, Any]:
+    """The reader options for one of both files: those that its format takes; for the first also those of no format."""
+    chosen = files.given(**options)
+    format_ = chosen.pop("format_", None)
+    takers = {option: [file for file in both if files.takes(file, format_, option)] for option in chosen}
+    mine = {option: chosen[option] for option, taking in takers.items() if name in (taking or both[:1])}
+    return {**mine, "format_": format_} if name == "-" else mine
 
 
 def kind(recording: Recording) -> str:

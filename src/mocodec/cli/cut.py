@@ -62,6 +62,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
         files.write(output, recording[start:stop], quiet=quiet)
         how = "cut"
     else:
+        files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
             start, stop = frame_range(begin, end, opened.rate, len(opened))
             if chunks:

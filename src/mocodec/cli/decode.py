@@ -18,6 +18,7 @@ from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
 from ..typing import Floats
 from . import DAMAGED, files, many
+from . import output as output_options
 
 
 @click.command("decode")
@@ -33,6 +34,7 @@ from . import DAMAGED, files, many
 @click.option("--salvage", is_flag=True, help="Write the undamaged frames of a damaged file; lost frames become gaps.")
 @click.option("--json", "as_json", is_flag=True, help="Of many files, print the summary as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no notes, and of many files no summary.")
+@output_options.options
 @many.options
 def command(
     sources: tuple[str, ...],
@@ -43,6 +45,7 @@ def command(
     quiet: bool,
     jobs: int,
     again: bool,
+    **options: Any,
 ) -> int | None:
     """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
 
@@ -59,38 +62,47 @@ def command(
         refuse_file(output)
         found = many.find(sources, (files.SUFFIX,))
         suffixes = {source.path: suffix_of(source.path, format_) for source in found}
-        work = many.Settings({"format_": format_}, jobs, again, as_json, quiet)
+        given = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items() if value}
+        work = many.Settings({"format_": format_, **given}, jobs, again, as_json, quiet)
         return many.run("decode", found, many.output_names(found, suffixes), output, work)
     source = sources[0]
     refuse_other_formats(source, output)
     lost: list[str] = []
-    writer_options: dict[str, Any] = {}
+    changes, writer_options = output_options.split(options)
+    more: dict[str, Any] = {}
+    suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
     with files.working(f"decoding {source}"):
         if salvage:
             recording, lost = salvaged(container.Reader(files.source_of(source), salvage=True))
         else:
-            suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
-            recording, writer_options = decoded_for(source, suffix)
+            recording, more = decoded_for(source, suffix)
+        recording, notes = output_options.prepared(recording, suffix, changes)
     with files.working(f"writing {output}"):
-        files.write(output, recording, format_, quiet, **writer_options)
+        files.write(output, recording, format_, quiet, **writer_options, **more)
+    for note in [] if quiet else notes:
+        files.echo(f"note: {note}", err=True)
     for line in lost:
         files.echo(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
 
 
-def one(source: str, where: str, format_: str | None = None, may_replace: bool = True) -> dict[str, Any]:
+def one(
+    source: str, where: str, format_: str | None = None, may_replace: bool = True, **options: Any
+) -> dict[str, Any]:
     """Decode one of many files to `where`, a folder if it has no suffix; returns its record for the summary."""
     refuse_other_formats(source, where)
     target = Path(where)
     if target.exists() and not may_replace:
         raise BadInput(f"{where} exists and was not written by this command; --again replaces it")
     suffix = target.suffix.lower() if format_ or target.suffix.lower() in formats.FORMATS else ""
-    recording, writer_options = decoded_for(source, suffix)
+    changes, writer_options = output_options.split(options)
+    recording, more = decoded_for(source, suffix)
+    recording, notes = output_options.prepared(recording, suffix, changes)
     target.parent.mkdir(parents=True, exist_ok=True)
     if suffix or isinstance(recording, Motion):
-        api.write(target, recording, **writer_options)
+        api.write(target, recording, **writer_options, **more)
         left_out = formats.dropped(f"motion{suffix}", recording) if suffix else []
-        notes = [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
+        notes += [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
         return {"frames": len(recording), "notes": notes}
     temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}-part")
     try:
@@ -133,7 +145,8 @@ def refuse_other_formats(source: str, output: str) -> None:
     if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
         raise click.UsageError(
             f"{source} is not a .mocz file, so there is nothing to decode; to convert it to another format, run "
-            f"`mocodec cut {source} -o {output}`; to compress it, `mocodec encode {source} -o {Path(source).stem}.mocz`"
+            f"`mocodec convert {source} {output}`; "
+            f"to compress it, `mocodec encode {source} -o {Path(source).stem}.mocz`"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,15 +92,13 @@ def command(
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
-        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
-    recording, record, blob = encoded(source, **chosen, **options, quiet=quiet)
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
+    _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
     files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
         files.echo(summary(output, record), err=True)
-        for note in notes(recording):
-            files.echo(f"note: {note}", err=True)
     return None
 
 
@@ -112,7 +110,7 @@ def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dic
     kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
     lost = api.not_kept(recording, kind)
     left_out = [f"not kept: {', '.join(lost)}"] if lost else []
-    return {**record, "notes": [*left_out, *formats.notes(recording), *notes(recording)]}
+    return {**record, "notes": [*left_out, *formats.notes(recording)]}
 
 
 def encoded(
@@ -136,7 +134,7 @@ def encoded(
         recording = replace(recording, extras={})
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
     if (lost := api.not_kept(recording, chosen)) and not quiet:
-        files.echo(f"note: {source}: not kept: {', '.join(lost)}", err=True)
+        files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"):
         with progress.phase(0.0, 0.9):
             blob = api.pack(chosen, recording)
@@ -177,16 +175,6 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
         raise click.UsageError(str(error)) from error
 
 
-def notes(recording: Recording) -> Iterator[str]:
-    """What of the recording is not stored in the .mocz, and what may be misread, in words."""
-    if missing := recording.source.get("missing_numbers"):
-        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
-    if ignored := recording.source.get("ignored"):
-        yield f"these properties of points are left out: {', '.join(ignored)}"
-    if recording.source.get("residuals") == "left out":
-        yield "residuals and camera masks of samples are left out; --residuals keeps them"
-
-
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:
     """The record of an encoded file: bytes, ratio to float32 positions and, for a motion, errors in metres."""
     stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
@@ -203,6 +191,8 @@ def summary(output: str, record: Mapping[str, Any]) -> str:
     """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
     stored, extras, raw = record["bytes"], record["extras"], record["raw_bytes"]
+    if not raw:
+        return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
     line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
     if extras > stored / 100:
         points = raw / (stored - extras)

@@ -121,7 +121,7 @@ def to_ends(motion: Motion) -> Motion:
         names=names,
         skeleton=own,
         rotations=new_rotations,
-        source={**_plain_source(motion), "format": "amc"},
+        source={**_plain_source(motion), "format": "amc", "channels": _channels(stiff)},
     )
 
 
@@ -197,6 +197,11 @@ def _plain_source(motion: Motion) -> dict[str, object]:
     """The entries of `source` that hold for any form of the skeleton."""
     kept = ("first_frame", "time_of_frame_1", "notes", "rate_given")
     return {name: motion.source[name] for name in kept if name in motion.source}
+
+
+def _channels(stiff: Booleans) -> list[str]:
+    """Degrees of freedom as `source["channels"]` of an AMC lists them: of the root, then of each bone."""
+    return ["XYZxyz", *("" if is_stiff else "xyz" for is_stiff in stiff[1:].tolist())]
 
 
 def _named(skeleton: Skeleton, joints: list[int]) -> list[str]:

@@ -24,7 +24,7 @@ from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
-from ..base import require_frames, settings
+from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from . import chunk, fallback, model_choice, repeats, target
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
@@ -99,7 +99,9 @@ class Tempo:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
-        require_frames(motion)
+        if not has_samples(motion):
+            return encode_gaps(self, motion, self._stored_settings())
+        require_usual_lengths(self, motion)
         if motion.rotations is None or self.lost_rotations(motion) is not None:
             return self.encode_positions(motion)
         return self._encode_rotations(motion)
@@ -189,6 +191,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if not encoded.shared:
+            return decode_gaps(encoded, frames)
         if layer.has_rotations(encoded):
             return layer.decode(encoded, frames, Tempo.decode)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)

@@ -17,7 +17,7 @@ from mocodec.codecs.tempo.rotation_layer import choose, shell, solve
 from mocodec.codecs.tempo.rotation_layer import rules as r
 from mocodec.encoded import Chunk
 from mocodec.geometry import kinematics, rigid
-from mocodec.testing import CodecTests, skeletal
+from mocodec.testing import CodecTests, hinged_figures
 from mocodec.testing.codec_tests import FEW
 from mocodec.typing import Floats
 
@@ -28,10 +28,10 @@ class TestTempoWithRotations(CodecTests):
     refuses = frozenset()
 
     def figure(self) -> Motion:
-        return skeletal.figure(240)
+        return hinged_figures.figure(240)
 
     def small(self) -> Motion:
-        return skeletal.figure(24)
+        return hinged_figures.figure(24)
 
 
 def rotations_of(motion: Motion) -> Floats:
@@ -53,20 +53,20 @@ def errors(motion: Motion, decoded: Motion) -> metrics.SkeletalErrors:
 @pytest.mark.parametrize("own_frame", [False, True])
 @pytest.mark.parametrize("bound", [0.02, 0.002, 2e-5])
 def test_joints_and_shell_points_keep_the_bound(own_frame: bool, bound: float) -> None:
-    motion = skeletal.figure(own_frame=own_frame)
+    motion = hinged_figures.figure(own_frame=own_frame)
     decoded = mocodec.decode(mocodec.encode(motion, max_error=bound), Motion)
     assert errors(motion, decoded).joints_and_shell.largest <= bound
 
 
 @pytest.mark.parametrize("target", [0.004, 0.0005])
 def test_the_mean_of_joints_and_shell_points_is_near_the_target(target: float) -> None:
-    motion = skeletal.figure(240)
+    motion = hinged_figures.figure(240)
     decoded = mocodec.decode(mocodec.encode(motion, mean_error=target), Motion)
     assert 0.9 * target <= errors(motion, decoded).joints_and_shell.mean <= target
 
 
 def test_a_size_and_a_ratio_are_met() -> None:
-    motion = skeletal.figure(600)
+    motion = hinged_figures.figure(600)
     assert len(mocodec.encode(motion, size=3000)) <= 3000
     blob = mocodec.encode(motion, ratio=40)
     assert motion.raw_bytes / len(blob) >= 40
@@ -75,7 +75,7 @@ def test_a_size_and_a_ratio_are_met() -> None:
 
 @pytest.mark.parametrize("codec", [Tempo(max_error=0.05, max_rotation=1.5), Tempo(mean_error=0.01, max_rotation=1.5)])
 def test_a_bound_of_angles_is_kept_beside_a_target(codec: Tempo) -> None:
-    motion = skeletal.figure()
+    motion = hinged_figures.figure()
     decoded = mocodec.decode(mocodec.encode(motion, codec), Motion)
     found = errors(motion, decoded)
     assert max(found.world_degrees.largest, found.local_degrees.largest) <= 1.5
@@ -83,23 +83,25 @@ def test_a_bound_of_angles_is_kept_beside_a_target(codec: Tempo) -> None:
 
 def test_locked_angles_stay_locked() -> None:
     for own_frame in (False, True):
-        motion = skeletal.figure(own_frame=own_frame)
+        motion = hinged_figures.figure(own_frame=own_frame)
         decoded = mocodec.decode(mocodec.encode(motion, max_error=0.01), Motion)
-        for joint, axis in skeletal.HINGES.items():
+        for joint, axis in hinged_figures.HINGES.items():
             others = [1 + "xyz".index(other) for other in "xyz" if other != axis]
             assert np.abs(rotations_of(decoded)[:, joint, others]).max() < 1e-12
         if not own_frame:
-            assert_allclose(rotations_of(decoded)[:, skeletal.LEAVES], [[[1, 0, 0, 0]] * 4] * len(motion), atol=1e-15)
+            assert_allclose(
+                rotations_of(decoded)[:, hinged_figures.LEAVES], [[[1, 0, 0, 0]] * 4] * len(motion), atol=1e-15
+            )
 
 
 def test_translation_channels_and_changing_lengths_come_back() -> None:
-    motion = skeletal.with_translations()
+    motion = hinged_figures.with_translations()
     decoded = mocodec.decode(mocodec.encode(motion, max_error=0.003), Motion)
     assert errors(motion, decoded).joints_and_shell.largest <= 0.003
 
 
 def test_limits_come_back_with_rotations_only() -> None:
-    motion = skeletal.figure(own_frame=True)
+    motion = hinged_figures.figure(own_frame=True)
     limits = skeleton_of(motion).limits
     assert limits is not None
     back = mocodec.decode(mocodec.encode(motion), Motion).skeleton
@@ -114,7 +116,7 @@ def test_limits_come_back_with_rotations_only() -> None:
 
 
 def test_slices_and_streams_decode_like_the_whole() -> None:
-    motion = skeletal.figure(600)
+    motion = hinged_figures.figure(600)
     with mocodec.open(mocodec.encode(motion, chunk_seconds=1.0), Motion) as file:
         whole = file[:]
         assert file.info["rotations"]
@@ -124,7 +126,7 @@ def test_slices_and_streams_decode_like_the_whole() -> None:
 
 
 def test_positions_alone_are_coded_as_before() -> None:
-    motion = replace(skeletal.figure(), rotations=None)
+    motion = replace(hinged_figures.figure(), rotations=None)
     assert len(Tempo().encode(motion).shared) == 1
 
 
@@ -132,17 +134,17 @@ def test_compiled_and_numpy_decoders_agree() -> None:
     if not native.available():
         pytest.skip("the compiled module is not built")
     for own_frame in (False, True):
-        blob = mocodec.encode(skeletal.figure(own_frame=own_frame), mean_error=0.004)
+        blob = mocodec.encode(hinged_figures.figure(own_frame=own_frame), mean_error=0.004)
         compiled = mocodec.decode(blob, Motion)
         with native.without():
             pure = mocodec.decode(blob, Motion)
-            assert mocodec.encode(skeletal.figure(own_frame=own_frame), mean_error=0.004) == blob
+            assert mocodec.encode(hinged_figures.figure(own_frame=own_frame), mean_error=0.004) == blob
         assert_allclose(compiled.positions, pure.positions, atol=1e-9)
         assert_allclose(rotations_of(compiled), rotations_of(pure), atol=1e-9)
 
 
 def test_kinematics_and_shell_errors_are_the_same_without_the_compiled_module() -> None:
-    motion, other = skeletal.figure(seed=1), skeletal.figure(seed=2)
+    motion, other = hinged_figures.figure(seed=1), hinged_figures.figure(seed=2)
     results = []
     for context in (native.without(), None):
         if context is not None:
@@ -163,14 +165,14 @@ def _measured(motion: Motion, other: Motion) -> list[np.ndarray]:
 
 
 def test_quaternion_signs_and_full_turns_cost_nothing() -> None:
-    motion = skeletal.figure(240)
+    motion = hinged_figures.figure(240)
     rng = np.random.default_rng(5)
     flipped = rotations_of(motion) * rng.choice([-1.0, 1.0], (*rotations_of(motion).shape[:2], 1))
     assert mocodec.encode(replace(motion, rotations=flipped)) == mocodec.encode(motion)
 
 
 def test_rules_follow_from_what_positions_show() -> None:
-    motion = skeletal.figure()
+    motion = hinged_figures.figure()
     found = choose.choose(skeleton_of(motion), False, motion.positions, rotations_of(motion))
     rules = {name: rule.rule for name, rule in zip(motion.names, found.joints, strict=True)}
     assert rules["hips"] == rules["chest"] == r.HUB
@@ -186,7 +188,7 @@ def test_rules_follow_from_what_positions_show() -> None:
 
 
 def test_missing_rotations_are_one_clear_error() -> None:
-    motion = skeletal.figure()
+    motion = hinged_figures.figure()
     broken = rotations_of(motion).copy()
     broken[3, 2] = np.nan
     with pytest.raises(BadInput, match="rotation of l_knee at frame 3 is missing"):
@@ -196,7 +198,7 @@ def test_missing_rotations_are_one_clear_error() -> None:
 
 
 def test_what_is_not_kept_is_known_before() -> None:
-    motion = skeletal.figure(own_frame=True)
+    motion = hinged_figures.figure(own_frame=True)
     assert mocodec.not_kept(motion) == []
     assert mocodec.not_kept(motion, "lossless") == []
     assert "positions only" in mocodec.not_kept(motion, "hou2014")[0]
@@ -208,7 +210,7 @@ def test_what_is_not_kept_is_known_before() -> None:
 
 
 def test_lossless_keeps_every_bit() -> None:
-    motion = skeletal.figure(240)
+    motion = hinged_figures.figure(240)
     blob = mocodec.encode(motion, Lossless(chunk_seconds=1.0))
     decoded = mocodec.decode(blob, Motion)
     assert rotations_of(decoded).tobytes() == rotations_of(motion).tobytes()
@@ -222,14 +224,14 @@ class TestLosslessWithRotations(CodecTests):
     codec = staticmethod(lambda **settings: Lossless(**settings))
 
     def figure(self) -> Motion:
-        return skeletal.figure(240)
+        return hinged_figures.figure(240)
 
     def small(self) -> Motion:
-        return skeletal.figure(24)
+        return hinged_figures.figure(24)
 
 
 def test_a_stream_keeps_rotations() -> None:
-    earlier, motion = skeletal.figure(120, seed=1), skeletal.figure(120, seed=2)
+    earlier, motion = hinged_figures.figure(120, seed=1), hinged_figures.figure(120, seed=2)
     stream = Encoder(motion[:0], max_error=0.01, latency_seconds=0.5, like=earlier, rotations=True)
     chunks: list[Chunk] = []
     for start in range(0, 120, 7):
@@ -260,10 +262,12 @@ def trees(draw: st.DrawFn) -> Motion:
     offsets = rng.normal(0, 0.2, (joints, 3))
     offsets[draw(st.lists(st.integers(0, joints - 1), max_size=3))] = 0.0
     frames = draw(st.sampled_from([1, 2, 30]))
-    angles = skeletal.curves(frames, 3 * joints, seed, draw(st.sampled_from([0.1, 0.7, 2.5]))).reshape(-1, joints, 3)
+    angles = hinged_figures.curves(frames, 3 * joints, seed, draw(st.sampled_from([0.1, 0.7, 2.5]))).reshape(
+        -1, joints, 3
+    )
     for joint, kind in enumerate(draw(st.lists(st.integers(0, 6), min_size=joints, max_size=joints))):
         angles[:, joint, : min(kind, 3)] = 0.3 * (kind > 3)
-    return skeletal.tree(parents, offsets, angles, own_frame=draw(st.booleans()))
+    return hinged_figures.tree(parents, offsets, angles, own_frame=draw(st.booleans()))
 
 
 @FEW
@@ -275,8 +279,8 @@ def test_any_skeleton_keeps_its_bound(motion: Motion) -> None:
 
 def test_several_roots_and_many_joints() -> None:
     parents = tuple(-1 if j % 60 == 0 else j - 1 - j % 2 * (j % 60 > 1) for j in range(300))
-    angles = skeletal.curves(20, 900, 4, 0.2).reshape(20, 300, 3)
-    motion = skeletal.tree(parents, np.random.default_rng(2).normal(0, 0.1, (300, 3)), angles)
+    angles = hinged_figures.curves(20, 900, 4, 0.2).reshape(20, 300, 3)
+    motion = hinged_figures.tree(parents, np.random.default_rng(2).normal(0, 0.1, (300, 3)), angles)
     decoded = mocodec.decode(mocodec.encode(motion, max_error=0.01), Motion)
     assert errors(motion, decoded).joints_and_shell.largest <= 0.01
 

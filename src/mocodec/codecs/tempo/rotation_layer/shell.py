@@ -26,7 +26,7 @@ class Errors(NamedTuple):
     total: float
 
     def beyond(self, bound: float | Floats) -> Booleans:
-        """(frames, joints): whether a joint or one of its shell points is farther off than the bound, or each joint's."""
+        """(frames, joints): whether a joint or one of its shell points is beyond the bound, or that of the joint."""
         return (self.joints > bound) | (self.shell > bound)
 
     @property

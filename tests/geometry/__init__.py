@@ -1,1 +1,0 @@
-"""Geometry: rotations, kinematics, registration, and conversion of skeletal motions."""
