@@ -163,7 +163,7 @@ def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:
             raise BadInput(
                 f"{source}: its codec tracks no body, so there is no motion to write; name a folder for .ply files"
             )
-        has_surface = suffix == ".glb" and hasattr(codec, "surface")
+        has_surface = suffix in (".glb", ".gltf") and hasattr(codec, "surface")
         return codec.track(opened.encoded), {"surface": codec.surface(opened.encoded)} if has_surface else {}
 
 
