@@ -223,6 +223,13 @@ def test_lossless_keeps_every_bit() -> None:
 class TestLosslessWithRotations(CodecTests):
     codec = staticmethod(lambda **settings: Lossless(**settings))
 
+    def test_round_trip(self) -> None:
+        """Rotations are float64: they count beside the positions."""
+        motion = self.figure()
+        encoded = Lossless().encode(motion)
+        assert encoded.payload_bytes < motion.raw_bytes + rotations_of(motion).nbytes
+        assert_allclose(Lossless.decode(encoded).positions, motion.positions, atol=1e-6)
+
     def figure(self) -> Motion:
         return hinged_figures.figure(240)
 
