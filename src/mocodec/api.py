@@ -11,6 +11,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
@@ -19,7 +20,7 @@ from . import progress as progress_
 from .codecs import base
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
-from .errors import BadInput, CannotEncode
+from .errors import BadInput, CannotEncode, Corrupt, MocodecError
 from .metrics import compare
 from .motion import Deferred, Motion
 from .pointcloud import PointClouds
@@ -250,7 +251,8 @@ def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool =
     reader = container.Reader(source, salvage)
     try:
         _of_kind(reader.encoded.about, kind, reader.source.name)
-    except BadInput:
+        _require_codec_of_kind(reader)
+    except MocodecError:
         reader.close()
         raise
     return File[Any](reader, _reopenable(source), salvage)
@@ -324,8 +326,10 @@ class File(Generic[RecordingT]):
         start, stop, step = frame_steps(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
+        codec = self.codec
         with self._reader.errors_name_file():
-            recording = self.codec.decode(self.encoded, slice(start, stop))
+            _require_memory(stop - start, len(self.names))
+            recording = codec.decode(self.encoded, slice(start, stop))
         if step > 1:
             recording = cast("RecordingT", recording[::step])
         return recording if names is None else cast("RecordingT", cast(Motion, recording).select(names))
@@ -343,6 +347,10 @@ class File(Generic[RecordingT]):
         if not second >= 0:
             raise BadInput(f"times count from the first frame and start at 0, not {second}")
         return min(math.ceil(second * self.rate - 1e-6), len(self))
+
+    def errors_name_file(self) -> AbstractContextManager[None]:
+        """Errors that a codec raises inside name the file, and all of them are MocodecErrors."""
+        return self._reader.errors_name_file()
 
     def whole(self) -> list[tuple[int, int]]:
         """Runs of frames (start, stop) that are undamaged and decode, also in a file opened with `salvage`."""
@@ -378,6 +386,24 @@ class File(Generic[RecordingT]):
 def is_mocz(path: AnyPath) -> bool:
     """Whether a path has the suffix .mocz."""
     return os.fspath(path).lower().endswith(".mocz")
+
+
+def _require_codec_of_kind(reader: Reader) -> None:
+    """Raises Corrupt for a motion by a codec of point clouds, or the other way round."""
+    codec, about = reader.encoded.codec, reader.encoded.about
+    if codec in codecs.CODECS and (codec in codecs.CLOUD_CODECS) == isinstance(about, Motion):
+        kind = "a motion" if isinstance(about, Motion) else "point clouds"
+        raise Corrupt(f"{reader.source.name or 'the file'}: holds {kind}, which {codec} does not code")
+
+
+def _require_memory(count: int, points: int) -> None:
+    """Raises BadInput if the positions of `count` frames exceed the memory of this machine."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # a system that does not say
+        memory = 1 << 40
+    if count * points * 24 > memory:
+        raise BadInput(f"{count:,} frames of {points} points need more memory than there is; decode fewer at a time")
 
 
 def _of_kind(recording: Recording, kind: type[Recording] | None, path: object) -> Recording:

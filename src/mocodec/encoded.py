@@ -9,7 +9,7 @@ about          a motion (or point clouds) without frames: rate, names, axes, ske
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,16 @@ Recording = Motion | PointClouds
 
 RecordingT = TypeVar("RecordingT", bound=Recording)
 
+MAX_CHUNK_SAMPLES = 1 << 22
+"""Samples (frames × points) of a chunk, at most, so that decoding two frames needs bounded time and memory."""
+CLOUD_SAMPLES = 1 << 8
+"""As how many samples a frame of point clouds counts."""
+
+
+def most_chunk_frames(points: int) -> int:
+    """The most frames that a chunk of this many points may have."""
+    return MAX_CHUNK_SAMPLES // max(points, 1)
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -39,6 +49,18 @@ class Chunk:
     def stop(self) -> int:
         """The frame after the last."""
         return self.start + self.frames
+
+
+def batches(chunks: Sequence[Chunk], points: int, most: int) -> Iterator[Sequence[Chunk]]:
+    """Chunks to decode side by side: at most `most`, with MAX_CHUNK_SAMPLES if each is as long as the longest."""
+    first, longest = 0, 0
+    for i, chunk in enumerate(chunks):
+        longest = max(longest, chunk.frames)
+        if i > first and (i - first == most or (i - first + 1) * longest * points > MAX_CHUNK_SAMPLES):
+            yield chunks[first:i]
+            first, longest = i, chunk.frames
+    if first < len(chunks):
+        yield chunks[first:]
 
 
 @dataclass(frozen=True, eq=False)

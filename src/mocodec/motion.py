@@ -394,6 +394,5 @@ def with_signals(extras: Mapping[str, Any], change: Callable[[Signal], Signal]) 
 
 def source_from(source: Mapping[str, Any], start: int) -> dict[str, Any]:
     """The source of a motion that starts `start` frames later."""
-    if "first_frame" not in source:
-        return dict(source)
-    return {**source, "first_frame": source["first_frame"] + start}
+    first = source.get("first_frame")
+    return {**source, "first_frame": first + start} if type(first) is int else dict(source)

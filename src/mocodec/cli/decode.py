@@ -164,7 +164,8 @@ def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:
                 f"{source}: its codec tracks no body, so there is no motion to write; name a folder for .ply files"
             )
         has_surface = suffix in (".glb", ".gltf") and hasattr(codec, "surface")
-        return codec.track(opened.encoded), {"surface": codec.surface(opened.encoded)} if has_surface else {}
+        with opened.errors_name_file():
+            return codec.track(opened.encoded), {"surface": codec.surface(opened.encoded)} if has_surface else {}
 
 
 def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:

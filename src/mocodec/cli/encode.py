@@ -40,6 +40,12 @@ from . import files, many, quantities, verify
 )
 @click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
+@click.option(
+    "--chunk-seconds",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Length of the parts that damage spares or loses as a whole; default 4. Shorter ones lose less and cost more.",
+)
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
 @click.option(
     "--skeleton",
@@ -78,10 +84,10 @@ def command(
     after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
     """
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
-    cloud_settings = files.given(**{name: options.pop(name) for name in ("skeleton", "residual")})
-    settings += tuple(f"{name}={value}" for name, value in cloud_settings.items())
-    if (max_rotation := options.pop("max_rotation")) is not None:
-        settings += (f"max_rotation={max_rotation}",)
+    own_options = files.given(
+        **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
+    )
+    settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     if many.is_many(sources, output):
         refuse_file(output)
@@ -91,6 +97,8 @@ def command(
         work = many.Settings({**chosen, **files.given(**options)}, jobs, again, as_json, quiet)
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
+    if output == "-":
+        files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
     _, record, blob = encoded(source, **chosen, **options, quiet=quiet)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -23,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import progress
-from ..encoded import Chunk, Encoded, about, restore
+from ..encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ..entropy import coder
 from ..errors import BadInput, CannotEncode, Corrupt
 from ..motion import Motion
@@ -63,7 +64,8 @@ class Lossless:
         ranks = channels if form == ON_GRID else float_to_rank(channels)
         scale = fixed_point_scale(form, values)
         taps = fit_predictor(channels.astype(np.float64))
-        chunk_frames = max(1, round(self.chunk_seconds * motion.rate))
+        longest = most_chunk_frames(motion.points)
+        chunk_frames = max(1, round(min(self.chunk_seconds * motion.rate, longest)))
         has_rotations = self.lost_rotations(motion) is None and motion.rotations is not None
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
@@ -103,7 +105,11 @@ class Lossless:
         if has_rotations:
             parts = [split_rotations(chunk, points) for chunk in chunks]
             chunks, rotations = [c for c, _ in parts], [q for _, q in parts]
-        decoded_chunks = decode_ranks(chunks, points, form, np.array(taps, np.int64), scale)
+        decoded_chunks = (
+            decoded
+            for batch in batches(chunks, points, len(chunks))
+            for decoded in decode_ranks(batch, points, form, np.array(taps, np.int64), scale)
+        )
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
         for chunk, (ranks, gap_mask) in zip(chunks, decoded_chunks, strict=True):
@@ -270,7 +276,7 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 
 def decode_ranks(
-    chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
+    chunks: Sequence[Chunk], points: int, form: int, taps: Integers, scale: int
 ) -> list[tuple[Integers, Booleans]]:
     """Ranks (frames, channels) and gaps (frames, points) of each chunk. All chunks step through time together."""
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]

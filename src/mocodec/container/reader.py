@@ -22,7 +22,7 @@ from ..pointcloud import PointClouds
 from . import values
 from .byte_sources import ByteSource, byte_source
 from .locate import find_index, read_header, read_index, walk_chunks
-from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes
+from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes, most_frames
 from .wire import checksum
 
 SEPARATE = ("names", "skeleton", "settings", "source", "shared")
@@ -40,13 +40,23 @@ class Layout(NamedTuple):
 
 @contextmanager
 def errors_name(file: ByteSource) -> Iterator[None]:
-    """Put the file's name before the message of errors that are raised inside."""
+    """Put the file's name before the message of errors that are raised inside.
+
+    Any other exception that bytes with right checksums cause becomes Corrupt; BadInput if memory does not suffice.
+    """
     try:
         yield
     except MocodecError as error:
         if file.name and not str(error).startswith(file.name):
-            error.args = (f"{file.name}: {error}",)
+            error.args = (f"{file.name}: {error}", *error.args[1:])
         raise
+    except MemoryError as error:
+        raise BadInput(f"{file.name or 'the file'}: not enough memory; decode fewer frames at a time") from error
+    except OSError:
+        raise
+    except Exception as error:
+        where = f"{file.name or 'the file'}: cannot be decoded although its checksums hold"
+        raise Corrupt(f"{where} ({type(error).__name__}: {error})") from error
 
 
 class StoredChunk(Chunk):
@@ -137,6 +147,9 @@ class Reader:
             self.problems.append(str(error))
             frames, lengths, index = walk_chunks(self.source, chunks_at)
             end = self.source.size
+        most = most_frames(len(self.header["names"]) if self.header["kind"] == "motion" else None)
+        if max(frames, default=0) > most:
+            raise Corrupt(f"a chunk of {max(frames)} frames; with so many points, a chunk has at most {most}")
         self.layout = Layout(header_end, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
         self.encoded: Encoded[Any] = Encoded(

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..encoded import CLOUD_SAMPLES, MAX_CHUNK_SAMPLES, most_chunk_frames
 from ..errors import UnknownCodec
 from ..fields import Field, Record, Values, unsigned
 from ..motion import UP_AXES, Skeleton
@@ -28,10 +29,10 @@ END_MAGIC = b"cz"
 VERSION = 1
 CHECKSUM_BYTES = 4
 MAX_HEADER_BYTES = 1 << 28
-MAX_CHUNK_FRAMES = 1 << 24
+MAX_CHUNK_FRAMES = MAX_CHUNK_SAMPLES
 MAX_FRAMES = 1 << 40
 MAX_PAYLOAD_BYTES = 1 << 30
-MAX_MARGIN = 1 << 16
+MAX_MARGIN = 8
 KINDS = ("motion", "clouds")
 
 
@@ -239,6 +240,11 @@ INDEX = Record(
     Field("frames", _write_runs, _read_runs, "how many chunks, then runs of (chunks, frames of each)"),
     Field("lengths", lambda value, _: b"".join(map(varint, value)), _read_lengths, "bytes of each payload"),
 )
+
+
+def most_frames(points: int | None) -> int:
+    """The most frames that a chunk may have; points: None for point clouds."""
+    return most_chunk_frames(CLOUD_SAMPLES if points is None else points)
 
 
 def chunk_bytes(frames: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:

@@ -55,6 +55,7 @@ class Writer:
         shared: tuple[bytes, ...] = (),
     ) -> None:
         self.file = file
+        self.most_frames = records.most_frames(about.points if isinstance(about, Motion) else None)
         self.stop = 0
         self.frames: list[int] = []
         self.lengths: list[int] = []
@@ -74,8 +75,11 @@ class Writer:
             raise CannotEncode(
                 f"the next chunk starts at frame {chunk.start}, not at frame {self.stop}, where the last one ends"
             )
-        if not 0 < chunk.frames <= records.MAX_CHUNK_FRAMES or len(payload) > records.MAX_PAYLOAD_BYTES:
-            raise CannotEncode(f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range")
+        if not 0 < chunk.frames <= self.most_frames or len(payload) > records.MAX_PAYLOAD_BYTES:
+            raise CannotEncode(
+                f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range: at most "
+                f"{self.most_frames} frames of these points and {records.MAX_PAYLOAD_BYTES} bytes"
+            )
         head = CHUNK.pack({"frames": chunk.frames, "length": len(payload)})
         self.file.write(head + payload + checksum(head, payload))
         self.stop += chunk.frames

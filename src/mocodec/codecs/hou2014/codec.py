@@ -20,7 +20,7 @@ import numpy as np
 
 from ... import encoded as encodeds
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded
+from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
 from ...stages import bounded, gaps, quantise, search
@@ -167,6 +167,7 @@ class _MotionEncoder:
     def __init__(self, codec: Hou2014, motion: Motion, filled: Floats) -> None:
         self.codec, self.motion, self.gap_mask = codec, motion, motion.gaps
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
+        self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
         self.prepared = self._prepare(filled)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
@@ -177,6 +178,7 @@ class _MotionEncoder:
         """Segment into clips, choose each clip's step and frequencies, fit B."""
         codec, motion = self.codec, self.motion
         length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
+        length = min(length, most_chunk_frames(motion.points))
         lengths = stream.equal_lengths(len(motion), length)
         prepared = PreparedMotion(
             points=motion.points,
@@ -216,9 +218,9 @@ class _MotionEncoder:
         curves = quantised_motion.component_curves(prepared, step)
         if codec.segmentation == "adaptive":
             length = 0
-            lengths = clip_segmentation.adaptive_lengths(filled, curves, step, codec.clips, codec.chunk_frames)
+            lengths = clip_segmentation.adaptive_lengths(filled, curves, step, codec.clips, self.chunk_frames)
         else:
-            length = clip_segmentation.best_equal_length(curves, step, codec.chunk_frames)
+            length = clip_segmentation.best_equal_length(curves, step, self.chunk_frames)
             lengths = stream.equal_lengths(len(filled), length)
         return replace(prepared, lengths=lengths, clip_frames=length)
 
@@ -242,7 +244,7 @@ class _MotionEncoder:
     def _encode(self, rung: int) -> Encoded[Motion]:
         """The encoded motion at this step, with corrections if there is a bound."""
         quantised = self.quantised(rung)
-        groups = clip_segmentation.group_into_chunks(quantised.clips, self.codec.chunk_frames)
+        groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
         stops = np.cumsum([clips.lengths.sum() for clips in groups]).tolist()
         chunks: list[Chunk] = []
         for clips, (start, stop) in zip(groups, pairwise([0, *stops]), strict=True):
@@ -271,7 +273,7 @@ class _MotionEncoder:
         """
         try:
             quantised = self.quantised(rung)
-            groups = clip_segmentation.group_into_chunks(quantised.clips, self.codec.chunk_frames)
+            groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
             starts = np.cumsum([0, *(clips.lengths.sum() for clips in groups)]).tolist()
             sampled = range(0, len(groups), -(-len(groups) // chunks))
             sizes = [len(self._payload(groups[i], quantised.header, starts[i], starts[i + 1])) for i in sampled]

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -29,6 +29,8 @@ MEAN_POSE, POINT_WEIGHTS, ERROR_BOUND, CUSTOM_UNIT, CLIP_STEPS, ADAPTIVE_CLIPS, 
 """Flags on disk: never change one."""
 
 LARGEST_RUNG = 1 << 12
+MAX_TRANSFORM_ENTRIES = 1 << 24
+"""Of all left transforms of a file together."""
 """Limit for every rung in a file: 64 octaves of the ladder of steps."""
 
 
@@ -127,7 +129,7 @@ def unpack_header(blobs: Sequence[bytes], points: int, parents: Sequence[int] | 
         raise Corrupt("hou2014: the shared bytes are missing")
     values = HEADER.unpack(blobs[0], points=points)
     transform_blobs = blobs[1:] if values["transform"] is None else [values["transform"]]
-    transforms = tuple(left_transform.unpack(blob, 3 * points, parents) for blob in transform_blobs)
+    transforms = tuple(_read_transforms(transform_blobs, 3 * points, parents))
     components = values["components"]
     if not transforms:
         raise Corrupt("hou2014: the shared bytes hold no left transform")
@@ -147,6 +149,19 @@ def unpack_header(blobs: Sequence[bytes], points: int, parents: Sequence[int] | 
         clip_steps=bool(values["flags"] & CLIP_STEPS),
         shared_transforms=bool(values["flags"] & SHARED_TRANSFORMS),
     )
+
+
+def _read_transforms(
+    blobs: Sequence[bytes], dimensions: int, parents: Sequence[int] | None
+) -> Iterator[left_transform.LeftTransform]:
+    """The left transforms of blobs. Raises Corrupt, also for more entries in all of them than the format allows."""
+    entries = 0
+    for blob in blobs:
+        transform = left_transform.unpack(blob, dimensions, parents)
+        entries += transform.matrix.size
+        if entries > MAX_TRANSFORM_ENTRIES:
+            raise Corrupt(f"hou2014: left transforms of more than {MAX_TRANSFORM_ENTRIES} entries")
+        yield transform
 
 
 def row_weights(weight_rungs: Integers | None, points: int) -> Floats:

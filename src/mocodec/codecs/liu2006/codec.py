@@ -19,7 +19,7 @@ import numpy as np
 
 from ... import encoded as encodeds
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded
+from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
@@ -126,13 +126,15 @@ class Liu2006:
     def segment_motion(self, positions: Floats, markers: MarkerGroups, up: str) -> segment.Segmentation:
         """Normalise, and cut where the distribution of poses changes: sections 3.1 and 3.2."""
         rest = np.concatenate([*markers.pca_groups, np.zeros(0, np.int64)])
+        longest = most_chunk_frames(markers.points)
         if not len(rest):
-            return segment.Segmentation([slice(0, len(positions))], [])
+            return segment.Segmentation(segment.equal_length(len(positions), longest), [])
         frame = body_frame.from_markers(positions[:, markers.normalisation], up)
         poses = body_frame.to_body(positions[:, rest], frame).reshape(len(positions), -1)
-        return segment.ppca(
+        found = segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
+        return segment.Segmentation(segment.no_longer_than(found.segments, longest), found.curves)
 
     def fit_segments(
         self, positions: Floats, markers: MarkerGroups, segments: Sequence[slice], up: str, scale: float

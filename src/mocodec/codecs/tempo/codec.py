@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded, about, restore
+from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
@@ -138,7 +138,8 @@ class Tempo:
             return self.encode_without_repeats(motion)
         with progress.attempt(0):
             encoded = self._encode_distinct(motion, distinct)
-        if self._meets_target(encoded, motion):
+        longest = max(chunk.frames for chunk in encoded.chunks)
+        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion):
             return encoded
         with progress.attempt(1):
             return self.encode_without_repeats(motion)
@@ -166,7 +167,8 @@ class Tempo:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
         source = prepare(motion.positions, motion.up)
         cuts = leaps.discontinuities(source.smooth, motion.rate)
-        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
+        seconds = min(self.chunk_seconds, most_chunk_frames(motion.points) / 2 / motion.rate)
+        bounds = chunk_bounds(len(motion), motion.rate, seconds, cuts)
         with progress.phase(0.0, CHOICE_SHARE):
             choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
@@ -205,8 +207,7 @@ class Tempo:
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
         covering = encoded.covering(start, stop)
-        for first in progress.over(range(0, len(covering), chunk.BATCH)):
-            batch = covering[first : first + chunk.BATCH]
+        for batch in progress.over(list(batches(covering, like.points, chunk.BATCH))):
             for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
                 a, b = max(start, one.start), min(stop, one.stop)
                 here = heading.from_y_up(decoded[a - one.start : b - one.start], like.up)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ... import metrics
-from ...encoded import Encoded
+from ...encoded import Encoded, most_chunk_frames
 from ...errors import CannotEncode
 from ...motion import Motion
 from ...typing import Floats
@@ -145,7 +145,8 @@ def _stretch(encoded: Encoded[Motion]) -> slice:
 
 def _longest_chunk(motion: Motion, seconds: float) -> int:
     """Frames that a chunk may have."""
-    return max(1, round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate))
+    wanted = round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate)
+    return max(1, min(wanted, most_chunk_frames(motion.points)))
 
 
 def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ... import encoded as encodeds
-from ...encoded import Chunk, Encoded
+from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Floats
@@ -58,8 +58,8 @@ class Encoder:
             raise BadInput("the earlier recording must have the same points")
         self._rotations = _rotations_like(about, like, max_error) if rotations else None
         self.about = about
-        self.max_error = max_error if self._rotations is None else BOUND_SHARE * max_error
-        self.chunk_frames = max(1, int(latency_seconds * about.rate))
+from ... import encoded as encodeds
+from ...encoded import Chunk, Encoded, most_chunk_frames
         earlier = [] if like is None else [prepare(like.positions, like.up).smooth]
         choice = model_choice.choose(Recording(earlier, about, target.step_for_bound(self.max_error)))
         self._model = choice.model
