@@ -58,8 +58,8 @@ class Encoder:
             raise BadInput("the earlier recording must have the same points")
         self._rotations = _rotations_like(about, like, max_error) if rotations else None
         self.about = about
-from ... import encoded as encodeds
-from ...encoded import Chunk, Encoded, most_chunk_frames
+        self.max_error = max_error if self._rotations is None else BOUND_SHARE * max_error
+        self.chunk_frames = max(1, min(int(latency_seconds * about.rate), most_chunk_frames(about.points)))
         earlier = [] if like is None else [prepare(like.positions, like.up).smooth]
         choice = model_choice.choose(Recording(earlier, about, target.step_for_bound(self.max_error)))
         self._model = choice.model
