@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
 from . import codecs, formats
 from . import progress as progress_
-from .codecs import base
+from .codecs import base, rescue
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, CannotEncode, Corrupt, MocodecError
@@ -158,11 +158,11 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
 
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
-        return container.pack(codec.encode(recording))
+        return container.pack(_encoded(codec, recording))
     if target == "size":
         _require_room(recording, codec)
     with progress_.attempt(0):
-        encoded = codec.encode(recording)
+        encoded = _encoded(codec, recording)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
     limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
@@ -174,7 +174,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
             break
         value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
         with progress_.attempt(attempt):
-            encoded = dataclasses.replace(codec, **{target: value}).encode(recording)
+            encoded = _encoded(dataclasses.replace(codec, **{target: value}), recording)
         blob = container.pack(dataclasses.replace(encoded, settings=settings))
     if len(blob) <= limit:
         return blob
@@ -182,6 +182,23 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
         f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
         f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
     )
+
+
+def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[RecordingT]:
+    """By the codec, or for a motion by the default codec if an error in mocodec ends the codec; a note says so."""
+    try:
+        return codec.encode(recording)
+    except (MocodecError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        failure = rescue.in_words(f"with {codec.name}", error)
+        if not isinstance(recording, Motion):
+            raise CannotEncode(f"{failure}; please report it, and try another codec") from error
+        targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
+        names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
+        default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
+        encoded = rescue.with_note(default.encode(recording), f"{failure}; {default.name} codes the motion")
+        return cast("Encoded[RecordingT]", encoded)
 
 
 def _require_room(recording: Recording, codec: Codec[Any]) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from . import payloads
 from .integers import Bytes, bits_of, integers, number_of
 from .ordered import BAND, log2
-from .payloads import Array, Chunks, gap_mask
+from .payloads import Array, Chunks, restored
 from .tempo_models import read_model
 from .tempo_statistics import Model, Prior, Recording, prior
 
@@ -81,8 +81,7 @@ def chunk(payload: bytes, frames: int, model: Model | None, like: Recording, wei
         values, step, lists = coefficients(part, frames, model, like)
         positions = synthesise(values, step, frames, model, like)
         correct(positions, lists, grid, weights)
-    positions[gap_mask(gaps, frames, points)] = np.nan
-    return positions[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
+    return restored(gaps, positions)[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
 
 
 # --- coefficients

@@ -125,19 +125,20 @@ def suffix_of(source: str, format_: str | None) -> str:
 
     "" for the folder of a point cloud's frames; .npz if the file does not say its format or cannot be opened.
     """
-    if format_ is None:
-        try:
-            with api.open(files.source_of(source)) as opened:
-                format_ = str(opened.encoded.about.source.get("format", "npz"))
-                is_motion = len(opened.shape) == 3
-        except MocodecError:  # `one` raises it again
-            return ".npz"
-        if not is_motion:
-            return "" if format_ == "ply" else f".{format_}"
-    suffix = f".{format_.lower().lstrip('.')}"
-    if suffix not in formats.FORMATS:
-        raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
-    return suffix
+    if format_ is not None:
+        suffix = f".{format_.lower().lstrip('.')}"
+        if suffix not in formats.FORMATS:
+            raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
+        return suffix
+    try:
+        with api.open(files.source_of(source)) as opened:
+            suffix = f".{opened.encoded.about.source.get('format')}"
+            is_motion = len(opened.shape) == 3
+    except MocodecError:  # `one` raises it again
+        return ".npz"
+    if not is_motion:
+        return ".npz" if suffix == ".npz" else ""
+    return suffix if suffix in formats.FORMATS else ".npz"
 
 
 def refuse_other_formats(source: str, output: str) -> None:

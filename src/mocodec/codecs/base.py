@@ -11,6 +11,7 @@ import numpy as np
 from ..encoded import Chunk, Encoded, Recording, RecordingT, about, restore
 from ..errors import CannotEncode, Corrupt
 from ..motion import Motion
+from ..typing import Floats
 
 GAP_CHUNK_FRAMES = 1 << 16
 GAP_CHUNK_SAMPLES = 1 << 22
@@ -77,9 +78,9 @@ def has_samples(motion: Motion) -> bool:
     return bool(motion.positions.size) and not np.isnan(motion.positions).all()
 
 
-def require_usual_lengths(codec: Codec[Motion], motion: Motion) -> None:
+def require_usual_lengths(codec: Codec[Motion], positions: Floats) -> None:
     """Raises CannotEncode for positions that are too far away for coding in steps: a wrong unit, or damaged numbers."""
-    largest = max(float(np.nanmax(motion.positions)), -float(np.nanmin(motion.positions)))
+    largest = max(float(np.nanmax(positions)), -float(np.nanmin(positions)))
     if largest > LARGEST_M:
         raise CannotEncode(
             f"{codec.name} codes positions up to {LARGEST_M:g} m, and there are some at {largest:.3g} m; "

@@ -88,7 +88,7 @@ def read(
     count = int(clock.frames[-1]) + 1 if len(clock.frames) else 0
     positions = np.full((count, len(names), 3), np.nan)
     positions[clock.frames] = (table[:, 2:] * unit_m).reshape(-1, len(names), 3)
-    gap = np.isnan(positions).any(axis=2)
+    gap = np.isnan(positions.sum(axis=2))
     positions[gap] = np.nan
     extras: dict[str, Any] = {}
     source: dict[str, Any] = {"format": "trc", "units": units, "unit_m": unit_m, "first_frame": clock.first}

@@ -18,7 +18,7 @@ import numpy as np
 from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...fields import Record, array, positive_float, raw, signed, sized, unsigned
-from ...stages import bounded, dct, gaps, quantise
+from ...stages import bounded, dct, frozen, quantise
 from ...typing import Floats, Integers
 from . import left_transform, parameters
 from .left_transform import LeftTransform
@@ -308,22 +308,21 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
     return positions.reshape(-1, header.points, 3)
 
 
-def pack_payload(clips: bytes, gap_mask: bytes, corrections: bytes) -> bytes:
+def pack_payload(clips: bytes, packed_gaps: bytes, corrections: bytes) -> bytes:
     """The payload of a chunk from its packed parts."""
-    return clips + _with_size(gap_mask) + corrections
+    return clips + _with_size(packed_gaps) + corrections
 
 
 def unpack_payload(data: bytes, frames: int, header: SharedHeader) -> Floats:
     """Positions of a chunk, (frames, points, 3), NaN in gaps. Raises Corrupt."""
     clips, at = unpack_clips(data, 0, frames, header)
     part, at = _read_sized(data, at)
-    gap_mask = gaps.unpack(part, (frames, header.points))
     positions = reconstruct(clips, header)
     if header.max_error is not None:
         positions = bounded.unpack(data[at:], positions, header.max_error)
     elif at != len(data):
         raise Corrupt(f"hou2014: a chunk has {len(data) - at} bytes after its last field")
-    return gaps.apply(positions, gap_mask)
+    return frozen.restore(positions, part)
 
 
 def equal_length_runs(lengths: Integers) -> list[tuple[int, slice]]:

@@ -24,7 +24,9 @@ from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restor
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
+from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
+from ..lossless import Lossless
 from . import chunk, fallback, model_choice, repeats, target
 from .chunk import DIRECT, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
@@ -46,6 +48,8 @@ CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
 """Shares of the progress: the chunks (the rest is the fallback); within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
+FROZEN_SHARE = 1 / 8
+"""Share of the target error that the rounding of a frozen position may take."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -98,12 +102,29 @@ class Tempo:
             raise BadInput("hou2014 does not take weights")
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
-        """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
+        """Raises CannotEncode where the target cannot be met, or the motion does not fit the model that is asked for.
+
+        Where the models fail, direct coding is tried, then lossless coding; a note in `about.source` says so.
+        """
         if not has_samples(motion):
             return encode_gaps(self, motion, self._stored_settings())
-        require_usual_lengths(self, motion)
+        stored = self._stored_settings()
+        ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
+        if self.model != model_choice.DIRECT:
+            ways.append(("directly", lambda: replace(self, model=model_choice.DIRECT)._encode_any(motion)))
+        if self.model == model_choice.AUTO:
+            ways += [
+                ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
+                ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
+            ]
+        encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
+        targets = {name: value for name, value in stored.items() if name in TARGETS}
+        return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
+
+    def _encode_any(self, motion: Motion) -> Encoded[Motion]:
+        """With rotations where they can be kept."""
         if motion.rotations is None or self.lost_rotations(motion) is not None:
-            return self.encode_positions(motion)
+            return self.encode_smallest(motion)
         return self._encode_rotations(motion)
 
     def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
@@ -116,7 +137,7 @@ class Tempo:
         bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None)
 
         def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
-            return lambda value: replace(bare, **{kind: value}).encode_positions(positions)
+            return lambda value: replace(bare, **{kind: value}).encode_smallest(positions)
 
         if self.mean_error is not None:
             encoded = encoder.to_mean(self.mean_error, inner("mean_error"), Tempo.decode)
@@ -131,8 +152,8 @@ class Tempo:
         """Why the rotations of a motion are not kept, in words; None where they are."""
         return layer.lost_rotations(motion)
 
-    def encode_positions(self, motion: Motion) -> Encoded[Motion]:
-        """Without rotations."""
+    def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
+        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -165,7 +186,10 @@ class Tempo:
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        source = prepare(motion.positions, motion.up)
+        source = prepare(
+            motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
+        )
+        require_usual_lengths(self, source.positions)
         cuts = leaps.discontinuities(source.smooth, motion.rate)
         seconds = min(self.chunk_seconds, most_chunk_frames(motion.points) / 2 / motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, seconds, cuts)
@@ -181,15 +205,20 @@ class Tempo:
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
             payloads = self._to_target(encoders, motion, len(header.pack()))
+        failures = [e.failure for e in encoders if e.failure is not None]
         if all(Payload.unpack(p).engine == DIRECT for p in payloads):
             header = StreamHeader(weights=header.weights)
-        return Encoded(
+        encoded = Encoded(
             self.name,
             about(motion),
             [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
             shared=(header.pack(),),
             settings=self._stored_settings(),
         )
+        if not failures:
+            return encoded
+        reason = rescue.in_words("with tempo's models", failures[0])
+        return rescue.with_note(encoded, f"{reason}; {len(failures)} of {len(payloads)} chunks are coded directly")
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
@@ -219,6 +248,12 @@ class Tempo:
         """About the step that the target needs, log₂ in 1/32 octave."""
         bound = None if self._has_size or self.mean_error else self.max_error or DEFAULT_MAX_ERROR
         return target.first_step(bound, self.mean_error, self.size, self.ratio, motion.raw_bytes)
+
+    @property
+    def _frozen_tolerance(self) -> float | None:
+        """Metres by which a frozen position may be rounded; None for the usual share of it."""
+        error = None if self._has_size else self.mean_error or self.max_error or DEFAULT_MAX_ERROR
+        return error and FROZEN_SHARE * error / max((self.weights or {}).values(), default=1.0)
 
     @property
     def _has_size(self) -> bool:
@@ -277,6 +312,10 @@ class Tempo:
         if not stored.keys() & {"mean_error", "ratio", "size"}:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
         return stored
+
+
+def _decode(encoded: Encoded[Motion]) -> Motion:
+    return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
 
 
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:

@@ -34,6 +34,9 @@ LONGEST_SECONDS = 10.0
 LONGEST_FRAMES = 60_000
 """Longer recordings are too varied for one basis, and the trial takes too long."""
 
+MOST_POINTS = 2048
+"""A basis across more points takes too long to fit."""
+
 PROMISING = 1.06
 """A first coding up to this much larger than tempo's may still be smaller at its best step."""
 
@@ -56,7 +59,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
 
     target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
     """
-    if len(motion) > LONGEST_FRAMES:
+    if len(motion) > LONGEST_FRAMES or motion.points > MOST_POINTS:
         return encoded
     best = encoded
     filled, smooth = _without_gaps_and_spikes(motion)
@@ -151,7 +154,7 @@ def _longest_chunk(motion: Motion, seconds: float) -> int:
 
 def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
     """Positions with gaps filled, and without spikes too: the same array where there are none."""
-    source = prepare(motion.positions, motion.up)
+    source = prepare(motion.positions, motion.up, bones=motion.skeleton is not None)
     filled = heading.from_y_up(source.positions, motion.up)
     return filled, heading.from_y_up(source.smooth, motion.up) if source.spikes.any() else filled
 

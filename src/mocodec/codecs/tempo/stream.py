@@ -22,7 +22,7 @@ from ...motion import Motion
 from ...typing import Floats
 from . import chunk, model_choice, target
 from .chunk import ChunkEncoder
-from .codec import DEFAULT_MAX_ERROR, Tempo
+from .codec import DEFAULT_MAX_ERROR, FROZEN_SHARE, Tempo
 from .header import StreamHeader
 from .models import Recording
 from .pose import heading
@@ -94,7 +94,9 @@ class Encoder:
         return [self._chunk(len(self._waiting))] if len(self._waiting) else []
 
     def _chunk(self, frames: int) -> Chunk:
-        source = prepare(self._waiting[:frames], self.about.up)
+        source = prepare(
+            self._waiting[:frames], self.about.up, FROZEN_SHARE * self.max_error, self.about.skeleton is not None
+        )
         encoder = ChunkEncoder.of(self._model, source, slice(None))
         coded = Chunk(self._start, frames, target.to_bound([encoder], self.max_error)[0])
         if self._rotations is not None:

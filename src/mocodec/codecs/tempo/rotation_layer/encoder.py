@@ -321,9 +321,11 @@ class Encoder:
         return Layer(self.rules, self.reach_m, side.SideModel.of(stored, known, self.rules, self.factor, rate)), shared
 
     def _mean(self, coded: Coded, drafts: Sequence[Draft], every: int = 1) -> float:
-        """Mean distance of joints and shell points, metres, of every so many frames."""
+        """Mean distance of joints and shell points, or of joints alone if that is larger, metres, of every so many
+        frames."""
         sampled = [c.sampled_errors(d, every) for c, d in zip(coded.chunks, drafts, strict=True)]
-        return sum(e.total for e in sampled) / (4 * sum(e.joints.size for e in sampled))
+        joints, count = sum(float(e.joints.sum()) for e in sampled), sum(e.joints.size for e in sampled)
+        return max(sum(e.total for e in sampled) / 4, joints) / count
 
     def _finished(self, encoded: Encoded[Motion], coded: Coded, drafts: Sequence[Draft]) -> Encoded[Motion]:
         """The stream of drafts, with chunks mended that break a promise."""
