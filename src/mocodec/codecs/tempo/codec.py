@@ -111,7 +111,9 @@ class Tempo:
         stored = self._stored_settings()
         ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
         if self.model != model_choice.DIRECT:
-            ways.append(("directly", lambda: replace(self, model=model_choice.DIRECT)._encode_any(motion)))
+            direct = replace(self, model=model_choice.DIRECT)
+            encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
+            ways.append(("directly", lambda: encode(motion)))
         if self.model == model_choice.AUTO:
             ways += [
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
@@ -123,9 +125,10 @@ class Tempo:
 
     def _encode_any(self, motion: Motion) -> Encoded[Motion]:
         """With rotations where they can be kept."""
-        if motion.rotations is None or self.lost_rotations(motion) is not None:
-            return self.encode_smallest(motion)
-        return self._encode_rotations(motion)
+        return self._encode_rotations(motion) if self._keeps_rotations(motion) else self.encode_smallest(motion)
+
+    def _keeps_rotations(self, motion: Motion) -> bool:
+        return motion.rotations is not None and self.lost_rotations(motion) is None
 
     def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
         weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
