@@ -41,6 +41,12 @@ from . import files, many, quantities, verify
 @click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
 @click.option(
+    "--signal-error",
+    metavar="ERROR",
+    help="How far samples of signals may be off: 12bit or 0.1% of their range, or by label 'Fz*=0.5N,EMG*=12bit'. "
+    "Default: not at all.",
+)
+@click.option(
     "--chunk-seconds",
     type=click.FloatRange(0, min_open=True),
     metavar="S",
@@ -69,6 +75,7 @@ def command(
     output: str,
     codec: str | None,
     settings: tuple[str, ...],
+    signal_error: str | None,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -89,6 +96,7 @@ def command(
     )
     settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
+    chosen |= files.given(signal_error=signal_error)
     if many.is_many(sources, output):
         refuse_file(output)
         refuse_settings(codec, settings, targets)
@@ -127,7 +135,8 @@ def encoded(
     settings: Sequence[str],
     targets: dict[str, float],
     bare: bool,
-    quiet: bool,
+    signal_error: str | None = None,
+    quiet: bool = False,
     **options: Any,
 ) -> tuple[Recording, dict[str, Any], bytes]:
     """The recording of a source, what was measured on its .mocz, and the bytes of that.
@@ -145,7 +154,7 @@ def encoded(
         files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"):
         with progress.phase(0.0, 0.9):
-            blob = api.pack(chosen, recording)
+            blob = api.pack(chosen, recording, signal_error)
         with progress.phase(0.9, 1.0), api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
     if isinstance(recording, Motion):
@@ -185,8 +194,13 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
 
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:
     """The record of an encoded file: bytes, ratio to float32 positions and, for a motion, errors in metres."""
-    stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
-    record: dict[str, Any] = {"codec": facts["codec"], "frames": len(recording), "bytes": stored, "extras": extras}
+    stored, parts = facts["bytes"], facts["bytes_by_part"]
+    record: dict[str, Any] = {"codec": facts["codec"], "frames": len(recording), "bytes": stored}
+    record |= {
+        "motion": stored - parts["extras"] - parts["signals"],
+        "signals": parts["signals"],
+        "extras": parts["extras"],
+    }
     record |= {"raw_bytes": recording.raw_bytes, "ratio": recording.raw_bytes / stored}
     if isinstance(recording, Motion) and isinstance(decoded, Motion):
         error = metrics.compare(recording, decoded, stored)
@@ -198,13 +212,16 @@ def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any])
 def summary(output: str, record: Mapping[str, Any]) -> str:
     """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
-    stored, extras, raw = record["bytes"], record["extras"], record["raw_bytes"]
+    stored, extras, raw = record["bytes"], record["extras"] + record["signals"], record["raw_bytes"]
     if not raw:
         return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
     line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
     if extras > stored / 100:
         points = raw / (stored - extras)
-        line += f" ({points:.1f} : 1 without {extras:,} bytes of analog channels, parameters and other extras)"
+        line += (
+            f" ({points:.1f} : 1 without {record['signals']:,} bytes of signals and {record['extras']:,} of parameters "
+            "and other extras)"
+        )
     if "mean_error" in record:
         line += f", mean error {quantities.length(record['mean_error'])}, max {quantities.length(record['max_error'])}"
     return line
