@@ -288,7 +288,7 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 
 def decode_ranks(
-    chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
+    chunks: Sequence[Chunk], points: int, form: int, taps: Integers, scale: int
 ) -> list[tuple[Integers, bytes]]:
     """Ranks (frames, channels) and the packed gaps of each chunk. All chunks step through time together."""
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]

@@ -47,6 +47,8 @@ MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
+FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
+"""A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -109,7 +111,19 @@ class Tempo:
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
     def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
-        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
+        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014.
+
+        With a mean error also under this error as a bound, if that may be smaller.
+        """
+        encoded = self._with_or_without_repeats(motion)
+        if self.mean_error is None or not _may_be_larger_than_bounded(encoded):
+            return encoded
+        bounded = replace(self, mean_error=None, max_error=self.mean_error)._with_or_without_repeats(motion)
+        if bounded.payload_bytes >= encoded.payload_bytes:
+            return encoded
+        return replace(bounded, settings=self._stored_settings())
+
+    def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -270,6 +284,20 @@ class Tempo:
 
 def _decode(encoded: Encoded[Motion]) -> Motion:
     return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
+
+
+def _may_be_larger_than_bounded(encoded: Encoded[Motion]) -> bool:
+    """Whether a stream at a mean error may be larger than one under this error as a bound.
+
+    A bound costs about twice as much, except where chunks are direct or full of spikes, and on short recordings.
+    """
+    header = StreamHeader.unpack(encoded.shared, encoded.about.points)
+    if len(encoded.chunks) <= FEW_CHUNKS or header.millihertz is not None:
+        return True
+    if header.fallback is not None:
+        return False
+    payloads = [Payload.unpack(c.payload) for c in encoded.chunks]
+    return sum(p.engine == DIRECT or p.step is not None for p in payloads) > UNUSUAL_SHARE * len(payloads)
 
 
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:
