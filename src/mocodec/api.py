@@ -10,19 +10,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
 from . import codecs, formats
 from . import progress as progress_
-from .codecs import rescue
+from .channels import Channel, channels
+from .codecs import base
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
-from .errors import BadInput, CannotEncode, Corrupt, MocodecError
+from .errors import BadInput, Corrupt, MocodecError
 from .metrics import compare
-from .motion import Deferred, Motion
+from .motion import Deferred, Motion, with_signals
+from .packing import default_codec, pack, with_options
 from .pointcloud import PointClouds
 from .progress import Callback
 from .selection import Frames, counted, frame_steps, point_columns, split_key
@@ -30,16 +33,10 @@ from .selection import Frames, counted, frame_steps, point_columns, split_key
 if TYPE_CHECKING:
     from .container import Reader  # imported where it is used: it makes `import mocodec` a quarter slower
 
-__all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
+__all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
 Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
-DEFAULT_CODECS = ("tempo", "bodycast")
-"""The codecs that are used by default: for motion, and for point clouds."""
-SMALLEST_FILE_BYTES = 64
-"""About how many bytes a file takes at least, without its extras."""
-ATTEMPTS = 5
-"""How often a recording is encoded to meet a size or a ratio."""
 
 
 @overload
@@ -86,6 +83,7 @@ def encode(
     mean_error: float | None = None,
     ratio: float | None = None,
     size: int | None = None,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -106,6 +104,7 @@ def encode(
     mean_error: float | None = None,
     ratio: float | None = None,
     size: int | None = None,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -113,6 +112,7 @@ def encode(
     recording: Recording,
     codec: str | Codec[Any] | None = None,
     *,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes:
@@ -120,8 +120,9 @@ def encode(
 
     codec: a name, or an instance such as `Hou2014(components=40)`; by default "tempo" for motion and "bodycast" for
     point clouds. Targets: `max_error` (no point of any frame is farther off, metres), `mean_error` (metres), `ratio`
-    (to float32 positions), `size` (bytes of the file). settings: other settings of the codec. progress: called with
-    fractions from 0 to 1.
+    (to float32 positions), `size` (bytes of the file). signal_error: how far samples of signals may be off, "12bit" or
+    "0.1%" of their range or by label "Fz*=0.5N, EMG*=12bit"; None keeps them exactly. settings: other settings of the
+    codec. progress: called with fractions from 0 to 1.
     Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.
     """
     if not isinstance(cast(object, recording), (Motion, PointClouds)):
@@ -131,99 +132,21 @@ def encode(
         )
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
     with progress_.listening(progress):
-        return pack(chosen, recording)
+        return pack(chosen, recording, signal_error)
+
+
+def not_kept(recording: Recording, codec: str | Codec[Any] | None = None) -> list[str]:
+    """What a codec will not keep of a recording, in words, before anything is encoded: rotations, joint limits.
+
+    codec: a name or an instance; by default that of `encode`. Positions are kept within the target of the codec, and
+    `extras` without loss. Offsets of a skeleton are rounded to 10 µm, but for the lossless codec. Raises BadInput.
+    """
+    return base.not_kept(with_options(codec or default_codec(recording)), recording)
 
 
 def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:
     """The settings without the targets that are None."""
     return {name: value for name, value in settings.items() if value is not None or name not in TARGETS}
-
-
-def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
-    """Encode, and meet `size` for the whole file and `ratio` for the whole file without extras.
-
-    A codec counts only its own bytes. If the container makes the file too large, the codec encodes again with a target
-    that is smaller by the excess. Raises CannotEncode if the target cannot be met.
-    """
-    from . import container
-
-    target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
-    if target is None:
-        return container.pack(_encoded(codec, recording))
-    if target == "size":
-        _require_room(recording, codec)
-    with progress_.attempt(0):
-        encoded = _encoded(codec, recording)
-    blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
-    target_bytes: float = value if target == "size" else recording.raw_bytes / value
-    limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
-    for attempt in range(1, ATTEMPTS):
-        if len(blob) <= limit:
-            return blob
-        target_bytes = math.floor(min(target_bytes, encoded.payload_bytes) - (len(blob) - limit))
-        if target_bytes < 1:
-            break
-        value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
-        with progress_.attempt(attempt):
-            encoded = _encoded(dataclasses.replace(codec, **{target: value}), recording)
-        blob = container.pack(dataclasses.replace(encoded, settings=settings))
-    if len(blob) <= limit:
-        return blob
-    raise CannotEncode(
-        f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
-        f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
-    )
-
-
-def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[RecordingT]:
-    """By the codec, or for a motion by the default codec if an error in mocodec ends the codec; a note says so."""
-    try:
-        return codec.encode(recording)
-    except (MocodecError, MemoryError, OSError):
-        raise
-    except Exception as error:
-        failure = rescue.in_words(f"with {codec.name}", error)
-        if not isinstance(recording, Motion):
-            raise CannotEncode(f"{failure}; please report it, and try another codec") from error
-        targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
-        names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
-        default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
-        encoded = rescue.with_note(default.encode(recording), f"{failure}; {default.name} codes the motion")
-        return cast("Encoded[RecordingT]", encoded)
-
-
-def _require_room(recording: Recording, codec: Codec[Any]) -> None:
-    """Raises CannotEncode if the extras of a recording alone exceed the size that the codec is asked for."""
-    from . import container
-
-    extras, size = container.extras_bytes(recording), cast("int", getattr(codec, "size", 0))
-    if extras + SMALLEST_FILE_BYTES > size and extras:
-        raise CannotEncode(
-            f"{codec.name} cannot encode this to a file of {size:,} bytes: analog channels, events, parameters and "
-            f"other extras alone take {extras:,}; ask for a larger size, or leave them out (--bare)"
-        )
-
-
-def extras_bytes(blob: bytes) -> int:
-    """Bytes of the extras in a .mocz."""
-    with open(blob) as f:
-        return f.info["bytes_by_part"]["extras"]
-
-
-def default_codec(recording: Recording) -> str:
-    """The name of the codec that is used by default."""
-    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
-
-
-def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
-    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
-    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
-    known = [f.name for f in dataclasses.fields(chosen)]
-    for name in options:
-        if name not in known:
-            what = "target" if name in TARGETS else "setting"
-            raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")
-    return dataclasses.replace(chosen, **options)
 
 
 @overload
@@ -239,7 +162,9 @@ def decode(source: Source, kind: type[Recording] | None = None, *, progress: Cal
     with progress_.listening(progress), open(source, kind) as f:
         recording = f[:]
         if isinstance(recording.extras, Deferred):
-            recording = dataclasses.replace(recording, extras=dict(recording.extras))
+            recording = dataclasses.replace(
+                recording, extras=with_signals(recording.extras, lambda signal: signal.loaded())
+            )
         return recording
 
 
@@ -307,6 +232,11 @@ class File(Generic[RecordingT]):
         """One name per point of a motion; () for point clouds."""
         about = self.encoded.about
         return about.names if isinstance(about, Motion) else ()
+
+    @cached_property
+    def signals(self) -> Mapping[str, Channel]:
+        """The channels of all signals by label: `f.signals["Fz1"][a:b]` reads and decodes these samples only."""
+        return channels(self.encoded.about.extras)
 
     @property
     def info(self) -> dict[str, Any]:
