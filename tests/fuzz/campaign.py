@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from . import mutations, resigned, seeds
-from .worker import SECONDS, Outcome, serve
+from .worker import Outcome, serve
 
-GRACE_SECONDS = 5
-"""A worker that does not answer this long after its limit is stopped: it hangs outside Python."""
+LONGEST_SECONDS = 120
+"""A worker that does not answer for so long is stopped: it hangs outside Python."""
 MINIMISING_CALLS, MINIMISING_SECONDS = 150, 60
 CALLS_A_WORKER = 2000
 """A worker is replaced after so many calls."""
@@ -51,7 +51,7 @@ class Worker:
         first = 60 if self.calls == 1 else 0  # the process may still be importing
         try:
             self.connection.send(call)
-            if self.connection.poll(SECONDS + GRACE_SECONDS + first):
+            if self.connection.poll(LONGEST_SECONDS + first):
                 return self.connection.recv()
             outcome = Outcome("time", "no answer", time.perf_counter() - start)
         except (EOFError, OSError):

@@ -48,11 +48,12 @@ def _blobs(data: bytes, random: np.random.Generator) -> bytes | None:
 
 
 def _in_place(data: bytes, random: np.random.Generator) -> bytes:
-    """Bytes of the header, the extras, a chunk or the index replaced, with the checksum of that part."""
+    """Bytes of the header, the extras, the signals, a chunk or the index replaced, with the checksum of that part."""
     with container.Reader(data) as reader:
-        header_end, chunks_at, index, end = reader.layout
+        at = reader.layout
         edges = [*reader.chunks.offsets]
-    parts = [(0, header_end), (header_end, chunks_at), *pairwise(edges), (index, end)]
+    edges = sorted({0, at.extras, at.signals, at.chunks, *edges, at.end})
+    parts = [*pairwise(edges)]
     parts = [(a, b) for a, b in parts if b - a > CRC]
     a, b = parts[random.integers(len(parts))]
     body = mutations.same_length(data[a : b - CRC], random)

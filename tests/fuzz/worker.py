@@ -20,13 +20,13 @@ from .calls import CALLS
 MEMORY_BYTES = 1 << 30
 """Address space that a call may take beyond what the process has at its start."""
 SECONDS = 10
-"""How long a call may take."""
+"""Processor time that a call may take: other work on the machine does not count."""
 
 
 class Outcome(NamedTuple):
     """kind: "ok", "refused" (a MocodecError), "foreign", "broken promise", "memory", "time" or "crash".
 
-    what: error and place, empty for "ok". seconds: of the call.
+    what: error and place, empty for "ok". seconds: processor time of the call.
     """
 
     kind: str
@@ -60,13 +60,13 @@ def serve(connection: Connection, pure: bool, limit_memory: bool) -> None:
 
 def run(kind: str, name: str, data: bytes, beside: dict[str, bytes]) -> Outcome:
     """Run one call."""
-    start = time.perf_counter()
+    start = time.process_time()
 
     def outcome(kind: str, error: BaseException | None = None) -> Outcome:
-        return Outcome(kind, "" if error is None else _in_words(error), time.perf_counter() - start)
+        return Outcome(kind, "" if error is None else _in_words(error), time.process_time() - start)
 
-    before = signal.signal(signal.SIGALRM, _out_of_time)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    before = signal.signal(signal.SIGPROF, _out_of_time)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         CALLS[kind](name, data, beside)
         return outcome("ok")
@@ -81,8 +81,8 @@ def run(kind: str, name: str, data: bytes, beside: dict[str, bytes]) -> Outcome:
     except Exception as error:
         return outcome("foreign", error)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _in_words(error: BaseException) -> str:

@@ -112,11 +112,13 @@ class Tempo:
             return encode_gaps(self, motion, self._stored_settings())
         stored = self._stored_settings()
         ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
+        if self._keeps_rotations(motion) and self.max_rotation is None:
+            ways.append(("without its rotations", lambda: self.encode_smallest(replace(motion, rotations=None))))
         if self.model != model_choice.DIRECT:
             direct = replace(self, model=model_choice.DIRECT)
             encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
             ways.append(("directly", lambda: encode(motion)))
-        if self.model == model_choice.AUTO:
+        if self.model == model_choice.AUTO and self.max_rotation is None:
             ways += [
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
