@@ -123,7 +123,7 @@ class Tempo:
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
             ]
-        encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
+        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, self.model != model_choice.AUTO)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
@@ -241,6 +241,9 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        """The motion, or a slice of its frames; also of a motion that `encode` coded losslessly. Raises Corrupt."""
+        if encoded.codec == Lossless.name:
+            return Lossless.decode(encoded, frames)
         if not encoded.shared:
             return decode_gaps(encoded, frames)
         if layer.has_rotations(encoded):
@@ -331,10 +334,6 @@ class Tempo:
         if not stored.keys() & {"mean_error", "ratio", "size"}:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
         return stored
-
-
-def _decode(encoded: Encoded[Motion]) -> Motion:
-    return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
 
 
 def _may_be_larger_than_bounded(encoded: Encoded[Motion]) -> bool:
