@@ -31,6 +31,7 @@ COMMANDS = {
     "tracking": ("cloud.tracking:command", "Tracking and recovery of a body: eight motions."),
     "first-poses": ("cloud.first_poses:command", "First poses without a skeleton."),
     "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
+    "readers": ("readers.command:command", "What ezc3d and py-c3d read from the same files; bytes of model outputs."),
     "fetch": ("fetch:command", "Download recordings from where they are published."),
     "test": ("tests.command:command", "Test the benchmarks themselves."),
 }
