@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 from . import codecs, formats
 from . import progress as progress_
 from .channels import Channel, channels
+from .codecs import base
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, Corrupt, MocodecError
@@ -32,7 +33,7 @@ from .selection import Frames, counted, frame_steps, point_columns, split_key
 if TYPE_CHECKING:
     from .container import Reader  # imported where it is used: it makes `import mocodec` a quarter slower
 
-__all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
+__all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
 Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
@@ -132,6 +133,15 @@ def encode(
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
     with progress_.listening(progress):
         return pack(chosen, recording, signal_error)
+
+
+def not_kept(recording: Recording, codec: str | Codec[Any] | None = None) -> list[str]:
+    """What a codec will not keep of a recording, in words, before anything is encoded: rotations, joint limits.
+
+    codec: a name or an instance; by default that of `encode`. Positions are kept within the target of the codec, and
+    `extras` without loss. Offsets of a skeleton are rounded to 10 µm, but for the lossless codec. Raises BadInput.
+    """
+    return base.not_kept(with_options(codec or default_codec(recording)), recording)
 
 
 def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:

@@ -107,14 +107,19 @@ class Encoded(Generic[RecordingT]):
         return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
 
 
-def about(motion: Motion) -> Motion:
-    """The motion without its frames and rotations: the `about` of its Encoded."""
-    return replace(motion, positions=motion.positions[:0], rotations=None)
+def about(motion: Motion, has_rotations: bool = False) -> Motion:
+    """The motion without its frames: the `about` of its Encoded. has_rotations: whether the codec codes rotations; the
+    result then has rotations, of no frames.
+    """
+    rotations = motion.rotations if has_rotations else None
+    return replace(motion, positions=motion.positions[:0], rotations=None if rotations is None else rotations[:0])
 
 
-def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0) -> Motion:
-    """The motion of decoded positions (frames, points, 3), whose first frame is `start` of the encoded motion."""
+def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None) -> Motion:
+    """The motion of decoded positions (frames, points, 3) and rotations (frames, joints, 4), whose first frame is
+    `start` of the encoded motion."""
     like = encoded.about
     complete = start == 0 and len(positions) == encoded.frames
     extras = like.extras if complete else extras_between(like.extras, start, start + len(positions), like.rate)
-    return replace(like, positions=positions, extras=extras, source=source_from(like.source, start))
+    source = source_from(like.source, start)
+    return replace(like, positions=positions, rotations=rotations, extras=extras, source=source)

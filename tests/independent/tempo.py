@@ -294,10 +294,14 @@ def levels(frames: int) -> list[Level]:
 
 
 def direct(data: bytes, frames: int, points: int) -> Array:
+    return direct_columns(data, frames, 3 * points).reshape(frames, points, 3)
+
+
+def direct_columns(data: bytes, frames: int, columns: int) -> Array:
     order = levels(frames)
     contexts = [level.number for level in order for _ in level.frames]
-    residuals = iter(np.array(integers(data, frames, 3 * points, contexts), np.int64).reshape(frames, -1))
-    v, last = np.zeros((frames, 3 * points), np.int64), frames - 1
+    residuals = iter(np.array(integers(data, frames, columns, contexts), np.int64).reshape(frames, -1))
+    v, last = np.zeros((frames, columns), np.int64), frames - 1
     for level, at, d in order:
         for t in at:
             if level < 2:
@@ -307,7 +311,7 @@ def direct(data: bytes, frames: int, points: int) -> Array:
             else:
                 predicted = (v[t - d] + v[min(t + d, last)] + 1) >> 1
             v[t] = predicted + next(residuals)
-    return v.reshape(frames, points, 3).astype(float)
+    return v.astype(float)
 
 
 __all__ = ["Recording", "decode"]

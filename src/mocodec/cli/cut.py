@@ -125,8 +125,12 @@ def copied_chunks(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] 
 
 
 def positions_equal(a: Recording, b: Recording) -> bool:
-    """Whether the positions of two recordings agree within 1e-9 m."""
-    pairs = [(np.asarray(a), np.asarray(b))] if isinstance(a, Motion) else zip(a.positions, b.positions, strict=True)
+    """Whether the positions of two recordings agree within 1e-9 m, and the components of rotations within 1e-9."""
+    if isinstance(a, Motion) and isinstance(b, Motion):
+        pairs = [(a.positions, b.positions)]
+        pairs += [(a.rotations, b.rotations)] if a.rotations is not None and b.rotations is not None else []
+    else:
+        pairs = list(zip(a.positions, b.positions, strict=True))
     return all(p.shape == q.shape and np.allclose(p, q, rtol=0, atol=1e-9, equal_nan=True) for p, q in pairs)
 
 
@@ -137,7 +141,9 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     """
     encoded, part = opened.encoded, opened[start:stop]
     settings: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in encoded.settings.items()}
-    errors: dict[str, float] = {name: settings[name] for name in ("max_error", "mean_error") if settings.get(name)}
+    errors: dict[str, float] = {
+        name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)
+    }
     settings |= {name: SECOND_BOUND * bound for name, bound in errors.items()}
     settings.pop("size", None)
     signal_error = settings.pop("signal_error", None)
@@ -146,7 +152,8 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     except BadInput as error:
         raise CannotEncode(f"this cut needs a second encoding, which failed: {error}; try --chunks") from error
     promised = {name: (1 + SECOND_BOUND) * bound for name, bound in errors.items()}
-    grown = "".join(f", promised {n.replace('_', ' ')} now {quantities.bound(b)}" for n, b in promised.items())
+    texts = {n: f"{b:g}°" if n == "max_rotation" else quantities.bound(b) for n, b in promised.items()}
+    grown = "".join(f", promised {n.replace('_', ' ')} now {text}" for n, text in texts.items())
     kept = _still_true({"signal_error": signal_error} if signal_error else {})
     return dataclasses.replace(again, settings={**again.settings, **promised, **kept}), f"encoded again{grown}"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from .. import api, container, formats
 from ..encoded import Encoded, Recording, restore
 from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
+from ..typing import Floats
 from . import DAMAGED, files, many
 from . import output as output_options
 
@@ -182,9 +184,27 @@ def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
         positions = np.full(opened.shape, np.nan)
         for start, stop in runs:
             positions[start:stop] = opened[start:stop].positions
+        rotations = salvaged_rotations(opened, runs)
         encoded: Encoded[Motion] = opened.encoded
         if any(number is None for number, _ in reader.damage()):
             encoded = dataclasses.replace(encoded, about=dataclasses.replace(encoded.about, extras={}))
         missing = opened.shape[0] - sum(stop - start for start, stop in runs)
         lost += [f"{missing} frames are gaps"] if missing else []
-        return restore(encoded, positions), lost
+        return restore(encoded, positions, rotations=rotations), lost
+
+
+def salvaged_rotations(opened: api.File[Motion], runs: Sequence[tuple[int, int]]) -> Floats | None:
+    """The rotations (frames, joints, 4) of undamaged frames, those of the frame before where frames are lost; None for
+    a file without rotations.
+    """
+    if opened.encoded.about.rotations is None:
+        return None
+    frames, joints, _ = opened.shape
+    known = {start: opened[start:stop].rotations for start, stop in runs}
+    rotations = np.full((frames, joints, 4), np.nan)
+    for start, part in known.items():
+        if part is not None:
+            rotations[start : start + len(part)] = part
+    there = np.flatnonzero(~np.isnan(rotations[:, 0, 0]))
+    nearest = there[np.maximum(np.searchsorted(there, np.arange(frames), side="right") - 1, 0)]
+    return rotations[nearest]

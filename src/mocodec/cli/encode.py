@@ -15,6 +15,7 @@ from ..codecs.base import Codec
 from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
+from ..packing import DEFAULT_CODECS
 from . import files, many, quantities, verify
 
 
@@ -31,6 +32,12 @@ from . import files, many, quantities, verify
 @click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
 @click.option(
     "--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames is at most this: 1mm."
+)
+@click.option(
+    "--max-rotation",
+    type=click.FloatRange(0, 180, min_open=True),
+    metavar="DEGREES",
+    help="No rotation of a joint is farther off than this, beside any other target: 2.",
 )
 @click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
@@ -85,7 +92,9 @@ def command(
     after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
     """
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
-    own_options = files.given(**{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds")})
+    own_options = files.given(
+        **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
+    )
     settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     chosen |= files.given(signal_error=signal_error)
@@ -101,23 +110,24 @@ def command(
         files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
-    recording, record, blob = encoded(source, **chosen, **options)
+    _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
     files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
         files.echo(summary(output, record), err=True)
-        for text in unstored(recording):
-            files.note(source, text)
     return None
 
 
 def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dict[str, Any]:
     """Encode one of many files to `where`; returns its record for the summary."""
-    recording, record, blob = encoded(source, **chosen)
+    recording, record, blob = encoded(source, **chosen, quiet=True)
     Path(where).parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(where, blob)
-    return {**record, "notes": [*formats.notes(recording), *unstored(recording)]}
+    kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
+    lost = api.not_kept(recording, kind)
+    left_out = [f"not kept: {', '.join(lost)}"] if lost else []
+    return {**record, "notes": [*left_out, *formats.notes(recording)]}
 
 
 def encoded(
@@ -127,9 +137,12 @@ def encoded(
     targets: dict[str, float],
     bare: bool,
     signal_error: str | None = None,
+    quiet: bool = False,
     **options: Any,
 ) -> tuple[Recording, dict[str, Any], bytes]:
     """The recording of a source, what was measured on its .mocz, and the bytes of that.
+
+    Says before the work what will not be kept, unless `quiet`.
 
     Raises CannotEncode if the decoded bytes do not keep their promise.
     """
@@ -138,6 +151,8 @@ def encoded(
     if bare:
         recording = replace(recording, extras={})
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
+    if (lost := api.not_kept(recording, chosen)) and not quiet:
+        files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"):
         with progress.phase(0.0, 0.9):
             blob = api.pack(chosen, recording, signal_error)
@@ -159,7 +174,7 @@ def refuse_file(output: str) -> None:
 def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[str, float]) -> None:
     """Raises a usage error for settings that no codec in question accepts: before any file is read."""
     problems: list[click.UsageError] = []
-    for name in [codec] if codec else api.DEFAULT_CODECS:
+    for name in [codec] if codec else DEFAULT_CODECS:
         try:
             codec_with(name, settings, targets)
         except click.UsageError as error:
@@ -176,12 +191,6 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
         return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
     except (BadInput, TypeError) as error:
         raise click.UsageError(str(error)) from error
-
-
-def unstored(recording: Recording) -> list[str]:
-    """What of the recording is not stored in the .mocz, in words."""
-    has_rotations = isinstance(recording, Motion) and recording.rotations is not None
-    return ["joint positions are stored; rotations are not stored yet"] if has_rotations else []
 
 
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:

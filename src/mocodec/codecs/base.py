@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
-from ..encoded import Chunk, Encoded, RecordingT, about, restore
+from ..encoded import Chunk, Encoded, Recording, RecordingT, about, restore
 from ..errors import CannotEncode, Corrupt
 from ..motion import Motion
 from ..typing import Floats
@@ -57,6 +57,20 @@ def require_frames(motion: Motion) -> None:
     """Raises CannotEncode for a motion without frames."""
     if len(motion) == 0:
         raise CannotEncode("the motion has no frames")
+
+
+def not_kept(codec: Codec[Any], recording: Recording) -> list[str]:
+    """What a codec will not keep of a recording, in words: known before encoding."""
+    if not isinstance(recording, Motion):
+        return []
+    lost: list[str] = []
+    if recording.rotations is not None:
+        lost_rotations = getattr(codec, "lost_rotations", None)
+        reason = f"{codec.name} codes positions only" if lost_rotations is None else lost_rotations(recording)
+        lost += [f"the rotations of the joints ({reason})"] if reason is not None else []
+    if recording.skeleton is not None and recording.skeleton.limits is not None:
+        lost += ["the limits of the joints"] if lost or recording.rotations is None else []
+    return lost
 
 
 def has_samples(motion: Motion) -> bool:

@@ -1,8 +1,10 @@
-"""Lossless coding: every float32 bit of the positions, in the units of the source file.
+"""Lossless coding: every float32 bit of the positions, in the units of the source file, and every bit of rotations.
 
     positions ─► units of the source ─► multiples of a step? ── yes ─► integers k, x = k / steps ──────┐
                  as float32                     └─ no ──► bit patterns as integers in numeric order ───├─► residual
                                 one linear predictor for the recording, in fixed-point arithmetic ─────┘
+
+    rotations ─► differences in time of their bits ─► bytes of equal weight together ─► deflate
 
 The residual is entropy coded. Recordings are smooth far below a millimetre. One linear predictor, fitted to all points
 for the least absolute error (which determines the bits), leaves only the noise of the cameras. Text formats and integer
@@ -13,7 +15,6 @@ mark it.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -25,7 +26,7 @@ from ..encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ..entropy import coder
 from ..errors import BadInput, Corrupt
 from ..motion import Motion
-from ..stages import frozen, gaps, segment
+from ..stages import frozen, gaps, rotation_bits, segment
 from ..typing import Booleans, Floats, Integers
 from . import base
 
@@ -40,6 +41,7 @@ RANK_LIMIT = 1 << 37  # every rank is within ±RANK_LIMIT
 HEADER = struct.Struct("<Bdd" + "i" * (ORDER - 1) + "bI")
 ON_GRID, FLOAT32, FLOAT64 = 1, 0, 2  # forms on disk: never change one
 WORDS = 4  # 16-bit words of a float64
+WITH_ROTATIONS = b"\x01"  # the second shared part, if chunks begin with rotations
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class Lossless:
             taps = fit_predictor(channels.astype(np.float64))
         longest = most_chunk_frames(motion.points)
         chunk_frames = max(1, round(min(self.chunk_seconds * motion.rate, longest)))
+        has_rotations = self.lost_rotations(motion) is None and motion.rotations is not None
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
             if form == FLOAT64:
@@ -80,9 +83,18 @@ class Lossless:
                 residual = ranks[run] - predict_chunk(ranks[run], form, taps, scale)
             packed_gaps = apart[run].pack()
             payload = struct.pack("<I", len(packed_gaps)) + packed_gaps + coder.pack(residual)
+            if has_rotations and motion.rotations is not None:
+                packed = rotation_bits.pack(motion.rotations[run])
+                payload = struct.pack("<I", len(packed)) + packed + payload
             chunks.append(Chunk(run.start, run.stop - run.start, payload))
         shared = HEADER.pack(form, unit, steps, *taps.tolist(), scale, chunk_frames)
-        return Encoded(self.name, about(motion), tuple(chunks), (shared,), settings=base.settings(self))
+        parts = (shared, WITH_ROTATIONS) if has_rotations else (shared,)
+        return Encoded(self.name, about(motion, has_rotations), tuple(chunks), parts, settings=base.settings(self))
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return "it has no skeleton" if motion.skeleton is None else None
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
@@ -91,7 +103,8 @@ class Lossless:
             return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         points = encoded.about.points
-        if len(encoded.shared) != 1 or len(encoded.shared[0]) != HEADER.size:
+        has_rotations = encoded.shared[1:] == (WITH_ROTATIONS,)
+        if len(encoded.shared) != 1 + has_rotations or len(encoded.shared[0]) != HEADER.size:
             raise Corrupt(f"lossless: the shared bytes must be one header of {HEADER.size} bytes")
         form, unit, steps, *taps, scale, _ = HEADER.unpack(encoded.shared[0])
         if form not in (ON_GRID, FLOAT32, FLOAT64):
@@ -99,12 +112,18 @@ class Lossless:
         if not -1100 < scale < 1100:
             raise Corrupt(f"lossless: the header has the scale {scale}, outside ±1100")
         chunks = list(encoded.covering(start, stop))
+        inside = slice(*within(chunks, start, stop))
+        rotations = None
+        if has_rotations:
+            parts = [split_rotations(chunk, points) for chunk in chunks]
+            chunks = [chunk for chunk, _ in parts]
+            rotations = np.concatenate([*(q for _, q in parts), np.zeros((0, points, 4))])[inside]
         if form == FLOAT64:
-            return restore(encoded, decode_float64(chunks, points)[slice(*within(chunks, start, stop))], start)
+            return restore(encoded, decode_float64(chunks, points)[inside], start, rotations)
         decoded_chunks = (
             decoded
             for batch in batches(chunks, points, len(chunks))
-            for decoded in decode_ranks(batch, points, form, np.array(taps, np.int64), scale)
+            for decoded in decode_ranks(list(batch), points, form, np.array(taps, np.int64), scale)
         )
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
@@ -114,13 +133,22 @@ class Lossless:
                 decoded = (values * unit).reshape(chunk.frames, points, 3)
             positions[at : at + chunk.frames] = frozen.restore(decoded, packed_gaps)
             at += chunk.frames
-        return restore(encoded, positions[slice(*within(chunks, start, stop))], start)
+        return restore(encoded, positions[inside], start, rotations)
 
 
 def within(chunks: list[Chunk], start: int, stop: int) -> tuple[int, int]:
     """Frames [start, stop) of the recording, counted from the first of these chunks."""
     first = chunks[0].start if chunks else 0
     return start - first, stop - first
+
+
+def split_rotations(chunk: Chunk, joints: int) -> tuple[Chunk, Floats]:
+    """A chunk without its rotations, and the rotations (frames, joints, 4). Raises Corrupt."""
+    size = int.from_bytes(chunk.payload[:4], "little")
+    if len(chunk.payload) < 4 + size:
+        raise Corrupt(f"lossless: the chunk at frame {chunk.start} ends within its rotations")
+    rotations = rotation_bits.unpack(chunk.payload[4 : 4 + size], chunk.frames, joints)
+    return Chunk(chunk.start, chunk.frames, chunk.payload[4 + size :]), rotations
 
 
 # --- float64: differences of bit patterns, in words

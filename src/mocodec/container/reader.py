@@ -169,12 +169,14 @@ class Reader:
         header = self.header
         extras: Mapping[str, Any] = Deferred(self.extras) if header["extras"] else {}
         if header["kind"] == "motion":
+            skeleton, has_rotations = header["skeleton"] or (None, False)
             return Motion(
                 positions=np.empty((0, len(header["names"]), 3)),
                 rate=header["rate"],
                 names=header["names"],
                 up=header["up"],
-                skeleton=header["skeleton"],
+                skeleton=skeleton,
+                rotations=np.empty((0, len(header["names"]), 4)) if has_rotations else None,
                 source=header["source"] or {},
                 extras=extras,
             )
@@ -287,6 +289,7 @@ class Reader:
             "up": header["up"],
             "names": list(about.names) if isinstance(about, Motion) else [],
             "skeleton": header["skeleton"] is not None,
+            "rotations": bool(header["skeleton"] and header["skeleton"][1]),
             "source": header["source"] or {},
             "bytes": layout.end,
             "bytes_by_part": sizes,

@@ -114,8 +114,11 @@ def _read_rate(cursor: Cursor, _: Mapping[str, Any]) -> float:
     return top / bottom
 
 
-def _write_skeleton(skeleton: Skeleton, record: Mapping[str, Any]) -> bytes:
-    return skeletons.pack(skeleton, record["names"], exact=record["codec"] == "lossless")
+def _write_skeleton(value: tuple[Skeleton, bool], record: Mapping[str, Any]) -> bytes:
+    """Of a skeleton, and whether rotations are coded."""
+    skeleton, has_rotations = value
+    pack = skeletons.pack_with_rotations if has_rotations else skeletons.pack
+    return pack(skeleton, record["names"], exact=record["codec"] == "lossless")
 
 
 def _write_shared(blobs: tuple[bytes, ...], _: Mapping[str, Any]) -> bytes:
@@ -169,8 +172,8 @@ HEADER = Record(
     Field(
         "skeleton",
         _write_skeleton,
-        lambda c, record: skeletons.unpack(c, record["names"]),
-        "tree and offsets",
+        lambda c, record: skeletons.unpack_any(c, record["names"]),
+        "tree and offsets; whether rotations are coded, and joint limits",
         when=_has_skeleton,
     ),
     Field(

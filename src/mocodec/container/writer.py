@@ -105,6 +105,7 @@ def header_record(
     """The header's fields, and the extras that they declare."""
     extras = values.pack_extras(about.extras) if about.extras else None
     skeleton = about.skeleton if isinstance(about, Motion) else None
+    has_rotations = isinstance(about, Motion) and about.rotations is not None
     present = {
         records.MARGIN: margin > 0,
         records.SKELETON: skeleton is not None,
@@ -119,7 +120,7 @@ def header_record(
         "codec": codec,
         "rate": about.rate,
         "margin": margin,
-        "skeleton": skeleton,
+        "skeleton": (skeleton, has_rotations),
         "settings": dict(settings),
         "source": dict(about.source),
         "extras": (len(extras.section), extras.size, extras.signal_bytes) if extras is not None else None,

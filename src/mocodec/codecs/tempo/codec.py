@@ -12,7 +12,7 @@ repeat are coded once (`repeats`); where hou2014 is smaller on the whole recordi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -34,6 +34,9 @@ from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .pose import heading, leaps
 from .preparation import prepare
+from .rotation_layer import layer
+from .rotation_layer.encoder import Encoder as RotationEncoder
+from .rotation_layer.encoder import Promise
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -59,6 +62,10 @@ class Tempo:
     weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
     model: "auto" takes the smallest. Or one of "points-prior", "points-stored", "directions-prior",
     "directions-stored" (coordinates and statistics, see `models`), "direct" (a grid without a model) and "hou2014".
+
+    Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
+    of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
+    max_rotation: degrees, beside any target; no rotation of a joint, against the world or its parent, is farther off.
     """
 
     name: ClassVar[str] = "tempo"
@@ -70,6 +77,8 @@ class Tempo:
     chunk_seconds: float = 4.0
     weights: Mapping[str, float] | None = None
     model: str = model_choice.AUTO
+    max_rotation: float | None = None
+    shell: float = 0.03
 
     def __post_init__(self) -> None:
         targets = {t: getattr(self, t) for t in TARGETS if getattr(self, t) is not None}
@@ -85,6 +94,10 @@ class Tempo:
             raise BadInput("weights must lie between 1 and 1000")
         if self.model not in MODEL_NAMES:
             raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
+        if self.max_rotation is not None and not 0 < self.max_rotation <= 180:
+            raise BadInput("max_rotation must lie between 0 and 180 degrees")
+        if not 1e-4 <= self.shell <= 10:
+            raise BadInput("shell must lie between 0.0001 and 10 metres")
         if self.weights and self.model == FALLBACK_MODEL:
             raise BadInput("hou2014 does not take weights")
 
@@ -96,9 +109,11 @@ class Tempo:
         if not has_samples(motion):
             return encode_gaps(self, motion, self._stored_settings())
         stored = self._stored_settings()
-        ways: list[rescue.Way] = [("with tempo's models", lambda: self.encode_smallest(motion))]
+        ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
         if self.model != model_choice.DIRECT:
-            ways.append(("directly", lambda: replace(self, model=model_choice.DIRECT).encode_chunks(motion)))
+            direct = replace(self, model=model_choice.DIRECT)
+            encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
+            ways.append(("directly", lambda: encode(motion)))
         if self.model == model_choice.AUTO:
             ways += [
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
@@ -107,6 +122,38 @@ class Tempo:
         encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
+
+    def _encode_any(self, motion: Motion) -> Encoded[Motion]:
+        """With rotations where they can be kept."""
+        return self._encode_rotations(motion) if self._keeps_rotations(motion) else self.encode_smallest(motion)
+
+    def _keeps_rotations(self, motion: Motion) -> bool:
+        return motion.rotations is not None and self.lost_rotations(motion) is None
+
+    def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
+        weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
+        has_bound = not (self._has_size or self.mean_error)
+        bound = (self.max_error or DEFAULT_MAX_ERROR) if has_bound else None
+        turn = None if self.max_rotation is None else np.radians(self.max_rotation)
+        encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
+        positions = replace(motion, rotations=None)
+        bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None)
+
+        def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
+            return lambda value: replace(bare, **{kind: value}).encode_smallest(positions)
+
+        if self.mean_error is not None:
+            encoded = encoder.to_mean(self.mean_error, inner("mean_error"), Tempo.decode)
+        elif self._has_size:
+            encoded = encoder.to_size(self._wanted_bytes(motion), inner("size"), Tempo.decode)
+        else:
+            encoded = encoder.to_bound(inner("max_error"), Tempo.decode)
+        return replace(encoded, settings=self._stored_settings())
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return layer.lost_rotations(motion)
 
     def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
         """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
@@ -180,6 +227,8 @@ class Tempo:
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         if not encoded.shared:
             return decode_gaps(encoded, frames)
+        if layer.has_rotations(encoded):
+            return layer.decode(encoded, frames, Tempo.decode)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)
