@@ -25,18 +25,23 @@ from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
 from ..base import require_frames, settings
-from . import chunk, fallback, model_choice, repeats, target
-from .chunk import DIRECT, ChunkEncoder, Payload
+from . import chunk, engine_choice, fallback, model_choice, repeats, target
+from .chunk import LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
+from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
+from .models.model import Model
 from .pose import heading, leaps
-from .preparation import prepare
+from .preparation import Prepared, prepare
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
 FALLBACK_MODEL = "hou2014"
-MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
+LATTICE_MODEL = "lattice"
+MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
+LATTICE_CHUNKS = 1.5
+"""Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
 CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
@@ -53,8 +58,9 @@ class Tempo:
 
     max_error, mean_error: metres. ratio: against float32 positions. size: bytes of payload. chunk_seconds: 0.5 to 10.
     weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
-    model: "auto" takes the smallest. Or one of "points-prior", "points-stored", "directions-prior",
-    "directions-stored" (coordinates and statistics, see `models`), "direct" (a grid without a model) and "hou2014".
+    model: "auto" takes the smallest, "transform" the smallest of the models. Or one of "points-prior", "points-stored",
+    "directions-prior", "directions-stored" (coordinates and statistics, see `models`), "lattice" (predictions within a
+    hard bound), "direct" (a grid without a model) and "hou2014".
     """
 
     name: ClassVar[str] = "tempo"
@@ -81,6 +87,8 @@ class Tempo:
             raise BadInput("weights must lie between 1 and 1000")
         if self.model not in MODEL_NAMES:
             raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
+        if self.model == LATTICE_MODEL and targets.keys() - {"max_error"}:
+            raise BadInput("the model 'lattice' goes with a hard bound: max_error")
         if self.weights and self.model == FALLBACK_MODEL:
             raise BadInput("hou2014 does not take weights")
 
@@ -119,22 +127,34 @@ class Tempo:
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
         source = prepare(motion.positions, motion.up)
-        cuts = leaps.discontinuities(source.smooth, motion.rate)
-        bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
+        plan = self._lattice_plan(motion, source)
+        if plan is not None and plan.alone:
+            bounds = chunk_bounds(len(motion), motion.rate, LATTICE_CHUNKS * self.chunk_seconds)
+        else:
+            cuts = leaps.discontinuities(source.smooth, motion.rate)
+            bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
         with progress.phase(0.0, CHOICE_SHARE):
-            choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
+            if plan is not None and plan.alone:
+                choice = model_choice.without_model(motion)
+            else:
+                choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
+        if plan is not None:
+            header = replace(header, neighbours=plan.neighbours.pack())
+            model = replace(model, neighbours=plan.neighbours)
         encoders = [
             ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
             for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
-            payloads = self._to_target(encoders, motion, len(header.pack()))
-        if all(Payload.unpack(p).engine == DIRECT for p in payloads):
-            header = StreamHeader(weights=header.weights)
+            payloads = self._to_target(encoders, motion, len(header.pack()), plan and plan.stride)
+        engines = {Payload.unpack(p).engine for p in payloads}
+        header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
+        if TRANSFORM not in engines:
+            header = StreamHeader(weights=header.weights, neighbours=header.neighbours)
         return Encoded(
             self.name,
             about(motion),
@@ -211,14 +231,33 @@ class Tempo:
             choice = model_choice.choose(Recording(chunks, motion, step + coarser * 2 * OCTAVE), self.model)
         return choice
 
-    def _to_target(self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int) -> list[bytes]:
+    def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:
+        """How the lattice engine is used; None where it is not: without a hard bound, or for other models."""
+        asked = self.model == LATTICE_MODEL
+        if self._has_size or self.mean_error is not None or not (asked or self.model == model_choice.AUTO):
+            return None
+        if not (asked or engine_choice.available()):
+            return None
+        weights = None
+        if self.weights:
+            weights = with_weights(
+                Model.without_rows(motion.names, motion.rate), pack_weights(motion.names, self.weights)
+            )
+            weights = weights.weights
+        step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
+        found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
+        return replace(found, alone=True) if asked else found
+
+    def _to_target(
+        self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None
+    ) -> list[bytes]:
         for encoder in encoders:
             encoder.refill_gaps(self.first_step(motion))
         if self.mean_error is not None:
             return target.to_mean(encoders, self.mean_error)
         if self._has_size:
             return target.to_size(encoders, self._wanted_bytes(motion) - header_bytes)
-        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR)
+        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR, stride, header_bytes)
 
     def _stored_settings(self) -> dict[str, Any]:
         """The settings for the file."""

@@ -22,15 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .... import native
-from ....entropy import adaptive_bits, coder
+from ....entropy import adaptive_bits, coder, varint
 from ....errors import Corrupt
-from ....typing import AnyInteger, Booleans, Floats, Integers
+from ....typing import Booleans, Floats, Integers
 from . import lattice_chunk
 from .lattice_chunk import NEIGHBOURS
 
 STRIDES = (2, 3, 4)
 """log₂ of the distances between the first frames that an encoder tries."""
-LARGEST_STRIDE = 6
+LARGEST_STRIDE, SPIKED = 6, 128
+"""Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
 """Frames that neighbours are chosen by."""
 CANDIDATES = 64
@@ -159,11 +160,12 @@ def _tree(near: Integers, rigidity: Floats, points: int) -> tuple[Integers, Inte
 
 
 def encode(
-    samples: Floats, missing: Booleans, known: Neighbours, stride: int
+    samples: Floats, missing: Booleans, known: Neighbours, stride: int, spiked: Floats | None = None
 ) -> tuple[bytes, Floats] | None:
     """A stream, and the samples that it decodes to, of samples (frames, points, 3) in half steps; missing: gaps.
 
-    stride: log₂ of the distance between the first frames. None where samples are too large.
+    stride: log₂ of the distance between the first frames. spiked: the samples with the spikes that were taken out of
+    them. None where samples are too large.
     """
     wanted = np.ascontiguousarray(samples.swapaxes(0, 1))
     where = np.ascontiguousarray(missing, np.uint8)
@@ -174,22 +176,62 @@ def encode(
         found = lattice_chunk.encode(wanted, where, sequence, known.table, stride)
     if found is None:
         return None
-    stream, decoded = found
-    return bytes([stride]) + stream, decoded.swapaxes(0, 1)
+    stream, decoded = found[0], np.ascontiguousarray(found[1].swapaxes(0, 1), np.float64)
+    if spiked is None:
+        return bytes([stride]) + stream, decoded
+    spikes = _pack_spikes(spiked, decoded, samples)
+    return bytes([stride | SPIKED]) + varint.write([len(spikes)]) + spikes + stream, decoded
 
 
 def decode(data: bytes, missing: Booleans, known: Neighbours) -> Floats:
     """The samples (frames, points, 3) of `encode`, in half steps. Raises Corrupt."""
-    if not data or data[0] > LARGEST_STRIDE:
+    if not data or data[0] & ~SPIKED > LARGEST_STRIDE:
         raise Corrupt("tempo: a chunk of the lattice engine of an unknown kind")
+    at, spikes = 1, b""
+    if data[0] & SPIKED:
+        (length,), at = varint.read(data, 1, at)
+        spikes, at = data[at : at + length], at + length
+    stride, stream = data[0] & ~SPIKED, data[at:]
     where = np.ascontiguousarray(missing, np.uint8)
     if (kernel := native.kernel("tempo_lattice_decode")) is not None:
-        decoded = kernel(data[1:], where, known.sequence, known.table, data[0], *adaptive_bits.tables())
+        decoded = kernel(stream, where, known.sequence, known.table, stride, *adaptive_bits.tables())
     else:
-        decoded = lattice_chunk.decode(data[1:], where, known.sequence, known.table, data[0])
+        decoded = lattice_chunk.decode(stream, where, known.sequence, known.table, stride)
     if decoded is None:
         raise Corrupt("tempo: a chunk of the lattice engine is cut off or damaged")
-    return np.asarray(decoded.swapaxes(0, 1), np.float64)
+    samples = np.ascontiguousarray(decoded.swapaxes(0, 1), np.float64)
+    if data[0] & SPIKED:
+        _add_spikes(samples, spikes)
+    return samples
+
+
+def _pack_spikes(spiked: Floats, decoded: Floats, samples: Floats) -> bytes:
+    """The samples with spikes: the number of each less that of the one before, and its lattice point from `decoded`.
+
+    Adds them to `decoded`.
+    """
+    numbers = np.flatnonzero((spiked != samples).any(axis=2).ravel())
+    flat = decoded.reshape(-1, 3)
+    away = spiked.reshape(-1, 3)[numbers] - flat[numbers]
+    even, odd = np.rint(away / 2) * 2, np.floor(away / 2) * 2 + 1
+    off = [((away - each) ** 2).sum(axis=1) for each in (even, odd)]
+    steps = np.where((off[0] <= off[1])[:, None], even, odd)
+    flat[numbers] += steps
+    listed = np.column_stack([np.diff(numbers, prepend=0), steps]).astype(np.int64)
+    return varint.write([len(numbers)]) + coder.pack(listed)
+
+
+def _add_spikes(samples: Floats, data: bytes) -> None:
+    """Raises Corrupt."""
+    (count,), at = varint.read(data, 1)
+    flat = samples.reshape(-1, 3)
+    if not 0 < count <= len(flat):
+        raise Corrupt("tempo: more spikes than samples")
+    listed = coder.unpack(data[at:], (count, 4))
+    numbers = np.cumsum(listed[:, 0])
+    if (numbers < 0).any() or (numbers >= len(flat)).any() or (np.abs(listed[:, 1:]) > lattice_chunk.LIMIT).any():
+        raise Corrupt("tempo: spikes that are out of range")
+    np.add.at(flat, numbers, listed[:, 1:])
 
 
 def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
@@ -202,8 +244,3 @@ def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: N
             break
     best = min(sizes, key=lambda stride: sizes[stride])
     return best, sizes[best]
-
-
-def distances(samples: Floats, decoded: Floats, missing: AnyInteger | Booleans) -> Floats:
-    """(frames, points), 0 in gaps."""
-    return np.where(missing, 0.0, np.sqrt(((samples - decoded) ** 2).sum(axis=2)))

@@ -153,11 +153,13 @@ class _Chunk:
         self.level_activity = [64 * 16] * (stride + 1)
 
     def run(self) -> Floats:
-        for self.p in self.sequence:
+        for point in self.sequence:
+            self.p = point
             self.near = self.neighbours[self.p]
             self.here, self.partner = self.decoded[self.p], self.decoded[self.near[0]] if self.near else None
             self.distance = self.distances = 0.0
-            for self.level in range(self.stride + 1):
+            for level in range(self.stride + 1):
+                self.level = level
                 self._level()
         return np.array(self.decoded, np.float64).reshape(self.points, self.frames, 3)
 
