@@ -32,6 +32,10 @@ __all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
 Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
+DEFAULT_CODECS = ("tempo", "bodycast")
+"""The codecs that are used by default: for motion, and for point clouds."""
+SMALLEST_FILE_BYTES = 64
+"""About how many bytes a file takes at least, without its extras."""
 ATTEMPTS = 5
 """How often a recording is encoded to meet a size or a ratio."""
 
@@ -144,6 +148,8 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
         return container.pack(codec.encode(recording))
+    if target == "size":
+        _require_room(recording, codec)
     with progress_.attempt(0):
         encoded = codec.encode(recording)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
@@ -167,6 +173,18 @@ def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
     )
 
 
+def _require_room(recording: Recording, codec: Codec[Any]) -> None:
+    """Raises CannotEncode if the extras of a recording alone exceed the size that the codec is asked for."""
+    from . import container
+
+    extras, size = container.extras_bytes(recording), cast("int", getattr(codec, "size", 0))
+    if extras + SMALLEST_FILE_BYTES > size and extras:
+        raise CannotEncode(
+            f"{codec.name} cannot encode this to a file of {size:,} bytes: analog channels, events, parameters and "
+            f"other extras alone take {extras:,}; ask for a larger size, or leave them out (--bare)"
+        )
+
+
 def extras_bytes(blob: bytes) -> int:
     """Bytes of the extras in a .mocz."""
     with open(blob) as f:
@@ -175,7 +193,7 @@ def extras_bytes(blob: bytes) -> int:
 
 def default_codec(recording: Recording) -> str:
     """The name of the codec that is used by default."""
-    return "tempo" if isinstance(recording, Motion) else "bodycast"
+    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
 
 
 def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:

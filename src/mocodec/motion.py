@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -288,18 +289,31 @@ class Motion:
     def select(self, names: Iterable[str]) -> Motion:
         """The points with these names, in this order. Raises BadInput for unknown names.
 
-        Skeleton and rotations are kept only if all points are selected in their own order.
+        Skeleton and rotations are kept if the joints are a skeleton of their own: no joint between two of them is
+        left out, and parents come first.
         """
         columns = point_columns(self.names, names)
         if columns == list(range(self.points)):
             return self
+        skeleton, rotations = None, None
+        if self.skeleton is not None and len(set(columns)) == len(columns) > 0:
+            kept = import_module(f"{__package__}.geometry.part").part(self.skeleton, self.rotations, columns)
+            skeleton, rotations = kept or (None, None)
         return replace(
             self,
             positions=self.positions[:, columns],
             names=tuple(self.names[c] for c in columns),
-            skeleton=None,
-            rotations=None,
+            skeleton=skeleton,
+            rotations=rotations,
         )
+
+    def resample(self, rate: float) -> Motion:
+        """The motion at `rate` hertz: see `geometry.resampling`. Raises BadInput for a rate that is not positive."""
+        return cast(Motion, import_module(f"{__package__}.geometry.resampling").resample(self, rate))
+
+    def turned(self, up: str) -> Motion:
+        """The motion, with its skeleton, turned by a quarter turn so that `up` is vertical. Raises BadInput."""
+        return cast(Motion, import_module(f"{__package__}.geometry.turning").turned(self, up))
 
 
 class Deferred(Mapping[str, Any]):

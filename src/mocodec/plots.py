@@ -13,6 +13,7 @@ import numpy as np
 
 from . import metrics
 from .errors import MissingExtra
+from .metrics import skeletal
 from .motion import Motion
 from .selection import point_columns
 from .typing import Floats, Integers
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg", ".pdf")
-INK, OURS, FAINT = "#333333", "#c8442e", "#bbbbbb"
+INK, OURS, FAINT, SHELL = "#333333", "#c8442e", "#bbbbbb", "#7a8fb8"
 
 
 def figure(width: float, height: float) -> Figure:
@@ -51,13 +52,21 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
 
 
 def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
-    """Error over time (root mean square and largest of each frame) and per point (mean, 99th percentile, largest)."""
+    """Error over time (root mean square and largest of each frame) and per point (mean, 99th percentile, largest).
+
+    If both motions have rotations, also the largest error of the shell points, and the angles of the joints' frames.
+    """
+    poses = skeletal.errors(original, decoded) if skeletal.measurable(original, decoded) else None
     decoded = metrics.in_order_of(original, decoded)
     mm = 1000 * metrics.distances(original.positions, decoded.positions)
-    picture = figure(9, 5 + 0.1 * original.points)
-    over_time, per_point = picture.subplots(2, 1, height_ratios=[3, 2 + 0.1 * original.points])
+    panels = 2 if poses is None else 3
+    picture = figure(9, 2 + 1.5 * panels + 0.1 * original.points)
+    heights = [3, 2 + 0.1 * original.points, 2][:panels]
+    over_time, per_point, *angles = picture.subplots(panels, 1, height_ratios=heights)
     picture.suptitle(title)
-    draw_error_over_time(over_time, mm, original.rate)
+    draw_error_over_time(over_time, mm, original.rate, None if poses is None else 1000 * poses.shell)
+    if poses is not None:
+        draw_angles(angles[0], poses.world, original.rate)
     measured = [name for column, name in enumerate(original.names) if not np.isnan(mm[:, column]).all()]
     columns = mm[:, point_columns(original.names, measured)] if measured else mm[:, :0]
     rows = np.arange(len(measured))
@@ -71,27 +80,49 @@ def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
     per_point.set_ylim(len(measured) - 0.4, -0.6)
     per_point.set_xlabel("error of each point, mm")
     legend_above(per_point)
-    for axes in (over_time, per_point):
+    for axes in (over_time, per_point, *angles):
         axes.spines[["top", "right"]].set_visible(False)
     return picture
 
 
 def nan_quantile(columns: Floats, share: float) -> Floats:
-    """Quantile over frames of each column without its gaps; (columns,)."""
-    return np.nanquantile(columns, share, axis=0) if columns.size else np.zeros(columns.shape[1])
+    """Quantile over rows of each column without its gaps, (columns,); NaN for a column of gaps only."""
+    result = np.full(columns.shape[1], np.nan)
+    measured = ~np.isnan(columns).all(axis=0)
+    if columns.size:
+        result[measured] = np.nanquantile(columns[:, measured], share, axis=0)
+    return result
 
 
-def draw_error_over_time(axes: Axes, mm: Floats, rate: float) -> None:
-    """Root mean square and largest error of each frame against time."""
+def draw_error_over_time(axes: Axes, mm: Floats, rate: float, shell_mm: Floats | None = None) -> None:
+    """Root mean square and largest error of each frame against time; shell_mm: errors (frames, joints, 3)."""
     measured = ~np.isnan(mm).all(axis=1)
     seconds = np.arange(len(mm)) / rate
     rms, largest = np.full(len(mm), np.nan), np.full(len(mm), np.nan)
     rms[measured] = np.sqrt(np.nanmean(mm[measured] ** 2, axis=1))
     largest[measured] = np.nanmax(mm[measured], axis=1)
+    if shell_mm is not None:
+        worst = nan_quantile(shell_mm.reshape(len(shell_mm), -1).T, 1.0)
+        axes.plot(seconds, worst, color=SHELL, linewidth=0.8, label="largest of the shell points")
     axes.plot(seconds, largest, color=FAINT, linewidth=0.8, label="largest of the frame")
     axes.plot(seconds, rms, color=OURS, linewidth=1.2, label="root mean square")
     axes.set_xlabel("time, s")
     axes.set_ylabel("error, mm")
+    axes.set_ylim(bottom=0)
+    axes.margins(x=0)
+    legend_above(axes)
+
+
+def draw_angles(axes: Axes, degrees: Floats, rate: float) -> None:
+    """Mean and largest angle of each frame between the joints' frames; degrees (frames, joints)."""
+    seconds = np.arange(len(degrees)) / rate
+    measured = ~np.isnan(degrees).all(axis=1)
+    mean = np.full(len(degrees), np.nan)
+    mean[measured] = np.nanmean(degrees[measured], axis=1)
+    axes.plot(seconds, nan_quantile(degrees.T, 1.0), color=FAINT, linewidth=0.8, label="largest angle of the frame")
+    axes.plot(seconds, mean, color=OURS, linewidth=1.2, label="mean angle")
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("angle, °")
     axes.set_ylim(bottom=0)
     axes.margins(x=0)
     legend_above(axes)

@@ -88,12 +88,28 @@ def test_bad_input_is_3(command: Command, walk_trc: Path, arguments: list[str]) 
     assert sorted(os.listdir()) == before
 
 
-def test_a_motion_without_samples_is_3(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
-    mc.write("nothing.npz", mc.Motion(np.full((20, 3, 3), np.nan), 120))
+def test_a_motion_without_frames_is_3(command: Command, walk: mc.Motion, walk_trc: Path) -> None:
     mc.write("no_frames.npz", mc.Motion(np.zeros((0, 3, 3)), 120))
-    for name in ("nothing.npz", "no_frames.npz"):
-        assert_one_line(command("encode", name, "-o", "x.mocz", "--codec", LOSSY), cli.BAD_INPUT)
+    assert_one_line(command("encode", "no_frames.npz", "-o", "x.mocz", "--codec", LOSSY), cli.BAD_INPUT)
     assert not Path("x.mocz").exists()
+
+
+@pytest.mark.parametrize("codec", ["tempo", "hou2014", "liu2006", "lossless"])
+@pytest.mark.parametrize("points", [0, 3])
+def test_a_motion_without_samples_keeps_its_signals(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: str, points: int
+) -> None:
+    """Force plates that were recorded without markers, or with all markers hidden."""
+    monkeypatch.chdir(tmp_path)
+    analog = mc.Signal(np.arange(200, dtype=np.int16).reshape(100, 2), 600.0, ("Fx", "Fz"))
+    mc.write("plates.c3d", mc.Motion(np.full((20, points, 3), np.nan), 120, extras={"analog": analog}))
+    assert command("encode", "plates.c3d", "-o", "x.mocz", "--codec", codec).code == 0
+    assert command("verify", "x.mocz", "--against", "plates.c3d").code == 0
+    assert command("cut", "x.mocz", "-o", "y.mocz", "--from", "5f").code == 0
+    assert command("decode", "y.mocz", "-o", "z.c3d").code == 0
+    again = mc.read("z.c3d", mc.Motion)
+    assert again.points == points
+    assert np.array_equal(again.extras["analog"].values, analog.values[25:])
 
 
 @pytest.mark.parametrize("verb", ["info", "verify", "decode"])

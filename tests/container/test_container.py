@@ -241,6 +241,8 @@ def test_tables_are_frozen():
     assert len(tables.WORDS) == len(set(tables.WORDS)) == 128
     assert zlib.crc32("\n".join(tables.VOCABULARY).encode()) == VOCABULARY_CRC
     assert zlib.crc32("\n".join(tables.WORDS).encode()) == WORDS_CRC
+    assert not set(tables.WORDS) & set(tables.MORE_WORDS)
+    assert zlib.crc32("\n".join(tables.MORE_WORDS).encode()) == MORE_WORDS_CRC
     assert zlib.crc32(tables.NAME_DICTIONARY) == NAME_DICTIONARY_CRC
     assert zlib.crc32(values.dictionary()) == VALUES_DICTIONARY_CRC
     assert zlib.crc32(repr((tables.TREES, tables.RATES, tables.CODEC_IDS, tables.SOURCES)).encode()) == TABLES_CRC
@@ -248,6 +250,7 @@ def test_tables_are_frozen():
 
 VOCABULARY_CRC = 0x77674222
 WORDS_CRC = 0x8B632B99
+MORE_WORDS_CRC = 0xDA4C7490
 NAME_DICTIONARY_CRC = 0x93C6EC59
 VALUES_DICTIONARY_CRC = 0x22D177A8
 TABLES_CRC = 0xC20C14FE
@@ -393,3 +396,13 @@ def zlib_tail(data: bytes, head_end: int, at: int, byte: int) -> bytes:
     """The rest of a file after header byte `at` was set to `byte`, with a matching header checksum."""
     head = data[:at] + bytes([byte]) + data[at + 1 : head_end]
     return head[at + 1 :] + zlib.crc32(head).to_bytes(4, "little") + data[head_end + 4 :]
+
+
+def test_words_of_both_tables_are_short():
+    for word in (*tables.WORDS, *tables.MORE_WORDS):
+        packed = values.pack({word: 0}, "test")
+        assert len(packed) <= 4, word
+        assert values.unpack(Cursor(packed, "test")) == {word: 0}
+    reserved = bytes([4 << 1, values.MORE, 127, 32, 32])
+    with pytest.raises(MocodecError):
+        values.unpack(Cursor(reserved, "test"))

@@ -101,6 +101,8 @@ class Page:
             dtype = np.dtype(self.value())
             shape = [self.varint() for _ in range(self.varint())]
             return np.frombuffer(self.take(int(np.prod(shape)) * dtype.itemsize), dtype).reshape(shape)
+        if byte == 14:
+            return tables.MORE_WORDS[self.varint()]
         assert byte >= 32
         if byte < 96:
             return byte - 32

@@ -12,7 +12,7 @@ import pytest
 import mocodec as mc
 from mocodec import BadInput, Motion, Signal, formats
 from mocodec.formats import c3d
-from mocodec.formats.c3d.parameters import Parameters, counts, pack, padded
+from mocodec.formats.c3d.parameters import Parameters, counts, pack, padded, text
 
 from .samples import SHARED, capture, markers, needs_shared, same_tree
 
@@ -257,7 +257,12 @@ def test_field_files_as_ezc3d_reads_them(tmp_path, name):
     formats.write(tmp_path / "x.c3d", motion)
     for file in (path, tmp_path / "x.c3d"):
         seen = ezc3d.c3d(str(file))
-        points = seen["data"]["points"][:3].transpose(2, 1, 0) * motion.source["unit_m"]
+        labels = seen["parameters"]["POINT"]["LABELS"]["value"]
+        outputs = c3d.model_outputs(motion)
+        values = seen["data"]["points"][:3].transpose(2, 1, 0)
+        for at, label in enumerate(labels):
+            assert label not in outputs or np.array_equal(values[:, at], outputs[label], equal_nan=True)
+        points = values[:, [label not in outputs for label in labels]] * motion.source["unit_m"]
         assert np.array_equal(np.isnan(points[..., 0]), motion.gaps)
         assert np.nanmax(np.abs(points - motion.positions)) < 2e-7
         if seen["data"]["analogs"].size:
@@ -497,7 +502,7 @@ def test_samples_parked_at_the_origin_are_gaps_and_are_written_as_they_were(tmp_
     expected[20, 1] = negative_residual
     assert np.array_equal(motion.gaps, expected)
     assert any("12 samples at exactly (0, 0, 0) are gaps" in note for note in formats.notes(motion))
-    assert read_bytes(tmp_path, data, gaps="residuals").gaps.sum() == negative_residual
+    assert read_bytes(tmp_path, data, gaps="keep").gaps.sum() == negative_residual
     for same in (motion, mc.decode(mc.encode(motion, codec="lossless"))):
         formats.write(tmp_path / "y.c3d", same)
         written = (tmp_path / "y.c3d").read_bytes()
@@ -511,3 +516,101 @@ def test_samples_parked_at_the_origin_are_gaps_and_are_written_as_they_were(tmp_
 
 def test_zeros_everywhere_are_positions(tmp_path):
     assert not read_bytes(tmp_path, built(5, 2, 0, 0, table=np.zeros((5, 8)))).gaps.any()
+
+
+def test_salvage_reads_the_complete_frames_of_a_truncated_file(tmp_path):
+    whole = read_bytes(tmp_path, built(frames=200))
+    data = built(frames=200)[:-9000]
+    with pytest.raises(BadInput, match="--salvage"):
+        read_bytes(tmp_path, data)
+    part = read_bytes(tmp_path, data, salvage=True)
+    assert 0 < len(part) < 200
+    assert np.array_equal(part.positions, whole.positions[: len(part)])
+    assert np.array_equal(part.extras["analog"].values, whole.extras["analog"].values[: 10 * len(part)])
+    assert any(f"{len(part)} of 200 declared frames" in note for note in formats.notes(part))
+    again = read_bytes(tmp_path, built(frames=200), salvage=True)
+    assert np.array_equal(again.positions, whole.positions)
+    assert not any("cut off" in note for note in formats.notes(again))
+
+
+def test_salvage_fills_lost_rotations(tmp_path):
+    motion = replace(markers(), extras={"rotations": Signal(np.ones((20, 2, 17), np.float32), 120.0)})
+    formats.write(tmp_path / "x.c3d", motion)
+    data = (tmp_path / "x.c3d").read_bytes()[:-1500]
+    with pytest.raises(BadInput, match="rotations"):
+        read_bytes(tmp_path, data)
+    part = read_bytes(tmp_path, data, salvage=True)
+    assert np.array_equal(part.positions, motion.positions, equal_nan=True)
+    assert np.isnan(part.extras["rotations"].values[-1]).all()
+    assert (part.extras["rotations"].values[0] == 1).all()
+
+
+def test_floats_under_a_scale_of_integers(tmp_path):
+    """Some programs store floats and forget the sign of POINT:SCALE, in parameters and header alike."""
+    right = read_bytes(tmp_path, built())
+    data = bytearray(built(change=set_parameter("POINT", "SCALE", f4(0.1))))
+    data[12:16] = struct.pack("<f", 0.1)
+    motion = read_bytes(tmp_path, bytes(data))
+    assert np.array_equal(motion.positions, right.positions)
+    assert any("as floats" in note for note in formats.notes(motion))
+
+
+@pytest.mark.parametrize("frames", [np.array([-1], np.int16), f4(-1), f4(0)])
+def test_frames_that_are_not_counted_follow_from_the_size(tmp_path, frames):
+    motion = read_bytes(tmp_path, built(header={4: 0}, change=set_parameter("POINT", "FRAMES", frames)))
+    assert len(motion) == 20
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "value"),
+    [
+        ("POINT", "USED", f4(3)),
+        ("POINT", "USED", np.array(3, np.int8)),
+        ("POINT", "RATE", np.array([100], np.int16)),
+        ("ANALOG", "USED", f4(4)),
+        ("ANALOG", "RATE", np.array([1000], np.int16)),
+        ("POINT", "FRAMES", f4(20)),
+        ("POINT", "UNITS", ["mm", "mm", "mm"]),
+        ("POINT", "UNITS", "mm mm mm"),
+        ("POINT", "LABELS", "M0"),
+        ("ANALOG", "LABELS", ["only one"]),
+    ],
+)
+def test_parameters_of_unusual_types(tmp_path, group, name, value):
+    right = read_bytes(tmp_path, built())
+    motion = read_bytes(tmp_path, built(change=set_parameter(group, name, value)))
+    assert np.array_equal(motion.positions, right.positions)
+    assert np.array_equal(motion.extras["analog"].values, right.extras["analog"].values)
+    assert (motion.rate, motion.extras["analog"].rate) == (100.0, 1000.0)
+    again = back(motion, tmp_path)
+    assert np.array_equal(again.positions, motion.positions)
+
+
+def test_axes_of_different_units_are_refused(tmp_path):
+    data = built(change=set_parameter("POINT", "UNITS", ["mm", "mm", "m"]))
+    with pytest.raises(BadInput, match="different units"):
+        read_bytes(tmp_path, data)
+    assert read_bytes(tmp_path, data, unit="mm").source["unit_m"] == 1e-3
+
+
+def test_samples_that_are_no_numbers_are_gaps_whatever_their_residual(tmp_path):
+    table = np.ones((20, 12))
+    table[:, 3::4] = 0
+    table[3, 0], table[5, 5], table[7, 3], table[9, 11] = np.nan, np.nan, np.nan, -1
+    motion = read_bytes(tmp_path, built(channels=0, per_frame=0, table=table))
+    assert np.argwhere(motion.gaps).tolist() == [[3, 0], [5, 1], [7, 0], [9, 2]]
+
+
+@pytest.mark.parametrize(
+    ("raw", "expected"),
+    [
+        ("Fußgelenk".encode(), "Fußgelenk"),
+        ("Fußgelenk".encode("latin-1"), "Fußgelenk"),
+        ("cheville é".encode("latin-1"), "cheville é"),
+        ("左膝マーカ".encode("cp932"), "左膝マーカ"),
+        ("左膝".encode(), "左膝"),
+        ("左膝".encode()[:-1], "左"),
+    ],
+)
+def test_text_in_other_encodings(raw, expected):
+    assert text(raw + b"   ") == expected

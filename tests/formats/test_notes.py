@@ -82,3 +82,56 @@ def test_names_of_units():
         0.3048,
     ]
     assert [metres_in(u) for u in ("", "me", "furlong", "meterss")] == [None] * 4
+
+
+def test_an_option_says_which_formats_have_it(tmp_path, capsys):
+    path = str(sample(tmp_path, ".bvh"))
+    assert run(["info", path, "--asf", "x.asf"]) == 3
+    assert "--asf is for .amc" in capsys.readouterr().err
+    assert run(["info", path, "--gaps", "keep"]) == 3
+    assert "--gaps is for .c3d" in capsys.readouterr().err
+    formats.write(tmp_path / "y.npz", formats.read(path))
+    assert run(["compare", str(tmp_path / "y.npz"), path, "--unit", "m", "--asf", "x.asf"]) == 3
+    assert "no option 'asf'" in capsys.readouterr().err
+
+
+def test_options_of_readers_reach_every_command(tmp_path, capsys):
+    motion = markers()
+    motion.positions[5:9, 2] = 0
+    formats.write(tmp_path / "x.c3d", motion)
+    path, out = str(tmp_path / "x.c3d"), str(tmp_path / "x.mocz")
+    assert run(["encode", path, "-o", out, "--codec", "lossless"]) == 0
+    assert "(--gaps keep takes them as positions)" in capsys.readouterr().err
+    assert run(["verify", out, "--against", path]) == 0
+    assert run(["verify", out, "--against", path, "--gaps", "keep"]) == 1
+    assert run(["compare", out, path, "--gaps", "keep"]) == 0
+    assert "NOT EQUAL" in capsys.readouterr().out
+    assert run(["cut", path, "-o", str(tmp_path / "y.c3d"), "--gaps", "keep", "--to", "10f"]) == 0
+    assert run(["info", path, "--gaps", "keep", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaps"] == int(motion.gaps.sum())
+
+
+@pytest.mark.parametrize("command", [["info"], ["cut", "-o", "y.mocz"]])
+def test_options_of_readers_are_refused_for_a_mocz(tmp_path, capsys, command):
+    mc.write(tmp_path / "x.mocz", markers(), codec="lossless")
+    assert run([command[0], str(tmp_path / "x.mocz"), *command[1:], "--unit", "cm"]) == 3
+    assert "--unit cannot be used with a .mocz" in capsys.readouterr().err
+
+
+def test_a_truncated_file_is_salvaged_at_the_command_line(tmp_path, capsys):
+    formats.write(tmp_path / "x.c3d", markers(200))
+    (tmp_path / "x.c3d").write_bytes((tmp_path / "x.c3d").read_bytes()[:-6000])
+    path, out = str(tmp_path / "x.c3d"), str(tmp_path / "x.mocz")
+    assert run(["encode", path, "-o", out, "--codec", "lossless"]) == 3
+    assert "--salvage" in capsys.readouterr().err
+    assert run(["encode", path, "-o", out, "--codec", "lossless", "--salvage"]) == 0
+    assert "cut off: 129 of 200 declared frames are read" in capsys.readouterr().err
+    assert run(["info", out, "--json"]) == 0
+    assert any("129 of 200" in note for note in json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_notes_of_what_is_left_out_are_made_from_the_source():
+    source = {"missing_numbers": 2, "ignored": ["alpha"], "residuals": "left out", "model_outputs": {"angles (deg)": 3}}
+    text = "; ".join(formats.notes(mc.Motion(np.zeros((2, 1, 3)), 30.0, source=source)))
+    for part in ("2 numbers are missing", "alpha", "--residuals", "3 angles (deg)"):
+        assert part in text

@@ -63,7 +63,7 @@ def test_marker_files(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
-        ({"poses": np.zeros((5, 156)), "trans": np.zeros((5, 3)), "mocap_framerate": 120.0}, "SMPL"),
+        ({"positions": np.zeros((5, 3)), "poses": np.zeros((5, 156)), "rate": 1.0}, r"\(frames, points, 3\)"),
         ({"other": np.zeros(3)}, "none of the arrays"),
         ({"positions": np.zeros((5, 3)), "rate": 1.0}, r"\(frames, points, 3\)"),
         ({"positions": np.zeros((5, 2, 3))}, "rate="),

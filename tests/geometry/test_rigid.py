@@ -50,11 +50,11 @@ def test_rotations_round_trip_through_euler_angles(order):
     assert np.allclose(rigid.to_matrix(again), rigid.to_matrix(q), atol=1e-7)
 
 
-@pytest.mark.parametrize("order", ["xyz", "zyx", "zxy"])
-def test_continuous_angles_round_trip(order):
-    angles = np.cumsum(np.random.default_rng(9).normal(0.02, 0.1, (300, 3)), axis=0)
-    assert np.abs(angles).max() > np.pi
-    assert np.allclose(rigid.to_euler_along_time(order, rigid.from_euler(order, angles)), angles, atol=1e-6)
+def test_slerp_turns_evenly_along_the_shorter_arc():
+    a, b = rigid.about_axis("z", np.array(0.2)), -rigid.about_axis("z", np.array(1.4))
+    between = rigid.slerp(a, b, np.array([0.0, 0.25, 1.0]))
+    assert np.allclose(rigid.to_matrix(between), rigid.to_matrix(rigid.about_axis("z", np.array([0.2, 0.5, 1.4]))))
+    assert np.allclose(rigid.slerp(a, a, np.array(0.5)), a)
 
 
 def test_invalid_orders_and_axes_are_refused():

@@ -23,6 +23,15 @@ def array(data: bytes, steps: int, lanes: int) -> Array:
     return np.array(integers(data, steps, lanes), np.int64).reshape(steps, lanes)
 
 
+# --- docs/payloads/index.md
+
+
+def gaps_only(chunks: Chunks, points: int) -> Array:
+    """A stream without shared blobs."""
+    assert not any(payload for _, payload in chunks)
+    return np.full((sum(frames for frames, _ in chunks), points, 3), math.nan)
+
+
 # --- docs/payloads/stages.md
 
 

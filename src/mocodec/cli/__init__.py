@@ -21,10 +21,12 @@ import click
 
 from .. import __version__
 from ..errors import Corrupt, MocodecError, Truncated
+from . import interrupts
 
 COMMANDS = {
     "encode": "Compress a recording into a .mocz file.",
     "decode": "Write the recording in a .mocz file as .c3d, .trc, .bvh, …",
+    "convert": "Write a recording in another format, without compression.",
     "info": "Show the contents of a file.",
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure the difference between two recordings.",
@@ -33,7 +35,8 @@ COMMANDS = {
 }
 
 OK, PROMISE_BROKEN, USAGE, BAD_INPUT, DAMAGED = 0, 1, 2, 3, 4
-BUG, INTERRUPTED, BROKEN_PIPE = 70, 130, 141  # the latter two are 128 + SIGINT and 128 + SIGPIPE, as in shells
+BUG, INTERRUPTED, TERMINATED, BROKEN_PIPE = 70, 130, 143, 141
+"""A stopped command exits with 128 + the signal, as in shells: 130 for SIGINT, 143 for SIGTERM, 141 for SIGPIPE."""
 
 EPILOG = """
 \b
@@ -48,6 +51,10 @@ Exit codes:
 "-" as a file is standard input or output.
 Lengths need a unit (2mm, 0.3cm, 0.002m), times too (12.5s, 500ms, 1500f for frame 1500).
 """
+
+
+class BrokenPromise(MocodecError):
+    """One of many files does not keep its promise."""
 
 
 class Commands(click.Group):
@@ -117,17 +124,19 @@ def run(arguments: Sequence[str]) -> int:
             result = mocodec.invoke(ctx)
             for note in flags.get("notes", ()):  # of the files that were read
                 click.echo(note, err=True)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
         return result if isinstance(result, int) else OK
     except click.exceptions.Exit as exit_:
         return exit_.exit_code
     except KeyboardInterrupt:
-        return print_error("interrupted", INTERRUPTED)
+        return print_error("interrupted", interrupts.exit_code())
     except BrokenPipeError:
-        # Otherwise Python reports the broken pipe again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence_streams()
         return BROKEN_PIPE
     except Exception as error:
+        if interrupts.was_stopped():
+            return print_error("interrupted", interrupts.exit_code())
         if flags["debug"]:
             raise
         return print_error(*message_and_code(error))
@@ -141,6 +150,8 @@ def message_and_code(error: Exception) -> tuple[str, int]:
             return f"{error.format_message().rstrip('.')} (see '{path} --help')", USAGE
         case click.ClickException():
             return error.format_message(), BAD_INPUT
+        case BrokenPromise():
+            return str(error), PROMISE_BROKEN
         case Truncated() | Corrupt():
             return str(error), DAMAGED
         case MocodecError():
@@ -159,13 +170,49 @@ def message_and_code(error: Exception) -> tuple[str, int]:
 
 def print_error(message: str, code: int) -> int:
     """Print one line on standard error, unless it is closed; returns the exit code."""
-    with suppress(OSError):
-        print("mocodec: " + " ".join(message.split()), file=sys.stderr, flush=True)
+    from .files import printable
+
+    with suppress(OSError, ValueError):
+        print("mocodec: " + printable(" ".join(message.split())), file=sys.stderr, flush=True)
     return code
+
+
+def silence_streams() -> None:
+    """Send what is still to be written nowhere, or Python reports the closed pipe or full disk again at exit."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def open_streams() -> None:
+    """Standard streams that are closed become /dev/null, so that files do not take their numbers; what cannot be
+    encoded is printed as escapes."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+        elif number:
+            getattr(sys, name).reconfigure(errors="backslashreplace")
 
 
 def main() -> None:
     """The `mocodec` command."""
+    open_streams()
+    interrupts.install()
     if not sys.warnoptions and "--debug" not in sys.argv:
         warnings.simplefilter("ignore")
-    sys.exit(run(sys.argv[1:]))
+    try:
+        code = run(sys.argv[1:])
+        with suppress(OSError):
+            sys.stdout.flush()
+    except KeyboardInterrupt:  # while an error was being printed
+        code = interrupts.exit_code()
+    interrupts.leave_quietly()
+    try:
+        sys.stdout.flush()
+    except OSError:
+        silence_streams()
+    sys.exit(code)

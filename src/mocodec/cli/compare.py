@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +35,22 @@ CLOUD_FRAMES = 12
     metavar="FILE.png",
     help="Draw poses of both recordings over each other.",
 )
+@click.option(
+    "--shell",
+    type=quantities.LENGTH,
+    metavar="LENGTH",
+    default=metrics.SHELL_M,
+    help="Distance of shell points from their joints; by default 3cm.",
+)
 @files.reader_options
-def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, **options: Any) -> None:
+def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, shell: float, **options: Any) -> None:
     """Measure the error of B against A; each is a .mocz or a recording in another format.
 
-    Reader options such as --asf and --unit apply to A, and to B if it has the same format. If one of the two is a
-    .mocz, the ratio is the size of A as float32 positions over the size of the .mocz.
+    If both have joint rotations, the errors of shell points (beside the joints, where the skin is) and the angles
+    between the joints' frames are measured too.
+
+    Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz,
+    the ratio is the size of A as float32 positions over the size of the .mocz.
     """
     if a == b == "-":
         raise click.UsageError("A and B cannot both be standard input")
@@ -47,17 +58,17 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if Path(path).suffix.lower() not in plots.SUFFIXES:
             raise click.UsageError(f"{path}: the suffix of a picture must be one of {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
-        original, other = (files.read(name, **options_for(name, a, options)) for name in (a, b))
+        original, other = (files.read(name, **options_for(name, (a, b), options)) for name in (a, b))
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):
         if plot or poses:
             raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
         result = compare_clouds(original, other, stored_bytes(b) or stored_bytes(a))
-        click.echo(clouds_as_text(result, as_json))
+        files.echo(clouds_as_text(result, as_json))
         return
     if not isinstance(original, Motion) or not isinstance(other, Motion):
         raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")
-    comparison = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a))
-    click.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
+    comparison = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a), shell)
+    files.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
     for path in (plot, poses):
         if path:
             draw = plots.errors if path == plot else plots.recording
@@ -70,12 +81,13 @@ def title(a: str, b: str, result: metrics.Comparison) -> str:
     return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
 
 
-def options_for(name: str, a: str, options: dict[str, Any]) -> dict[str, Any]:
-    """The reader options that apply to this file: all for A and for files of the same format."""
-    if name == "-":
-        return options
-    alike = Path(name).suffix.lower() == Path(a).suffix.lower()
-    return {**options, "format_": None} if alike else {}
+def options_for(name: str, both: tuple[str, str], options: dict[str, Any]) -> dict[str, Any]:
+    """The reader options for one of both files: those that its format takes; for the first also those of no format."""
+    chosen = files.given(**options)
+    format_ = chosen.pop("format_", None)
+    takers = {option: [file for file in both if files.takes(file, format_, option)] for option in chosen}
+    mine = {option: chosen[option] for option, taking in takers.items() if name in (taking or both[:1])}
+    return {**mine, "format_": format_} if name == "-" else mine
 
 
 def kind(recording: Recording) -> str:
@@ -134,10 +146,40 @@ def table(result: metrics.Comparison) -> list[str]:
     ]
     if result.ratio is not None:
         lines.append(f"ratio       {result.ratio:.1f} : 1 against float32")
+    if result.skeletal is not None:
+        lines += ["", *pose_table(result.skeletal)]
     if result.per_point:
-        width = max(map(len, result.per_point))
-        lines += ["", f"{'point':{width}}  {'mean':>10}  {'p99':>10}  {'max':>10}"]
-        for name, error in sorted(result.per_point.items(), key=lambda item: -item[1]["max_error"]):
-            values = (quantities.length(error[key]) for key in ("mean_error", "p99_error", "max_error"))
-            lines.append(f"{files.printable(name):{width}}  " + "  ".join(f"{value:>10}" for value in values))
+        lines += ["", *point_table(result)]
+    return lines
+
+
+def pose_table(pose: metrics.SkeletalErrors) -> list[str]:
+    """The errors of shell points and rotations."""
+    shell = f"shell points, {quantities.bound(pose.shell_m)} off"
+    rows: tuple[tuple[str, metrics.Spread, Callable[[float], str]], ...] = (
+        (shell, pose.shell, quantities.length),
+        ("joints and shell points", pose.joints_and_shell, quantities.length),
+        ("rotation in the world", pose.world_degrees, quantities.angle),
+        ("rotation against parent", pose.local_degrees, quantities.angle),
+    )
+    lines = [f"{'':24}  {'mean':>10}  {'p99':>10}  {'max':>10}"]
+    for label, spread, as_text in rows:
+        values = "  ".join(f"{as_text(value):>10}" for value in (spread.mean, spread.p99, spread.largest))
+        where = f"  frame {spread.at[0]}, {files.printable(spread.at[1])}" if spread.at and spread.largest else ""
+        lines.append(f"{label:24}  {values}{where}")
+    return lines
+
+
+def point_table(result: metrics.Comparison) -> list[str]:
+    """The errors of each point, the largest first; of joints also those of their shell points and world rotation."""
+    width = max(map(len, result.per_point))
+    per_joint = result.skeletal.per_joint if result.skeletal else {}
+    more = f"  {'shell max':>10}  {'angle max':>10}" if per_joint else ""
+    lines = [f"{'point':{width}}  {'mean':>10}  {'p99':>10}  {'max':>10}{more}"]
+    for name, error in sorted(result.per_point.items(), key=lambda item: -item[1]["max_error"]):
+        values = [quantities.length(error[key]) for key in ("mean_error", "p99_error", "max_error")]
+        if name in per_joint:
+            values += [quantities.length(per_joint[name]["shell_max"])]
+            values += [quantities.angle(per_joint[name]["world_degrees_max"])]
+        lines.append(f"{files.printable(name):{width}}  " + "  ".join(f"{value:>10}" for value in values))
     return lines

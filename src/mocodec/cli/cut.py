@@ -62,6 +62,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
         files.write(output, recording[start:stop], quiet=quiet)
         how = "cut"
     else:
+        files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
             start, stop = frame_range(begin, end, opened.rate, len(opened))
             if chunks:
@@ -74,7 +75,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
                 files.write(output, opened[start:stop], quiet=quiet)
                 how = "decoded"
     if not quiet:
-        click.echo(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
+        files.echo(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
 
 
 def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,44 +13,139 @@ import numpy as np
 
 from .. import api, container, formats
 from ..encoded import Encoded, Recording, restore
-from ..errors import BadInput, Corrupt
+from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
-from . import DAMAGED, files
+from . import DAMAGED, files, many
+from . import output as output_options
 
 
 @click.command("decode")
-@click.argument("source", metavar="IN.mocz")
+@click.argument("sources", metavar="IN.mocz...", nargs=-1, required=True)
 @click.option(
     "-o",
     "--output",
     required=True,
     metavar="OUT",
-    help="The file to write, in the format of its suffix; '-' is standard output.",
+    help="The file to write, in the format of its suffix; '-' is standard output; of many files, the folder.",
 )
-@click.option("--format", "format_", metavar="NAME", help="Format of standard output: c3d, trc, npz, …")
+@click.option("--format", "format_", metavar="NAME", help="Format of standard output or many files: c3d, trc, npz, …")
 @click.option("--salvage", is_flag=True, help="Write the undamaged frames of a damaged file; lost frames become gaps.")
-def command(source: str, output: str, format_: str | None, salvage: bool) -> int | None:
+@click.option("--json", "as_json", is_flag=True, help="Of many files, print the summary as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="Print no notes, and of many files no summary.")
+@output_options.options
+@many.options
+def command(
+    sources: tuple[str, ...],
+    output: str,
+    format_: str | None,
+    salvage: bool,
+    as_json: bool,
+    quiet: bool,
+    jobs: int,
+    again: bool,
+    **options: Any,
+) -> int | None:
     """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
 
     For point clouds, OUT.bvh is the motion of the tracked body, OUT.glb the same with the surface of the body.
 
     With --salvage the undamaged frames of a damaged file are written, and the exit code is still 4.
+
+    Several files, or a folder, are decoded into the folder OUT under the same names: to --format, or each to the format
+    that it was encoded from. Run the command again to go on after an interruption.
     """
-    if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
-        raise click.UsageError(f"{source} is not a .mocz file; to convert it, run `mocodec cut {source} -o {output}`")
+    if many.is_many(sources, output):
+        if salvage:
+            raise click.UsageError("--salvage works on one file at a time")
+        refuse_file(output)
+        found = many.find(sources, (files.SUFFIX,))
+        suffixes = {source.path: suffix_of(source.path, format_) for source in found}
+        given = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items() if value}
+        work = many.Settings({"format_": format_, **given}, jobs, again, as_json, quiet)
+        return many.run("decode", found, many.output_names(found, suffixes), output, work)
+    source = sources[0]
+    refuse_other_formats(source, output)
     lost: list[str] = []
-    writer_options: dict[str, Any] = {}
+    changes, writer_options = output_options.split(options)
+    more: dict[str, Any] = {}
+    suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
     with files.working(f"decoding {source}"):
         if salvage:
             recording, lost = salvaged(container.Reader(files.source_of(source), salvage=True))
         else:
-            suffix = Path(f"x.{format_.lstrip('.')}" if format_ else output).suffix.lower()
-            recording, writer_options = decoded_for(source, suffix)
+            recording, more = decoded_for(source, suffix)
+        recording, notes = output_options.prepared(recording, suffix, changes)
     with files.working(f"writing {output}"):
-        files.write(output, recording, format_, **writer_options)
+        files.write(output, recording, format_, quiet, **writer_options, **more)
+    for note in [] if quiet else notes:
+        files.echo(f"note: {note}", err=True)
     for line in lost:
-        click.echo(f"mocodec: {source}: {line}", err=True)
+        files.echo(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
+
+
+def one(
+    source: str, where: str, format_: str | None = None, may_replace: bool = True, **options: Any
+) -> dict[str, Any]:
+    """Decode one of many files to `where`, a folder if it has no suffix; returns its record for the summary."""
+    refuse_other_formats(source, where)
+    target = Path(where)
+    if target.exists() and not may_replace:
+        raise BadInput(f"{where} exists and was not written by this command; --again replaces it")
+    suffix = target.suffix.lower() if format_ or target.suffix.lower() in formats.FORMATS else ""
+    changes, writer_options = output_options.split(options)
+    recording, more = decoded_for(source, suffix)
+    recording, notes = output_options.prepared(recording, suffix, changes)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if suffix or isinstance(recording, Motion):
+        api.write(target, recording, **writer_options, **more)
+        left_out = formats.dropped(f"motion{suffix}", recording) if suffix else []
+        notes += [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
+        return {"frames": len(recording), "notes": notes}
+    temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}-part")
+    try:
+        api.write(temporary, recording)
+        shutil.rmtree(target, ignore_errors=True)
+        os.replace(temporary, target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return {"frames": len(recording), "notes": []}
+
+
+def refuse_file(output: str) -> None:
+    """Raises a usage error if the output of many files is not a folder."""
+    if output == "-" or Path(output).suffix.lower() in formats.FORMATS or Path(output).is_file():
+        raise click.UsageError(f"{output}: many files are written to a folder; name one with -o")
+
+
+def suffix_of(source: str, format_: str | None) -> str:
+    """The suffix for a .mocz of many: that of the format asked for, or of the one that it was encoded from.
+
+    "" for the folder of a point cloud's frames; .npz if the file does not say its format or cannot be opened.
+    """
+    if format_ is None:
+        try:
+            with api.open(files.source_of(source)) as opened:
+                format_ = str(opened.encoded.about.source.get("format", "npz"))
+                is_motion = len(opened.shape) == 3
+        except MocodecError:  # `one` raises it again
+            return ".npz"
+        if not is_motion:
+            return "" if format_ == "ply" else f".{format_}"
+    suffix = f".{format_.lower().lstrip('.')}"
+    if suffix not in formats.FORMATS:
+        raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
+    return suffix
+
+
+def refuse_other_formats(source: str, output: str) -> None:
+    """Raises a usage error for a source that is not a .mocz, which names the command that converts it."""
+    if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
+        raise click.UsageError(
+            f"{source} is not a .mocz file, so there is nothing to decode; to convert it to another format, run "
+            f"`mocodec convert {source} {output}`; "
+            f"to compress it, `mocodec encode {source} -o {Path(source).stem}.mocz`"
+        )
 
 
 def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:

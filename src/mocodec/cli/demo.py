@@ -43,20 +43,20 @@ def command(output: str) -> None:
     recording = api.decode(data.RECORDING, Motion)
     api.write(trc, recording)
     original = api.read(trc, Motion)
-    click.echo(
+    files.echo(
         f"{trc}: {len(original):,} frames of {original.points} joints at {original.rate:g} Hz, {original.seconds:.1f} s"
     )
-    click.echo(f"  decoded from {data.RECORDING.name}, {quantities.size(data.RECORDING.stat().st_size)}\n")
+    files.echo(f"  decoded from {data.RECORDING.name}, {quantities.size(data.RECORDING.stat().st_size)}\n")
     columns = f"{'codec':8}  {'promise':12}  {'bytes':>9}  {'ratio':>6}  {'mean':>9}  {'max':>9}"
-    click.echo(f"{columns}  {'frames/s in':>11}  {'out':>9}")
+    files.echo(f"{columns}  {'frames/s in':>11}  {'out':>9}")
     for codec, options in RUNS:
-        click.echo(row(original, codec, options, folder))
+        files.echo(row(original, codec, options, folder))
     picture = draw(replace(original, skeleton=recording.skeleton), folder)  # TRC cannot store the skeleton
-    click.echo(f"\n{CAVEAT}\n\nAcknowledgement: {data.ACKNOWLEDGEMENT}\n\nNow try:")
+    files.echo(f"\n{CAVEAT}\n\nAcknowledgement: {data.ACKNOWLEDGEMENT}\n\nNow try:")
     first = folder / file_name(*RUNS[0])
     for line in (f"info {first}", f"verify {first} --against {trc}", f"decode {first} -o {folder / 'back.trc'}"):
-        click.echo(f"  mocodec {line}")
-    click.echo(f"  and look at {picture}" if picture else f"  (no picture: {MissingExtra('drawing', 'plot')})")
+        files.echo(f"  mocodec {line}")
+    files.echo(f"  and look at {picture}" if picture else f"  (no picture: {MissingExtra('drawing', 'plot')})")
 
 
 def file_name(codec: str, options: dict[str, Any]) -> str:

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from .. import api, codecs, metrics, progress
+from .. import api, codecs, formats, metrics, progress
 from ..codecs.base import Codec
 from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
-from . import files, quantities, verify
+from . import files, many, quantities, verify
 
 
 @click.command("encode")
-@click.argument("source", metavar="IN")
+@click.argument("sources", metavar="IN...", nargs=-1, required=True)
 @click.option(
-    "-o", "--output", required=True, metavar="OUT.mocz", help='The file to write, or "-" for standard output.'
+    "-o",
+    "--output",
+    required=True,
+    metavar="OUT",
+    help='The .mocz file to write, or "-" for standard output; of many files, the folder to write to.',
 )
 @click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds.")
 @click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
@@ -43,20 +48,69 @@ from . import files, quantities, verify
     help="For point clouds: share of the residual to store; 'exact' (bodycast only) keeps every point.",
 )
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
+@many.options
 @files.reader_options
 def command(
-    source: str, output: str, codec: str | None, settings: tuple[str, ...], bare: bool, quiet: bool, **options: Any
-) -> None:
+    sources: tuple[str, ...],
+    output: str,
+    codec: str | None,
+    settings: tuple[str, ...],
+    bare: bool,
+    as_json: bool,
+    quiet: bool,
+    jobs: int,
+    again: bool,
+    **options: Any,
+) -> int | None:
     """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
 
     The file is decoded and measured before it is written; the summary on standard error shows the measured error.
+
+    Several files, or a folder, are compressed into the folder OUT under the same names; run the command again to go on
+    after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
     """
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
     cloud_settings = files.given(**{name: options.pop(name) for name in ("skeleton", "residual")})
     settings += tuple(f"{name}={value}" for name, value in cloud_settings.items())
+    chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
+    if many.is_many(sources, output):
+        refuse_file(output)
+        refuse_settings(codec, settings, targets)
+        found = many.find(sources, formats.FORMATS)
+        outputs = many.output_names(found, {source.path: files.SUFFIX for source in found})
+        work = many.Settings({**chosen, **files.given(**options)}, jobs, again, as_json, quiet)
+        return many.run("encode", found, outputs, output, work)
+    source = sources[0]
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
-        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec cut` converts between other formats")
+        raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
+    recording, record, blob = encoded(source, **chosen, **options)
+    files.write_bytes(output, blob)
+    if as_json:
+        files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
+    elif not quiet:
+        files.echo(summary(output, record), err=True)
+        for text in unstored(recording):
+            files.note(source, text)
+    return None
+
+
+def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dict[str, Any]:
+    """Encode one of many files to `where`; returns its record for the summary."""
+    recording, record, blob = encoded(source, **chosen)
+    Path(where).parent.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(where, blob)
+    return {**record, "notes": [*formats.notes(recording), *unstored(recording)]}
+
+
+def encoded(
+    source: str, codec: str | None, settings: Sequence[str], targets: dict[str, float], bare: bool, **options: Any
+) -> tuple[Recording, dict[str, Any], bytes]:
+    """The recording of a source, what was measured on its .mocz, and the bytes of that.
+
+    Raises CannotEncode if the decoded bytes do not keep their promise.
+    """
     with files.working(f"reading {source}"):
         recording = files.read(source, **options)
     if bare:
@@ -71,14 +125,29 @@ def command(
         _, broken = verify.check(targets, recording, decoded, facts)
         if broken:
             raise CannotEncode(f"{chosen.name} did not keep its promise, so nothing was written: {'; '.join(broken)}")
-    files.write_bytes(output, blob)
-    if not quiet:
-        click.echo(summary(output, recording, decoded, facts), err=True)
-        for note in notes(recording):
-            click.echo(f"note: {note}", err=True)
+    return recording, measures(recording, decoded, facts), blob
 
 
-def codec_with(codec: str, settings: tuple[str, ...], targets: dict[str, float]) -> Codec[Any]:
+def refuse_file(output: str) -> None:
+    """Raises a usage error if the output of many files is not a folder."""
+    if output == "-" or files.is_mocz(output) or (Path(output).exists() and not Path(output).is_dir()):
+        raise click.UsageError(f"{output}: many files are written to a folder; name one with -o")
+
+
+def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[str, float]) -> None:
+    """Raises a usage error for settings that no codec in question accepts: before any file is read."""
+    problems: list[click.UsageError] = []
+    for name in [codec] if codec else api.DEFAULT_CODECS:
+        try:
+            codec_with(name, settings, targets)
+        except click.UsageError as error:
+            problems.append(error)
+        else:
+            return
+    raise problems[0]
+
+
+def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -> Codec[Any]:
     """The codec with these settings and targets. Raises a usage error for settings that it does not have."""
     kind = codecs.codec_class(codec)
     try:
@@ -87,27 +156,34 @@ def codec_with(codec: str, settings: tuple[str, ...], targets: dict[str, float])
         raise click.UsageError(str(error)) from error
 
 
-def notes(recording: Recording) -> Iterator[str]:
-    """What of the recording is not stored in the .mocz, and what may be misread, in words."""
-    if isinstance(recording, Motion) and recording.rotations is not None:
-        yield "joint positions are stored; rotations are not stored yet"
-    if missing := recording.source.get("missing_numbers"):
-        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
-    if ignored := recording.source.get("ignored"):
-        yield f"these properties of points are left out: {', '.join(ignored)}"
-    if recording.source.get("residuals") == "left out":
-        yield "residuals and camera masks of samples are left out; --residuals keeps them"
+def unstored(recording: Recording) -> list[str]:
+    """What of the recording is not stored in the .mocz, in words."""
+    has_rotations = isinstance(recording, Motion) and recording.rotations is not None
+    return ["joint positions are stored; rotations are not stored yet"] if has_rotations else []
 
 
-def summary(output: str, recording: Recording, decoded: Recording, facts: dict[str, Any]) -> str:
-    """One line: bytes, ratio and, for a motion, the measured error."""
-    name = "standard output" if output == "-" else output
+def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """The record of an encoded file: bytes, ratio to float32 positions and, for a motion, errors in metres."""
     stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
-    line = f"{name}: {quantities.size(stored)}, {recording.raw_bytes / stored:.1f} : 1 against float32"
-    if extras > stored / 100:
-        points = recording.raw_bytes / (stored - extras)
-        line += f" ({points:.1f} : 1 without {extras:,} bytes of analog channels, parameters and other extras)"
+    record: dict[str, Any] = {"codec": facts["codec"], "frames": len(recording), "bytes": stored, "extras": extras}
+    record |= {"raw_bytes": recording.raw_bytes, "ratio": recording.raw_bytes / stored}
     if isinstance(recording, Motion) and isinstance(decoded, Motion):
         error = metrics.compare(recording, decoded, stored)
-        line += f", mean error {quantities.length(error.mean_error)}, max {quantities.length(error.max_error)}"
+        record |= {"mean_error": error.mean_error, "max_error": error.max_error}
+        record["samples"] = int((~recording.gaps).sum())
+    return record
+
+
+def summary(output: str, record: Mapping[str, Any]) -> str:
+    """One line: bytes, ratio and, for a motion, the measured error."""
+    name = "standard output" if output == "-" else output
+    stored, extras, raw = record["bytes"], record["extras"], record["raw_bytes"]
+    if not raw:
+        return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
+    line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
+    if extras > stored / 100:
+        points = raw / (stored - extras)
+        line += f" ({points:.1f} : 1 without {extras:,} bytes of analog channels, parameters and other extras)"
+    if "mean_error" in record:
+        line += f", mean error {quantities.length(record['mean_error'])}, max {quantities.length(record['max_error'])}"
     return line

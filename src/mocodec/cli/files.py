@@ -15,6 +15,7 @@ import click
 
 from .. import api, formats, progress
 from ..errors import BadInput, MocodecError
+from ..formats.zeros import GAP_OPTIONS
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
 
@@ -30,6 +31,12 @@ READER_OPTIONS = (
     click.option(
         "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc; by default the .asf file beside it."
     ),
+    click.option(
+        "--smplx",
+        type=click.Path(),
+        metavar="FILE",
+        help="Your own SMPL, SMPL-H or SMPL-X model (.npz), for the bones of AMASS files.",
+    ),
     click.option("--rate", type=click.FloatRange(0, min_open=True), help="Frames per second, in place of the file's."),
     click.option(
         "--fps", type=click.FloatRange(0, min_open=True), help="Frames per second of a folder of point clouds."
@@ -37,6 +44,21 @@ READER_OPTIONS = (
     click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, in place of its own: mm, cm, in, 0.02."),
     click.option("--up", type=click.Choice(UP_AXES), help="The vertical axis, in place of the file's."),
     click.option("--start", type=float, metavar="SECONDS", help="Time of the first frame, in place of the file's."),
+    click.option("--animation", metavar="NAME|N", help="Which animation of a .glb or .gltf; by default the longest."),
+    click.option("--skin", metavar="NAME|N", help="Which skin of a .glb or .gltf, or all; by default the largest."),
+    click.option(
+        "--gaps",
+        type=click.Choice(GAP_OPTIONS),
+        help="Whether markers at exactly (0, 0, 0) are missing (zeros, the default) or positions (keep).",
+    ),
+    click.option(
+        "--salvage",
+        "salvage",
+        is_flag=True,
+        flag_value=True,
+        default=None,
+        help="Read a truncated file as far as it goes.",
+    ),
     click.option(
         "--residuals",
         is_flag=True,
@@ -88,7 +110,9 @@ def source_of(name: str) -> api.Source:
 def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
     """Read a file, a URL of a .mocz or standard input. Raises BadInput; for a .mocz also what `api.decode` raises."""
     options = given(**options)
+    options |= {key: int(value) for key in ("animation", "skin") if (value := options.get(key, "")).isdecimal()}
     if is_url(name) or is_mocz(name):
+        require_no_options(name, options)
         return api.decode(source_of(name))
     if name != "-":
         path = Path(name)
@@ -97,6 +121,7 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
         return with_notes(name, api.read(path, **options))
     data = StandardInput()
     if format_ is None or format_.lower() == SUFFIX[1:]:
+        require_no_options("standard input", options)
         try:
             return api.decode(data)
         except BadInput as error:
@@ -111,19 +136,45 @@ def read(name: str, format_: str | None = None, **options: Any) -> Motion | Poin
             raise
 
 
+def require_no_options(name: str, options: dict[str, Any]) -> None:
+    """Raises BadInput for reader options that are given for a .mocz."""
+    if options:
+        listed = ", ".join(f"--{option}" for option in options)
+        raise BadInput(f"{name}: {listed} cannot be used with a .mocz, which says all of this itself")
+
+
+def takes(name: str, format_: str | None, option: str) -> bool:
+    """Whether the reader of a file has an option. format_: that of standard input."""
+    if is_url(name) or is_mocz(name) or (name == "-" and not format_):
+        return False
+    return option in formats.read_options(f"x.{format_.lower().lstrip('.')}" if name == "-" and format_ else name)
+
+
 def with_notes(name: str, recording: Motion | PointClouds) -> Motion | PointClouds:
-    """The recording; its reader's notes are left for `run`, which shows them once the command has succeeded."""
+    """The recording; its reader's notes are left for `run`."""
+    for text in formats.notes(recording):
+        note(name, text)
+    return recording
+
+
+def note(name: str, text: str) -> None:
+    """Leave a note on a file for `run`, which shows each once, after the command has succeeded and unless --quiet."""
     context = click.get_current_context(silent=True)
     if context is not None and isinstance(context.obj, dict) and not context.params.get("quiet"):
         shown: list[str] = context.obj.setdefault("notes", [])
-        lines = [f"note: {name}: {printable(note)}" for note in formats.notes(recording)]
-        shown.extend(line for line in lines if line not in shown)
-    return recording
+        line = f"note: {name}: {printable(text)}"
+        if line not in shown:
+            shown.append(line)
 
 
 def printable(text: str) -> str:
     """The text without control characters, which files may put into names."""
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
+
+
+def echo(text: str, err: bool = False) -> None:
+    """Print text on standard output or error; control characters, which files may put into names, are replaced."""
+    click.echo("\n".join(map(printable, text.split("\n"))), err=err)
 
 
 def write(
@@ -153,7 +204,7 @@ def print_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> Non
     if quiet or suffix.lower() == SUFFIX:
         return
     if left_out := formats.dropped(f"motion{suffix}", motion):
-        click.echo(f"note: {suffix.lower()} cannot store {printable(', '.join(left_out))}", err=True)
+        echo(f"note: {suffix.lower()} cannot store {', '.join(left_out)}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:

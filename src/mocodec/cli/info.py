@@ -10,22 +10,50 @@ import click
 
 from .. import api, formats
 from ..encoded import Recording
-from ..motion import Motion
-from . import files, quantities
+from ..geometry import joint_tree
+from ..motion import Motion, Signal
+from . import files, many, quantities
+
+MAX_ITEMS = 60
+"""Items of a list that are shown; --json has all."""
 
 
 @click.command("info")
-@click.argument("source", metavar="FILE")
+@click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@many.options
 @files.reader_options
-def command(source: str, as_json: bool, **options: Any) -> None:
-    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read."""
-    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"]):
+def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
+    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read.
+
+    Of several files, or of a folder, a table shows the main facts; --json has all of them.
+    """
+    if many.is_many(sources):
+        found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
+        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, again, as_json))
+    facts = facts_of_source(sources[0], **options)
+    files.echo(json.dumps(facts, indent=2) if as_json else "\n".join(shown(facts)))
+    return None
+
+
+def one(source: str, _: str | None, may_replace: bool = True, **options: Any) -> dict[str, Any]:
+    """The record of one of many files for the summary, with all of its facts. Nothing is written."""
+    facts = facts_of_source(source, **options)
+    record: dict[str, Any] = {name: facts.get(name) for name in ("kind", "codec", "frames", "points", "rate")}
+    record |= {"duration": facts["seconds"], "raw_bytes": facts.get("raw_bytes_float32")}
+    if "bytes" in facts:
+        record |= {"bytes": facts["bytes"], "ratio": facts["ratio"]}
+    return {**record, "facts": facts}
+
+
+def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
+    """The facts of a file, a URL or standard input."""
+    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
+        files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
-            facts = opened.info
-    else:
-        facts = facts_of(files.read(source, **options))
-    click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(lines(facts)))
+            notes = formats.notes(opened.encoded.about)
+            return {**opened.info, **({"notes": notes} if notes else {})}
+    return facts_of(files.read(source, **options))
 
 
 def facts_of(recording: Recording) -> dict[str, Any]:
@@ -40,13 +68,49 @@ def facts_of(recording: Recording) -> dict[str, Any]:
         facts["points"] = recording.points
         facts["names"] = list(recording.names)
         facts["skeleton"] = recording.skeleton is not None
+        facts["rotations"] = recording.rotations is not None
         facts["gaps"] = int(recording.gaps.sum())
+        if listed := dict(signals(recording.extras)):
+            facts["signals"] = listed
     else:
         facts["points"] = sum(map(len, recording.positions))
         facts["colours"] = recording.colours is not None
     if notes := formats.notes(recording):
         facts["notes"] = notes
-    return {**facts, "up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
+    facts |= {"up": recording.up, "source": dict(recording.source), "raw_bytes_float32": recording.raw_bytes}
+    return facts | joint_tree.described(recording) if isinstance(recording, Motion) else facts
+
+
+def shown(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Facts for people: the joints as a tree, in place of the list of names, and long lists cut short."""
+    tree: list[dict[str, Any]] = facts.get("tree", [])
+    brief = {name: value for name, value in facts.items() if name not in ("tree", "skeleton_name")}
+    if tree:
+        known = f"{facts['skeleton_name']}, " if facts.get("skeleton_name") else ""
+        brief["skeleton"] = f"{known}{len(tree)} joints, bones in cm"
+        if [joint["name"] for joint in tree] == facts.get("names"):
+            del brief["names"]
+    source = {name: value for name, value in brief.get("source", {}).items() if name != "notes" or "notes" not in brief}
+    if isinstance(layout := source.get("layout"), list):
+        names = [str(entry[0] if isinstance(entry, list | tuple) and entry else entry) for entry in layout]
+        source["layout"] = names
+    if "source" in brief:
+        brief["source"] = source
+    yield from lines(brief)
+    yield from joint_tree.lines_of(tree)
+
+
+def signals(extras: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+    """The path and a description of each signal in extras: "analog", "38 at 1000 Hz (N)"."""
+    for key, value in extras.items():
+        name = f"{path}/{key}" if path else key
+        if isinstance(value, Signal):
+            channels = value.values.shape[1] if value.values.ndim > 1 else 1
+            units = ", ".join(dict.fromkeys(unit for unit in value.units if unit))
+            labels = f": {', '.join(value.labels)}" if value.labels else ""
+            yield name, f"{channels} at {value.rate:g} Hz{f' ({units})' if units else ''}{labels}"
+        elif isinstance(value, Mapping):
+            yield from signals(value, name)
 
 
 def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
@@ -79,7 +143,10 @@ def as_text(value: Any) -> str:
         case Mapping():
             return "none"
         case list() | tuple():
-            texts = (as_text(item) if isinstance(item, float) else files.printable(str(item)) for item in value)
-            return ", ".join(texts) or "none"
+            texts = [
+                as_text(item) if isinstance(item, float) else files.printable(str(item)) for item in value[:MAX_ITEMS]
+            ]
+            more = f" and {len(value) - MAX_ITEMS:,} more" if len(value) > MAX_ITEMS else ""
+            return ", ".join(texts) + more or "none"
         case _:
             return files.printable(str(value))

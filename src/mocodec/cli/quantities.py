@@ -139,6 +139,13 @@ def length(metres: float) -> str:
     return f"{f'{mm:#.3g}'.rstrip('.')} mm" if mm >= 0.001 else f"{mm:.1e} mm"
 
 
+def angle(degrees: float) -> str:
+    """A measured angle as text, with three digits: "0.123°"."""
+    if degrees == 0:
+        return "0°"
+    return f"{f'{degrees:#.3g}'.rstrip('.')}°" if degrees >= 0.001 else f"{degrees:.1e}°"
+
+
 def bound(metres: float) -> str:
     """A length that a user chose as text, without trailing zeros: "2 mm"."""
     return f"{metres * 1000:.6g} mm"

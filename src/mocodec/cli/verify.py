@@ -3,56 +3,119 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from .. import api, metrics
+from .. import api, formats, metrics
 from ..errors import BadInput
 from ..motion import Motion, Signal
-from . import PROMISE_BROKEN, files, quantities
+from . import PROMISE_BROKEN, BrokenPromise, files, many, quantities
 
 SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the last bit of a sum
 
 
 @click.command("verify")
-@click.argument("file", metavar="FILE.mocz")
-@click.option("--against", metavar="SOURCE", help="The recording that the file was encoded from.")
+@click.argument("sources", metavar="FILE.mocz...", nargs=-1, required=True)
+@click.option(
+    "--against",
+    metavar="SOURCE",
+    help="The recording that the file was encoded from; of many files, the folder with the recordings.",
+)
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
+@many.options
 @files.reader_options
-def command(file: str, against: str | None, as_json: bool, **options: Any) -> int | None:
+def command(
+    sources: tuple[str, ...], against: str | None, as_json: bool, jobs: int, again: bool, **options: Any
+) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promises are kept.
 
-    Promises are the max-error, mean-error, ratio or size that it was encoded with. Equal names, rate, gaps and extras
+    Promises are the max-error, mean-error, max-rotation, ratio or size that it was encoded with. If the file keeps
+    rotations, errors are promised of joints and of shell points beside them. Equal names, rate, gaps and extras
     (analog channels, events, …) are always promised.
+
+    Several files, or a folder, are checked one by one; --against names the folder that they were encoded from.
     """
+    if many.is_many(sources):
+        if against is not None and not Path(against).is_dir():
+            raise click.UsageError(f"{against}: of many files, --against names the folder that they were encoded from")
+        found = many.find(sources, (files.SUFFIX,))
+        originals = {} if against is None else original_of(found, against)
+        chosen = {"against": against, **files.given(**options)}
+        each = {path: {"original": original} for path, original in originals.items()}
+        return many.run("verify", found, {}, "", many.Settings(chosen, jobs, again, as_json), each)
+    report = checked(sources[0], against, **options)
+    files.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report, against)))
+    return PROMISE_BROKEN if report.get("broken") else None
+
+
+def one(
+    source: str,
+    _: str | None,
+    against: str | None,
+    original: str | None = None,
+    may_replace: bool = True,
+    **options: Any,
+) -> dict[str, Any]:
+    """Check one of many files; returns its record for the summary. Nothing is written. Raises BrokenPromise."""
+    if against is not None and original is None:
+        raise BadInput(f"{against} has no recording of this name")
+    report = checked(source, original, **options)
+    if report.get("broken"):
+        raise BrokenPromise("; ".join(report["broken"]))
+    promise = ", ".join(f"{n.replace('_', ' ')} {promise_as_text(n, v)}" for n, v in report["promise"].items())
+    record = {"frames": report["frames"], "promise": promise, "kept": report.get("promise_kept")}
+    if "mean_error" in report:
+        record |= {name: report[name] for name in ("mean_error", "max_error", "samples")}
+    return record
+
+
+def original_of(found: Sequence[many.Source], folder: str) -> dict[str, str]:
+    """The recording in a folder that each .mocz was encoded from, by path: the one that is mirrored to its name."""
+    recordings = many.find([folder], formats.FORMATS)
+    path_of = {
+        name: path
+        for path, name in many.output_names(
+            recordings, dict.fromkeys((recording.path for recording in recordings), files.SUFFIX)
+        ).items()
+    }
+    return {source.path: path_of[source.name] for source in found if source.name in path_of}
+
+
+def checked(file: str, against: str | None, **options: Any) -> dict[str, Any]:
+    """What was found about a file: undamaged, frames, promise and, against its source, errors and broken promises."""
     with files.working(f"verifying {file}"), api.open(files.source_of(file)) as opened:
         opened.verify()
-        decoded, facts, promise = opened[:], opened.info, opened.encoded.promise
+        decoded, facts, promise = opened[:], opened.info, dict(opened.encoded.promise)
+        settings = opened.encoded.settings
+    promise |= {name: settings[name] for name in ("max_rotation",) if isinstance(settings.get(name), float | int)}
     report: dict[str, Any] = {"file": file, "undamaged": True, "frames": facts.get("frames", len(decoded))}
     report["promise"] = promise
-    broken: list[str] = []
     if against is not None:
         with files.working(f"reading {against}"):
             source = files.read(against, **options)
-        comparison, broken = check(report["promise"], source, decoded, facts)
-        report |= {**comparison, "promise_kept": not broken, "broken": broken}
-    if as_json:
-        click.echo(json.dumps(report, indent=2))
-    else:
-        click.echo("\n".join(lines(report, against)))
-    return PROMISE_BROKEN if broken else None
+        comparison, broken = check(report["promise"], source, decoded, facts, shell_of(settings))
+        samples = int((~source.gaps).sum()) if isinstance(source, Motion) else 0
+        report |= {**comparison, "samples": samples, "promise_kept": not broken, "broken": broken}
+    return report
 
 
 def check(
-    promise: Mapping[str, float], source: Any, decoded: Any, facts: Mapping[str, Any]
+    promise: Mapping[str, float],
+    source: Any,
+    decoded: Any,
+    facts: Mapping[str, Any],
+    shell: float = metrics.SHELL_M,
 ) -> tuple[dict[str, Any], list[str]]:
     """Measure a decoded motion against its source: the measures, and every broken promise in words.
 
-    facts: the `info` of the file. A promised ratio is that of the file without its extras.
+    facts: the `info` of the file. A promised ratio is that of the file without its extras. shell: distance of the
+    shell points from their joints, metres.
     """
     if not (isinstance(source, Motion) and isinstance(decoded, Motion)):
         raise BadInput("--against works for motions only; `mocodec compare` measures point clouds")
@@ -62,7 +125,7 @@ def check(
             f"the file {len(decoded)} frames of {decoded.points} points"
         ]
     stored_bytes = facts["bytes"]
-    result = metrics.compare(source, decoded, stored_bytes)
+    result = metrics.compare(source, decoded, stored_bytes, shell)
     broken = []
     if source.names != decoded.names:
         broken.append("the names of the points differ")
@@ -71,17 +134,36 @@ def check(
     if not result.gaps_equal:
         broken.append("the gaps differ")
     broken += [f"extras differ: {name}" for name in differing(source.extras, decoded.extras)]
-    for name, measured in (("max_error", result.max_error), ("mean_error", result.mean_error)):
-        if name in promise and measured > promise[name] * SLACK:
-            broken.append(
-                f"{name.replace('_', ' ')} is {quantities.length(measured)}, promised {quantities.bound(promise[name])}"
-            )
+    broken += broken_errors(promise, result)
     if "size" in promise and stored_bytes > promise["size"]:
         broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
     ratio = source.raw_bytes / (stored_bytes - facts["bytes_by_part"]["extras"])
     if "ratio" in promise and ratio * SLACK < promise["ratio"]:
         broken.append(f"the ratio is {ratio:.3g}, promised {promise['ratio']:g}")
     return asdict(result), broken
+
+
+def broken_errors(promise: Mapping[str, float], result: metrics.Comparison) -> list[str]:
+    """Every promised error that is exceeded, in words: of joints and shell points where rotations are kept."""
+    pose, where = result.skeletal, ""
+    largest, mean, broken = result.max_error, result.mean_error, list[str]()
+    if pose is not None:
+        where = f" over joints and shell points {quantities.bound(pose.shell_m)} off"
+        largest, mean = pose.joints_and_shell.largest, pose.joints_and_shell.mean
+        angle = max(pose.world_degrees.largest, pose.local_degrees.largest)
+        if angle > promise.get("max_rotation", math.inf) * SLACK:
+            broken.append(f"max rotation is {quantities.angle(angle)}, promised {promise['max_rotation']:g}°")
+    for name, measured in (("max_error", largest), ("mean_error", mean)):
+        if measured > promise.get(name, math.inf) * SLACK:
+            words = f"{name.replace('_', ' ')}{where}"
+            broken.append(f"{words} is {quantities.length(measured)}, promised {quantities.bound(promise[name])}")
+    return broken
+
+
+def shell_of(settings: Mapping[str, Any]) -> float:
+    """The distance of shell points in the settings of a codec, metres."""
+    shell = settings.get("shell")
+    return float(shell) if isinstance(shell, float | int) and shell > 0 else metrics.SHELL_M
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
@@ -114,6 +196,13 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
     if "max_error" in report:
         mean, largest = quantities.length(report["mean_error"]), quantities.length(report["max_error"])
         text.append(f"against {against}: mean error {mean}, max {largest}")
+        if (pose := report["skeletal"]) is not None:
+            mean, largest = (quantities.length(pose["shell"][key]) for key in ("mean", "largest"))
+            angle = quantities.angle(pose["world_degrees"]["largest"])
+            text.append(
+                f"shell points {quantities.bound(pose['shell_m'])} off: mean error {mean}, max {largest}; "
+                f"rotations: max {angle}"
+            )
     kept = (
         "the promise is kept" if report["promise"] else "no bound was promised; names, rate, gaps and extras are equal"
     )
@@ -124,4 +213,6 @@ def promise_as_text(name: str, value: float) -> str:
     """A promised value as text."""
     if name.endswith("error"):
         return quantities.bound(value)
+    if name == "max_rotation":
+        return f"{value:g}°"
     return quantities.size(int(value)) if name == "size" else f"{value:g}"

@@ -8,9 +8,16 @@ from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
-from ..encoded import Encoded, RecordingT
-from ..errors import CannotEncode
+from ..encoded import Chunk, Encoded, RecordingT, about, restore
+from ..errors import CannotEncode, Corrupt
 from ..motion import Motion
+
+GAP_CHUNK_FRAMES = 1 << 16
+GAP_CHUNK_SAMPLES = 1 << 22
+"""The most frames, and frames × points, of a chunk of a motion without samples."""
+
+LARGEST_M = 1e12
+"""Positions beyond are coded by lossless only."""
 
 
 class Codec(Protocol[RecordingT]):
@@ -46,10 +53,39 @@ def settings(codec: Codec[Any]) -> dict[str, Any]:
 
 
 def require_frames(motion: Motion) -> None:
-    """Raises CannotEncode for a motion without frames, without points, or with gaps only."""
+    """Raises CannotEncode for a motion without frames."""
     if len(motion) == 0:
         raise CannotEncode("the motion has no frames")
-    if motion.points == 0:
-        raise CannotEncode("the motion has no points")
-    if np.isnan(motion.positions).all():
-        raise CannotEncode("every point is missing in every frame")
+
+
+def has_samples(motion: Motion) -> bool:
+    """Whether any point is present in any frame; force plates may be recorded without points."""
+    return bool(motion.positions.size) and not np.isnan(motion.positions).all()
+
+
+def require_usual_lengths(codec: Codec[Motion], motion: Motion) -> None:
+    """Raises CannotEncode for positions that are too far away for coding in steps: a wrong unit, or damaged numbers."""
+    largest = max(float(np.nanmax(motion.positions)), -float(np.nanmin(motion.positions)))
+    if largest > LARGEST_M:
+        raise CannotEncode(
+            f"{codec.name} codes positions up to {LARGEST_M:g} m, and there are some at {largest:.3g} m; "
+            "correct the unit (--unit), or use the codec lossless"
+        )
+
+
+def encode_gaps(codec: Codec[Motion], motion: Motion, stored: dict[str, Any]) -> Encoded[Motion]:
+    """A motion without samples: no shared bytes, empty payloads. stored: the settings for the file."""
+    require_frames(motion)
+    longest = max(1, min(GAP_CHUNK_FRAMES, GAP_CHUNK_SAMPLES // max(1, motion.points)))
+    starts = range(0, len(motion), longest)
+    chunks = [Chunk(start, min(longest, len(motion) - start), b"") for start in starts]
+    return Encoded(codec.name, about(motion), chunks, settings=stored)
+
+
+def decode_gaps(encoded: Encoded[Motion], frames: slice | None) -> Motion:
+    """The inverse of `encode_gaps`: every point is missing in every frame. Raises Corrupt for payloads."""
+    start, stop = encoded.range(frames)
+    if any(chunk.payload or chunk.frames * encoded.about.points > GAP_CHUNK_SAMPLES
+           for chunk in encoded.covering(start, stop)):  # fmt: skip
+        raise Corrupt(f"{encoded.codec}: a stream without shared bytes has payloads, or chunks that are too long")
+    return restore(encoded, np.full((stop - start, encoded.about.points, 3), np.nan), start)

@@ -49,7 +49,8 @@ class Lossless:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode for no samples or positions beyond float32, BadInput for invalid settings."""
-        base.require_frames(motion)
+        if not base.has_samples(motion):
+            return base.encode_gaps(self, motion, base.settings(self))
         if not self.chunk_seconds > 0:
             raise BadInput(f"lossless: chunk_seconds must be positive, not {self.chunk_seconds}")
         filled, gap_mask = gaps.fill(motion.positions)
@@ -71,6 +72,8 @@ class Lossless:
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
+        if not encoded.shared:
+            return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         points = encoded.about.points
         if len(encoded.shared) != 1 or len(encoded.shared[0]) != HEADER.size:

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from .reader import Reader
-from .writer import Writer, pack
+from .writer import Writer, extras_bytes, pack
 
-__all__ = ["Reader", "Writer", "pack"]
+__all__ = ["Reader", "Writer", "extras_bytes", "pack"]

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..encoded import Chunk, Encoded
 from ..errors import BadInput, Corrupt, MocodecError, Truncated
+from ..geometry import joint_tree
 from ..motion import Deferred, Motion, require_events
 from ..pointcloud import PointClouds
 from . import values
@@ -266,6 +267,7 @@ class Reader:
             "bytes_by_part": sizes,
             "raw_bytes_float32": raw,
             "ratio": None if raw is None or not layout.end else raw / layout.end,
+            **(joint_tree.described(about) if isinstance(about, Motion) else {}),
             "chunks": {
                 "count": len(self.chunks),
                 "frames": [min(self.chunks.frames, default=0), max(self.chunks.frames, default=0)],

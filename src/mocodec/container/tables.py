@@ -162,6 +162,11 @@ WORDS: tuple[str, ...] = (
 )  # fmt: skip
 """Words of settings, source and extras that take one byte (number 128 + place in this table)."""
 
+MORE_WORDS: tuple[str, ...] = (
+    "notes", "time_of_frame_1", "chunk_seconds", "chunk_frames", "clips", "start_s", "animation", "skin",
+)  # fmt: skip
+"""Further words of settings, source and extras, which take two bytes (type 14, then the place in this table)."""
+
 SOURCES: tuple[dict[str, object], ...] = (
     {},
     {"format": "c3d", "units": "mm", "unit_m": 0.001, "first_frame": 1},

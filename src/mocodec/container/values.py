@@ -1,7 +1,7 @@
 """A tree of values on disk: JSON values, bytes, arrays and signals, each after a type byte; common ones in one byte.
 
 0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
-10 large integer · 11 array · 12 signal · 13 small array
+10 large integer · 11 array · 12 signal · 13 small array · 14 a word of the second table
 32…95 the integers 0…63 · 96…127 a string of 0…31 bytes · 128…255 a word of the table
 """
 
@@ -20,12 +20,14 @@ from ..errors import CannotEncode
 from ..motion import Signal
 from . import arrays, tables
 from .arrays import Array, Budget
-from .tables import SOURCES, WORDS
+from .tables import MORE_WORDS, SOURCES, WORDS
 from .wire import Cursor, blob, deflate, inflate, text, varint, zigzag
 
-NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE, ARRAY, SIGNAL, SMALL_ARRAY = range(14)
+NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE = range(11)
+ARRAY, SIGNAL, SMALL_ARRAY, MORE = 11, 12, 13, 14
 SMALL, SHORT, WORD = 32, 96, 128
 WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
+MORE_WORD_NUMBER = {word: number for number, word in enumerate(MORE_WORDS)}
 SMALL_ARRAY_BYTES = 64
 """Arrays up to this size are stored inside the tree, so that deflate codes them with their neighbours."""
 MAX_DEPTH = 64
@@ -199,6 +201,8 @@ class _TreeWriter:
         data = value.encode("utf-8", "surrogatepass")
         if value in WORD_NUMBER:
             out.append(WORD + WORD_NUMBER[value])
+        elif value in MORE_WORD_NUMBER:
+            out += bytes([MORE]) + varint(MORE_WORD_NUMBER[value])
         elif len(data) < WORD - SHORT:
             out += bytes([SHORT + len(data)]) + data
         else:
@@ -262,6 +266,8 @@ class _TreeReader:
             return [self.value(depth + 1) for _ in range(stream.count())]
         if tag == DICT:
             return self.items(depth, self.stream.count(2))
+        if tag == MORE:
+            return self.word(stream.varint())
         if tag == LARGE:
             return int.from_bytes(stream.blob(), "little", signed=True)
         if self.budget is not None and tag == BYTES:
@@ -272,6 +278,11 @@ class _TreeReader:
             self.has_arrays = True
             return _Placeholder(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
         raise stream.corrupt(f"a value of the reserved type {tag}")
+
+    def word(self, number: int) -> str:
+        if number >= len(MORE_WORDS):
+            raise self.stream.corrupt("a reserved number of a word")
+        return MORE_WORDS[number]
 
     def decoded(self, data: bytes) -> str:
         try:

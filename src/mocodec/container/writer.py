@@ -32,6 +32,11 @@ def pack(encoded: Encoded[Any]) -> bytes:
     return file.getvalue()
 
 
+def extras_bytes(about: Motion | PointClouds) -> int:
+    """Bytes that the extras of a recording take in a `.mocz`. Raises CannotEncode for extras that it cannot hold."""
+    return len(values.pack_extras(about.extras)[0]) + records.CHECKSUM_BYTES if about.extras else 0
+
+
 class Writer:
     """Writes a `.mocz` to a file object that need not seek: the header now, each chunk in `add`, the index in `close`.
 

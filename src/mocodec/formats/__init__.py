@@ -15,10 +15,10 @@ from typing import Any
 from ..errors import BadInput
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
-from .conventions import with_start
+from .conventions import UNITS_M, metres_in, with_start
 from .decisions import notes
 
-__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "replace_whole", "write"]
+__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "read_options", "replace_whole", "write"]
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -26,9 +26,12 @@ FORMATS = {
     ".bvh": "mocodec.formats.bvh",
     ".amc": "mocodec.formats.asf_amc",
     ".npz": "mocodec.formats.npz",
+    ".npy": "mocodec.formats.npy",
     ".glb": "mocodec.formats.gltf",
+    ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
 }
+PICKLES = (".pkl", ".pickle")
 CLOUDS = (".ply", ".npz")
 """Formats of point clouds; .npz stores motions too."""
 
@@ -40,7 +43,8 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
 
     Every format takes `up` (vertical axis), `unit` (of its lengths: a name, or metres) and `rate` (hertz) in place of
-    what the file says; motions take `start`, the time of the first frame in seconds.
+    what the file says; motions take `start`, the time of the first frame in seconds. `salvage=True` reads a truncated
+    file as far as it goes. `read_options` names the options of a format.
     Raises BadInput if there is no such file, format or option, or if the content does not match the suffix.
     """
     path = Path(path)
@@ -71,14 +75,36 @@ def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClo
 
 
 def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: Any) -> None:
-    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for data that the format cannot hold."""
+    """Write by suffix; a path without one is a folder of .ply. Raises BadInput for data that the format cannot hold.
+
+    `unit` (a name such as "cm") is that of lengths in the file, for formats that have one: .bvh .amc .c3d .trc.
+    """
     path = Path(path)
     folder = isinstance(motion, PointClouds) and not path.suffix
-    _call(FORMATS[".ply"] if folder else _module(path), "write", path, motion, **options)
+    module = FORMATS[".ply"] if folder else _module(path)
+    if "unit" in options and "unit" not in _parameters(import_module(module).write):
+        motion = _in_unit(path, motion, options.pop("unit"))
+    _call(module, "write", path, motion, **options)
+
+
+def _in_unit(path: Path, motion: Motion | PointClouds, unit: Any) -> Motion | PointClouds:
+    """A motion whose source has this unit, which the writers of .c3d and .trc follow. Raises BadInput for others."""
+    suffix = path.suffix.lower()
+    if suffix not in (".c3d", ".trc") or not isinstance(motion, Motion):
+        what = f"a {suffix}" if suffix else "a folder of .ply"
+        raise BadInput(f"{path}: {what} has a unit of its own; unit= (--to-unit) is for .bvh .amc .c3d .trc")
+    unit_m = metres_in(str(unit))
+    if unit_m is None:
+        raise BadInput(f"{path}: a {suffix} names its unit: one of {', '.join(UNITS_M)}, not {unit!r:.40}")
+    return replace(motion, source={**motion.source, "format": suffix[1:], "units": str(unit).strip(), "unit_m": unit_m})
 
 
 def _module(path: Path) -> str:
     suffix = path.suffix.lower()
+    if suffix in PICKLES:
+        raise BadInput(
+            f"{path}: a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
+        )
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
         raise BadInput(f"{path}: {problem}; the formats are {' '.join(FORMATS)} .mocz")
@@ -96,7 +122,7 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
     names = _parameters(function)
     for name in options:
         if name not in names:
-            raise BadInput(f"{path}: {verb} of {path.suffix.lower() or 'this format'} has no option {name!r}")
+            raise BadInput(f"{path}: {_no_option(path, verb, name)}")
     try:
         return function(path, *args, **options)
     except OSError as error:
@@ -109,22 +135,43 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
         raise BadInput(printable[:MAX_MESSAGE_CHARACTERS]) from None
 
 
+def _no_option(path: Path, verb: str, name: str) -> str:
+    """What is wrong with an option that a format does not have: the formats that have it."""
+    takers = [suffix for suffix in FORMATS if verb == "read" and name in read_options(f"x{suffix}")]
+    only = f"; --{name} is for {', '.join(takers)}" if takers else ""
+    return f"{verb} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
+
+
+def read_options(path: str | PathLike[str]) -> frozenset[str]:
+    """The names of the options that the reader of a path's format takes. Raises BadInput for an unknown suffix."""
+    path = Path(path)
+    module = FORMATS[".ply"] if path.is_dir() else _module(path)
+    names = frozenset(_parameters(import_module(module).read)) | {"up"}
+    return names if module == FORMATS[".ply"] else names | {"start"}
+
+
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:
     """Descriptions of the data beside the positions that `write` leaves out, since the format of `path` cannot hold it.
 
-    Positions, gaps, names and rate are never left out: `write` raises instead. Raises BadInput for an unknown suffix.
+    Positions and gaps are never left out: `write` raises instead; names and rate only by an .npy. Raises BadInput for
+    an unknown suffix.
     """
     if not isinstance(motion, Motion):
         return []
-    kept: frozenset[str] = getattr(import_module(_module(Path(path))), "HOLDS", frozenset())
-    present = [*motion.extras]
+    module = import_module(_module(Path(path)))
+    kept: frozenset[str] = module.holds(motion) if hasattr(module, "holds") else getattr(module, "HOLDS", frozenset())
+    lacks: tuple[str, ...] = getattr(module, "LACKS", ())
+    present = [*motion.extras, *lacks]
     present += ["skeleton"] if motion.skeleton is not None else []
     present += ["joint rotations"] if motion.rotations is not None else []
     return list(dict.fromkeys(DESCRIPTIONS.get(name, name) for name in present if name not in kept))
 
 
 DESCRIPTIONS = {
+    "amass": "body model parameters beside the poses (betas, gender, …)",
     "analog": "analog channels",
+    "model_outputs": "joint angles, forces, moments and powers of a model",
+    "gltf": "the node tree of a GLB",
     "parameters": "C3D parameters",
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",

@@ -209,35 +209,36 @@ def axis_frame(bone: Bone, acclaim: Acclaim) -> Floats:
     return rigid.from_euler(bone.order[::-1], acclaim.radians(by_order))
 
 
-def _limits_text(limits: Limits | None, joint: int) -> list[str]:
-    """The lines of axis, dof and limits. An axis about which the bone does not rotate has the limits 0 and 0."""
-    if limits is None:
-        return ["     axis 0 0 0 XYZ", "    dof rx ry rz"]
-    order = limits.orders[joint]
-    by_order = np.degrees(rigid.to_euler(order, limits.axes[joint]))
-    x, y, z = (by_order[order.index(letter)] for letter in "xyz")
-    lines = [f"     axis {x:.10g} {y:.10g} {z:.10g} {order[::-1].upper()}", "    dof rx ry rz"]
-    ranges = np.degrees(limits.ranges[joint][[order.index(letter) for letter in "xyz"]])
-    pairs = [f"({low:.10g} {high:.10g})" for low, high in ranges.tolist()] if np.isfinite(ranges).any() else []
-    return lines + [f"    {'limits' if i == 0 else '      '} {pair}" for i, pair in enumerate(pairs)]
+def acclaim_axes(order: str, frame: Floats, degrees: bool, digits: int) -> tuple[float, float, float]:
+    """The inverse of `axis_frame`: x, y and z of a frame C (4,), rounded to so many decimals."""
+    angles = rigid.to_euler(order, frame)
+    angles = np.degrees(angles) if degrees else angles
+    x, y, z = (round(float(angles[order.index(letter)]), digits) + 0.0 for letter in "xyz")
+    return x, y, z
 
 
-def asf_text(skeleton: Skeleton, unit_m: float) -> str:
-    """An ASF of a skeleton whose bones rotate about x, y and z, of their axis frames if the skeleton has limits."""
-    length = 0.0254 / unit_m
-    x, y, z = (skeleton.offsets[0] / unit_m).tolist()
-    lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {length:.10g}", "  angle deg"]
-    lines += [":root", "   order TX TY TZ RX RY RZ", "   axis XYZ"]
-    lines += [f"   position {x:.10g} {y:.10g} {z:.10g}", "   orientation 0 0 0"]
-    lines.append(":bonedata")
-    for number, (name, offset) in enumerate(zip(skeleton.names[1:], skeleton.offsets[1:] / unit_m, strict=True), 1):
-        size = float(np.linalg.norm(offset))
-        x, y, z = (offset / size).tolist() if size else (0.0, 1.0, 0.0)
-        lines += ["  begin", f"     id {number}", f"     name {name}", f"     direction {x:.10g} {y:.10g} {z:.10g}"]
-        lines += [f"     length {size:.10g}", *_limits_text(skeleton.limits, number), "  end"]
+def asf_text(acclaim: Acclaim) -> str:
+    """The text of a skeleton file, the inverse of `read_asf`."""
+    root = acclaim.bones[0]
+    lines = [":version 1.10", ":name mocodec", ":units", "  mass 1.0", f"  length {acclaim.length:.10g}"]
+    lines += [f"  angle {'deg' if acclaim.degrees else 'rad'}", ":root", f"   order {' '.join(root.dof).upper()}"]
+    lines += [f"   axis {root.order.upper()}", f"   position {_numbers(root.offset)}"]
+    lines += [f"   orientation {_numbers(root.axis)}", ":bonedata"]
+    for number, bone in enumerate(acclaim.bones[1:], 1):
+        size = float(np.linalg.norm(bone.offset))
+        x, y, z = (np.array(bone.offset) / size).tolist() if size else (0.0, 1.0, 0.0)
+        lines += ["  begin", f"     id {number}", f"     name {bone.name}", f"     direction {_numbers((x, y, z))}"]
+        lines += [f"     length {size:.10g}", f"     axis {_numbers(bone.axis)} {bone.order.upper()}"]
+        lines += [f"    dof {' '.join(bone.dof)}"] if bone.dof else []
+        pairs = [f"({_numbers(pair)})" for pair in bone.limits]
+        lines += [f"    {'limits' if i == 0 else '      '} {pair}" for i, pair in enumerate(pairs)] + ["  end"]
     lines += [":hierarchy", "  begin"]
-    for parent, name in enumerate(skeleton.names):
-        children = [skeleton.names[j] for j, p in enumerate(skeleton.parents) if p == parent]
+    for parent, bone in enumerate(acclaim.bones):
+        children = [acclaim.bones[j].name for j, p in enumerate(acclaim.parents) if p == parent]
         if children:
-            lines.append(f"    {name} {' '.join(children)}")
+            lines.append(f"    {bone.name} {' '.join(children)}")
     return "\n".join([*lines, "  end", ""])
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return " ".join(f"{value:.10g}" for value in values)

@@ -4,11 +4,12 @@
     AMC  angles per frame and bone ─► M ─► rotation C · M · C⁻¹ ───────────┴─► forward kinematics ─► ends of bones
 
 Points are the root and the END of every bone, in the order of the ASF (31 in CMU's files), as the literature evaluates
-them; `asf.py` reads and writes the skeleton.
+them; `asf.py` reads and writes the skeleton, `asf_memory.py` keeps in `source` what the skeleton does not hold.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -17,19 +18,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import BadInput
-from ..geometry import kinematics, rigid
+from ..geometry import bone_frames, euler_curves, kinematics, rigid
 from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole
 from .asf import Acclaim, Bone, asf_text, axis_frame, read_asf
+from .asf_memory import acclaim_of, remembered
 from .conventions import first_frame, unit_of, unit_option
 from .text import numbers, read_text
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an AMC stores beside the positions."""
 CMU_RATE = 120.0
+CMU_UNIT_M = 0.0254 / 0.45
+SAME_OFFSET_M = 2e-5
+"""Offsets within this are the same: a .mocz rounds them to 10 µm."""
 MAX_RADIANS = 50.0
 """Angles of continuous rotation, eight turns."""
+MAX_OFF_DEGREES = 5.0
+"""How far rotations may be on average from those that a bone's degrees of freedom can make: coding errors, not more."""
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
@@ -66,6 +73,8 @@ def read(
     elif header.rate is not None:
         source |= {"rate_given": True} if header.rate == CMU_RATE else {}
         rate = header.rate
+    source |= remembered(acclaim)
+    source |= {} if is_degrees == acclaim.degrees else {"amc_angle": "deg" if is_degrees else "rad"}
     skeleton = acclaim.skeleton
     return Motion(positions, rate or CMU_RATE, skeleton.names, "y", skeleton, rotations, source)
 
@@ -162,55 +171,115 @@ def _rotation(bone: Bone, channels: Floats, acclaim: Acclaim, is_degrees: bool) 
     return rigid.multiply(rigid.multiply(frame, m), rigid.inverse(frame))
 
 
-def write(path: str | Path, motion: Motion, asf: str | Path | None = None) -> None:
+def write(path: str | Path, motion: Motion, asf: str | Path | None = None, unit: str | float | None = None) -> None:
     """Write an AMC, with angles in the units of its ASF.
 
-    asf: the skeleton file, by default the one that `read` would find; if there is none, a new one is written beside the
-    AMC, in which every bone rotates about x, y and z. Angles start within ±180° (the middle one ±90°) and are
-    continuous over frames, as in CMU's files. Raises BadInput for a motion that was not read from an AMC, has no
-    rotations, or has another skeleton.
+    asf: the skeleton file, by default one in the same folder that `read` would find and that has the same bones; if
+    there is none, a new one is written beside the AMC: units, axes, limits and degrees of freedom of the source, or
+    bones of a skeleton from elsewhere (`geometry.bone_frames.to_ends`), each of which rotates about x, y and z. unit:
+    of the lengths of a new ASF, by default the source's, else CMU's. Angles start within ±180° (the middle one ±90°)
+    and are continuous over frames, as in CMU's files. Raises BadInput for a motion without a skeleton and rotations,
+    with another skeleton than `asf`, and for rotations that its bones' degrees of freedom cannot make.
     """
     path = Path(path)
-    skeleton, rotations = motion.skeleton, motion.rotations
-    if skeleton is None or rotations is None:
-        raise BadInput(
-            f"{path}: an AMC needs a skeleton and rotations, which this motion lacks; "
-            "a .mocz does not store rotations yet: write a .c3d, .trc or .npz"
-        )
-    if motion.source.get("format") != "amc" or skeleton.names[0] != "root":
-        raise BadInput(f"{path}: only a motion that was read from an .amc can be written as one; write a .bvh")
-    if motion.gaps.any():
-        raise BadInput(f"{path}: an AMC cannot hold gaps")
-    if asf is None:
-        try:
-            asf = find_asf(path)
-        except BadInput:
-            asf = path.with_suffix(".asf")
-            replace_whole(asf, asf_text(skeleton, unit_of(motion.source)).encode("utf-8"))
-    acclaim = read_asf(asf)
-    target = acclaim.skeleton
-    if target.names != skeleton.names or not np.allclose(target.offsets, skeleton.offsets, atol=1e-6):
+    own = _own_frames(path, motion)
+    unit_m = unit_of(own.source) if "unit_m" in own.source else CMU_UNIT_M
+    acclaim = read_asf(asf) if asf is not None else _asf_beside(path, own)
+    if unit is not None:
+        unit_m = unit_option(unit, {"ASF": CMU_UNIT_M})[1]
+        acclaim = acclaim if acclaim is not None and math.isclose(acclaim.unit_m, unit_m) else None
+    if acclaim is None:
+        asf = path.with_suffix(".asf")
+        if asf.exists():
+            raise BadInput(f"{path}: {asf} is another skeleton's or in another unit; remove it, or write elsewhere")
+        text = asf_text(acclaim_of(own, unit_m))
+        replace_whole(asf, text.encode("utf-8"))
+        acclaim = read_asf(asf)
+    elif not _has_bones(acclaim, own):
         raise BadInput(f"{path}: {asf} differs from this motion's skeleton; name the right one with asf= (--asf)")
-    translation = motion.positions[:, 0] - skeleton.offsets[0]
-    columns = [_angles(bone, rotations[:, j], translation, acclaim) for j, bone in enumerate(acclaim.bones)]
-    lines = [":FULLY-SPECIFIED", ":DEGREES" if acclaim.degrees else ":RADIANS"]
-    first = first_frame(motion.source)
-    form = "\n".join(f"{b.name}{' %.8g' * len(b.dof)}" for b in acclaim.bones if b.dof)
-    for frame, row in enumerate(np.concatenate(columns, axis=1).tolist()):
-        lines += [str(first + frame), form % tuple(row)]
+    is_degrees = {"deg": True, "rad": False}.get(str(own.source.get("amc_angle")), acclaim.degrees)
+    lines = [":FULLY-SPECIFIED", ":DEGREES" if is_degrees else ":RADIANS"]
+    if own.rate != CMU_RATE or own.source.get("rate_given"):
+        lines.append(f":SAMPLES-PER-SECOND {own.rate:.10g}")
+    lines += _frame_lines(path, own, acclaim, is_degrees)
     replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
-def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim) -> Floats:
+def _own_frames(path: Path, motion: Motion) -> Motion:
+    """The motion as bones of an ASF, which has words as names. Raises BadInput for what has no such bones."""
+    if motion.skeleton is None or motion.rotations is None:
+        has = "positions on a skeleton" if motion.skeleton is not None else "positions of points"
+        raise BadInput(
+            f"{path}: an AMC needs a skeleton and rotations, and this motion has only {has}; "
+            "write a .c3d, .trc, .npz or .glb"
+        )
+    if motion.gaps.any():
+        raise BadInput(f"{path}: an AMC cannot hold gaps")
+    try:
+        own = bone_frames.to_ends(motion)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+    assert own.skeleton is not None
+    if own.skeleton.parents.count(-1) != 1:
+        raise BadInput(f"{path}: an ASF has one root, this skeleton has {own.skeleton.parents.count(-1)}")
+    names = ["root"]
+    for name in own.skeleton.names[1:]:
+        word = re.sub(r"[\s#:]+", "_", name)
+        word = word if re.match(r"(?!(?:begin|end|root)$)[A-Za-z_]", word) else f"_{word}"
+        while word in names:
+            word += "_"
+        names.append(word)
+    return replace(own, names=tuple(names), skeleton=replace(own.skeleton, names=tuple(names)))
+
+
+def _asf_beside(path: Path, own: Motion) -> Acclaim | None:
+    """The ASF in the folder that `read` would find, if it has the bones of this motion."""
+    try:
+        acclaim = read_asf(find_asf(path))
+    except BadInput:
+        return None
+    return acclaim if _has_bones(acclaim, own) else None
+
+
+def _has_bones(acclaim: Acclaim, own: Motion) -> bool:
+    """Whether an ASF has the bones of a motion, whose offsets a .mocz may have rounded."""
+    target, skeleton = acclaim.skeleton, own.skeleton
+    assert skeleton is not None
+    same_tree = target.names == skeleton.names and target.parents == skeleton.parents
+    return same_tree and bool(np.allclose(target.offsets, skeleton.offsets, rtol=0, atol=SAME_OFFSET_M))
+
+
+def _frame_lines(path: Path, own: Motion, acclaim: Acclaim, is_degrees: bool) -> list[str]:
+    """The lines of all frames: a number, then each bone that has degrees of freedom."""
+    assert own.rotations is not None
+    translation = own.positions[:, 0] - acclaim.skeleton.offsets[0]
+    fixed = [axis for axis in "xyz" if f"t{axis}" not in acclaim.bones[0].dof]
+    if np.abs(translation[:, ["xyz".index(axis) for axis in fixed]]).max(initial=0.0) > SAME_OFFSET_M:
+        raise BadInput(f"{path}: the root moves along {' and '.join(fixed)}, for which its ASF has no channel")
+    try:
+        columns = [
+            _angles(bone, own.rotations[:, j], translation, acclaim, is_degrees) for j, bone in enumerate(acclaim.bones)
+        ]
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+    first = first_frame(own.source)
+    form = "\n".join(f"{b.name}{' %.8g' * len(b.dof)}" for b in acclaim.bones if b.dof)
+    lines: list[str] = []
+    for frame, row in enumerate((np.concatenate(columns, axis=1) + 0.0).tolist()):
+        lines += [str(first + frame), form % tuple(row)]
+    return lines
+
+
+def _angles(bone: Bone, rotation: Floats, translation: Floats, acclaim: Acclaim, is_degrees: bool) -> Floats:
     """The channels (frames, dof) of a bone: the inverse of `_rotation`. Raises BadInput if its dof do not suffice."""
     frame = axis_frame(bone, acclaim)
     m = rigid.multiply(rigid.multiply(rigid.inverse(frame), rotation), frame)
     order = "".join(axis for axis in bone.order[::-1] if f"r{axis}" in bone.dof)
-    try:
-        angles = rigid.to_euler_along_time(order, m)
-    except BadInput as error:
-        raise BadInput(f"bone {bone.name} lacks the degrees of freedom for its rotation: {error}") from None
-    values = np.degrees(angles) if acclaim.degrees else angles
+    angles = euler_curves.along_time(order, m)
+    off = float(np.degrees(euler_curves.distance(order, angles, m).mean())) if len(m) else 0.0
+    if off > MAX_OFF_DEGREES:
+        raise BadInput(f"bone {bone.name} lacks the degrees of freedom for its rotations, which are {off:.3g}° off")
+    values = np.degrees(angles) if is_degrees else angles
     columns = [
         translation[:, "xyz".index(dof[1])] / acclaim.unit_m if dof[0] == "t" else values[:, order.index(dof[1])]
         for dof in bone.dof

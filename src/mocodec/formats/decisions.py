@@ -1,11 +1,13 @@
 """What a reader decided for the user: guesses, and how contradictions in a file were settled.
 
-Contradictions are sentences in `source["notes"]`, which a .mocz stores. Guesses are common, so they are not stored as
-text: `notes` makes their line again from the source, from a file and from a .mocz alike.
+Contradictions are sentences in `source["notes"]`, which a .mocz stores. Guesses and what a reader leaves out or keeps
+apart are common, so they are not stored as text: `notes` makes their lines again from the source, from a file and from
+a .mocz alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..motion import Motion
@@ -15,11 +17,27 @@ ASSUMED_AMC_RATE = 120.0
 
 
 def notes(recording: Motion | PointClouds) -> list[str]:
-    """Sentences for the user: one with all guesses and their options, then the notes of the reader."""
+    """Sentences for the user: one with all guesses and their options, what is left out, the notes of the reader."""
     guessed = guesses(recording)
     kept: Any = recording.source.get("notes", [])
     sentences = [str(note) for note in kept] if isinstance(kept, list | tuple) else []
-    return ([f"guessed: {', '.join(guessed)}"] if guessed else []) + sentences
+    return ([f"guessed: {', '.join(guessed)}"] if guessed else []) + [*kept_apart(recording)] + sentences
+
+
+def kept_apart(recording: Motion | PointClouds) -> Iterator[str]:
+    """What of the file the reader left out, or kept beside the positions, by the facts in the source."""
+    source = recording.source
+    outputs: Any = source.get("model_outputs")
+    if isinstance(outputs, Mapping) and outputs:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in outputs.items())
+        yield f"its points include model outputs, which are not positions and are stored exactly beside them: {kinds}"
+    if missing := source.get("missing_numbers"):
+        yield f"{missing} numbers are missing in the sequence of file names; the files are read as consecutive frames"
+    ignored: Any = source.get("ignored")
+    if isinstance(ignored, list | tuple) and ignored:
+        yield f"these properties of points are left out: {', '.join(map(str, ignored))}"
+    if source.get("residuals") == "left out":
+        yield "residuals and camera masks of samples are left out; --residuals keeps them"
 
 
 def guesses(recording: Motion | PointClouds) -> list[str]:
@@ -34,6 +52,8 @@ def guesses(recording: Motion | PointClouds) -> list[str]:
         found.append(f"up {recording.up} (--up)")
     if source.get("unit_guessed") or (format_ == "bvh" and not source.get("unit_given")):
         found.append(f"unit {source.get('units')} (--unit)")
+    if source.get("rate_guessed"):
+        found.append(f"rate {recording.rate:g} Hz (--rate)")
     if format_ == "amc" and recording.rate == ASSUMED_AMC_RATE and not source.get("rate_given"):
         found.append(f"rate {recording.rate:g} Hz (--rate)")
     return found

@@ -4,20 +4,16 @@
     joints, jtr, Jtr, keypoints3d, joint_positions    the same under the names of machine-learning data sets
     markers, labels, frame_rate   marker files of AMASS and MoSh
     points, counts                point clouds: the points of all frames, (all, 3), and the count of each frame; colours
-    poses, trans, betas           AMASS's body model parameters: refused, as they need the licensed SMPL model
+    poses, trans, betas           AMASS's body model parameters: `amass.py`
 
-Arrays are read without pickle, and each is checked against the size of the archive first.
+Arrays are read without pickle, and each is checked against the size of the archive first (`numpy_files.py`).
 """
 
 from __future__ import annotations
 
-import io
 import json
-import math
 import zipfile
-import zlib
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -27,91 +23,63 @@ from ..errors import BadInput
 from ..motion import Limits, Motion, Skeleton
 from ..pointcloud import PointClouds
 from ..typing import Floats
-from . import replace_whole
+from . import amass, smpl
 from .conventions import guess_up, unit_option
+from .numpy_files import Archive, reading, save
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an NPZ stores beside the positions."""
+LAYOUTS = ("amass", "mocodec")
 
-POSITIONS = ("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "markers")
+
+def holds(motion: Motion) -> frozenset[str]:
+    """What the NPZ of this motion stores: for body model parameters, what was beside them."""
+    return HOLDS | {"amass"} if _layout_of(motion) == "amass" else HOLDS
+
+
+def _layout_of(motion: Motion) -> str:
+    return "amass" if motion.source.get("format") == "amass" and amass.can_write(motion) else "mocodec"
+
+
+POSITIONS = (
+    *("positions", "joints", "jtr", "Jtr", "keypoints3d", "joint_positions", "joints3d", "joints_3d", "keypoints_3d"),
+    "markers",
+)
 RATES = ("rate", "fps", "frame_rate", "framerate", "mocap_framerate", "mocap_frame_rate")
 NAMES = ("names", "labels", "joint_names", "marker_names")
-MAX_ARRAY_BYTES = 1 << 32
-MAX_DEFLATE_RATIO = 1100
-"""Deflate packs at most about 1,032 bytes into one."""
 
 
 def read(
-    path: str | Path, rate: float | None = None, unit: str | float | None = None, up: str | None = None
+    path: str | Path,
+    rate: float | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
+    smplx: str | None = None,
 ) -> Motion | PointClouds:
-    """Positions of an NPZ as a motion, or its points and counts as point clouds.
+    """Positions of an NPZ as a motion, its body model parameters as a skeletal motion, or points as point clouds.
 
     rate: hertz, by default the file's. unit: of the positions, by default the file's, else metres (millimetres for a
     `markers` array that extends over more than 100). up: the vertical axis, by default the file's, else guessed.
+    smplx: a model file (.npz) of the SMPL family, for the bones of body model parameters; by default a stock body's.
     A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. Raises BadInput.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            arrays = _Archive(archive, path)
-            if {"points", "counts"} <= arrays.names.keys():
-                return _clouds(arrays, rate, unit, up)
-            return _motion(arrays, rate, unit, up)
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, EOFError, ValueError, KeyError, NotImplementedError, RuntimeError,
-            OverflowError, SyntaxError, TokenError, TypeError, MemoryError, zlib.error) as error:  # fmt: skip
-        if isinstance(error, BadInput):
-            raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
-        raise BadInput(f"{path}: cannot be read as an NPZ ({error})") from None
+    with reading(path), zipfile.ZipFile(path) as archive:
+        arrays = Archive(archive, path)
+        if {"points", "counts"} <= arrays.names.keys():
+            return _clouds(arrays, rate, unit, up)
+        if amass.is_body_motion(arrays.names) and arrays.first(POSITIONS) in (None, "markers"):
+            return amass.read(arrays, rate, unit, up, smplx)
+        if smplx is not None:
+            raise BadInput(f"{path}: smplx= is for body model parameters (poses, trans), which this file lacks")
+        return _motion(arrays, rate, unit, up)
 
 
-class _Archive:
-    """The arrays of an archive, each loaded on demand."""
-
-    def __init__(self, archive: zipfile.ZipFile, path: str | Path) -> None:
-        self.archive, self.path = archive, path
-        self.names = {Path(info.filename).stem: info for info in archive.infolist() if info.filename.endswith(".npy")}
-
-    def first(self, names: tuple[str, ...]) -> str | None:
-        """The first of these names that the archive has."""
-        return next((name for name in names if name in self.names), None)
-
-    def load(self, name: str) -> NDArray[Any]:
-        """One array. Raises BadInput for arrays of objects and for declared sizes that the archive cannot hold."""
-        info = self.names[name]
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise BadInput(f"{self.path}: array {name!r} is compressed by a method that NumPy does not write")
-        if info.file_size > min(MAX_ARRAY_BYTES, MAX_DEFLATE_RATIO * info.compress_size + 4096):
-            raise BadInput(f"{self.path}: array {name!r} declares {info.file_size} bytes, too many for its archive")
-        with self.archive.open(info) as member:
-            data = io.BytesIO(member.read(info.file_size + 1))
-        if len(data.getbuffer()) != info.file_size:
-            raise BadInput(f"{self.path}: array {name!r} does not have the {info.file_size} bytes that it declares")
-        version = np.lib.format.read_magic(data)
-        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = header(data)
-        if dtype.hasobject:
-            raise BadInput(f"{self.path}: array {name!r} holds Python objects; save it as numbers or text")
-        if math.prod(shape) * dtype.itemsize != info.file_size - data.tell():
-            raise BadInput(f"{self.path}: array {name!r} is cut off or damaged")
-        data.seek(0)
-        return np.lib.format.read_array(data, allow_pickle=False)
-
-    def single(self, name: str) -> Any:
-        """The first value of an array. Raises BadInput where it has none."""
-        values = self.load(name).reshape(-1)
-        if not len(values):
-            raise BadInput(f"{self.path}: array {name!r} is empty")
-        return values[0]
-
-
-def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:
+def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:
     path = arrays.path
     key = arrays.first(POSITIONS)
     if key is None:
-        if "poses" in arrays.names:
-            raise BadInput(
-                f"{path}: has body model parameters (poses, trans, betas) and no positions; run the SMPL body model, "
-                "which needs a licence, and save its joints as 'joints' beside 'mocap_framerate'"
-            )
+        if "betas" in arrays.names:
+            raise BadInput(f"{path}: has the shape of a body (betas) and no motion: no poses, no positions")
         present = ", ".join(arrays.names) or "none"
         raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {present}")
     positions = arrays.load(key)
@@ -136,6 +104,8 @@ def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: 
     units, unit_m = _unit(arrays, key, positions, unit)
     positions *= unit_m
     source: dict[str, Any] = {"format": "npz", "units": units, "unit_m": unit_m}
+    if amass.is_body_motion(arrays.names):
+        source["notes"] = [f"positions are those of {key!r}; body model parameters beside them are left out"]
     if up is None and "up" in arrays.names:
         up = str(arrays.single("up"))
     if up is None:
@@ -148,6 +118,8 @@ def _motion(arrays: _Archive, rate: float | None, unit: str | float | None, up: 
         skeleton = Skeleton(joint_names, tuple(parents), arrays.load("offsets").astype(np.float64), _limits(arrays))
         if "rotations" in arrays.names:
             rotations = arrays.load("rotations").astype(np.float64)
+    elif not names and (tree := smpl.tree_of(positions)) is not None:
+        names, skeleton = tree.names, smpl.measured(tree, positions)
     if "source" in arrays.names:
         source = json.loads(str(arrays.single("source")))
         if not isinstance(source, dict):
@@ -168,14 +140,14 @@ def _checked_source(source: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _limits(arrays: _Archive) -> Limits | None:
+def _limits(arrays: Archive) -> Limits | None:
     if not {"limit_orders", "limit_axes", "limit_ranges"} <= arrays.names.keys():
         return None
     orders = tuple(str(order) for order in arrays.load("limit_orders").reshape(-1).tolist())
     return Limits(orders, *(arrays.load(f"limit_{name}").astype(np.float64) for name in ("axes", "ranges")))
 
 
-def _clouds(arrays: _Archive, rate: float | None, unit: str | float | None, up: str | None) -> PointClouds:
+def _clouds(arrays: Archive, rate: float | None, unit: str | float | None, up: str | None) -> PointClouds:
     """Point clouds of the arrays points (all, 3), counts (frames,) and optionally colours and normals (all, 3)."""
     points, counts = arrays.load("points"), arrays.load("counts").reshape(-1)
     if counts.dtype.kind not in "iu" or (counts < 0).any() or int(counts.sum()) != len(points):
@@ -206,7 +178,7 @@ def _clouds(arrays: _Archive, rate: float | None, unit: str | float | None, up: 
     return PointClouds(positions, rate, split("colours", np.uint8), split("normals", np.float64), up, source)
 
 
-def _unit(arrays: _Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
+def _unit(arrays: Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
         unit = str(arrays.single("unit"))
     if unit is None:
@@ -215,14 +187,21 @@ def _unit(arrays: _Archive, key: str, positions: Floats, unit: str | float | Non
     return unit_option(unit)
 
 
-def write(path: str | Path, motion: Motion | PointClouds) -> None:
+def write(path: str | Path, motion: Motion | PointClouds, layout: str | None = None) -> None:
     """Write positions (float64, metres, gaps NaN), rate, names, up and, if present, skeleton and rotations; of point
     clouds points, counts, colours and normals.
 
-    `source` is stored as JSON; extras (analog channels, events, parameters) are left out.
+    `source` is stored as JSON; extras (analog channels, events, parameters) are left out. A motion that was read from
+    body model parameters is written as these. layout: "amass" writes them for any motion of SMPL's joints (BadInput
+    for others), "mocodec" never does.
     """
     if isinstance(motion, PointClouds):
-        _save(path, _cloud_arrays(motion))
+        save(path, _cloud_arrays(motion))
+        return
+    if layout not in (None, *LAYOUTS):
+        raise BadInput(f"{path}: layout is one of {', '.join(LAYOUTS)}, not {layout!r:.40}")
+    if (layout or _layout_of(motion)) == "amass":
+        save(path, amass.arrays_of(motion))
         return
     arrays: dict[str, NDArray[Any]] = {
         "positions": motion.positions,
@@ -241,7 +220,7 @@ def write(path: str | Path, motion: Motion | PointClouds) -> None:
                 "limit_axes": limits.axes,
                 "limit_ranges": limits.ranges,
             }
-    _save(path, arrays)
+    save(path, arrays)
 
 
 def _cloud_arrays(clouds: PointClouds) -> dict[str, NDArray[Any]]:
@@ -256,9 +235,3 @@ def _cloud_arrays(clouds: PointClouds) -> dict[str, NDArray[Any]]:
     if clouds.normals is not None:
         arrays["normals"] = np.concatenate([np.zeros((0, 3)), *clouds.normals])
     return arrays
-
-
-def _save(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
-    out = io.BytesIO()
-    np.savez_compressed(out, allow_pickle=False, **arrays)
-    replace_whole(path, out.getvalue())

@@ -10,6 +10,9 @@ import numpy as np
 from ..errors import BadInput
 from ..typing import Floats
 
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+"""No rotation."""
+
 
 def multiply(a: Floats, b: Floats) -> Floats:
     """a · b (…, 4): the rotation b, then a; leading axes broadcast."""
@@ -110,17 +113,14 @@ def _axis(letter: str) -> int:
     return index
 
 
-def to_euler_along_time(order: str, q: Floats) -> Floats:
-    """As `to_euler` of q (frames, 4), but continuous over time: of all angles for a rotation those nearest to the frame
-    before, also beyond ±π, and beyond ±π/2 for the middle angle.
-    """
-    angles = to_euler(order, q)
-    if len(order) != 3 or np.abs(np.diff(angles, axis=0)).sum(axis=1).max(initial=0.0) < np.pi / 2:
-        return angles
-    others = np.pi + angles * [1.0, -1.0, 1.0]  # the other triple of angles of the same rotation
-    before = angles[0]
-    for frame, choices in enumerate(np.stack([angles, others], axis=1)):
-        choices = choices + 2 * np.pi * np.rint((before - choices) / (2 * np.pi))
-        before = choices[np.abs(choices - before).sum(axis=1).argmin()]
-        angles[frame] = before
-    return angles
+def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
+    """Rotations between a and b (…, 4) along the shorter arc: a at share (…) 0, b at 1, of unit length."""
+    dot = np.sum(a * b, axis=-1, keepdims=True)
+    b, dot = np.where(dot < 0, -b, b), np.minimum(np.abs(dot), 1.0)
+    share = np.asarray(share)[..., None]
+    angle = np.arccos(dot)
+    is_small = angle < 1e-4
+    sine = np.where(is_small, 1.0, np.sin(angle))
+    weight_a = np.where(is_small, 1 - share, np.sin((1 - share) * angle) / sine)
+    between = weight_a * a + np.where(is_small, share, np.sin(share * angle) / sine) * b
+    return between / np.linalg.norm(between, axis=-1, keepdims=True)

@@ -1,6 +1,7 @@
 """Each measure of error once, with the number of its equation in the paper.
 
 motion          distances between motions: `compare` and the measures that it reports
+skeletal        shell points and rotations of skeletal motions, by forward kinematics of its own
 point_clouds    D1, D2, luma and rendered views of point clouds
 splats          the rendering of point clouds that the views are compared by
 """
@@ -14,5 +15,17 @@ from .motion import (
     mean_distance,
     rms_per_frame,
 )
+from .skeletal import SHELL_M, SkeletalErrors, Spread
 
-__all__ = ["Comparison", "compare", "distances", "distortion_percent", "in_order_of", "mean_distance", "rms_per_frame"]
+__all__ = [
+    "SHELL_M",
+    "Comparison",
+    "SkeletalErrors",
+    "Spread",
+    "compare",
+    "distances",
+    "distortion_percent",
+    "in_order_of",
+    "mean_distance",
+    "rms_per_frame",
+]

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats
+from . import skeletal
 
 
 def distances(original: Floats, decoded: Floats) -> Floats:
@@ -48,6 +49,7 @@ class Comparison:
     mean_error, p99_error, max_error, rms: over all points and frames, metres. max_at: frame and point of the largest
     error. d_percent: `distortion_percent`. gaps_equal: both motions have the same gaps. per_point: mean, 99th
     percentile and largest error of each point. ratio: size as float32 positions over stored bytes, if these are known.
+    skeletal: errors of shell points and rotations, if both motions have rotations.
     """
 
     frames: int
@@ -61,6 +63,7 @@ class Comparison:
     gaps_equal: bool
     per_point: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
     ratio: float | None = None
+    skeletal: skeletal.SkeletalErrors | None = None
 
     def to_json(self, **extra: Any) -> str:
         """All fields, and `extra` ones, as a JSON object."""
@@ -76,10 +79,13 @@ def in_order_of(original: Motion, decoded: Motion) -> Motion:
     return decoded.select(original.names) if same_names else decoded
 
 
-def compare(original: Motion, decoded: Motion, stored_bytes: int | None = None) -> Comparison:
+def compare(
+    original: Motion, decoded: Motion, stored_bytes: int | None = None, shell: float = skeletal.SHELL_M
+) -> Comparison:
     """Measure the error of `decoded` against `original`, point by point: points are matched by name.
 
-    stored_bytes: size of the decoded motion on disk, for the ratio to the original as float32 positions.
+    stored_bytes: size of the decoded motion on disk, for the ratio to the original as float32 positions. shell:
+    distance of the shell points of skeletal motions from their joints, metres.
     Raises BadInput if frames or points differ in number, or for point clouds (`mocodec compare` measures these).
     """
     for motion in (original, decoded):
@@ -88,6 +94,7 @@ def compare(original: Motion, decoded: Motion, stored_bytes: int | None = None) 
     if original.positions.shape != decoded.positions.shape:
         sizes = [f"{len(motion)} frames of {motion.points} points" for motion in (original, decoded)]
         raise BadInput(f"cannot compare {sizes[0]} with {sizes[1]}")
+    pose_errors = skeletal.compare(original, decoded, shell)
     decoded = in_order_of(original, decoded)
     error = distances(original.positions, decoded.positions)
     present = error[~np.isnan(error)]
@@ -103,6 +110,7 @@ def compare(original: Motion, decoded: Motion, stored_bytes: int | None = None) 
         gaps_equal=bool((original.gaps == decoded.gaps).all()),
         per_point={name: _summary(errors) for name, errors in columns.items() if errors.size},
         ratio=original.raw_bytes / stored_bytes if stored_bytes else None,
+        skeletal=pose_errors,
     )
 
 

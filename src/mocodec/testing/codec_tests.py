@@ -166,11 +166,35 @@ class CodecTests:
     def test_any_motion(self, motion: Motion) -> None:
         self.check_round_trip(motion, may_refuse=bool(self.refuses) or not self.can_bound)
 
-    def test_motions_without_samples_are_refused(self) -> None:
-        motion = self.figure()
-        for empty in (motion[:0], motion.select([]), replace(motion, positions=np.full((9, motion.points, 3), np.nan))):
-            with pytest.raises(CannotEncode):
-                type(self).codec().encode(empty)
+    def test_a_motion_without_frames_is_refused(self) -> None:
+        with pytest.raises(CannotEncode, match="no frames"):
+            type(self).codec().encode(self.figure()[:0])
+
+    @pytest.mark.parametrize("largest", [1e7, 1e12, 1e20, 1e35, 1e200])
+    def test_positions_far_away_are_coded_or_refused(self, largest: float) -> None:
+        figure = self.figure()[:20]
+        positions = figure.positions / np.nanmax(np.abs(figure.positions)) * largest
+        motion = replace(figure, positions=positions)
+        try:
+            back = self.through_bytes(motion, **self.quick)
+        except CannotEncode:
+            return
+        assert np.array_equal(back.gaps, motion.gaps)
+        assert np.isfinite(back.positions[~back.gaps]).all()
+
+    def test_motions_without_samples_keep_what_is_beside_them(self) -> None:
+        """Force plates may be recorded alone, and all markers may be hidden."""
+        analog = Signal(np.arange(90, dtype=np.int16).reshape(45, 2), 5 * self.figure().rate)
+        gaps_only = replace(self.figure()[:9], positions=np.full((9, self.figure().points, 3), np.nan))
+        for empty in (self.figure()[:9].select([]), gaps_only):
+            motion = replace(empty, extras={"analog": analog})
+            with api.open(self.pack(motion), Motion) as file:
+                back, part = file[:], file[2:5]
+            assert back.positions.shape == motion.positions.shape
+            assert part.positions.shape == (3, motion.points, 3)
+            assert back.gaps.all()
+            assert np.array_equal(back.extras["analog"].values, analog.values)
+            assert np.array_equal(part.extras["analog"].values, analog.values[10:25])
 
     def check_round_trip(self, motion: Motion, may_refuse: bool) -> None:
         """Gaps are the same, all other positions are finite, and a bound is kept if the codec has one."""

@@ -81,6 +81,10 @@ class Hou2014:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode if the target cannot be met, BadInput for invalid settings."""
+        if not base.has_samples(motion):
+            self._check(motion)
+            return base.encode_gaps(self, motion, base.settings(replace(self, transforms=())))
+        base.require_usual_lengths(self, motion)
         return self.encode_smoothed(motion, gaps.fill(motion.positions)[0])
 
     def encode_smoothed(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
@@ -103,6 +107,8 @@ class Hou2014:
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
+        if not encoded.shared:
+            return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         header = _read_header(encoded)
         parts: list[Floats] = [np.zeros((0, header.points, 3))]

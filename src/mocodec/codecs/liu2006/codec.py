@@ -98,7 +98,9 @@ class Liu2006:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode for a motion without samples, unknown marker names, or a target that cannot be met."""
-        base.require_frames(motion)
+        if not base.has_samples(motion):
+            return base.encode_gaps(self, motion, base.settings(self))
+        base.require_usual_lengths(self, motion)
         positions, gap_mask = gaps.fill(motion.positions)
         markers = marker_groups.assign(motion, self.normalisation_markers, self.foot_markers)
         segments = self.segment_motion(positions, markers, motion.up).segments
@@ -210,6 +212,8 @@ class Liu2006:
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
+        if not encoded.shared:
+            return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         blend_frames, markers, max_error = read_shared(encoded)
         models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)

@@ -24,7 +24,7 @@ from ...encoded import Chunk, Encoded, about, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
-from ..base import require_frames, settings
+from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from . import chunk, engine_choice, fallback, model_choice, repeats, target
 from .chunk import LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
@@ -40,7 +40,7 @@ TARGETS = ("max_error", "mean_error", "ratio", "size")
 FALLBACK_MODEL = "hou2014"
 LATTICE_MODEL = "lattice"
 MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
-LATTICE_CHUNKS = 1.5
+MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
@@ -79,8 +79,8 @@ class Tempo:
             raise BadInput(f"tempo takes one target, not {' and '.join(targets)}")
         if any(not (np.isfinite(v) and v > 0) for v in targets.values()):
             raise BadInput(f"a target must be positive: {targets}")
-        if not 0.5 <= self.chunk_seconds <= 10:
-            raise BadInput("chunk_seconds must lie between 0.5 and 10")
+        if not 0.5 <= self.chunk_seconds <= MOST_CHUNK_SECONDS:
+            raise BadInput(f"chunk_seconds must lie between 0.5 and {MOST_CHUNK_SECONDS:g}")
         if self.weights and targets.keys() - {"max_error"}:
             raise BadInput("weights go with a hard bound: max_error")
         if self.weights and not all(1 <= w <= 1000 for w in self.weights.values()):
@@ -94,7 +94,9 @@ class Tempo:
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
         """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
-        require_frames(motion)
+        if not has_samples(motion):
+            return encode_gaps(self, motion, self._stored_settings())
+        require_usual_lengths(self, motion)
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -129,7 +131,8 @@ class Tempo:
         source = prepare(motion.positions, motion.up)
         plan = self._lattice_plan(motion, source)
         if plan is not None and plan.alone:
-            bounds = chunk_bounds(len(motion), motion.rate, LATTICE_CHUNKS * self.chunk_seconds)
+            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS)
+            bounds = chunk_bounds(len(motion), motion.rate, seconds)
         else:
             cuts = leaps.discontinuities(source.smooth, motion.rate)
             bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
@@ -165,6 +168,8 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        if not encoded.shared:
+            return decode_gaps(encoded, frames)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)

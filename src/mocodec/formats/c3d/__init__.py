@@ -8,12 +8,23 @@ float, are read; Intel float files are written. docs/formats.md lists what is ke
 """
 
 from .analog import analog
+from .model_outputs import model_outputs
 from .reading import read
 from .writing import write
 
-__all__ = ["HOLDS", "analog", "read", "write"]
+__all__ = ["HOLDS", "analog", "model_outputs", "read", "write"]
 
 HOLDS = frozenset(
-    {"analog", "events", "parameters", "parameter_notes", "parameters_locked", "residuals", "rotations", "zero_samples"}
+    {
+        "analog",
+        "events",
+        "model_outputs",
+        "parameters",
+        "parameter_notes",
+        "parameters_locked",
+        "residuals",
+        "rotations",
+        "zero_samples",
+    }
 )
 """Extras that a C3D stores beside the positions."""

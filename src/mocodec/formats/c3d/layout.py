@@ -87,33 +87,27 @@ def read_header(data: bytes, order: str, processor: int) -> Header:
 
 
 def settle(
-    header: Header, parameters: Parameters, data: bytes, start: int, available: int, notes: list[str]
+    header: Header,
+    parameters: Parameters,
+    data: bytes,
+    start: int,
+    available: int,
+    notes: list[str],
+    salvage: bool = False,
 ) -> tuple[Layout, int]:
     """The layout and the number of frames that the file's size agrees with; contradictions are noted.
 
-    start, available: first byte and number of bytes of the data section. Raises BadInput for truncated data, and for
-    contradictions that the size does not settle.
+    start, available: first byte and number of bytes of the data section. salvage: take the complete frames of truncated
+    data. Raises BadInput for truncated data, and for contradictions that the size does not settle.
     """
     layouts = candidate_layouts(header, parameters)
     claims = _claimed_frames(header, parameters)
     if not any(layout.width for layout in layouts):
         return layouts[0], max(claims, default=0)
     layouts = [layout for layout in layouts if layout.width]
-    fitting = {layout: frames for layout in layouts if (frames := _exact(layout, claims, available))}
+    fitting = _fitting(layouts, header, parameters, claims, data, start, available, notes)
     if not fitting:
-        for layout in layouts:
-            if frames := _beyond_16_bits(layout, header, parameters, claims, data, start, available):
-                fitting[layout] = frames
-                notes.append(f"its counts of frames end at {MAX_COUNT}; the size of the file gives {frames} frames")
-                break
-    if not fitting:
-        fitting = {layout: frames for layout in layouts if (frames := _contained(layout, claims, available))}
-    if not fitting:
-        promised = max((c for c in claims if c), default=0)
-        if not promised:
-            raise BadInput("has no frames")
-        complete = max(0, available) // layouts[0].frame_bytes
-        raise BadInput(f"cut off: its header declares {promised} frames, the file has {complete} complete ones")
+        return _complete_frames(layouts[0], claims, available, salvage, notes)
     if len(fitting) > 1:  # what a layout leaves over is padding: zeros
         ends = {layout: start + frames * layout.frame_bytes for layout, frames in fitting.items()}
         padded = [layout for layout, end in ends.items() if not any(data[end : start + available])]
@@ -122,7 +116,7 @@ def settle(
         readings = "; ".join(f"{layout} in {frames} frames" for layout, frames in fitting.items())
         raise BadInput(f"header and parameters contradict each other, and the file's size allows both: {readings}")
     layout, frames = next(iter(fitting.items()))
-    if len(layouts) > 1:
+    if len(layouts) > 1 or layout not in layouts:
         others = "; ".join(str(other) for other in layouts if other != layout)
         notes.append(f"header and parameters contradict each other; the size of the file gives {layout}, not {others}")
     elif layout.channels and header.samples_per_frame != layout.samples_per_frame:
@@ -131,6 +125,48 @@ def settle(
             f"size of the file give {layout.samples_per_frame}"
         )
     return layout, frames
+
+
+def _fitting(
+    layouts: list[Layout],
+    header: Header,
+    parameters: Parameters,
+    claims: list[int],
+    data: bytes,
+    start: int,
+    available: int,
+    notes: list[str],
+) -> dict[Layout, int]:
+    """Layouts with the number of frames that the size allows: exactly, beyond 16 bits, as floats, with more behind."""
+    fitting = {layout: frames for layout in layouts if (frames := _exact(layout, claims, available))}
+    if fitting:
+        return fitting
+    for layout in layouts:
+        if frames := _beyond_16_bits(layout, header, parameters, claims, data, start, available):
+            notes.append(f"its counts of frames end at {MAX_COUNT}; the size of the file gives {frames} frames")
+            return {layout: frames}
+    if not claims:
+        frames = _frames_of_size(layouts[0], data, start, available)
+        notes.append(f"it does not say how many frames it has; the size of the file gives {frames}")
+        return {layouts[0]: frames} if frames else {}
+    as_floats = [layout._replace(item=4) for layout in layouts if layout.item == 2]
+    fitting = {layout: frames for layout in as_floats if (frames := _exact(layout, claims, available))}
+    return fitting or {layout: frames for layout in layouts if (frames := _contained(layout, claims, available))}
+
+
+def _complete_frames(
+    layout: Layout, claims: list[int], available: int, salvage: bool, notes: list[str]
+) -> tuple[Layout, int]:
+    """The complete frames of truncated data, if they are to be salvaged. Raises BadInput otherwise."""
+    promised = max(claims, default=0)
+    if not promised:
+        raise BadInput("has no frames")
+    complete = max(0, available) // layout.frame_bytes
+    if not salvage or not complete:
+        hint = "; --salvage (salvage=True) reads these" if complete else ""
+        raise BadInput(f"cut off: its header declares {promised} frames, the file has {complete} complete ones{hint}")
+    notes.append(f"cut off: {complete} of {promised} declared frames are read")
+    return layout, complete
 
 
 def candidate_layouts(header: Header, parameters: Parameters) -> list[Layout]:
@@ -171,7 +207,10 @@ def _claimed_frames(header: Header, parameters: Parameters) -> list[int]:
     """The numbers of frames that header and parameters declare, from those that count farthest."""
     first, last = (parameters.double_word("TRIAL", f"ACTUAL_{end}_FIELD") for end in ("START", "END"))
     trial = last - first + 1 if first is not None and last is not None else None
-    counts = (trial, parameters.count("POINT", "LONG_FRAMES"), parameters.count("POINT", "FRAMES"), header.frames)
+    in_point = parameters.count("POINT", "FRAMES")
+    if in_point == MAX_COUNT and not header.last:
+        in_point = None  # −1: not counted
+    counts = (trial, parameters.count("POINT", "LONG_FRAMES"), in_point, header.frames)
     return [count for count in counts if count is not None and count > 0]
 
 
@@ -196,16 +235,20 @@ def _beyond_16_bits(
     available: int,
 ) -> int:
     """The number of frames by the file's size if the declared counts are saturated or wrapped at 16 bits, or 0."""
-    frames = available // layout.frame_bytes
-    if frames <= MAX_COUNT:
+    if available // layout.frame_bytes <= MAX_COUNT:
         return 0
-    end = start + frames * layout.frame_bytes
-    while (
-        frames and start + available - (end - layout.frame_bytes) <= BLOCK
-    ):  # frames of zeros in the last block: padding
-        if any(data[end - layout.frame_bytes : end]):
-            break
-        frames, end = frames - 1, end - layout.frame_bytes
+    frames = _frames_of_size(layout, data, start, available)
     is_saturated = header.last == MAX_COUNT or parameters.count("POINT", "FRAMES") == MAX_COUNT
     is_wrapped = any((frames - claim) % (MAX_COUNT + 1) == 0 for claim in claims)
     return frames if is_saturated or is_wrapped else 0
+
+
+def _frames_of_size(layout: Layout, data: bytes, start: int, available: int) -> int:
+    """The number of frames that fill the data section; frames of zeros in the last block are padding."""
+    frames = max(0, available) // layout.frame_bytes
+    end = start + frames * layout.frame_bytes
+    while frames and start + available - (end - layout.frame_bytes) <= BLOCK:
+        if any(data[end - layout.frame_bytes : end]):
+            break
+        frames, end = frames - 1, end - layout.frame_bytes
+    return frames

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,7 +65,8 @@ class Parameters:
         value = self.number(group, name)
         if value is None or not math.isfinite(value):
             return None
-        return int(value) & 0xFFFF if self.groups[group][name].dtype != np.float32 else int(value)
+        masks = {"int8": 0xFF, "int16": 0xFFFF}
+        return int(value) & masks.get(self.groups[group][name].dtype.name, -1)
 
     def double_word(self, group: str, name: str) -> int | None:
         """Two 16-bit words, the low one first, as one count."""
@@ -209,12 +211,23 @@ def floats(data: bytes, processor: int) -> NDArray[np.float32]:
 
 
 def text(raw: bytes) -> str:
-    """Text without its padding: UTF-8 if it is valid, otherwise Latin-1."""
+    """Text without its padding: UTF-8 or Shift-JIS if it is valid, otherwise Latin-1.
+
+    Latin-1 has no letters at bytes 0x80 to 0x9F, where the first bytes of Japanese characters are. A character that the
+    length of the field cuts in two is left out.
+    """
     raw = raw.split(b"\0", 1)[0].rstrip()
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+    if raw.isascii():
+        return raw.decode("ascii")
+    for end in range(len(raw), max(0, len(raw) - 4), -1):
+        with suppress(UnicodeDecodeError):
+            if end == len(raw) or not raw[:end].isascii():
+                return raw[:end].decode("utf-8")
+    if any(0x80 <= byte < 0xA0 for byte in raw):
+        for end in (len(raw), len(raw) - 1):
+            with suppress(UnicodeDecodeError):
+                return raw[:end].decode("cp932")
+    return raw.decode("latin-1")
 
 
 def pack(parameters: Parameters) -> bytes:

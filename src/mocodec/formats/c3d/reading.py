@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import zlib
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,12 @@ from ...errors import BadInput
 from ...motion import Motion, Signal
 from ...typing import Booleans, Floats
 from ..conventions import UNITS_M, guess_up, metres_in, unit_option
+from ..zeros import parked_at_origin, store_parked, zeros_are_gaps
 from .analog import read_analog, smallest
 from .events import read_events, read_header_events
-from .gaps import parked_at_origin, store_parked
 from .labels import unique_names
 from .layout import Header, Layout, read_header, settle
+from .model_outputs import find_columns, keep
 from .parameters import BLOCK, DEC, DERIVED, INTEL, MIPS, STANDARD, Parameters, floats, parse, same
 
 RESIDUALS_SHARE = 0.002
@@ -32,33 +34,41 @@ def read(
     unit: str | float | None = None,
     rate: float | None = None,
     gaps: str | None = None,
+    salvage: bool = False,
 ) -> Motion:
     """A C3D file as a motion; positions in metres, in the file's axes.
 
-    Samples with a negative residual, without numbers, or parked at exactly (0, 0, 0) are gaps; gaps="residuals" takes
-    zeros as positions. residuals: keep each sample's residual and camera mask as `extras["residuals"]`; None keeps them
-    if they are small (docs/formats.md). unit, rate: in place of the file's. Raises BadInput.
+    Samples with a negative residual, without numbers, or parked at exactly (0, 0, 0) are gaps; gaps="keep" takes zeros
+    as positions. residuals: keep each sample's residual and camera mask as `extras["residuals"]`; None keeps them if
+    they are small (docs/formats.md). unit, rate: in place of the file's. salvage: read the complete frames of a
+    truncated file. Angles, forces, moments and powers of a model are kept apart (`model_outputs`). Raises BadInput.
     """
     data = Path(path).read_bytes()
     try:
-        if gaps not in (None, "zeros", "residuals"):
-            raise BadInput(f"gaps is 'zeros' or 'residuals', not {gaps!r:.40}")
-        return _read(data, residuals, unit, rate, gaps != "residuals")
+        return _read(data, _Options(residuals, unit, rate, zeros_are_gaps(gaps), salvage))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
 
-def _read(
-    data: bytes, keep_residuals: bool | None, unit: str | float | None, rate: float | None, zeros_are_gaps: bool
-) -> Motion:
+class _Options(NamedTuple):
+    """The options of `read`."""
+
+    residuals: bool | None
+    unit: str | float | None
+    rate: float | None
+    zeros_are_gaps: bool
+    salvage: bool
+
+
+def _read(data: bytes, options: _Options) -> Motion:
     processor, order, section = _section(data)
     header = read_header(data, order, processor)
     parameters = parse(data, section, processor, (header.data_block - 1) * BLOCK)
     notes: list[str] = []
     first = _first_frame(header, parameters)
     source: dict[str, Any] = {"format": "c3d", "units": "", "unit_m": 1.0, "first_frame": first}
-    source["units"], source["unit_m"] = _unit(parameters, unit, source)
-    rate = _rate(header, parameters, rate, notes)
+    source["units"], source["unit_m"] = _unit(parameters, options.unit, source)
+    rate = _rate(header, parameters, options.rate, notes)
     scale = parameters.number("POINT", "SCALE") or header.scale
     if not (math.isfinite(scale) and scale):
         raise BadInput(f"its point scale ({scale}) is not usable")
@@ -66,31 +76,38 @@ def _read(
     start = ((header.data_block or parameters.count("POINT", "DATA_START") or 0) - 1) * BLOCK
     if start < BLOCK:
         raise BadInput("does not say where its data begin")
-    layout, frames = settle(header, parameters, data, start, _data_end(data, parameters, start) - start, notes)
+    available = _data_end(data, parameters, start) - start
+    layout, frames = settle(header, parameters, data, start, available, notes, options.salvage)
     if not layout.width and not parameters.count("ROTATION", "USED"):
         raise BadInput("has no points, no analog channels and no rotations: nothing to code")
     table = _table(data, start, layout, frames, order, processor)
-    samples = table[:, : 4 * layout.points].reshape(frames, layout.points, 4)
+    columns = table[:, : 4 * layout.points].reshape(frames, layout.points, 4)
+    scale = 1.0 if layout.item == 4 else abs(scale)
     extras: dict[str, Any] = {}
     if layout.channels:
         extras["analog"] = read_analog(table[:, 4 * layout.points :], layout, rate, parameters)
     has_events = _read_all_events(data, header, parameters, processor, first, rate, extras)
 
+    labels = parameters.texts("POINT", "LABELS")[: layout.points]
+    outputs = find_columns(parameters, labels)
     with np.errstate(invalid="ignore", over="ignore"):
-        factor = source["unit_m"] * (1.0 if layout.item == 4 else abs(scale))
+        keep(parameters, outputs, labels, columns, scale, rate, source, extras)
+        markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
+        samples = columns[:, markers] if outputs else columns
+        factor = source["unit_m"] * scale
         positions = samples[:, :, :3].astype(np.float64) * factor
         word = samples[:, :, 3]
         gap = (word < 0) | np.isnan(word) | np.isnan(positions).any(axis=2)
-    _keep_residuals(word, gap, keep_residuals, rate, source, extras)
-    if zeros_are_gaps:
+    _keep_residuals(word, gap, options.residuals, rate, source, extras)
+    if options.zeros_are_gaps:
         parked = parked_at_origin(positions, gap)
         store_parked(parked, gap, rate, source, extras, notes)
         gap = gap | parked
     positions[gap] = np.nan
-    names, originals = unique_names(parameters.texts("POINT", "LABELS"), layout.points)
+    names, originals = unique_names([labels[i] for i in markers if i < len(labels)], len(markers))
     if originals:
         source["labels"] = originals
-    _keep_rotations(data, parameters, frames, rate, processor, extras)
+    _keep_rotations(data, parameters, frames, rate, processor, extras, notes if options.salvage else None)
     up = _up(parameters, positions, source)
     _keep_parameters(parameters, bool(layout.channels), has_events, extras)
     if notes:
@@ -122,7 +139,10 @@ def _unit(parameters: Parameters, unit: str | float | None, source: dict[str, An
     """The unit's name and its metres: as given, POINT:UNITS, or millimetres, which is noted as a guess."""
     if unit is not None:
         return unit_option(unit)
-    units = next(iter(parameters.texts("POINT", "UNITS")), "")
+    texts = [part for text in parameters.texts("POINT", "UNITS") for part in text.replace(",", " ").split()]
+    units = texts[0] if texts else ""
+    if len({metres_in(text) for text in texts}) > 1:
+        raise BadInput(f"its axes have different units, {', '.join(map(repr, texts[:3]))}; use unit= (--unit)")
     if not units:
         if parameters.count("POINT", "USED"):
             source["unit_guessed"] = True
@@ -201,18 +221,31 @@ def _keep_residuals(
 
 
 def _keep_rotations(
-    data: bytes, parameters: Parameters, frames: int, rate: float, processor: int, extras: dict[str, Any]
+    data: bytes,
+    parameters: Parameters,
+    frames: int,
+    rate: float,
+    processor: int,
+    extras: dict[str, Any],
+    salvage_notes: list[str] | None,
 ) -> None:
-    """Segment poses of the ROTATION group: per frame and segment a 4 × 4 matrix by columns and a reliability."""
+    """Segment poses of the ROTATION group: per frame and segment a 4 × 4 matrix by columns and a reliability.
+
+    salvage_notes: where to note samples that are cut off, which become NaN; None refuses them.
+    """
     used = parameters.count("ROTATION", "USED")
     block = parameters.count("ROTATION", "DATA_START")
     if not used or not block:
         return
     ratio = parameters.count("ROTATION", "RATIO") or 1
-    start, count = (block - 1) * BLOCK, frames * ratio * used * 17
-    if start + 4 * count > len(data):
-        raise BadInput(f"cut off: {used} rotations in {frames * ratio} samples run past the end of the file")
-    values = floats(data[start : start + 4 * count], processor).reshape(frames * ratio, used, 17)
+    start, samples = (block - 1) * BLOCK, frames * ratio
+    complete = min(samples, max(0, len(data) - start) // (68 * used))
+    if complete < samples and (salvage_notes is None or samples * used * 68 > 16 * len(data)):
+        raise BadInput(f"cut off: {used} rotations in {samples} samples run past the end of the file")
+    values = np.full((samples, used, 17), np.nan, np.float32)
+    values[:complete] = floats(data[start : start + 68 * used * complete], processor).reshape(complete, used, 17)
+    if complete < samples and salvage_notes is not None:
+        salvage_notes.append(f"cut off: {complete} of {samples} samples of rotations are read, the others are NaN")
     extras["rotations"] = Signal(values, rate * ratio)
 
 

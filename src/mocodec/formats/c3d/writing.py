@@ -16,9 +16,10 @@ from ...errors import BadInput
 from ...motion import Motion, Signal
 from .. import replace_whole
 from ..conventions import first_frame, unit_of
+from ..zeros import parked_of
 from .events import put_events, put_header_events
-from .gaps import parked_of
 from .labels import original_labels
+from .model_outputs import merge
 from .parameters import BLOCK, STANDARD, Parameters, counts, pack, padded
 
 
@@ -38,9 +39,9 @@ def write(path: str | Path, motion: Motion) -> None:
 
 def _file(motion: Motion) -> bytes:
     """The whole file."""
-    frames, points = motion.positions.shape[:2]
-    if points > 0xFFFF or not (points or "analog" in motion.extras or "rotations" in motion.extras):
-        raise BadInput(f"a C3D holds 1 to 65535 points, not {points}")
+    frames = len(motion)
+    if not (motion.points or any(name in motion.extras for name in ("analog", "rotations", "model_outputs"))):
+        raise BadInput("a C3D holds 1 to 65535 points, not 0")
     if frames == 0:
         raise BadInput("a C3D needs at least one frame")
     source, extras = motion.source, motion.extras
@@ -52,14 +53,19 @@ def _file(motion: Motion) -> bytes:
 
     parameters = _stored_parameters(motion)
     scale = abs(parameters.number("POINT", "SCALE") or 0.1)
-    _put_point(parameters, motion, units, scale)
+    labels = original_labels(motion.names, motion.source)
+    block, labels = merge(motion, _point_block(motion, units, unit_m), labels, parameters)
+    points = len(labels)
+    if points > 0xFFFF:
+        raise BadInput(f"a C3D holds 1 to 65535 points, not {points}")
+    _put_point(parameters, motion, units, scale, labels)
     _put_frame_counts(parameters, first_frame(source), frames)
     _put_analog(parameters, analog, samples, motion.rate)
     offset_s = (first_frame(source) - 1) / motion.rate
     in_header = put_events(parameters, list(extras.get("events", ())), offset_s)
     parameters.notes = dict(extras.get("parameter_notes", {}))
     parameters.locked = list(extras.get("parameters_locked", []))
-    table = np.concatenate([_point_table(motion, units, unit_m), samples.reshape(frames, -1).astype("<f4")], axis=1)
+    table = np.concatenate([block.reshape(frames, -1), samples.reshape(frames, -1).astype("<f4")], axis=1)
     section, data_start, body = _place(parameters, padded(table.tobytes()), motion)
 
     first = first_frame(source)
@@ -83,9 +89,9 @@ def _stored_parameters(motion: Motion) -> Parameters:
     return parameters
 
 
-def _put_point(parameters: Parameters, motion: Motion, units: str, scale: float) -> None:
+def _put_point(parameters: Parameters, motion: Motion, units: str, scale: float, labels: list[str]) -> None:
     point = parameters.groups["POINT"]
-    point["USED"] = counts(motion.points)
+    point["USED"] = counts(len(labels))
     point["DATA_START"] = counts(0)  # known later
     point["SCALE"] = _like(point.get("SCALE"), -scale)
     point["RATE"] = np.array([motion.rate], np.float32)
@@ -93,7 +99,7 @@ def _put_point(parameters: Parameters, motion: Motion, units: str, scale: float)
     screen = "".join(parameters.texts("POINT", "Y_SCREEN"))[-1:].lower()
     if screen != motion.up and (screen or not motion.source.get("up_guessed")):
         point |= {"X_SCREEN": ["+X"], "Y_SCREEN": [f"+{motion.up.upper()}"]}
-    parameters.set_texts("POINT", "LABELS", original_labels(motion.names, motion.source))
+    parameters.set_texts("POINT", "LABELS", labels)
 
 
 def _put_frame_counts(parameters: Parameters, first: int, frames: int) -> None:
@@ -128,8 +134,8 @@ def _put_analog(parameters: Parameters, analog: Any, samples: NDArray[Any], rate
             parameters.set_chain("ANALOG", name, np.full(channels, default))
 
 
-def _point_table(motion: Motion, units: str, unit_m: float) -> NDArray[np.float32]:
-    """(frames, 4 · points): coordinates in the file's unit, and the word of camera mask and residual."""
+def _point_block(motion: Motion, units: str, unit_m: float) -> NDArray[np.float32]:
+    """(frames, points, 4): coordinates in the file's unit, and the word of camera mask and residual."""
     frames, points = motion.positions.shape[:2]
     block = np.zeros((frames, points, 4), "<f4")
     gap = motion.gaps
@@ -142,7 +148,7 @@ def _point_table(motion: Motion, units: str, unit_m: float) -> NDArray[np.float3
     else:
         block[:, :, 3] = np.clip(motion.source.get("residual_word", 0.0), -0x8000, 0x7FFF)
     block[gap & ~parked_of(motion), 3] = -1.0
-    return block.reshape(frames, -1)
+    return block
 
 
 def _place(parameters: Parameters, body: bytes, motion: Motion) -> tuple[bytes, int, bytes]:
@@ -153,6 +159,9 @@ def _place(parameters: Parameters, body: bytes, motion: Motion) -> tuple[bytes, 
     if "rotations" in motion.extras:
         rotations = _by_frame(motion.extras["rotations"], len(motion), motion.rate, "rotations")
         group = parameters.groups.setdefault("ROTATION", {})
+        group.setdefault("USED", counts(rotations.shape[2]))
+        if rotations.shape[1] > 1:
+            group.setdefault("RATIO", counts(rotations.shape[1]))
         group["DATA_START"] = counts(0)
         data_start = 2 + len(pack(parameters)) // BLOCK
         rotations_start = data_start + len(body) // BLOCK

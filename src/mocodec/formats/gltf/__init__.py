@@ -1,9 +1,9 @@
-"""GLB: animated skeletons as binary glTF 2.0, metres, y up.
+"""GLB and glTF 2.0: animated skeletons, metres, y up.
 
-    header ─► JSON: nodes, animations, accessors ─► BIN: key times and values ─► sampled at one rate ─► Motion
+    header, JSON, buffers ─► nodes, animations, skins ─► tracks sampled at one rate, 4 × 4 matrices ─► Motion
 
-`write` stores a node for each joint, joint rotations and the root's path as one animation and, if it is given, the
-body's surface as coloured points that follow the joints. `read` takes the first animation.
+`read` takes one animation and the joints of one skin. `write` stores a node for each joint, a skin over them with a
+mesh that shows the bones (or the body's surface, if it is given), and one animation: every frame, or sparse cubic keys.
 """
 
 from .binary import Surface
@@ -12,5 +12,5 @@ from .writing import write
 
 __all__ = ["HOLDS", "Surface", "read", "write"]
 
-HOLDS = frozenset({"skeleton", "joint rotations"})
+HOLDS = frozenset({"skeleton", "joint rotations", "gltf"})
 """What a GLB stores beside the positions."""

@@ -11,8 +11,8 @@ from ...errors import BadInput
 from ...typing import AnyInteger, Bytes, Floats
 
 MAGIC, VERSION, JSON_CHUNK, BIN_CHUNK = b"glTF", 2, 0x4E4F534A, 0x004E4942
-FLOAT, BYTE, SHORT = 5126, 5121, 5123
-"""Component types of accessors: float32, uint8, uint16."""
+FLOAT, BYTE, SHORT, INT = 5126, 5121, 5123, 5125
+"""Component types of accessors: float32, uint8, uint16, uint32."""
 TO_Y_UP = {"x": (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), "z": (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0)}
 """Rotation that makes each vertical axis y; quaternions, w first."""
 

@@ -6,10 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...errors import BadInput
 from ...typing import Floats
 
-DEFAULT_RATE = 30.0
-"""Hertz, for tracks of one key."""
+INTERPOLATIONS = {"STEP": 1, "LINEAR": 1, "CUBICSPLINE": 3}
+"""Values for each key: a cubic spline has an in-tangent, the value and an out-tangent."""
+KEY_TOLERANCE = 1e-3
+"""Share of a frame within which a sample is taken at a key: key times are float32."""
 
 
 class Track(NamedTuple):
@@ -19,34 +22,44 @@ class Track(NamedTuple):
     values: Floats
     interpolation: str
 
-    def sample(self, at: Floats, is_rotation: bool) -> Floats:
-        """Values at the times `at`; rotations as unit quaternions, w first."""
-        last = len(self.times) - 1
-        key = np.clip(np.searchsorted(self.times, at + 1e-9, side="right") - 1, 0, max(last - 1, 0))
+    def sample(self, at: Floats, is_rotation: bool, rate: float) -> Floats:
+        """Values at the times `at`, which are 1 / rate apart; rotations as unit quaternions, w first.
+
+        Raises BadInput for rotations of length zero.
+        """
+        near, last = KEY_TOLERANCE / rate, len(self.times) - 1
+        key = np.clip(np.searchsorted(self.times, at + near, side="right") - 1, 0, max(last - 1, 0))
         after = np.minimum(key + 1, last)
         span = np.maximum(self.times[after] - self.times[key], 1e-12)
-        share = np.clip((at - self.times[key]) / span, 0, 1)[:, None]
+        share = np.clip((at - self.times[key]) / span, 0, 1)
+        share = np.where(np.abs(at - self.times[key]) <= near, 0.0, share)
+        share = np.where(np.abs(at - self.times[after]) <= near, 1.0, share)[:, None]
         if self.interpolation == "CUBICSPLINE":
             in_tangents, points, out_tangents = self.values[0::3], self.values[1::3], self.values[2::3]
-            t = share
+            t, span = share, span[:, None]
             values = (
-                (2 * t**3 - 3 * t**2 + 1) * points[key] + span[:, None] * (t**3 - 2 * t**2 + t) * out_tangents[key]
-                + (3 * t**2 - 2 * t**3) * points[after] + span[:, None] * (t**3 - t**2) * in_tangents[after]
+                (2 * t**3 - 3 * t**2 + 1) * points[key] + span * (t**3 - 2 * t**2 + t) * out_tangents[key]
+                + (3 * t**2 - 2 * t**3) * points[after] + span * (t**3 - t**2) * in_tangents[after]
             )  # fmt: skip
         elif self.interpolation == "STEP":
             values = np.where(share < 1, self.values[key], self.values[after])
         elif is_rotation:
-            values = _slerp(self.values[key], self.values[after], share)
+            values = _slerp(_unit(self.values[key]), _unit(self.values[after]), share)
         else:
             values = self.values[key] + share * (self.values[after] - self.values[key])
-        if not is_rotation:
-            return values
-        values = values[:, [3, 0, 1, 2]]
-        return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-12)
+        return _unit(values)[:, [3, 0, 1, 2]] if is_rotation else values
+
+
+def _unit(quaternions: Floats) -> Floats:
+    """Quaternions (frames, 4) of length 1. Raises BadInput for one of length zero."""
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    if lengths.min(initial=1.0) < 1e-9:
+        raise BadInput("damaged: a rotation of length zero")
+    return quaternions / lengths
 
 
 def _slerp(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Spherical interpolation of quaternions along the shorter arc."""
+    """Spherical interpolation of unit quaternions along the shorter arc."""
     dot = np.sum(a * b, axis=1, keepdims=True)
     b, dot = np.where(dot < 0, -b, b), np.minimum(np.abs(dot), 1.0)
     angle = np.arccos(dot)
@@ -54,11 +67,3 @@ def _slerp(a: Floats, b: Floats, share: Floats) -> Floats:
     sine = np.where(is_small, 1.0, np.sin(angle))
     weight_a = np.where(is_small, 1 - share, np.sin((1 - share) * angle) / sine)
     return weight_a * a + np.where(is_small, share, np.sin(share * angle) / sine) * b
-
-
-def rate_of(times: Floats) -> float:
-    """Hertz of key times (keys,): 1 / the median step, rounded to a whole number within 0.5 %."""
-    if len(times) < 2:
-        return DEFAULT_RATE
-    rate = 1 / float(np.median(np.diff(times)))
-    return float(round(rate)) if abs(rate - round(rate)) < 0.005 * rate else rate

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +12,8 @@ from mocodec import BadInput, Motion
 from mocodec.formats import gltf
 from mocodec.geometry import kinematics
 from mocodec.testing import corruption, synthetic
+
+from .build import packed, parts
 
 
 @pytest.fixture
@@ -147,17 +147,3 @@ def test_nodes_that_do_not_form_a_tree(tmp_path, nodes):
     (tmp_path / "x.glb").write_bytes(packed({"asset": {"version": "2.0"}, "nodes": nodes, "animations": [{}]}, b""))
     with pytest.raises(BadInput):
         gltf.read(tmp_path / "x.glb")
-
-
-def parts(path) -> tuple[dict, bytes]:
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + size]), data[28 + size :]
-
-
-def packed(content: dict, blob: bytes) -> bytes:
-    text = json.dumps(content).encode()
-    text += b" " * (-len(text) % 4)
-    blob += bytes(-len(blob) % 4)
-    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body

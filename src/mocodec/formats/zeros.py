@@ -1,4 +1,4 @@
-"""Gaps of a C3D: samples with a negative residual, without numbers, or parked at the origin."""
+"""Missing markers that a file parks at exactly (0, 0, 0): gaps of the motion, and zeros again when written."""
 
 from __future__ import annotations
 
@@ -6,11 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from ...motion import Motion, Signal
-from ...typing import Booleans, Floats
+from ..errors import BadInput
+from ..motion import Motion, Signal
+from ..typing import Booleans, Floats
+
+GAP_OPTIONS = ("zeros", "keep")
+"""zeros: samples at exactly (0, 0, 0) are gaps, unless the marker moves near the origin; keep: they are positions."""
 
 NEAR_ORIGIN_M = 0.05
 """A run of exact zeros next to a sample within this distance of the origin is part of a trajectory through it."""
+
+
+def zeros_are_gaps(option: str | None) -> bool:
+    """Whether samples at exactly (0, 0, 0) are gaps: the option `gaps` of readers. Raises BadInput."""
+    if option not in (None, *GAP_OPTIONS):
+        raise BadInput(f"gaps is one of {', '.join(GAP_OPTIONS)}, not {option!r:.40}")
+    return option != "keep"
 
 
 def parked_at_origin(positions: Floats, gap: Booleans) -> Booleans:
@@ -42,7 +53,10 @@ def store_parked(
     count = int(parked.sum())
     if not count:
         return
-    notes.append(f"{count} samples at exactly (0, 0, 0) are gaps; a C3D that is written has the zeros again")
+    notes.append(
+        f"{count} samples at exactly (0, 0, 0) are gaps (--gaps keep takes them as positions); a file that is written "
+        "has the zeros again"
+    )
     if gap.any():
         extras["zero_samples"] = Signal(parked.astype(np.uint8), rate)
     else:
@@ -50,7 +64,7 @@ def store_parked(
 
 
 def parked_of(motion: Motion) -> Booleans:
-    """(frames, points): gaps of the motion that a C3D stores as zeros with a valid residual."""
+    """(frames, points): gaps of the motion that were exact zeros in the source."""
     signal = motion.extras.get("zero_samples")
     if isinstance(signal, Signal) and signal.values.shape == motion.gaps.shape:
         return motion.gaps & (signal.values != 0)
