@@ -75,6 +75,18 @@ def test_gaps_in_the_first_frames(points: slice) -> None:
     assert all(is_lattice(encoded))
 
 
+def test_frozen_runs_count_as_gaps() -> None:
+    motion = noisy_markers(60)
+    positions = motion.positions.copy()
+    positions[10:25, 2] = 0
+    positions[40:, 0] = positions[40, 0]
+    positions[30:36, 3] = np.nan
+    encoded = LATTICE.encode_chunks(replace(motion, positions=positions))
+    check(encoded)
+    assert all(is_lattice(encoded))
+    assert (LATTICE.decode(encoded).positions[10:25, 2] == 0).all()
+
+
 def test_large_residuals() -> None:
     rng = np.random.default_rng(8)
     positions = rng.normal(size=(30, 6, 3)) * 10.0 ** rng.uniform(-3, 4, (30, 1, 1))

@@ -54,7 +54,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     if weights is not None:
         positions = positions * weights[:, None]
     size = grid_size(grid_step(lattice.half_step(bound)))
-    stride, cost = lattice.best_stride([positions / size], [source.gap_mask[some]], found)
+    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
     alone = not named and weights is None and cost < ALONE * _transform_bytes(motion, source, some, bound, step)
     return LatticePlan(found, stride, alone)
 
