@@ -150,8 +150,8 @@ class Tempo:
         turn = None if self.max_rotation is None else np.radians(self.max_rotation)
         encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
         positions = replace(motion, rotations=None)
-        # Lattice errors are uniform up to the bound: rotations then break their own bound too often.
-        model = model_choice.TRANSFORM if has_bound and self.model == model_choice.AUTO else self.model
+        # Errors of a lattice are uniform up to a bound: rotations then break their own bound too often.
+        model = model_choice.TRANSFORM if self.model == model_choice.AUTO and not self._has_size else self.model
         bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None, model=model)
 
         def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
