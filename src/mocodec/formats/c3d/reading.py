@@ -17,6 +17,7 @@ from ...typing import Booleans, Floats
 from ..conventions import UNITS_M, guess_up, metres_in, unit_option
 from ..zeros import parked_at_origin, store_parked, zeros_are_gaps
 from .analog import read_analog, smallest
+from .by_label import find_by_label
 from .events import read_events, read_header_events
 from .labels import unique_names
 from .layout import Header, Layout, data_end, data_start, read_header, settle
@@ -85,6 +86,7 @@ def _read(data: bytes, options: _Options) -> Motion:
     labels = parameters.texts("POINT", "LABELS")[: layout.points]
     outputs = find_columns(parameters, labels)
     with np.errstate(invalid="ignore", over="ignore"):
+        outputs |= find_by_label(parameters, labels, outputs, columns, source["unit_m"] * scale, notes)
         keep(parameters, outputs, labels, columns, scale, rate, source, extras)
         markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
         samples = columns[:, markers] if outputs else columns
