@@ -3,6 +3,7 @@
 //   entropy.cpp     packed bits and the coder of one state, for entropy/
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
+//   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
@@ -15,7 +16,7 @@
 
 namespace nb = nanobind;
 
-#define PARTS(PART) PART(entropy) PART(coefficients) PART(matching) PART(bone_directions)
+#define PARTS(PART) PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(bit_arrays)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

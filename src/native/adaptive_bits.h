@@ -1,0 +1,151 @@
+// Adaptive binary coder: each bit has a probability mixed from several contexts. Integers only.
+//
+//     contexts ─counters─► probabilities ─stretch, weigh, squash─► one probability ─range coder─► bytes
+//
+// docs/payloads/tempo.md (lattice engine) specifies it; codecs/tempo/coding/adaptive_bits.py is the same in NumPy.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+namespace bits {
+
+constexpr int INPUTS = 5;             // contexts of a bit
+constexpr int SLOTS = 1 << 15;        // counters of each input
+constexpr int MIXERS = 1 << 11;       // sets of weights
+constexpr int32_t FIRST_WEIGHT = 18350;  // 0.28 · 2^16
+constexpr int32_t LARGEST_WEIGHT = 1 << 22;
+constexpr int LEARNING = 3;           // rate of the weights
+constexpr int SLOWEST = 250;          // bits after which a counter's rate stays
+constexpr int HALF = 1 << 15;         // probability 1/2
+
+// From Python: probabilities (4096) of stretched values, the inverse, counters' rates, bit costs in 1/256 bit.
+struct Tables {
+    const int32_t *squash, *stretch, *rate, *cost;
+};
+
+struct Counter {
+    uint16_t p = HALF;
+    uint16_t seen = 0;
+};
+
+// A bit's probability of being 1, in 2^-16, and what it was mixed from.
+struct Mixed {
+    Counter *from[INPUTS];
+    int32_t stretched[INPUTS];
+    int32_t *weights;
+    int32_t p;
+};
+
+class Mixer {
+public:
+    explicit Mixer(const Tables &tables)
+        : t(tables), counters_(size_t(INPUTS) * SLOTS), weights_(size_t(INPUTS) * MIXERS, FIRST_WEIGHT) {}
+
+    // The contexts of the bits that follow.
+    void contexts(const uint32_t *c) { std::copy(c, c + INPUTS, context_); }
+
+    // kind: what the bit says; set: of weights.
+    int32_t mix(Mixed &m, uint32_t kind, uint32_t set) {
+        int64_t sum = 0;
+        m.weights = &weights_[(set % MIXERS) * INPUTS];
+        for (int i = 0; i < INPUTS; ++i) {
+            const uint32_t at = (context_[i] * 257u + kind) * 2654435761u >> 17;
+            m.from[i] = &counters_[size_t(i) * SLOTS + at];
+            m.stretched[i] = t.stretch[m.from[i]->p >> 4];
+            sum += int64_t(m.weights[i]) * m.stretched[i];
+        }
+        m.p = t.squash[std::clamp<int64_t>(sum >> 16, -2048, 2047) + 2048];
+        return m.p;
+    }
+
+    void learn(Mixed &m, int bit) {
+        const int32_t error = (bit << 16) - m.p;
+        for (int i = 0; i < INPUTS; ++i) {
+            const int32_t moved = m.weights[i] + int32_t(int64_t(m.stretched[i]) * error * LEARNING >> 16);
+            m.weights[i] = std::clamp(moved, -LARGEST_WEIGHT, LARGEST_WEIGHT);
+            Counter &c = *m.from[i];
+            c.p = uint16_t(c.p + (((bit ? 65535 : 0) - int32_t(c.p)) * t.rate[c.seen] >> 16));
+            if (c.seen < SLOWEST) ++c.seen;
+        }
+    }
+
+    const Tables t;
+
+private:
+    std::vector<Counter> counters_;
+    std::vector<int32_t> weights_;
+    uint32_t context_[INPUTS];
+};
+
+// Binary range coder of 32 bits without carry.
+class Encoder {
+public:
+    void bit(int bit, int32_t p) {
+        const uint32_t range = high_ - low_;
+        const uint32_t middle = low_ + (range >> 16) * uint32_t(p) + ((range & 0xffff) * uint32_t(p) >> 16);
+        if (bit) high_ = middle; else low_ = middle + 1;
+        while ((low_ ^ high_) >> 24 == 0) shift();
+    }
+
+    // Ends with as few bytes as decode right when zeros follow.
+    std::vector<uint8_t> finish() {
+        for (int bytes = low_ ? 1 : 0; bytes; ++bytes) {
+            const uint64_t unit = uint64_t(1) << (32 - 8 * bytes);
+            const uint64_t value = (uint64_t(low_) + unit - 1) / unit * unit;
+            if (value > high_) continue;
+            for (int i = 0; i < bytes; ++i) out_.push_back(uint8_t(value >> (24 - 8 * i)));
+            break;
+        }
+        return std::move(out_);
+    }
+
+private:
+    void shift() {
+        out_.push_back(uint8_t(high_ >> 24));
+        low_ <<= 8;
+        high_ = high_ << 8 | 255;
+    }
+
+    uint32_t low_ = 0, high_ = 0xffffffffu;
+    std::vector<uint8_t> out_;
+};
+
+class Decoder {
+public:
+    Decoder(const uint8_t *data, size_t size) : data_(data), size_(size) {
+        for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
+    }
+
+    int bit(int32_t p) {
+        const uint32_t range = high_ - low_;
+        const uint32_t middle = low_ + (range >> 16) * uint32_t(p) + ((range & 0xffff) * uint32_t(p) >> 16);
+        const int bit = code_ <= middle;
+        if (bit) high_ = middle; else low_ = middle + 1;
+        while ((low_ ^ high_) >> 24 == 0) {
+            low_ <<= 8;
+            high_ = high_ << 8 | 255;
+            code_ = code_ << 8 | next();
+        }
+        return bit;
+    }
+
+    // Whether all bytes were read, and no more than the four beyond the end that a decoder holds.
+    bool at_end() const { return at_ >= size_ && at_ <= size_ + 4; }
+    // Bytes read beyond the end: more than four show a stream that is cut off.
+    bool exhausted() const { return at_ > size_ + 4; }
+
+private:
+    uint32_t next() {
+        const uint32_t byte = at_ < size_ ? data_[at_] : 0;
+        ++at_;
+        return byte;
+    }
+
+    const uint8_t *data_;
+    size_t size_, at_ = 0;
+    uint32_t low_ = 0, high_ = 0xffffffffu, code_ = 0;
+};
+
+}  // namespace bits
