@@ -22,6 +22,7 @@ COMMANDS = {
     "lien2006": ("papers.lien2006:command", "Tables and figures of Lien and Bajcsy (2006)."),
     "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo/results.md."),
     "tempo-parts": ("tempo_parts:command", "tempo without each of its parts."),
+    "rotations": ("rotations:command", "tempo with rotations, against positions alone."),
     "chunk-lengths": ("chunk_lengths:command", "What shorter chunks of tempo cost, which lose less when damaged."),
     "unknown": ("unknown:command", "tempo on points that its prior does not know."),
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),

@@ -16,7 +16,7 @@ import numpy as np
 from . import payloads
 from .integers import Bytes, bits_of, integers, number_of
 from .ordered import BAND, log2
-from .payloads import Array, Chunks, gap_mask
+from .payloads import Array, Chunks, restored
 from .tempo_models import read_model
 from .tempo_statistics import Model, Prior, Recording, prior
 
@@ -81,8 +81,7 @@ def chunk(payload: bytes, frames: int, model: Model | None, like: Recording, wei
         values, step, lists = coefficients(part, frames, model, like)
         positions = synthesise(values, step, frames, model, like)
         correct(positions, lists, grid, weights)
-    positions[gap_mask(gaps, frames, points)] = np.nan
-    return positions[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
+    return restored(gaps, positions)[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
 
 
 # --- coefficients
@@ -295,10 +294,14 @@ def levels(frames: int) -> list[Level]:
 
 
 def direct(data: bytes, frames: int, points: int) -> Array:
+    return direct_columns(data, frames, 3 * points).reshape(frames, points, 3)
+
+
+def direct_columns(data: bytes, frames: int, columns: int) -> Array:
     order = levels(frames)
     contexts = [level.number for level in order for _ in level.frames]
-    residuals = iter(np.array(integers(data, frames, 3 * points, contexts), np.int64).reshape(frames, -1))
-    v, last = np.zeros((frames, 3 * points), np.int64), frames - 1
+    residuals = iter(np.array(integers(data, frames, columns, contexts), np.int64).reshape(frames, -1))
+    v, last = np.zeros((frames, columns), np.int64), frames - 1
     for level, at, d in order:
         for t in at:
             if level < 2:
@@ -308,7 +311,7 @@ def direct(data: bytes, frames: int, points: int) -> Array:
             else:
                 predicted = (v[t - d] + v[min(t + d, last)] + 1) >> 1
             v[t] = predicted + next(residuals)
-    return v.reshape(frames, points, 3).astype(float)
+    return v.astype(float)
 
 
 __all__ = ["Recording", "decode"]

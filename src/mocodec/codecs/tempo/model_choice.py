@@ -18,6 +18,7 @@ from .coding.contexts import OCTAVE
 from .header import StreamHeader
 from .models import MODELS, Recording, points, prior
 from .models.model import Model
+from .models.stored_basis import MOST_DIMENSIONS
 
 AUTO, DIRECT = "auto", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
@@ -46,7 +47,8 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     """
     if model == DIRECT:
         return _direct(recording)
-    if model == AUTO and mean_error and not known_by_name(recording) and recording.frames >= 2:
+    stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
+    if model == AUTO and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
     candidates = list(_candidates(recording, model))
     if not candidates:
