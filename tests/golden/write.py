@@ -134,6 +134,7 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "rotations-lossless": (figure, "lossless", {}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
+    "bodycast-jumper-bounded": (jumper, "bodycast", {"max_error": 0.004, **SKELETON}),
 }
 
 

@@ -31,6 +31,7 @@ TURN_BITS = 20  # entries of rotation matrices are in 2^-20
 SHARE_BITS = 12  # shares of links are in 2^-12
 SMOOTHING_ROUNDS = 3  # over which the shares of links spread to neighbouring samples
 MAX_PLACE_M = 1 << 14
+TIES = 8  # samples at the same distance that a search may end with
 
 
 def rounding_shift(values: Floats) -> int:
@@ -102,24 +103,30 @@ def posed_samples(surface: IntegerSurface, values: Floats, shift: int) -> tuple[
 
 
 def nearest_samples(points: Integers, normals: Integers) -> Integers:
-    """(m, NEIGHBOURS): the nearest samples around each that face the same way, nearest first; itself where there are
-    fewer. Equal distances in the order of rows.
+    """(m, NEIGHBOURS): of the NEIGHBOURS nearest samples around each those that face the same way, nearest first, then
+    itself. Equal distances in the order of rows.
     """
+    from scipy.spatial import KDTree
+
     count = len(points)
-    result = np.tile(np.arange(count)[:, None], (1, NEIGHBOURS))
-    single = points.astype(np.float64)  # squares of integers below 2^53 are exact
-    faces = normals.astype(np.float64)
-    length = (single**2).sum(axis=1)
+    own = np.arange(count)[:, None]
     taken = min(NEIGHBOURS + 1, count)
-    for start in range(0, count, 512):
-        rows = np.arange(start, min(start + 512, count))
-        square = length[rows, None] + length[None] - 2 * (single[rows] @ single.T)
-        key = square.astype(np.int64) * count + np.arange(count)
-        chosen = np.sort(np.partition(key, taken - 1, axis=1)[:, :taken], axis=1) % count
-        faces_alike = (faces[rows, None] * faces[chosen]).sum(axis=2) > 0
-        for k, row in enumerate(rows.tolist()):
-            good = chosen[k][faces_alike[k] & (chosen[k] != row)][:NEIGHBOURS]
-            result[row, : len(good)] = good
+    searched = min(taken + TIES, count)
+    found = np.asarray(KDTree(points).query(points, searched)[1], np.int64).reshape(count, searched)
+    square = ((points[found] - points[:, None]) ** 2).sum(axis=2)
+    order = np.lexsort((found, square), axis=1)
+    found, square = (np.take_along_axis(values, order, axis=1) for values in (found, square))
+    if searched < count:  # where the last ones tie, the tree may have left out others that are as near
+        for row in np.flatnonzero(square[:, taken - 1] == square[:, -1]).tolist():
+            every = ((points - points[row]) ** 2).sum(axis=1)
+            found[row] = np.lexsort((np.arange(count), every))[:searched]
+    found = found[:, :taken]
+    faces_alike = (normals[found] * normals[:, None]).sum(axis=2) > 0
+    others = faces_alike & (found != own)
+    order = np.argsort(~others, axis=1, kind="stable")[:, :NEIGHBOURS]
+    result = np.repeat(own, NEIGHBOURS, axis=1)
+    kept = np.take_along_axis(np.where(others, found, own), order, axis=1)
+    result[:, : kept.shape[1]] = kept
     return result
 
 

@@ -36,4 +36,4 @@ def nearest(points: Floats, step_m: float) -> Integers:
 
 def positions(coordinates: Integers, step_m: float) -> Floats:
     """The places (n, 3) of lattice points, metres."""
-    return coordinates * step_m
+    return np.asarray(coordinates * step_m, np.float64)

@@ -198,7 +198,13 @@ def unpack_points(
 
 
 def _require_plausible(
-    grid: LatticeGrid, counts: Sequence[int], colour_step: int, coloured: bool, shifts: Sequence[int], size: int, end: int
+    grid: LatticeGrid,
+    counts: Sequence[int],
+    colour_step: int,
+    coloured: bool,
+    shifts: Sequence[int],
+    size: int,
+    end: int,
 ) -> None:
     """Raises Corrupt for a header that `pack_points` never writes in `size` bytes; end: of the octrees."""
     if not MIN_STEP_M <= grid.step_m <= MAX_STEP_M or np.abs(grid.corner).max() >= MAX_CORNER:

@@ -91,18 +91,17 @@ def _code_level(
     known = np.zeros((len(cubes) + 1, 8), np.int64)
     neighbours = octree.neighbour_rows(cubes, level)
     filled = (neighbours < len(cubes)).sum(axis=0)
-    pattern, count = np.zeros(len(cubes), np.int64), np.zeros(len(cubes), np.int64)
+    count = np.zeros(len(cubes), np.int64)
     for place, octant in enumerate(octants):
         last = place == len(octants) - 1
         rows = np.flatnonzero(count > 0) if last else np.arange(len(cubes))
-        contexts = _contexts(known, neighbours, filled, pattern, count, height, octants[place:], hints)[rows]
+        contexts = _contexts(known, neighbours, filled, count, height, octants[place:], hints)[rows]
         few = np.minimum(count[rows], 3)
         surface = np.zeros(len(rows), np.int64) if hints is None else 1 + hints.usable[rows]
         sets = (min(height, 20) * 4 + few) * 3 + surface
         bit = np.ones(len(cubes), bool)
         bit[rows] = coder.code(contexts, sets % MIXERS, None if occupied is None else occupied[rows, octant])
         known[:-1, octant] = bit
-        pattern |= bit.astype(np.int64) << octant
         count += bit
     return known[:-1]
 
@@ -111,7 +110,6 @@ def _contexts(
     known: Integers,
     neighbours: Integers,
     filled: Integers,
-    pattern: Integers,
     count: Integers,
     height: int,
     remaining: tuple[int, ...],
