@@ -9,7 +9,7 @@ import mocodec as mc
 from mocodec.errors import BadInput
 from mocodec.motion import Motion, Signal
 from mocodec.signals import bounds
-from mocodec.testing.signals import noise, slow
+from mocodec.testing.signals import noise, plate, slow
 
 
 def lab(samples: int = 3000) -> Motion:
@@ -81,3 +81,16 @@ def test_gaps_and_full_range_survive() -> None:
 def test_what_does_not_fit_is_refused(text: str) -> None:
     with pytest.raises(BadInput, match="signal error"):
         mc.encode(lab(20), signal_error=text)
+
+
+def test_counts_with_large_steps_stay_exact() -> None:
+    counts = np.rint(slow(2000, 40) + noise(2000, 3))[:, None]
+    signal = Signal((counts * 0.5).astype(np.float32), 1000.0, ("Fz",), ("N",))
+    assert bounds.bounded({"a": signal}, "12bit")["a"].values.tobytes() == signal.values.tobytes()
+
+
+def test_forces_that_follow_from_sensors_stay_exact() -> None:
+    values = plate(3000)
+    signal = Signal(values, 1000.0, tuple("abcdef"))
+    changed = bounds.bounded({"a": signal}, "12bit")["a"].values
+    assert changed.tobytes() == values.tobytes()

@@ -15,6 +15,7 @@ from ..codecs.base import Codec
 from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
+from ..packing import DEFAULT_CODECS
 from . import clouds, files, many, quantities, verify
 
 
@@ -174,7 +175,7 @@ def refuse_file(output: str) -> None:
 def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[str, float]) -> None:
     """Raises a usage error for settings that no codec in question accepts: before any file is read."""
     problems: list[click.UsageError] = []
-    for name in [codec] if codec else api.DEFAULT_CODECS:
+    for name in [codec] if codec else DEFAULT_CODECS:
         try:
             codec_with(name, settings, targets)
         except click.UsageError as error:

@@ -123,7 +123,7 @@ class Lossless:
         decoded_chunks = (
             decoded
             for batch in batches(chunks, points, len(chunks))
-            for decoded in decode_ranks(batch, points, form, np.array(taps, np.int64), scale)
+            for decoded in decode_ranks(list(batch), points, form, np.array(taps, np.int64), scale)
         )
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0

@@ -23,6 +23,7 @@ from ..errors import BadInput
 from ..formats.c3d.analog import scales
 from ..motion import Signal
 from ..typing import Floats
+from . import codec, forms
 
 Array = NDArray[Any]
 
@@ -145,11 +146,19 @@ def bounded(extras: Mapping[str, Any], text: str) -> dict[str, Any]:
 
 
 def _on_steps(signal: Signal, allowed: list[float | None]) -> Signal:
-    table = np.array(signal.values).reshape(signal.shape[0], -1)
+    """The signal with the bounded channels on steps, but for those that take fewer bytes as they are: counts with large
+    steps, and what follows from other channels exactly."""
+    exact = np.array(signal.values).reshape(signal.shape[0], -1)
+    table = exact.copy()
     for number, bound in enumerate(allowed):
         if bound is not None:
             steps = _integers_on_steps if table.dtype.kind in "iu" else _floats_on_steps
-            table[:, number] = steps(table[:, number], bound)
+            table[:, number] = steps(np.ascontiguousarray(table[:, number]), bound)
+    if codec.suits(exact):
+        sizes = [codec.channel_sizes(values, float(signal.rate)) for values in (exact, table)]
+        if None not in sizes:
+            shorter = np.array(sizes[0]) <= np.array(sizes[1])
+            table[:, shorter] = exact[:, shorter]
     return replace(signal, values=table.reshape(signal.shape))
 
 
@@ -169,8 +178,12 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     exact = values.astype(np.float64)
     finite = exact[np.isfinite(exact)]
     rounding = float(np.spacing(np.abs(finite).max(initial=0.0).astype(values.dtype)))
+    form = forms.fit(values, [])
+    own = form.step if form is not None and form.kind == forms.COUNTS and not form.offset else 0.0
     step = 2 * bound - 2 * rounding
-    if not step > rounding:
+    if own:
+        step = own * (2 * int(max(0.0, bound - 2 * rounding) / own) + 1)
+    if not step > max(rounding, own):
         return values
     with np.errstate(all="ignore"):
         rounded = (np.rint(exact / step) * step + 0.0).astype(values.dtype)

@@ -52,20 +52,38 @@ def encode(values: Array, rate: float) -> tuple[Head, list[bytes]] | None:
     rate in hertz: a chunk has some seconds.
     """
     table = values.reshape(len(values), -1)
+    length = chunk_samples(len(table), rate)
+    channel_forms = _forms(table, length)
+    if channel_forms is None:
+        return None
+    starts = range(0, len(table), length)
+    payloads = [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
+    return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
+
+
+def channel_sizes(values: Array, rate: float) -> list[int] | None:
+    """The bytes that each channel of a signal takes in the first chunk, its form included; None as in `encode`."""
+    table = values.reshape(len(values), -1)
+    length = chunk_samples(len(table), rate)
+    channel_forms = _forms(table, length)
+    if channel_forms is None:
+        return None
+    records = chunks.encode(table[:length], channel_forms)
+    return [len(record) + len(forms.pack(form)) for record, form in zip(records, channel_forms, strict=True)]
+
+
+def _forms(table: Array, length: int) -> list[Form] | None:
+    """The form of each channel; None where integers would be too large. length: samples of a chunk."""
     known: list[Form] = []
-    channel_forms: list[Form] = []
+    result: list[Form] = []
     for column in table.T:
         form = forms.fit(np.ascontiguousarray(column), known)
         if form is None:
             return None
-        channel_forms.append(form)
+        result.append(form)
         if form.kind == forms.COUNTS and form not in known:
             known.insert(0, form)
-    length = chunk_samples(len(table), rate)
-    channel_forms = _with_palettes(table, length, channel_forms)
-    starts = range(0, len(table), length)
-    payloads = [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
-    return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
+    return _with_palettes(table, length, result)
 
 
 def _with_palettes(table: Array, length: int, channel_forms: list[Form]) -> list[Form]:

@@ -16,7 +16,7 @@ from ..typing import Booleans, Floats, Integers
 from . import prediction
 from .prediction import REFERENCE_TAPS, Predictor
 
-ORDERS = (1, 2, 4, 8, 16, 24)
+ORDERS = (1, 2, 4, 8, 16)
 FIRST_ORDER = 8
 MAX_DEPTHS = (3, 6)
 """How long a chain of references is at most, for channels of counts and for others: all that others refer to is then
@@ -25,7 +25,7 @@ MOST_REFERENCES = 8
 BLOCK = 32
 TAP_BITS = 12.0
 MIN_SAMPLES = 24
-FIT_SAMPLES = 6144
+FIT_SAMPLES = 3072
 """Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
 RIDGE = 1e-13
 MOST_SUM_BITS = 58
@@ -167,14 +167,7 @@ def _solve(gram: Floats) -> Floats:
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     normal = gram * scale[:, None] * scale
     size = len(normal) - 1
-    ridge = RIDGE
-    while True:
-        try:
-            factor = np.linalg.cholesky(normal[:-1, :-1] + ridge * np.eye(size))
-            break
-        except np.linalg.LinAlgError:
-            ridge *= 100
-    weights = np.linalg.solve(factor.T, np.linalg.solve(factor, normal[:-1, -1]))
+    weights = np.linalg.solve(normal[:-1, :-1] + RIDGE * np.eye(size), normal[:-1, -1])
     return weights * scale[:-1] / scale[-1]
 
 

@@ -137,7 +137,7 @@ def fit(values: Array, known: list[Form]) -> Form | None:
         return Form(CONSTANT, item=values[:1].tobytes() or bytes(values.dtype.itemsize))
     if values.dtype.kind in "biu":
         low, high = int(values.min()), int(values.max())
-        step = int(np.gcd.reduce(np.unique(values.astype(np.int64)))) if high < 1 << 62 else 1
+        step = _common_step(values) if high < 1 << 62 else 1
         return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
     for form in known:
         if _gives_back(form, values):
@@ -146,6 +146,16 @@ def fit(values: Array, known: list[Form]) -> Form | None:
     exact = [form for form in candidates if _gives_back(form, values)]
     best = min(exact, key=lambda form: int(_nearest(form, values)[1].sum()), default=None)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
+
+
+def _common_step(values: Array) -> int:
+    """The greatest common divisor of integers."""
+    step = 0
+    for part in (values[:SAMPLE], values[SAMPLE:]):
+        step = int(np.gcd(step, np.gcd.reduce(np.unique(part.astype(np.int64))))) if len(part) else step
+        if step == 1:
+            break
+    return step
 
 
 def palette(values: Array) -> Form | None:

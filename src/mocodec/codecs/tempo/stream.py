@@ -28,8 +28,9 @@ from .models import Recording
 from .pose import heading
 from .preparation import prepare
 from .rotation_layer import payload
-from .rotation_layer.encoder import BOUND_SHARE, StreamEncoder
+from .rotation_layer.encoder import BOUND_SHARE
 from .rotation_layer.layer import PARTS, unit_rotations
+from .rotation_layer.streaming import StreamEncoder
 
 SHELL_M = 0.03
 """Distance of a stream's shell points from their joints."""

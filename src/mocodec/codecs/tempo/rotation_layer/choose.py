@@ -15,7 +15,7 @@ from ....geometry import articulation, rigid
 from ....motion import Skeleton
 from ....typing import Floats, Integers
 from . import rules as r
-from . import solve
+from . import shell, solve
 from .rules import Carried, Form, JointRule, Rules, carried_vectors, form_angles, limits_form
 
 SAMPLED_FRAMES = 128
@@ -38,7 +38,7 @@ USUAL_UNIT = 16
 
 def choose(skeleton: Skeleton, own_frame: bool, positions: Floats, rotations: Floats) -> Rules:
     """The rules for a recording: positions (frames, joints, 3), local rotations (frames, joints, 4), unit."""
-    world = world_rotations(skeleton, rotations)
+    world = shell.world_rotations(skeleton, rotations)
     placed = _placed(skeleton, own_frame, positions, world)
     forms = _forms(skeleton, rotations)
     joints = [
@@ -60,7 +60,7 @@ def choose(skeleton: Skeleton, own_frame: bool, positions: Floats, rotations: Fl
 
 def side_values(rules: Rules, positions: Floats, rotations: Floats) -> Floats:
     """The side values (frames, side_values) of a recording, continuous in time."""
-    world = world_rotations(rules.skeleton, rotations)
+    world = shell.world_rotations(rules.skeleton, rotations)
     values = np.empty((len(positions), rules.side_values))
     for joint, (rule, start) in enumerate(zip(rules.joints, rules.starts, strict=False)):
         if not rule.side_values:
@@ -90,15 +90,6 @@ def chunk_values(rules: Rules, values: Floats) -> Floats:
         elif rule.side_values:
             out[:, own] -= 2 * np.pi * np.rint(out[:, own].mean(axis=0) / (2 * np.pi))
     return out
-
-
-def world_rotations(skeleton: Skeleton, rotations: Floats) -> Floats:
-    """(frames, joints, 4), against the world."""
-    world = np.array(rotations)
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            world[:, joint] = rigid.multiply(world[:, parent], rotations[:, joint])
-    return world
 
 
 def aims_of(skeleton: Skeleton, carried: Carried, joint: int, positions: Floats, world: Floats) -> Floats:

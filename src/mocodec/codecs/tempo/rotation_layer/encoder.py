@@ -213,7 +213,7 @@ class Encoder:
         own_frame = motion.source.get("format") == "amc"
         self.rules = choose.choose(skeleton, own_frame, motion.positions, local)
         self.values = choose.side_values(self.rules, motion.positions, local)
-        self.original = Original(motion.positions, local, choose.world_rotations(skeleton, local))
+        self.original = Original(motion.positions, local, shell.world_rotations(skeleton, local))
         self.factor = side.coordinates(self.rules, reach_m)
 
     def to_mean(self, target: float, inner: Callable[[float], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
@@ -360,29 +360,6 @@ class Encoder:
 def _stride(logarithm: float) -> int:
     """How many 1/32 octaves of the step change the mean error by this logarithm, or more."""
     return max(24, round(64 * abs(logarithm)))
-
-
-class StreamEncoder:
-    """The rotations of a stream, by the rules of an earlier recording of the same skeleton. Raises BadInput."""
-
-    def __init__(self, like: Motion, max_error: float, reach_m: float) -> None:
-        self.promise = Promise(max_error, None, None)
-        fitting = Encoder(like, reach_m, self.promise)
-        self.step = round(np.log2(BOUND_STEP * max_error) * OCTAVE)
-        self.layer, self.shared = fitting.fitted([choose.chunk_values(fitting.rules, fitting.values)], self.step)
-
-    def part(self, positions: Floats, rotations: Floats, targets: Floats) -> bytes:
-        """The part of a chunk: positions (frames, joints, 3), rotations (frames, joints, 4), and the positions that the
-        inner stream decodes to. Raises CannotEncode.
-        """
-        rules = self.layer.rules
-        original = Original(positions, rotations, choose.world_rotations(rules.skeleton, rotations))
-        values = choose.chunk_values(rules, choose.side_values(rules, positions, rotations))
-        chunk = ChunkLayer(self.layer, original, values, targets)
-        draft = chunk.draft(self.step, BOUND_SLOPE)
-        if chunk.broken(*chunk.solved(draft), self.promise).any():
-            return chunk.mended(self.step, self.promise)
-        return payload.pack_transforms(self.layer, [(draft.numbers, draft.grid)])[0]
 
 
 Decode = Callable[[Encoded[Motion]], Motion]
