@@ -40,6 +40,15 @@ def markers() -> Motion:
     return Motion(positions, motion.rate, motion.names, motion.up, source={"format": "c3d", "unit_m": 0.001})
 
 
+def spiked_markers() -> Motion:
+    """`markers` with two spikes."""
+    motion = markers()
+    positions = motion.positions.copy()
+    positions[40, 2] += (0.6, -0.3, 0.2)
+    positions[70, 4] -= 0.5
+    return replace(motion, positions=positions)
+
+
 def joints() -> Motion:
     """80 frames of joints, with their skeleton."""
     motion = synthetic.joints(frames=80, rate=60.0, seed=12)
@@ -116,18 +125,25 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "hou2014-markers": (markers, "hou2014", {}),
     "hou2014-joints": (joints, "hou2014", {}),
     "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
-    "tempo-markers": (markers, "tempo", {"max_error": 0.005}),
-    "tempo-joints": (joints, "tempo", {"max_error": 0.005}),
-    "tempo-directions": (named_skeleton, "tempo", {"max_error": 0.005}),
+    "tempo-markers": (markers, "tempo", {"max_error": 0.005, "model": "transform"}),
+    "tempo-joints": (joints, "tempo", {"max_error": 0.005, "model": "transform"}),
+    "tempo-directions": (named_skeleton, "tempo", {"max_error": 0.005, "model": "transform"}),
     "tempo-directions-stored": (unnamed_joints, "tempo", {"max_error": 0.005, "model": "directions-stored"}),
-    "tempo-skeleton-matched": (fewer_unnamed_joints, "tempo", {"max_error": 0.005}),
+    "tempo-skeleton-matched": (fewer_unnamed_joints, "tempo", {"max_error": 0.005, "model": "transform"}),
     "tempo-points-prior": (named_skeleton, "tempo", {"max_error": 0.005, "model": "points-prior"}),
     "tempo-points-stored": (markers, "tempo", {"max_error": 0.005, "model": "points-stored"}),
-    "tempo-markers-on-bones": (full_body_markers, "tempo", {"max_error": 0.01}),
+    "tempo-markers-on-bones": (full_body_markers, "tempo", {"max_error": 0.01, "model": "transform"}),
     "tempo-direct": (markers, "tempo", {"max_error": 0.005, "model": "direct"}),
+    "tempo-lattice": (markers, "tempo", {"max_error": 0.0005, "model": "lattice"}),
+    "tempo-lattice-joints": (joints, "tempo", {"max_error": 0.0002, "model": "lattice"}),
+    "tempo-lattice-spikes": (
+        spiked_markers,
+        "tempo",
+        {"max_error": 0.001, "weights": {"LHEE": 4.0}, "model": "lattice"},
+    ),
     "tempo-fallback": (markers, "tempo", {"max_error": 0.005, "model": "hou2014"}),
     "tempo-weights": (markers, "tempo", {"max_error": 0.005, "weights": {"LHEE": 4.0, "RTOE": 4.0}}),
-    "tempo-repeats": (repeated_frames, "tempo", {"max_error": 0.005}),
+    "tempo-repeats": (repeated_frames, "tempo", {"max_error": 0.005, "model": "transform"}),
     "rotations-figure": (figure, "tempo", {"mean_error": 0.003}),
     "rotations-own-frame": (own_frame_figure, "tempo", {"max_error": 0.01}),
     "rotations-translations": (figure_with_translations, "tempo", {"max_error": 0.005}),

@@ -54,6 +54,21 @@ def gap_mask(data: bytes, frames: int, points: int) -> Array:
     return flat.reshape(frames, points)
 
 
+def apart_mask(data: bytes, frames: int, points: int) -> Array:
+    """(frames, points), true where a sample is missing or in a frozen run."""
+    if data[:1] != b"\0":
+        return gap_mask(data, frames, points)
+    part = Bytes(data)
+    _, mask_size, count, run_size = (part.varint() for _ in range(4))
+    out = gap_mask(part.take(mask_size), frames, points)
+    at = 0
+    for wait, longer, _ in integers(part.take(run_size), count, 3):
+        point, frame = divmod(at + wait, frames)
+        out[frame : frame + longer + 1, point] = True
+        at += wait + longer + 1
+    return out
+
+
 def restored(data: bytes, positions: Array) -> Array:
     """Positions with NaN in gaps and the values of frozen runs."""
     frames, points, _ = positions.shape

@@ -133,6 +133,7 @@ def test_any_positions_come_back_exactly(seed: int, frames: int, points: int, sh
     assert np.array_equal(mask, apart.apart)
     for part in (slice(None), slice(frames // 3, None), slice(frames // 2, frames // 2 + 1)):
         assert np.array_equal(frozen.restore(filled[part], apart[part].pack()), positions[part], equal_nan=True)
+        assert np.array_equal(frozen.apart(apart[part].pack(), filled[part].shape[:2]), apart[part].apart)
 
 
 def test_damaged_runs_are_corrupt_or_positions():

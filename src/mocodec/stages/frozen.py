@@ -240,6 +240,42 @@ def restore(positions: Floats, data: bytes) -> Floats:
     frames, points = positions.shape[:2]
     if not data or data[0] != WITH_FROZEN:
         return gaps.apply(positions, gaps.unpack(data, (frames, points)))
+    stored = _unpack(data, frames, points)
+    return _put(gaps.apply(positions, stored.missing), stored)
+
+
+def apart(data: bytes, shape: tuple[int, int]) -> Booleans:
+    """`Split.apart` (frames, points) of the bytes that `Split.pack` made. Raises Corrupt."""
+    if not data or data[0] != WITH_FROZEN:
+        return gaps.unpack(data, shape)
+    stored = _unpack(data, *shape)
+    mask = stored.missing.copy()
+    mask[stored.frames_and_points] = True
+    return mask
+
+
+class _Stored(NamedTuple):
+    """What is stored of a chunk with frozen runs.
+
+    missing (frames, points): mask. first, length: frames of each run; point: its column; which: its value, HELD or its
+    number in the table, from 1. table (values, 3).
+    """
+
+    missing: Booleans
+    first: Integers
+    length: Integers
+    point: Integers
+    which: Integers
+    table: Floats
+
+    @property
+    def frames_and_points(self) -> tuple[Integers, Integers]:
+        """Frame and point of each frozen sample, run after run."""
+        return np.repeat(self.first, self.length) + _within(self.length), np.repeat(self.point, self.length)
+
+
+def _unpack(data: bytes, frames: int, points: int) -> _Stored:
+    """Raises Corrupt."""
     (_, mask_bytes, count, run_bytes), at = varint.read(data, 4)
     stop = at + mask_bytes + run_bytes
     if stop > len(data) or not 0 < count <= frames * points:
@@ -258,21 +294,20 @@ def restore(positions: Floats, data: bytes) -> Floats:
     table = octets.astype(np.uint8).view("<f8").reshape(-1, 3).astype(np.float64)
     if not np.isfinite(table).all():
         raise Corrupt("frozen values that are not finite")
-    return _put(gaps.apply(positions, missing), stops - lengths, lengths, which, table)
-
-
-def _put(positions: Floats, starts: Integers, lengths: Integers, which: Integers, table: Floats) -> Floats:
-    """The positions with the runs' values. starts, lengths: samples, point after point."""
-    frames = len(positions)
-    point, first = starts // frames, starts % frames
-    held = which == HELD
-    if (first + lengths > frames).any() or (first[held] == 0).any():
+    starts = stops - lengths
+    found = _Stored(missing, starts % frames, lengths, starts // frames, which, table)
+    if (found.first + lengths > frames).any() or (found.first[which == HELD] == 0).any():
         raise Corrupt("a frozen run that its point does not have")
-    values = positions[first - 1, point]
+    return found
+
+
+def _put(positions: Floats, stored: _Stored) -> Floats:
+    """The positions with the runs' values."""
+    held = stored.which == HELD
+    values = positions[stored.first - 1, stored.point]
     if np.isnan(values[held]).any():
         raise Corrupt("a frozen run that holds a missing sample")
-    values[~held] = table[which[~held] - 1]
+    values[~held] = stored.table[stored.which[~held] - 1]
     out = positions.copy()
-    frame = np.repeat(first, lengths) + _within(lengths)
-    out[frame, np.repeat(point, lengths)] = np.repeat(values, lengths, axis=0)
+    out[stored.frames_and_points] = np.repeat(values, stored.length, axis=0)
     return out

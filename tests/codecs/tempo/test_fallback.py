@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mocodec import metrics
-from mocodec.codecs.tempo import Tempo
+from mocodec.codecs.tempo import Tempo, fallback
 from mocodec.testing import synthetic
 
 from .motions import header
@@ -16,7 +16,10 @@ def test_the_fallback_is_taken_where_it_is_smaller(settings: dict[str, float]) -
     motion = synthetic.markers(frames=480, seed=2)
     plain, best = Tempo(**settings).encode_chunks(motion), Tempo(**settings).encode(motion)
     if "max_error" in settings:
-        assert header(best).fallback is not None
+        transformed = Tempo(**settings, model="transform").encode_chunks(motion)
+        smaller = fallback.smaller(transformed, motion, "max_error", settings["max_error"], 4.0)
+        assert header(smaller).fallback is not None
+        assert smaller.payload_bytes < transformed.payload_bytes
     errors = metrics.distances(motion.positions, Tempo.decode(best).positions)
     if "ratio" in settings:
         assert best.payload_bytes <= motion.raw_bytes / settings["ratio"]

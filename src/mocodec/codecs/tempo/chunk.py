@@ -4,10 +4,11 @@
     decode          payloads ─► positions
 
 A payload is a byte of flags · [gaps] · [step of corrections or of the grid] · coefficients with corrections, or the
-grid's numbers. Two engines make it:
+grid's numbers. Three engines make it:
 
-transform   coefficients of the model: few bytes at any error that is not tiny
-direct      every sample on a grid, predicted in time: for motion that fits no model, and for tiny errors
+transform   coefficients of the model: few bytes where motion is smooth against the error
+lattice     every sample predicted from its neighbours in time and space, under a hard bound: noise and fine bounds
+direct      every sample on a grid, predicted in time: for numbers too large for the others
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen
 from ...typing import Booleans, Floats, Integers
-from .coding import coefficients, corrections, direct, quantise, rows
+from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
 from .preparation import Prepared
 
 Result = TypeVar("Result")
 
-TRANSFORM, DIRECT = 0, 1
+TRANSFORM, DIRECT, LATTICE = 0, 1, 2
 STEPPED, GAPPED = 4, 8
 GRID_OCTAVE = 256
-"""Steps of the direct engine and of corrections are 2^(n / 256) metres."""
+"""Steps of the direct engine and of corrections, and half steps of the lattice, are 2^(n / 256) metres."""
 LARGEST_GRID_STEP = 200 * GRID_OCTAVE
 BATCH = 64
 """Chunks coded side by side: enough to be fast, few enough to need little memory."""
@@ -43,6 +44,10 @@ REFILLS = 3
 """Rounds of replacing what fills gaps by what is decoded there."""
 BOUND_SLOPE = 0.1
 """Rate–distortion λ under a bound: smaller than elsewhere, since zeroing coefficients causes error peaks."""
+FIRST_OFFSET = 28
+"""Under a bound, the first step tried is this many 1/32 octaves above it."""
+OFFSETS = (0, -10, 10)
+"""Steps tried for a chunk under a bound, 1/32 octave relative to the chunk before."""
 DIRECT_WORTH_TRYING = 1.2
 """The direct engine is tried where its estimate is below this many times the transform's bytes."""
 
@@ -68,7 +73,7 @@ class Payload:
     @classmethod
     def unpack(cls, payload: bytes) -> Payload:
         """Raises Corrupt."""
-        if not payload or payload[0] & ~(DIRECT | STEPPED | GAPPED):
+        if not payload or payload[0] & ~(DIRECT | LATTICE | STEPPED | GAPPED) or payload[0] & 3 == DIRECT | LATTICE:
             raise Corrupt("tempo: a chunk of an unknown kind")
         at, step, missing = 1, None, b""
         if payload[0] & GAPPED:
@@ -81,7 +86,7 @@ class Payload:
             step = varint.unsigned(folded)
             if abs(step) > LARGEST_GRID_STEP:
                 raise Corrupt("tempo: a chunk whose step is out of range")
-        return cls(payload[0] & DIRECT, payload[at:], step, missing)
+        return cls(payload[0] & (DIRECT | LATTICE), payload[at:], step, missing)
 
 
 def grid_step(size: float) -> int:
@@ -100,12 +105,13 @@ class Draft(NamedTuple):
     """A chunk in one step, before it becomes bytes.
 
     numbers: of the transform, None for the direct engine. grid: the step of corrections or of the direct engine.
-    error: sum of the distances, metres, where it was measured.
+    error: sum of the distances, metres, and bits: an estimate, where they were measured.
     """
 
     numbers: coefficients.ChunkNumbers | None = None
     grid: int | None = None
     error: float = 0.0
+    bits: float = 0.0
 
     @property
     def direct_grid(self) -> int:
@@ -246,7 +252,7 @@ class ChunkEncoder:
             found, decoded = self.transformed(step, BOUND_SLOPE)
             moved = corrections.numbers(self._corrections(decoded, bound))
             costs.append(found.bits + coefficients.list_bits(self.model, moved))
-            drafts.append(Draft(self._numbers(found, step, moved), grid if moved.size else None))
+            drafts.append(Draft(self._numbers(found, step, moved), grid if moved.size else None, bits=costs[-1]))
         best = int(np.argmin(costs))
         return drafts[best], offset + changes[best]
 
@@ -258,6 +264,16 @@ class ChunkEncoder:
         if direct.estimate(grid) >= DIRECT_WORTH_TRYING * len(payload):
             return payload
         return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
+
+    def on_lattice(self, bound: float, stride: int) -> bytes | None:
+        """The payload of the lattice engine within the bound (metres), None where samples are too large for it."""
+        assert self.model.neighbours is not None
+        step = grid_step(lattice.half_step(bound))
+        samples = self._weighted() / grid_size(step)
+        without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
+        spiked = None if without is samples else samples
+        found = lattice.encode(without, self.gap_mask, self.model.neighbours, stride, spiked)
+        return None if found is None else Payload(LATTICE, found[0], step, self.gaps).pack()
 
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
@@ -288,8 +304,9 @@ class ChunkEncoder:
         assert self.spectrum is not None
         return self.spectrum / rows.sizes(self.model.rows, self.frames, step)
 
-    def _weighted(self) -> Floats:
-        return self.positions if self.model.weights is None else self.positions * self.model.weights[:, None]
+    def _weighted(self, positions: Floats | None = None) -> Floats:
+        positions = self.positions if positions is None else positions
+        return positions if self.model.weights is None else positions * self.model.weights[:, None]
 
     def _corrections(self, decoded: Floats, bound: float) -> corrections.Corrections:
         error = self.positions - decoded
@@ -356,11 +373,17 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     out = []
     for i, (chunk, payload) in enumerate(zip(chunks, payloads, strict=True)):
         size = 0.0 if payload.step is None else grid_size(payload.step)
+        shape = chunk.frames, model.points
         if payload.engine == TRANSFORM:
             positions = _positions(model, chunk.frames, decoded[i], size)
         else:
-            values = direct.unpack(payload.numbers, (chunk.frames, 3 * model.points))
-            positions = np.asarray(values.reshape(chunk.frames, model.points, 3) * size, np.float64)
+            if payload.engine == DIRECT:
+                values = direct.unpack(payload.numbers, (chunk.frames, 3 * model.points)).reshape(*shape, 3)
+            elif model.neighbours is None:
+                raise Corrupt("tempo: a chunk of the lattice engine in a stream without neighbours")
+            else:
+                values = lattice.decode(payload.numbers, frozen.apart(payload.gaps, shape), model.neighbours)
+            positions = np.asarray(values * size, np.float64)
             if model.weights is not None:
                 positions /= model.weights[:, None]
         out.append(frozen.restore(positions, payload.gaps))

@@ -27,13 +27,15 @@ from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk, fallback, model_choice, repeats, target
-from .chunk import DIRECT, ChunkEncoder, Payload
+from . import chunk, engine_choice, fallback, model_choice, repeats, target
+from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
+from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
+from .models.model import Model
 from .pose import heading, leaps
-from .preparation import prepare
+from .preparation import Prepared, prepare
 from .rotation_layer import layer
 from .rotation_layer.encoder import Encoder as RotationEncoder
 from .rotation_layer.encoder import Promise
@@ -41,7 +43,10 @@ from .rotation_layer.encoder import Promise
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
 FALLBACK_MODEL = "hou2014"
-MODEL_NAMES = (model_choice.AUTO, *MODELS, model_choice.DIRECT, FALLBACK_MODEL)
+LATTICE_MODEL = "lattice"
+MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
+MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
+"""Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
 CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
@@ -50,6 +55,8 @@ MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
+FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
+"""A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -60,8 +67,9 @@ class Tempo:
 
     max_error, mean_error: metres. ratio: against float32 positions. size: bytes of payload. chunk_seconds: 0.5 to 10.
     weights: points that matter more, by name: with 4, a point is kept within a quarter of `max_error`.
-    model: "auto" takes the smallest. Or one of "points-prior", "points-stored", "directions-prior",
-    "directions-stored" (coordinates and statistics, see `models`), "direct" (a grid without a model) and "hou2014".
+    model: "auto" takes the smallest, "transform" the smallest of the models. Or one of "points-prior", "points-stored",
+    "directions-prior", "directions-stored" (coordinates and statistics, see `models`), "lattice" (predictions within a
+    hard bound), "direct" (a grid without a model) and "hou2014".
 
     Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
     of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
@@ -86,14 +94,16 @@ class Tempo:
             raise BadInput(f"tempo takes one target, not {' and '.join(targets)}")
         if any(not (np.isfinite(v) and v > 0) for v in targets.values()):
             raise BadInput(f"a target must be positive: {targets}")
-        if not 0.5 <= self.chunk_seconds <= 10:
-            raise BadInput("chunk_seconds must lie between 0.5 and 10")
+        if not 0.5 <= self.chunk_seconds <= MOST_CHUNK_SECONDS:
+            raise BadInput(f"chunk_seconds must lie between 0.5 and {MOST_CHUNK_SECONDS:g}")
         if self.weights and targets.keys() - {"max_error"}:
             raise BadInput("weights go with a hard bound: max_error")
         if self.weights and not all(1 <= w <= 1000 for w in self.weights.values()):
             raise BadInput("weights must lie between 1 and 1000")
         if self.model not in MODEL_NAMES:
             raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
+        if self.model == LATTICE_MODEL and targets.keys() - {"max_error"}:
+            raise BadInput("the model 'lattice' goes with a hard bound: max_error")
         if self.max_rotation is not None and not 0 < self.max_rotation <= 180:
             raise BadInput("max_rotation must lie between 0 and 180 degrees")
         if not 1e-4 <= self.shell <= 10:
@@ -110,16 +120,18 @@ class Tempo:
             return encode_gaps(self, motion, self._stored_settings())
         stored = self._stored_settings()
         ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
+        if self._keeps_rotations(motion) and self.max_rotation is None:
+            ways.append(("without its rotations", lambda: self.encode_smallest(replace(motion, rotations=None))))
         if self.model != model_choice.DIRECT:
             direct = replace(self, model=model_choice.DIRECT)
             encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
             ways.append(("directly", lambda: encode(motion)))
-        if self.model == model_choice.AUTO:
+        if self.model == model_choice.AUTO and self.max_rotation is None:
             ways += [
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
             ]
-        encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
+        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, self.model != model_choice.AUTO)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
@@ -156,7 +168,19 @@ class Tempo:
         return layer.lost_rotations(motion)
 
     def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
-        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
+        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014.
+
+        With a mean error also under this error as a bound, if that may be smaller.
+        """
+        encoded = self._with_or_without_repeats(motion)
+        if self.mean_error is None or not _may_be_larger_than_bounded(encoded):
+            return encoded
+        bounded = replace(self, mean_error=None, max_error=self.mean_error)._with_or_without_repeats(motion)
+        if bounded.payload_bytes >= encoded.payload_bytes:
+            return encoded
+        return replace(bounded, settings=self._stored_settings())
+
+    def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -193,24 +217,37 @@ class Tempo:
             motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
         )
         require_usual_lengths(self, source.positions)
-        cuts = leaps.discontinuities(source.smooth, motion.rate)
-        seconds = min(self.chunk_seconds, most_chunk_frames(motion.points) / 2 / motion.rate)
-        bounds = chunk_bounds(len(motion), motion.rate, seconds, cuts)
+        most = most_chunk_frames(motion.points) / 2 / motion.rate
+        plan = self._lattice_plan(motion, source)
+        if plan is not None and plan.alone:
+            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS, most)
+            bounds = chunk_bounds(len(motion), motion.rate, seconds)
+        else:
+            cuts = leaps.discontinuities(source.smooth, motion.rate)
+            bounds = chunk_bounds(len(motion), motion.rate, min(self.chunk_seconds, most), cuts)
         with progress.phase(0.0, CHOICE_SHARE):
-            choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
+            if plan is not None and plan.alone:
+                choice = model_choice.without_model(motion)
+            else:
+                choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
+        if plan is not None:
+            header = replace(header, neighbours=plan.neighbours.pack())
+            model = replace(model, neighbours=plan.neighbours)
         encoders = [
             ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
             for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
-            payloads = self._to_target(encoders, motion, len(header.pack()))
-        failures = [e.failure for e in encoders if e.failure is not None]
-        if all(Payload.unpack(p).engine == DIRECT for p in payloads):
-            header = StreamHeader(weights=header.weights)
+            payloads = self._to_target(encoders, motion, len(header.pack()), plan and plan.stride)
+        engines = [Payload.unpack(p).engine for p in payloads]
+        failures = [e.failure for e, n in zip(encoders, engines, strict=True) if e.failure is not None and n == DIRECT]
+        header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
+        if TRANSFORM not in engines:
+            header = StreamHeader(weights=header.weights, neighbours=header.neighbours)
         encoded = Encoded(
             self.name,
             about(motion),
@@ -225,6 +262,9 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        """The motion, or a slice of its frames; also of a motion that `encode` coded losslessly. Raises Corrupt."""
+        if encoded.codec == Lossless.name:
+            return Lossless.decode(encoded, frames)
         if not encoded.shared:
             return decode_gaps(encoded, frames)
         if layer.has_rotations(encoded):
@@ -300,14 +340,33 @@ class Tempo:
             choice = model_choice.choose(Recording(chunks, motion, step + coarser * 2 * OCTAVE), self.model)
         return choice
 
-    def _to_target(self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int) -> list[bytes]:
+    def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:
+        """How the lattice engine is used; None where it is not: without a hard bound, or for other models."""
+        asked = self.model == LATTICE_MODEL
+        if self._has_size or self.mean_error is not None or not (asked or self.model == model_choice.AUTO):
+            return None
+        if not (asked or engine_choice.available()):
+            return None
+        weights = None
+        if self.weights:
+            weights = with_weights(
+                Model.without_rows(motion.names, motion.rate), pack_weights(motion.names, self.weights)
+            )
+            weights = weights.weights
+        step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
+        found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
+        return replace(found, alone=True) if asked else found
+
+    def _to_target(
+        self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None
+    ) -> list[bytes]:
         for encoder in encoders:
             encoder.refill_gaps(self.first_step(motion))
         if self.mean_error is not None:
             return target.to_mean(encoders, self.mean_error)
         if self._has_size:
             return target.to_size(encoders, self._wanted_bytes(motion) - header_bytes)
-        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR)
+        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR, stride, header_bytes)
 
     def _stored_settings(self) -> dict[str, Any]:
         """The settings for the file."""
@@ -317,8 +376,18 @@ class Tempo:
         return stored
 
 
-def _decode(encoded: Encoded[Motion]) -> Motion:
-    return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
+def _may_be_larger_than_bounded(encoded: Encoded[Motion]) -> bool:
+    """Whether a stream at a mean error may be larger than one under this error as a bound.
+
+    A bound costs about twice as much, except where chunks are direct or full of spikes, and on short recordings.
+    """
+    header = StreamHeader.unpack(encoded.shared, encoded.about.points)
+    if len(encoded.chunks) <= FEW_CHUNKS or header.millihertz is not None:
+        return True
+    if header.fallback is not None:
+        return False
+    payloads = [Payload.unpack(c.payload) for c in encoded.chunks]
+    return sum(p.engine == DIRECT or p.step is not None for p in payloads) > UNUSUAL_SHARE * len(payloads)
 
 
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:

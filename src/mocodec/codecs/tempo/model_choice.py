@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...errors import CannotEncode, Corrupt
+from ...motion import Motion
 from ...typing import Floats
 from .chunk import ChunkEncoder
 from .coding import coefficients, quantise
@@ -20,7 +21,7 @@ from .models import MODELS, Recording, points, prior
 from .models.model import Model
 from .models.stored_basis import MOST_DIMENSIONS
 
-AUTO, DIRECT = "auto", "direct"
+AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
@@ -46,15 +47,15 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     fits.
     """
     if model == DIRECT:
-        return _direct(recording)
+        return without_model(recording.like)
     stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
-    if model == AUTO and mean_error and stored and not known_by_name(recording):
+    if model in (AUTO, TRANSFORM) and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
     candidates = list(_candidates(recording, model))
     if not candidates:
-        if model != AUTO:
+        if model not in (AUTO, TRANSFORM):
             raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
-        return _direct(recording)
+        return without_model(recording.like)
     if len(candidates) == 1 or not recording.chunks:
         return candidates[0]
     numbers = range(0, len(recording.chunks), -(-len(recording.chunks) // PRICED_CHUNKS))
@@ -68,7 +69,9 @@ def known_by_name(recording: Recording) -> bool:
 
 def _candidates(recording: Recording, model: str) -> list[Choice]:
     """Models of directions first: of a stream that has not begun, the first is taken."""
-    names = [model] if model != AUTO else KNOWN_NAME_MODELS if known_by_name(recording) else list(MODELS)
+    names = (
+        [model] if model not in (AUTO, TRANSFORM) else KNOWN_NAME_MODELS if known_by_name(recording) else list(MODELS)
+    )
     out = []
     for name in sorted(names, key=lambda n: -MODELS[n].number):
         for fitted in MODELS[name].fit(recording):
@@ -79,8 +82,9 @@ def _candidates(recording: Recording, model: str) -> list[Choice]:
     return out
 
 
-def _direct(recording: Recording) -> Choice:
-    return Choice(StreamHeader(), Model.without_rows(recording.like.names, recording.like.rate))
+def without_model(like: Motion) -> Choice:
+    """For engines that need none."""
+    return Choice(StreamHeader(), Model.without_rows(like.names, like.rate))
 
 
 def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[float, Choice]:

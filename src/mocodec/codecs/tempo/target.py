@@ -18,17 +18,14 @@ from ...errors import CannotEncode
 from ...stages import search
 from ...typing import Floats
 from . import chunk
-from .chunk import BATCH, ChunkEncoder, Draft, grid_step
+from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_step
 from .coding import coefficients, direct, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
+from .engine_choice import EngineTrials
 
 Result = TypeVar("Result")
 
-FIRST_OFFSET = 28
-"""Under a bound, the first step tried is this many 1/32 octaves above it."""
-OFFSETS = (0, -10, 10)
-"""Steps tried for a chunk under a bound, 1/32 octave relative to the chunk before."""
 SEARCH_EVERY = 3
 """One chunk in this many tries them; the others take the step of the chunk before."""
 SMALLEST_STEP, LARGEST_STEP = 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1
@@ -77,22 +74,42 @@ def _log(size: float) -> int:
     return round(np.log2(size) * OCTAVE)
 
 
-def to_bound(encoders: Sequence[ChunkEncoder], bound: float) -> list[bytes]:
+def to_bound(
+    encoders: Sequence[ChunkEncoder], bound: float, stride: int | None = None, model_bytes: int = 0
+) -> list[bytes]:
     """Payloads that decode to within the bound (metres) at every sample.
 
-    All are decoded and checked; one that exceeds the bound is replaced by the direct engine's, which never does.
+    stride: of the lattice engine, None to leave it out. model_bytes: what the transform's model takes beside the
+    chunks; each that the transform codes is charged with its share. All are decoded and checked; one that exceeds the
+    bound is replaced by the direct engine's, which never does.
     """
     payloads: list[bytes] = []
     offset = FIRST_OFFSET
+    share = model_bytes / len(encoders)
+    trials = EngineTrials(encoders[0].spectrum is not None, stride is not None)
     for first in range(0, len(encoders), BATCH):
-        batch, drafts = encoders[first : first + BATCH], list[Draft]()
+        batch = encoders[first : first + BATCH]
+        drafts: dict[int, Draft] = {}
+        on_lattice: dict[int, bytes] = {}
         for number, encoder in enumerate(batch):
-            changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
-            draft, offset = encoder.within_bound(bound, offset, changes)
-            drafts.append(draft)
+            by_transform, by_lattice = trials.tried(number)
+            if by_transform or stride is None:
+                changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
+                drafts[number], offset = encoder.within_bound(bound, offset, changes)
+            if by_lattice and stride is not None:
+                payload = encoder.on_lattice(bound, stride)
+                if payload is not None:
+                    on_lattice[number] = payload
+                elif number not in drafts:
+                    drafts[number], offset = encoder.within_bound(bound, offset, (0,))
+            if number in drafts and number in on_lattice:
+                trials.learn(drafts[number].bits / 8 + share, len(on_lattice[number]))
             progress.report((first + number + 1) / len(encoders))
-        packed = chunk.pack(batch, drafts)
-        coded = [e.smaller_of_engines(b, bound) for e, b in zip(batch, packed, strict=True)]
+        packed = chunk.pack([batch[i] for i in drafts], list(drafts.values())) if drafts else []
+        coded = [on_lattice.get(i, b"") for i in range(len(batch))]
+        for i, payload in zip(drafts, packed, strict=True):
+            if not coded[i] or len(payload) + share <= len(coded[i]):
+                coded[i] = batch[i].smaller_of_engines(payload, bound)
         for i, (encoder, decoded) in enumerate(zip(batch, _decoded(batch, coded), strict=True)):
             if decoded is None or not encoder.keeps(decoded, bound):
                 coded[i] = encoder.directly(grid_step(direct.cell(bound)))

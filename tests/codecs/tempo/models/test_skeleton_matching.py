@@ -27,7 +27,7 @@ def is_matched(encoded: object) -> bool:
 @pytest.mark.parametrize("gone", [(), LEAVES])
 def test_skeletons_of_other_names_are_matched_and_keep_their_bound(gone: Sequence[str], with_skeleton: bool) -> None:
     motion = stranger(gone, with_skeleton=with_skeleton)
-    encoded = Tempo(max_error=0.004).encode_chunks(motion)
+    encoded = Tempo(max_error=0.004, model="transform").encode_chunks(motion)
     assert is_matched(encoded)
     decoded = Tempo.decode(encoded).positions
     assert metrics.distances(motion.positions, decoded).max() <= 0.004
@@ -37,7 +37,9 @@ def test_skeletons_of_other_names_are_matched_and_keep_their_bound(gone: Sequenc
 def test_joints_in_any_order_and_from_any_root() -> None:
     motion = stranger(LEAVES, with_skeleton=False)
     order = np.random.default_rng(1).permutation(motion.points)
-    encoded = Tempo(max_error=0.004).encode_chunks(replace(motion, positions=motion.positions[:, order], names=()))
+    encoded = Tempo(max_error=0.004, model="transform").encode_chunks(
+        replace(motion, positions=motion.positions[:, order], names=())
+    )
     assert is_matched(encoded)
     assert metrics.distances(motion.positions[:, order], Tempo.decode(encoded).positions).max() <= 0.004
 
@@ -46,7 +48,7 @@ def test_a_matched_skeleton_takes_fewer_bytes() -> None:
     motion = stranger(LEAVES)
     others = (Tempo(max_error=0.004, model=m) for m in ("points-prior", "points-stored", "directions-stored"))
     without = min(o.encode_chunks(motion).payload_bytes for o in others)
-    assert Tempo(max_error=0.004).encode_chunks(motion).payload_bytes < 0.9 * without
+    assert Tempo(max_error=0.004, model="transform").encode_chunks(motion).payload_bytes < 0.9 * without
 
 
 @pytest.mark.parametrize("up", ["z", "x"])
@@ -56,7 +58,7 @@ def test_another_axis_up_and_another_heading(up: str) -> None:
     x, z = 0.6 * x + 0.8 * z, 0.6 * z - 0.8 * x
     axes = (z, x, y) if up == "z" else (y, z, x)
     turned = Motion(np.stack(axes, axis=-1), motion.rate, motion.names, up)
-    encoded = Tempo(max_error=0.004).encode_chunks(turned)
+    encoded = Tempo(max_error=0.004, model="transform").encode_chunks(turned)
     assert is_matched(encoded)
     assert metrics.distances(turned.positions, Tempo.decode(encoded).positions).max() <= 0.004
 
@@ -105,7 +107,7 @@ def odd_trees() -> dict[str, Motion]:
 def test_any_tree_keeps_its_bound(name: str) -> None:
     motion = odd_trees()[name]
     for bound in (0.001, 0.01):
-        encoded = Tempo(max_error=bound).encode_chunks(motion)
+        encoded = Tempo(max_error=bound, model="transform").encode_chunks(motion)
         assert metrics.distances(motion.positions, Tempo.decode(encoded).positions).max() <= bound
 
 
@@ -113,8 +115,8 @@ def test_any_tree_keeps_its_bound(name: str) -> None:
 def test_numpy_and_the_compiled_module_write_the_same() -> None:
     motion = stranger(LEAVES)
     with native.without():
-        plain = Tempo(max_error=0.004).encode_chunks(motion)
-    compiled = Tempo(max_error=0.004).encode_chunks(motion)
+        plain = Tempo(max_error=0.004, model="transform").encode_chunks(motion)
+    compiled = Tempo(max_error=0.004, model="transform").encode_chunks(motion)
     assert is_matched(plain)
     assert plain.shared == compiled.shared
     assert [c.payload for c in plain.chunks] == [c.payload for c in compiled.chunks]
@@ -122,7 +124,9 @@ def test_numpy_and_the_compiled_module_write_the_same() -> None:
 
 def test_damage_is_refused() -> None:
     for with_skeleton in (True, False):
-        encoded = Tempo(max_error=0.004).encode_chunks(stranger(LEAVES, 60, with_skeleton=with_skeleton))
+        encoded = Tempo(max_error=0.004, model="transform").encode_chunks(
+            stranger(LEAVES, 60, with_skeleton=with_skeleton)
+        )
         assert is_matched(encoded)
         shared = encoded.shared[0]
         for at in range(1, len(shared)):
@@ -132,6 +136,6 @@ def test_damage_is_refused() -> None:
                 except MocodecError:
                     continue
                 assert found.positions.shape == (60, encoded.about.points, 3)
-    with_one = Tempo(max_error=0.004).encode_chunks(stranger(LEAVES, 60))
+    with_one = Tempo(max_error=0.004, model="transform").encode_chunks(stranger(LEAVES, 60))
     with pytest.raises(Corrupt, match="skeleton"):
         Tempo.decode(replace(with_one, about=replace(with_one.about, skeleton=None)))

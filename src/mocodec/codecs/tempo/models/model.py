@@ -15,6 +15,7 @@ from ....entropy.lanes import StaticTables
 from ....stages import dct
 from ....typing import Floats, Integers
 from ..coding import contexts
+from ..coding.lattice import Neighbours
 from ..coding.rows import HEADING, PLACE, POSE, heading_step, step_size
 from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
@@ -46,7 +47,7 @@ class Statistics:
 class Model:
     """Coordinates and statistics of a set of points at one frame rate, and the tables that code their coefficients.
 
-    weights (points,): how many times closer than the bound each point is kept.
+    weights (points,): how many times closer than the bound each point is kept. neighbours: of the lattice engine.
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class Model:
     tables: StaticTables
     rate: float
     weights: Floats | None = None
+    neighbours: Neighbours | None = None
     _expected: dict[int, Integers] = field(default_factory=dict)
 
     @classmethod

@@ -1,0 +1,246 @@
+"""The lattice engine: samples predicted from decoded ones, under a hard bound; residuals on a lattice for a ball.
+
+    positions ─coarse frames first, then the frames between─► prediction from the point's own frames and its neighbours'
+        residual ─nearest or cheapest lattice point within the bound─► integers ─adaptive bits─► bytes
+
+A bound is a ball about each sample. Of all lattices in space, the body-centred cubic one covers it by the fewest balls
+(Conway and Sloane, Sphere packings, lattices and groups, chapter 2): with rounding of each coordinate a sample costs
+0.9 bit more. A residual in half steps has three even or three odd coordinates; every sample of a chunk is within √5 / 2
+half steps of a lattice point. The prediction is by recursive least squares, so nothing about it is stored but which
+points are neighbours. The transform wins where motion is smooth against the bound or a prior fits; this engine where
+markers are noisy and the bound is fine.
+
+`_Chunk` defines the result; the compiled module has the same in `lattice.h`, the same floats in the same order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .... import native
+from ....entropy import adaptive_bits, coder, varint
+from ....errors import Corrupt
+from ....typing import Booleans, Floats, Integers
+from . import lattice_chunk
+from .lattice_chunk import NEIGHBOURS
+
+STRIDES = (2, 3, 4)
+"""log₂ of the distances between the first frames that an encoder tries."""
+LARGEST_STRIDE, SPIKED = 6, 128
+"""Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
+SAMPLED_FRAMES = 200
+"""Frames that neighbours are chosen by."""
+CANDIDATES = 64
+"""Of many points, this many of the nearest are considered as neighbours."""
+LEAST_DISTANCE_M = 0.005
+"""Points nearer than this to each other have no direction from one to the other."""
+
+
+def half_step(bound: float) -> float:
+    """Half the lattice's step whose every cell lies within the bound of its centre, with room for rounding."""
+    return bound * 2 / 5**0.5 * (1 - 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Of each point, up to three that are coded before it, in (points, 3), −1 for none; the first is its partner."""
+
+    table: NDArray[np.int32]
+
+    @property
+    def sequence(self) -> NDArray[np.int32]:
+        """The points (points,), each after its neighbours. Raises Corrupt where there is no such order."""
+        found: list[int] = []
+        placed = np.zeros(len(self.table) + 1, bool)
+        placed[-1] = True  # index −1: no neighbour
+        left = np.arange(len(self.table))
+        while len(left):
+            ready = placed[self.table[left]].all(axis=1)
+            if not ready.any():
+                raise Corrupt("tempo: the neighbours of the lattice engine form a circle")
+            found += left[ready].tolist()
+            placed[left[ready]] = True
+            left = left[~ready]
+        return np.array(found, np.int32)
+
+    def pack(self) -> bytes:
+        """Each neighbour as the number of its point less the neighbour's, 0 for none."""
+        own = np.arange(len(self.table))[:, None]
+        return coder.pack(np.where(self.table < 0, 0, own - self.table).astype(np.int64))
+
+    @classmethod
+    def unpack(cls, data: bytes, points: int) -> Neighbours:
+        """Raises Corrupt."""
+        less = coder.unpack(data, (points, NEIGHBOURS))
+        own = np.arange(points)[:, None]
+        table = np.where(less == 0, -1, own - less)
+        known = table >= 0
+        if ((table < 0) & (less != 0)).any() or (table >= points).any() or (known[:, 1:] & ~known[:, :-1]).any():
+            raise Corrupt("tempo: neighbours of the lattice engine that are out of range")
+        found = cls(table.astype(np.int32))
+        found.sequence  # noqa: B018 - raises for a circle
+        return found
+
+
+def neighbours(positions: Floats) -> Neighbours:
+    """Of points in positions (frames, points, 3), metres, without gaps.
+
+    Partners are points at the most constant distance, so that they form a tree; the others move most alike.
+    """
+    some = positions[:: max(1, len(positions) // SAMPLED_FRAMES)]
+    points = positions.shape[1]
+    if points < 2:
+        return Neighbours(np.full((points, NEIGHBOURS), -1, np.int32))
+    near = _candidates(some)
+    rigidity, likeness = _pairs(some, near)
+    order, partner = _tree(near, rigidity, points)
+    rank = np.empty(points, np.int64)
+    rank[order] = np.arange(points)
+    table = np.full((points, NEIGHBOURS), -1, np.int32)
+    for p in order[1:]:
+        before = np.flatnonzero((rank[near[p]] < rank[p]) & (near[p] != partner[p]))
+        others = near[p][before[np.argsort(likeness[p][before], kind="stable")]][: NEIGHBOURS - 1]
+        table[p, : 1 + len(others)] = [partner[p], *others]
+    return Neighbours(table)
+
+
+def _candidates(some: Floats) -> Integers:
+    """(points, k): the points nearest to each on the whole, itself left out."""
+    points = some.shape[1]
+    few = some[:: max(1, len(some) // 8)]
+    count = min(CANDIDATES, points - 1)
+    near = np.empty((points, count), np.int64)
+    for p in range(points):
+        distance = ((few - few[:, p : p + 1]) ** 2).sum(axis=(0, 2))
+        distance[p] = np.inf
+        near[p] = np.sort(np.argpartition(distance, count - 1)[:count])
+    return near
+
+
+def _pairs(some: Floats, near: Integers) -> tuple[Floats, Floats]:
+    """(points, k) each: standard deviation of the distance to each candidate; root mean square of the difference of
+    their steps."""
+    rigidity, likeness = np.empty(near.shape), np.empty(near.shape)
+    for p, others in enumerate(near):
+        apart = some[:, others] - some[:, p : p + 1]
+        distance = np.sqrt((apart**2).sum(axis=2))
+        mean = distance.mean(axis=0)
+        rigidity[p] = distance.std(axis=0) + np.where(mean < LEAST_DISTANCE_M, 1e6, 1e-6 * mean)
+        likeness[p] = np.sqrt((np.diff(apart, axis=0) ** 2).sum(axis=2).mean(axis=0)) if len(some) > 1 else mean
+    return rigidity, likeness
+
+
+def _tree(near: Integers, rigidity: Floats, points: int) -> tuple[Integers, Integers]:
+    """Order of the points, and the partner of each: a minimum spanning tree (Prim). Unconnected parts are joined."""
+    cost, partner = np.full(points, np.inf), np.zeros(points, np.int64)
+    done = np.zeros(points, bool)
+    edges: list[list[tuple[int, float]]] = [[] for _ in range(points)]
+    for p, others in enumerate(near):
+        for q, value in zip(others.tolist(), rigidity[p].tolist(), strict=True):
+            edges[p].append((q, value))
+            edges[q].append((p, value))
+    order = [int(rigidity.mean(axis=1).argmin())]
+    done[order[0]] = True
+    while len(order) < points:
+        last = order[-1]
+        for q, value in edges[last]:
+            if not done[q] and value < cost[q]:
+                cost[q], partner[q] = value, last
+        following = int(np.where(done, np.inf, cost).argmin())
+        if done[following]:
+            following = int(np.flatnonzero(~done)[0])
+            partner[following] = last
+        order.append(following)
+        done[following] = True
+    return np.array(order), partner
+
+
+def encode(
+    samples: Floats, missing: Booleans, known: Neighbours, stride: int, spiked: Floats | None = None
+) -> tuple[bytes, Floats] | None:
+    """A stream, and the samples that it decodes to, of samples (frames, points, 3) in half steps; missing: gaps.
+
+    stride: log₂ of the distance between the first frames. spiked: the samples with the spikes that were taken out of
+    them. None where samples are too large.
+    """
+    wanted = np.ascontiguousarray(samples.swapaxes(0, 1))
+    where = np.ascontiguousarray(missing, np.uint8)
+    sequence = known.sequence
+    if (kernel := native.kernel("tempo_lattice_encode")) is not None:
+        found = kernel(wanted, where, sequence, known.table, stride, *adaptive_bits.tables())
+    else:
+        found = lattice_chunk.encode(wanted, where, sequence, known.table, stride)
+    if found is None:
+        return None
+    stream, decoded = found[0], np.ascontiguousarray(found[1].swapaxes(0, 1), np.float64)
+    if spiked is None:
+        return bytes([stride]) + stream, decoded
+    spikes = _pack_spikes(spiked, decoded, samples)
+    return bytes([stride | SPIKED]) + varint.write([len(spikes)]) + spikes + stream, decoded
+
+
+def decode(data: bytes, missing: Booleans, known: Neighbours) -> Floats:
+    """The samples (frames, points, 3) of `encode`, in half steps. Raises Corrupt."""
+    if not data or data[0] & ~SPIKED > LARGEST_STRIDE:
+        raise Corrupt("tempo: a chunk of the lattice engine of an unknown kind")
+    at, spikes = 1, b""
+    if data[0] & SPIKED:
+        (length,), at = varint.read(data, 1, at)
+        spikes, at = data[at : at + length], at + length
+    stride, stream = data[0] & ~SPIKED, data[at:]
+    where = np.ascontiguousarray(missing, np.uint8)
+    if (kernel := native.kernel("tempo_lattice_decode")) is not None:
+        decoded = kernel(stream, where, known.sequence, known.table, stride, *adaptive_bits.tables())
+    else:
+        decoded = lattice_chunk.decode(stream, where, known.sequence, known.table, stride)
+    if decoded is None:
+        raise Corrupt("tempo: a chunk of the lattice engine is cut off or damaged")
+    samples = np.ascontiguousarray(decoded.swapaxes(0, 1), np.float64)
+    if data[0] & SPIKED:
+        _add_spikes(samples, spikes)
+    return samples
+
+
+def _pack_spikes(spiked: Floats, decoded: Floats, samples: Floats) -> bytes:
+    """The samples with spikes: the number of each less that of the one before, and its lattice point from `decoded`.
+
+    Adds them to `decoded`.
+    """
+    numbers = np.flatnonzero((spiked != samples).any(axis=2).ravel())
+    flat = decoded.reshape(-1, 3)
+    away = spiked.reshape(-1, 3)[numbers] - flat[numbers]
+    even, odd = np.rint(away / 2) * 2, np.floor(away / 2) * 2 + 1
+    off = [((away - each) ** 2).sum(axis=1) for each in (even, odd)]
+    steps = np.where((off[0] <= off[1])[:, None], even, odd)
+    flat[numbers] += steps
+    listed = np.column_stack([np.diff(numbers, prepend=0), steps]).astype(np.int64)
+    return varint.write([len(numbers)]) + coder.pack(listed)
+
+
+def _add_spikes(samples: Floats, data: bytes) -> None:
+    """Raises Corrupt."""
+    (count,), at = varint.read(data, 1)
+    flat = samples.reshape(-1, 3)
+    if not 0 < count <= len(flat):
+        raise Corrupt("tempo: more spikes than samples")
+    listed = coder.unpack(data[at:], (count, 4))
+    numbers = np.cumsum(listed[:, 0])
+    if (numbers < 0).any() or (numbers >= len(flat)).any() or (np.abs(listed[:, 1:]) > lattice_chunk.LIMIT).any():
+        raise Corrupt("tempo: spikes that are out of range")
+    np.add.at(flat, numbers, listed[:, 1:])
+
+
+def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
+    """The stride that makes these chunks smallest, and their bytes."""
+    sizes: dict[int, int] = {}
+    for stride in STRIDES:
+        streams = [encode(s, m, known, stride) for s, m in zip(samples, missing, strict=True)]
+        sizes[stride] = sum(len(found[0]) if found is not None else 1 << 40 for found in streams)
+        if len(sizes) > 1 and sizes[stride] >= sizes[stride - 1]:
+            break
+    best = min(sizes, key=lambda stride: sizes[stride])
+    return best, sizes[best]

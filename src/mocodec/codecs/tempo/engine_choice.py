@@ -1,0 +1,100 @@
+"""Which engine codes the chunks of a recording within a hard bound: transform, lattice, or each where it is smaller.
+
+    a short sample ─lattice, some strides─► bytes ──┐
+    the same ─transform with a basis of its own─────┴─► lattice alone · both · transform alone
+
+The sample decides before a model is fitted, since fitting takes longest where the transform is not used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ... import native
+from ...errors import Corrupt
+from ...motion import Motion
+from ...typing import Floats
+from .chunk import FIRST_OFFSET, ChunkEncoder, grid_size, grid_step
+from .coding import lattice
+from .models import Recording, points
+from .preparation import Prepared
+
+SAMPLED = 30_000
+"""Samples of the recording that are coded on trial, at least and at most so many frames:"""
+FEWEST_FRAMES, MOST_FRAMES = 64, 240
+ALONE = 0.9
+"""The lattice is used alone where it takes less than this share of a transform fitted to the sample."""
+HOPELESS = 1.25
+"""A chunk's other engine is not tried where it took more than this many times the bytes in the last chunk tried."""
+TRIED_EVERY = 5
+"""Both engines are tried for one chunk in this many at least."""
+
+
+@dataclass(frozen=True)
+class LatticePlan:
+    """neighbours of the points; stride: see `lattice.encode`; alone: no chunk needs a model."""
+
+    neighbours: lattice.Neighbours
+    stride: int
+    alone: bool
+
+
+def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
+    """How to use the lattice engine within a bound (metres).
+
+    step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
+    """
+    found = lattice.neighbours(source.smooth)
+    frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))
+    first = max(0, (len(motion) - frames) // 2)
+    some = slice(first, min(len(motion), first + frames))
+    positions = source.smooth[some]
+    if weights is not None:
+        positions = positions * weights[:, None]
+    size = grid_size(grid_step(lattice.half_step(bound)))
+    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
+    alone = not named and weights is None and cost < ALONE * _transform_bytes(motion, source, some, bound, step)
+    return LatticePlan(found, stride, alone)
+
+
+def available() -> bool:
+    """Whether an encoder uses the lattice engine: without the compiled module it would take minutes."""
+    return native.kernel("tempo_lattice_encode") is not None
+
+
+def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float, step: int) -> float:
+    """Of some frames, by a transform with their own basis, which is counted in proportion to the frames."""
+    sample = Recording([source.smooth[some]], replace(motion, positions=motion.positions[:0], rotations=None), step)
+    if sample.frames < 2:
+        return 0.0
+    try:
+        fitted = points.stored_points(sample, step)
+        model = fitted.model(sample.like)
+    except Corrupt:  # numbers that a decoder would refuse
+        return np.inf
+    draft, _ = ChunkEncoder.of(model, source, some).within_bound(bound, FIRST_OFFSET, (0,))
+    return draft.bits / 8 + len(fitted.pack()) * sample.frames / len(motion)
+
+
+class EngineTrials:
+    """Which engines are tried for the next chunk, from what the chunks before took."""
+
+    def __init__(self, has_transform: bool, has_lattice: bool) -> None:
+        self._both = has_transform and has_lattice
+        self._has_transform, self._has_lattice = has_transform, has_lattice
+        self._ratio = 1.0
+        """Bytes of the lattice to those of the transform in the last chunk for which both were tried."""
+
+    def tried(self, number: int) -> tuple[bool, bool]:
+        """Whether the transform and the lattice are tried for chunk `number`."""
+        every = not self._both or number % TRIED_EVERY == 0
+        return (
+            self._has_transform and (every or self._ratio > 1 / HOPELESS),
+            self._has_lattice and (every or self._ratio < HOPELESS),
+        )
+
+    def learn(self, transform_bytes: float, lattice_bytes: float) -> None:
+        """What both took in a chunk."""
+        self._ratio = lattice_bytes / max(transform_bytes, 1e-9)

@@ -1,0 +1,93 @@
+// The lattice engine of tempo's chunks, for codecs/tempo/coding/lattice.py.
+
+#include "lattice.h"
+
+#include <stdexcept>
+
+#include "arrays.h"
+
+namespace {
+
+using Table = Input<int32_t, 1>;
+
+bits::Tables tables_of(const Table &squash, const Table &stretch, const Table &rate, const Table &cost) {
+    if (squash.shape(0) != 4096 || stretch.shape(0) != 4096 || cost.shape(0) != 4096 || rate.shape(0) <= size_t(bits::SLOWEST))
+        throw std::invalid_argument("lattice: tables of other sizes");
+    return {squash.data(), stretch.data(), rate.data(), cost.data()};
+}
+
+lattice::Layout layout_of(const Input<uint8_t, 2> &missing, const Table &sequence, const Input<int32_t, 2> &neighbours,
+                          int stride_log) {
+    const size_t points = missing.shape(1);
+    if (sequence.shape(0) != points || neighbours.shape(0) != points || neighbours.shape(1) != lattice::NEIGHBOURS ||
+        stride_log < 0 || stride_log > lattice::LARGEST_STRIDE_LOG)
+        throw std::invalid_argument("lattice: shapes differ");
+    std::vector<bool> coded(points);
+    for (size_t i = 0; i < points; ++i) {
+        const int32_t p = sequence.data()[i];
+        if (p < 0 || size_t(p) >= points || coded[size_t(p)]) throw std::invalid_argument("lattice: not a sequence");
+        for (int q = 0; q < lattice::NEIGHBOURS; ++q) {
+            const int32_t n = neighbours.data()[size_t(p) * lattice::NEIGHBOURS + size_t(q)];
+            if (n >= 0 && (size_t(n) >= points || !coded[size_t(n)]))
+                throw std::invalid_argument("lattice: a neighbour that is not known yet");
+        }
+        coded[size_t(p)] = true;
+    }
+    return {missing.shape(0), points, missing.data(), sequence.data(), neighbours.data(), stride_log};
+}
+
+Output<double> give(const std::vector<double> &values, const lattice::Layout &of) {
+    Fresh<double> out(values.size());
+    std::copy(values.begin(), values.end(), out.data.get());
+    return out.give({of.points, of.frames, 3});
+}
+
+// The stream, and the samples (points, frames, 3) that it decodes to; an empty stream and no samples if one is too large.
+nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missing, Table sequence,
+                                Input<int32_t, 2> neighbours, int stride_log, Table squash, Table stretch, Table rate,
+                                Table cost) {
+    const lattice::Layout of = layout_of(missing, sequence, neighbours, stride_log);
+    if (wanted.shape(0) != of.points || wanted.shape(1) != of.frames || wanted.shape(2) != 3)
+        throw std::invalid_argument("lattice: shapes differ");
+    const bits::Tables tables = tables_of(squash, stretch, rate, cost);
+    std::vector<uint8_t> stream;
+    std::vector<double> decoded;
+    bool coded;
+    {
+        nb::gil_scoped_release release;
+        bits::Encoder encoder;
+        lattice::Chunk<bits::Encoder> chunk(of, tables, encoder, wanted.data());
+        coded = chunk.run();
+        stream = encoder.finish();
+        decoded = std::move(chunk.decoded);
+    }
+    if (!coded) return nb::none();
+    return nb::make_tuple(nb::bytes(reinterpret_cast<const char *>(stream.data()), stream.size()), give(decoded, of));
+}
+
+// The samples (points, frames, 3) of a stream, None for a stream that is not one.
+nb::object tempo_lattice_decode(nb::bytes stream, Input<uint8_t, 2> missing, Table sequence, Input<int32_t, 2> neighbours,
+                                int stride_log, Table squash, Table stretch, Table rate, Table cost) {
+    const lattice::Layout of = layout_of(missing, sequence, neighbours, stride_log);
+    const bits::Tables tables = tables_of(squash, stretch, rate, cost);
+    const uint8_t *data = reinterpret_cast<const uint8_t *>(stream.c_str());
+    const size_t size = stream.size();
+    std::vector<double> decoded;
+    bool whole;
+    {
+        nb::gil_scoped_release release;
+        bits::Decoder decoder(data, size);
+        lattice::Chunk<bits::Decoder> chunk(of, tables, decoder, nullptr);
+        whole = chunk.run() && decoder.at_end();
+        decoded = std::move(chunk.decoded);
+    }
+    if (!whole) return nb::none();
+    return nb::object(nb::cast(give(decoded, of)));
+}
+
+}  // namespace
+
+void bind_lattice(nb::module_ &m) {
+    m.def("tempo_lattice_encode", &tempo_lattice_encode);
+    m.def("tempo_lattice_decode", &tempo_lattice_decode);
+}

@@ -1,0 +1,139 @@
+"""The lattice engine keeps its bound, and gives the same bytes with and without the compiled module."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec import native
+from mocodec.codecs.tempo.coding import lattice
+from mocodec.codecs.tempo.coding.lattice import Neighbours
+from mocodec.errors import Corrupt
+from mocodec.testing import synthetic
+from mocodec.typing import Booleans, Floats
+
+RADIUS = 1.25**0.5
+"""Of the ball about a sample that its lattice point lies in, half steps."""
+
+
+def samples(frames: int, points: int, bound: float = 0.001, seed: int = 1) -> tuple[Floats, Booleans, Neighbours]:
+    positions = synthetic.markers(frames=max(frames, 4), seed=seed).positions[:frames, :points]
+    rng = np.random.default_rng(seed)
+    missing = np.zeros(positions.shape[:2], bool)
+    if frames > 30:
+        missing[5:20, 0] = missing[12:, -1] = missing[:7, points // 2] = True
+        missing |= rng.random(missing.shape) < 0.05
+    return positions / lattice.half_step(bound), missing, lattice.neighbours(positions)
+
+
+@pytest.mark.parametrize(("frames", "points"), [(1, 1), (1, 5), (2, 2), (3, 1), (40, 6), (65, 3)])
+@pytest.mark.parametrize("stride", [0, 2, 4])
+def test_samples_come_back_within_the_bound(frames: int, points: int, stride: int) -> None:
+    wanted, missing, known = samples(frames, points)
+    found = lattice.encode(wanted, missing, known, stride)
+    assert found is not None
+    distance = np.sqrt(((found[1] - wanted) ** 2).sum(axis=2))[~missing]
+    assert distance.max(initial=0.0) <= RADIUS
+    np.testing.assert_array_equal(lattice.decode(found[0], missing, known), found[1])
+    with native.without():
+        pure = lattice.encode(wanted, missing, known, stride)
+        assert pure is not None
+        assert pure[0] == found[0]
+        np.testing.assert_array_equal(pure[1], found[1])
+        np.testing.assert_array_equal(lattice.decode(found[0], missing, known), found[1])
+
+
+@pytest.mark.parametrize("kind", ["jump", "noise", "still", "huge", "coincident"])
+def test_whatever_the_motion(kind: str) -> None:
+    wanted, missing, known = samples(48, 5, seed=3)
+    rng = np.random.default_rng(4)
+    wanted = wanted.copy()
+    if kind == "jump":
+        wanted[20:, 2] += 1e5
+        wanted[33, 1] -= 4e6
+    elif kind == "noise":
+        wanted = rng.normal(size=wanted.shape) * 300
+    elif kind == "still":
+        wanted[:] = wanted[0]
+    elif kind == "huge":
+        wanted *= 1e5
+    else:
+        wanted[:, 3] = wanted[:, 1]
+    found = lattice.encode(wanted, missing, known, 2)
+    with native.without():
+        pure = lattice.encode(wanted, missing, known, 2)
+    assert found is not None
+    assert pure is not None
+    assert pure[0] == found[0]
+    assert np.sqrt(((found[1] - wanted) ** 2).sum(axis=2))[~missing].max() <= RADIUS * (1 + 1e-6)
+
+
+def test_spikes_are_stored_apart() -> None:
+    wanted, missing, known = samples(40, 4)
+    missing[:] = False
+    spiked = wanted.copy()
+    spiked[7, 2] += (900.5, -3.2, 44.0)
+    spiked[31, 0] -= 2000.0
+    found, plain = lattice.encode(wanted, missing, known, 2, spiked), lattice.encode(wanted, missing, known, 2)
+    assert found is not None
+    assert plain is not None
+    assert len(found[0]) < len(plain[0]) + 30
+    assert np.sqrt(((found[1] - spiked) ** 2).sum(axis=2)).max() <= RADIUS
+    np.testing.assert_array_equal(lattice.decode(found[0], missing, known), found[1])
+
+
+def test_samples_beyond_the_range_are_left_to_others() -> None:
+    wanted, missing, known = samples(40, 4)
+    assert lattice.encode(wanted * 1e9, missing, known, 2) is None
+    with native.without():
+        assert lattice.encode(wanted * 1e9, missing, known, 2) is None
+
+
+def test_neighbours_come_before_and_back_from_their_bytes() -> None:
+    for points in (1, 2, 3, 4, 41):
+        known = lattice.neighbours(synthetic.markers(frames=60, seed=5).positions[:, :points])
+        again = Neighbours.unpack(known.pack(), points)
+        np.testing.assert_array_equal(again.table, known.table)
+        placed: set[int] = set()
+        for point in known.sequence.tolist():
+            assert placed >= {n for n in known.table[point].tolist() if n >= 0}
+            placed.add(point)
+        assert len(placed) == points
+
+
+def test_many_points_that_are_far_apart_are_all_placed() -> None:
+    rng = np.random.default_rng(2)
+    places = np.concatenate([rng.normal(size=(90, 3)), 100 + rng.normal(size=(90, 3))])
+    known = lattice.neighbours(places + 0.01 * rng.normal(size=(5, 180, 3)))
+    assert sorted(known.sequence.tolist()) == list(range(180))
+
+
+def test_neighbours_in_a_circle_or_out_of_range_are_refused() -> None:
+    circle = Neighbours(np.array([[1, -1, -1], [0, -1, -1]], np.int32))
+    with pytest.raises(Corrupt, match="circle"):
+        Neighbours.unpack(circle.pack(), 2)
+    beyond = Neighbours(np.array([[5, -1, -1], [-1, -1, -1]], np.int32))
+    with pytest.raises(Corrupt, match="out of range"):
+        Neighbours.unpack(beyond.pack(), 2)
+
+
+def test_damage_is_refused_or_harmless() -> None:
+    wanted, missing, known = samples(33, 4)
+    found = lattice.encode(wanted, missing, known, 2)
+    assert found is not None
+    rng = np.random.default_rng(6)
+    for data in (b"", b"\x07", found[0][: len(found[0]) // 3], found[0] + bytes(range(1, 20))):
+        with pytest.raises(Corrupt):
+            lattice.decode(data, missing, known)
+    for _ in range(30):
+        broken = bytearray(found[0])
+        broken[rng.integers(len(broken))] ^= 1 << rng.integers(8)
+        for compiled in (True, False):
+            try:
+                if compiled:
+                    lattice.decode(bytes(broken), missing, known)
+                else:
+                    with native.without():
+                        lattice.decode(bytes(broken), missing, known)
+            except Corrupt:
+                continue
