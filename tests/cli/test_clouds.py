@@ -71,6 +71,17 @@ def test_a_bound_is_promised_and_verified(folder, tmp_path, capsys):
     assert (tmp_path / "q.svg").stat().st_size > 1000
 
 
+def test_a_cut_keeps_a_promise_that_holds(folder, tmp_path, capsys):
+    stored, first = tmp_path / "x.mocz", folder / "first.bvh"
+    run("encode", folder / "frames", "-o", stored, "--fps", 15, "--skeleton", first, "--max-error", "4mm", "--psnr", 30)
+    run("cut", stored, "--from", "1f", "--to", "3f", "-o", tmp_path / "part.mocz")
+    with mc.open(tmp_path / "part.mocz") as opened:
+        assert opened.encoded.promise == {"max_error": pytest.approx(0.006)}
+    mc.write(tmp_path / "middle", mc.read(folder / "frames", mc.PointClouds, fps=15)[1:3])
+    run("verify", tmp_path / "part.mocz", "--against", tmp_path / "middle", "--fps", 15)
+    assert "the promise is kept" in capsys.readouterr().out
+
+
 def test_broken_promises_of_clouds_are_named(folder, tmp_path, capsys):
     moved = mc.read(folder / "frames", mc.PointClouds, fps=15)
     other = replace(moved, positions=[p + 0.05 for p in moved.positions])
