@@ -28,6 +28,7 @@ COMMANDS = {
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
     "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),
     "cloud-long": ("cloud.long:command", "Long sequences of point clouds, as whole files."),
+    "cloud-points": ("cloud.points:command", "Points within a bound against Draco, at equal error."),
     "cloud-summary": ("cloud.summary:command", "Requirements and results of point clouds on one page."),
     "tracking": ("cloud.tracking:command", "Tracking and recovery of a body: eight motions."),
     "first-poses": ("cloud.first_poses:command", "First poses without a skeleton."),
