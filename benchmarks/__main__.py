@@ -23,6 +23,7 @@ COMMANDS = {
     "tempo": ("tempo:command", "tempo against SZ3 and hou2014 on CMU recordings: docs/tempo/results.md."),
     "tempo-parts": ("tempo_parts:command", "tempo without each of its parts."),
     "chunk-lengths": ("chunk_lengths:command", "What shorter chunks of tempo cost, which lose less when damaged."),
+    "bounds": ("bounds:command", "tempo and SZ3 under fine hard maxima, and encoding speed."),
     "unknown": ("unknown:command", "tempo on points that its prior does not know."),
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
     "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),

@@ -131,29 +131,39 @@ class Tempo:
         source = prepare(motion.positions, motion.up)
         plan = self._lattice_plan(motion, source)
         if plan is not None and plan.alone:
+            return self._encode_planned(motion, source, plan)
+        encoded = self._encode_planned(motion, source, plan)
+        if plan is None or any(Payload.unpack(c.payload).engine != LATTICE for c in encoded.chunks):
+            return encoded
+        with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
+        return min(encoded, with_longer_chunks, key=lambda e: e.payload_bytes)
+
+    def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
+        """By the chosen model, by the lattice engine, or each chunk by the smaller."""
+        if plan is not None and plan.alone:
             seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS)
             bounds = chunk_bounds(len(motion), motion.rate, seconds)
+            choice = model_choice.without_model(motion)
         else:
             cuts = leaps.discontinuities(source.smooth, motion.rate)
             bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
-        with progress.phase(0.0, CHOICE_SHARE):
-            if plan is not None and plan.alone:
-                choice = model_choice.without_model(motion)
-            else:
+            with progress.phase(0.0, CHOICE_SHARE):
                 choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
+        model_bytes = len(header.pack())
         if plan is not None:
             header = replace(header, neighbours=plan.neighbours.pack())
             model = replace(model, neighbours=plan.neighbours)
+            model_bytes = max(0, 2 * model_bytes - len(header.pack()))  # either the model or the neighbours
         encoders = [
             ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
             for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
-            payloads = self._to_target(encoders, motion, len(header.pack()), plan and plan.stride)
+            payloads = self._to_target(encoders, motion, model_bytes, plan and plan.stride)
         engines = {Payload.unpack(p).engine for p in payloads}
         header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
         if TRANSFORM not in engines:

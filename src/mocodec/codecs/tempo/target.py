@@ -78,9 +78,9 @@ def to_bound(
 ) -> list[bytes]:
     """Payloads that decode to within the bound (metres) at every sample.
 
-    stride: of the lattice engine, None to leave it out. model_bytes: what the transform's model takes beside the
-    chunks; each that the transform codes is charged with its share. All are decoded and checked; one that exceeds the
-    bound is replaced by the direct engine's, which never does.
+    stride: of the lattice engine, None to leave it out. model_bytes: what the transform needs beside the chunks, more
+    than the lattice; each chunk that the transform codes is charged with its share. All are decoded and checked; one
+    that exceeds the bound is replaced by the direct engine's, which never does.
     """
     payloads: list[bytes] = []
     offset = FIRST_OFFSET
