@@ -25,7 +25,7 @@ from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
-from . import chunk, engine_choice, fallback, model_choice, repeats, target
+from . import chunk, engine_choice, fallback, lattice_mean, model_choice, repeats, target
 from .chunk import LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
@@ -44,8 +44,8 @@ MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
-CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
-"""Shares of the progress: the chunks (the rest is the fallback); within the chunks, the choice of the model."""
+CHUNKS_SHARE, FALLBACK_SHARE, CHOICE_SHARE = 0.7, 0.9, 0.2
+"""Of the progress: where the chunks end, and the fallback; within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 REPEATS_TRIES = 3
@@ -115,8 +115,20 @@ class Tempo:
             return self.encode_chunks(motion)
         with progress.phase(0.0, CHUNKS_SHARE):
             encoded = self.encode_chunks(motion)
-        with progress.phase(CHUNKS_SHARE, 1.0):
-            return self._or_fallback(encoded, motion)
+        with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
+            encoded = self._or_fallback(encoded, motion)
+        with progress.phase(FALLBACK_SHARE, 1.0):
+            return self._or_lattice(encoded, motion)
+
+    def _or_lattice(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
+        if self.mean_error is None or not engine_choice.available():
+            return encoded
+
+        def on_lattice(part: Motion, bound: float) -> Encoded[Motion]:
+            return replace(self, mean_error=None, max_error=bound, model=LATTICE_MODEL).encode_chunks(part)
+
+        found = lattice_mean.smaller(encoded, motion, self.mean_error, on_lattice, Tempo.decode)
+        return replace(found, settings=encoded.settings)
 
     def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
         if self._has_size:
