@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from mocodec import api
+from mocodec import api, formats
 from mocodec.motion import Motion
 
 from . import datasets, results
@@ -72,10 +72,12 @@ def table(records: list[dict[str, Any]]) -> list[str]:
 
 @click.command("chunk-lengths")
 @click.option("--data", type=click.Path(path_type=Path), default=datasets.SHARED, help="Folder of the recordings.")
-@click.option("--tables", is_flag=True, help="Only print the table from the stored results.")
+@click.option("--tables", is_flag=True, help="Only write the table from the stored results.")
 def command(data: Path, tables: bool) -> None:
-    """Measure what chunks of 1 and 2 s cost against 4 s; write docs/results/chunk_lengths.json and print its table."""
+    """Measure what chunks of 1 and 2 s cost against 4 s; write docs/results/chunk_lengths.json and .md."""
     if not tables:
         records = results.rounded(measure(data))
         results.write_json(RESULTS, {"machine": machine_description(), "clips": records})
-    click.echo("\n".join(table(results.read_json(RESULTS)["clips"])))
+    text = "\n".join(table(results.read_json(RESULTS)["clips"])) + "\n"
+    formats.replace_whole(RESULTS.with_suffix(".md"), text.encode())
+    click.echo(text, nl=False)

@@ -17,10 +17,11 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     ("cli", "__main__"),
     ("testing", "plots"),
-    ("api",),
+    ("api", "packing"),
     ("codecs", "container"),
+    ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing"),
+    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing", "channels"),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .api import File, compare, decode, encode, open, read, write
+from .api import File, compare, decode, encode, not_kept, open, read, write
 from .errors import (
     BadInput,
     CannotEncode,
@@ -67,7 +67,7 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014", "Hou2014Database",
-    "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion", "PointClouds", "Signal",
-    "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode", "open", "read", "tempo",
-    "write",
+    "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion", "PointClouds",
+    "Signal", "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode",
+    "not_kept", "open", "read", "tempo", "write",
 ]  # fmt: skip

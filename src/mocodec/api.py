@@ -10,17 +10,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
 from . import codecs, formats
 from . import progress as progress_
+from .channels import Channel, channels
+from .codecs import base
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
-from .errors import BadInput, CannotEncode
+from .errors import BadInput, Corrupt, MocodecError
 from .metrics import compare
-from .motion import Deferred, Motion
+from .motion import Deferred, Motion, with_signals
+from .packing import default_codec, pack, with_options
 from .pointcloud import PointClouds
 from .progress import Callback
 from .selection import Frames, counted, frame_steps, point_columns, split_key
@@ -28,16 +33,10 @@ from .selection import Frames, counted, frame_steps, point_columns, split_key
 if TYPE_CHECKING:
     from .container import Reader  # imported where it is used: it makes `import mocodec` a quarter slower
 
-__all__ = ["File", "compare", "decode", "encode", "open", "read", "write"]
+__all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
 Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
-DEFAULT_CODECS = ("tempo", "bodycast")
-"""The codecs that are used by default: for motion, and for point clouds."""
-SMALLEST_FILE_BYTES = 64
-"""About how many bytes a file takes at least, without its extras."""
-ATTEMPTS = 5
-"""How often a recording is encoded to meet a size or a ratio."""
 
 
 @overload
@@ -84,6 +83,7 @@ def encode(
     mean_error: float | None = None,
     ratio: float | None = None,
     size: int | None = None,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -104,6 +104,7 @@ def encode(
     mean_error: float | None = None,
     ratio: float | None = None,
     size: int | None = None,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -111,6 +112,7 @@ def encode(
     recording: Recording,
     codec: str | Codec[Any] | None = None,
     *,
+    signal_error: str | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes:
@@ -118,8 +120,9 @@ def encode(
 
     codec: a name, or an instance such as `Hou2014(components=40)`; by default "tempo" for motion and "bodycast" for
     point clouds. Targets: `max_error` (no point of any frame is farther off, metres), `mean_error` (metres), `ratio`
-    (to float32 positions), `size` (bytes of the file). settings: other settings of the codec. progress: called with
-    fractions from 0 to 1.
+    (to float32 positions), `size` (bytes of the file). signal_error: how far samples of signals may be off, "12bit" or
+    "0.1%" of their range or by label "Fz*=0.5N, EMG*=12bit"; None keeps them exactly. settings: other settings of the
+    codec. progress: called with fractions from 0 to 1.
     Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.
     """
     if not isinstance(cast(object, recording), (Motion, PointClouds)):
@@ -129,82 +132,21 @@ def encode(
         )
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
     with progress_.listening(progress):
-        return pack(chosen, recording)
+        return pack(chosen, recording, signal_error)
+
+
+def not_kept(recording: Recording, codec: str | Codec[Any] | None = None) -> list[str]:
+    """What a codec will not keep of a recording, in words, before anything is encoded: rotations, joint limits.
+
+    codec: a name or an instance; by default that of `encode`. Positions are kept within the target of the codec, and
+    `extras` without loss. Offsets of a skeleton are rounded to 10 µm, but for the lossless codec. Raises BadInput.
+    """
+    return base.not_kept(with_options(codec or default_codec(recording)), recording)
 
 
 def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:
     """The settings without the targets that are None."""
     return {name: value for name, value in settings.items() if value is not None or name not in TARGETS}
-
-
-def pack(codec: Codec[RecordingT], recording: RecordingT) -> bytes:
-    """Encode, and meet `size` for the whole file and `ratio` for the whole file without extras.
-
-    A codec counts only its own bytes. If the container makes the file too large, the codec encodes again with a target
-    that is smaller by the excess. Raises CannotEncode if the target cannot be met.
-    """
-    from . import container
-
-    target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
-    if target is None:
-        return container.pack(codec.encode(recording))
-    if target == "size":
-        _require_room(recording, codec)
-    with progress_.attempt(0):
-        encoded = codec.encode(recording)
-    blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
-    target_bytes: float = value if target == "size" else recording.raw_bytes / value
-    limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
-    for attempt in range(1, ATTEMPTS):
-        if len(blob) <= limit:
-            return blob
-        target_bytes = math.floor(min(target_bytes, encoded.payload_bytes) - (len(blob) - limit))
-        if target_bytes < 1:
-            break
-        value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
-        with progress_.attempt(attempt):
-            encoded = dataclasses.replace(codec, **{target: value}).encode(recording)
-        blob = container.pack(dataclasses.replace(encoded, settings=settings))
-    if len(blob) <= limit:
-        return blob
-    raise CannotEncode(
-        f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
-        f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
-    )
-
-
-def _require_room(recording: Recording, codec: Codec[Any]) -> None:
-    """Raises CannotEncode if the extras of a recording alone exceed the size that the codec is asked for."""
-    from . import container
-
-    extras, size = container.extras_bytes(recording), cast("int", getattr(codec, "size", 0))
-    if extras + SMALLEST_FILE_BYTES > size and extras:
-        raise CannotEncode(
-            f"{codec.name} cannot encode this to a file of {size:,} bytes: analog channels, events, parameters and "
-            f"other extras alone take {extras:,}; ask for a larger size, or leave them out (--bare)"
-        )
-
-
-def extras_bytes(blob: bytes) -> int:
-    """Bytes of the extras in a .mocz."""
-    with open(blob) as f:
-        return f.info["bytes_by_part"]["extras"]
-
-
-def default_codec(recording: Recording) -> str:
-    """The name of the codec that is used by default."""
-    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
-
-
-def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
-    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
-    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
-    known = [f.name for f in dataclasses.fields(chosen)]
-    for name in options:
-        if name not in known:
-            what = "target" if name in TARGETS else "setting"
-            raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")
-    return dataclasses.replace(chosen, **options)
 
 
 @overload
@@ -220,7 +162,9 @@ def decode(source: Source, kind: type[Recording] | None = None, *, progress: Cal
     with progress_.listening(progress), open(source, kind) as f:
         recording = f[:]
         if isinstance(recording.extras, Deferred):
-            recording = dataclasses.replace(recording, extras=dict(recording.extras))
+            recording = dataclasses.replace(
+                recording, extras=with_signals(recording.extras, lambda signal: signal.loaded())
+            )
         return recording
 
 
@@ -240,7 +184,8 @@ def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool =
     reader = container.Reader(source, salvage)
     try:
         _of_kind(reader.encoded.about, kind, reader.source.name)
-    except BadInput:
+        _require_codec_of_kind(reader)
+    except MocodecError:
         reader.close()
         raise
     return File[Any](reader, _reopenable(source), salvage)
@@ -288,6 +233,11 @@ class File(Generic[RecordingT]):
         about = self.encoded.about
         return about.names if isinstance(about, Motion) else ()
 
+    @cached_property
+    def signals(self) -> Mapping[str, Channel]:
+        """The channels of all signals by label: `f.signals["Fz1"][a:b]` reads and decodes these samples only."""
+        return channels(self.encoded.about.extras)
+
     @property
     def info(self) -> dict[str, Any]:
         """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
@@ -314,8 +264,10 @@ class File(Generic[RecordingT]):
         start, stop, step = frame_steps(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
+        codec = self.codec
         with self._reader.errors_name_file():
-            recording = self.codec.decode(self.encoded, slice(start, stop))
+            _require_memory(stop - start, len(self.names))
+            recording = codec.decode(self.encoded, slice(start, stop))
         if step > 1:
             recording = cast("RecordingT", recording[::step])
         return recording if names is None else cast("RecordingT", cast(Motion, recording).select(names))
@@ -333,6 +285,10 @@ class File(Generic[RecordingT]):
         if not second >= 0:
             raise BadInput(f"times count from the first frame and start at 0, not {second}")
         return min(math.ceil(second * self.rate - 1e-6), len(self))
+
+    def errors_name_file(self) -> AbstractContextManager[None]:
+        """Errors that a codec raises inside name the file, and all of them are MocodecErrors."""
+        return self._reader.errors_name_file()
 
     def whole(self) -> list[tuple[int, int]]:
         """Runs of frames (start, stop) that are undamaged and decode, also in a file opened with `salvage`."""
@@ -368,6 +324,24 @@ class File(Generic[RecordingT]):
 def is_mocz(path: AnyPath) -> bool:
     """Whether a path has the suffix .mocz."""
     return os.fspath(path).lower().endswith(".mocz")
+
+
+def _require_codec_of_kind(reader: Reader) -> None:
+    """Raises Corrupt for a motion by a codec of point clouds, or the other way round."""
+    codec, about = reader.encoded.codec, reader.encoded.about
+    if codec in codecs.CODECS and (codec in codecs.CLOUD_CODECS) == isinstance(about, Motion):
+        kind = "a motion" if isinstance(about, Motion) else "point clouds"
+        raise Corrupt(f"{reader.source.name or 'the file'}: holds {kind}, which {codec} does not code")
+
+
+def _require_memory(count: int, points: int) -> None:
+    """Raises BadInput if the positions of `count` frames exceed the memory of this machine."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # a system that does not say
+        memory = 1 << 40
+    if count * points * 24 > memory:
+        raise BadInput(f"{count:,} frames of {points} points need more memory than there is; decode fewer at a time")
 
 
 def _of_kind(recording: Recording, kind: type[Recording] | None, path: object) -> Recording:

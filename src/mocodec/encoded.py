@@ -9,7 +9,7 @@ about          a motion (or point clouds) without frames: rate, names, axes, ske
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,16 @@ Recording = Motion | PointClouds
 
 RecordingT = TypeVar("RecordingT", bound=Recording)
 
+MAX_CHUNK_SAMPLES = 1 << 22
+"""Samples (frames × points) of a chunk, at most, so that decoding two frames needs bounded time and memory."""
+CLOUD_SAMPLES = 1 << 8
+"""As how many samples a frame of point clouds counts."""
+
+
+def most_chunk_frames(points: int) -> int:
+    """The most frames that a chunk of this many points may have."""
+    return MAX_CHUNK_SAMPLES // max(points, 1)
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -39,6 +49,18 @@ class Chunk:
     def stop(self) -> int:
         """The frame after the last."""
         return self.start + self.frames
+
+
+def batches(chunks: Sequence[Chunk], points: int, most: int) -> Iterator[Sequence[Chunk]]:
+    """Chunks to decode side by side: at most `most`, with MAX_CHUNK_SAMPLES if each is as long as the longest."""
+    first, longest = 0, 0
+    for i, chunk in enumerate(chunks):
+        longest = max(longest, chunk.frames)
+        if i > first and (i - first == most or (i - first + 1) * longest * points > MAX_CHUNK_SAMPLES):
+            yield chunks[first:i]
+            first, longest = i, chunk.frames
+    if first < len(chunks):
+        yield chunks[first:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +107,19 @@ class Encoded(Generic[RecordingT]):
         return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
 
 
-def about(motion: Motion) -> Motion:
-    """The motion without its frames and rotations: the `about` of its Encoded."""
-    return replace(motion, positions=motion.positions[:0], rotations=None)
+def about(motion: Motion, has_rotations: bool = False) -> Motion:
+    """The motion without its frames: the `about` of its Encoded. has_rotations: whether the codec codes rotations; the
+    result then has rotations, of no frames.
+    """
+    rotations = motion.rotations if has_rotations else None
+    return replace(motion, positions=motion.positions[:0], rotations=None if rotations is None else rotations[:0])
 
 
-def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0) -> Motion:
-    """The motion of decoded positions (frames, points, 3), whose first frame is `start` of the encoded motion."""
+def restore(encoded: Encoded[Motion], positions: Floats, start: int = 0, rotations: Floats | None = None) -> Motion:
+    """The motion of decoded positions (frames, points, 3) and rotations (frames, joints, 4), whose first frame is
+    `start` of the encoded motion."""
     like = encoded.about
     complete = start == 0 and len(positions) == encoded.frames
     extras = like.extras if complete else extras_between(like.extras, start, start + len(positions), like.rate)
-    return replace(like, positions=positions, extras=extras, source=source_from(like.source, start))
+    source = source_from(like.source, start)
+    return replace(like, positions=positions, rotations=rotations, extras=extras, source=source)

@@ -17,8 +17,20 @@ A message says what is wrong, where, and what to do.
 from __future__ import annotations
 
 
+def _printable(character: str) -> str:
+    """The character; a space for line ends and tabs, and U+FFFD for what is not printable."""
+    return character if character.isprintable() else " " if character.isspace() else "\N{REPLACEMENT CHARACTER}"
+
+
 class MocodecError(Exception):
-    """Base class of every error that mocodec raises on purpose."""
+    """Base class of every error that mocodec raises on purpose. Its text has no control characters.
+
+    A message may quote names that come from a file, which could otherwise move the cursor of a terminal.
+    """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if text.isprintable() else "".join(map(_printable, text))
 
 
 class BadInput(MocodecError, ValueError):

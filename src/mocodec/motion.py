@@ -116,12 +116,34 @@ class Signal:
             )
 
     def __repr__(self) -> str:
-        return f"<Signal: {' × '.join(map(str, self.values.shape))} {self.values.dtype} at {self.rate:g} Hz>"
+        return f"<Signal: {' × '.join(map(str, self.shape))} {self.dtype} at {self.rate:g} Hz>"
 
     def between(self, start: int, stop: int, frame_rate: float) -> Signal:
         """The samples of frames [start, stop) of a motion at `frame_rate`."""
         per_frame = self.rate / frame_rate
-        return replace(self, values=self.values[round(start * per_frame) : round(stop * per_frame)])
+        return self.samples(round(start * per_frame), round(stop * per_frame))
+
+    def samples(self, start: int, stop: int) -> Signal:
+        """Samples [start, stop) of all channels, as a signal."""
+        return replace(self, values=self.values[start:stop])
+
+    def channel(self, number: int, start: int, stop: int) -> NDArray[Any]:
+        """Samples [start, stop) of one channel, counted over all axes but the first."""
+        return self.values[start:stop].reshape(max(0, len(self.values[start:stop])), -1)[:, number]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of `values`: (samples, …)."""
+        return self.values.shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of `values`."""
+        return self.values.dtype
+
+    def loaded(self) -> Signal:
+        """The signal with its values in memory."""
+        return self
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -394,6 +416,5 @@ def with_signals(extras: Mapping[str, Any], change: Callable[[Signal], Signal]) 
 
 def source_from(source: Mapping[str, Any], start: int) -> dict[str, Any]:
     """The source of a motion that starts `start` frames later."""
-    if "first_frame" not in source:
-        return dict(source)
-    return {**source, "first_frame": source["first_frame"] + start}
+    first = source.get("first_frame")
+    return {**source, "first_frame": first + start} if type(first) is int else dict(source)

@@ -111,6 +111,14 @@ def test_verify_info_and_decode_take_the_folder_again(folder: Path, command: Com
     assert json.loads(again.out)["totals"]["skipped"] == 3
 
 
+def test_a_format_that_is_unknown_becomes_npz(folder: Path, command: Command, walk: mc.Motion) -> None:
+    for name, format_ in (("a", "synthetic"), ("b", "../../x"), ("c", "trc")):
+        motion = mc.Motion(walk.positions, walk.rate, walk.names, source={"format": format_, "unit_m": 0.001})
+        mc.write(f"{name}.mocz", motion, codec="lossless")
+    assert command("decode", "a.mocz", "b.mocz", "c.mocz", "-o", "back").code == 0
+    assert files_below("back") == ["a.npz", "b.npz", "c.trc"]
+
+
 def test_damage_and_a_broken_promise_fail_one_file(folder: Path, command: Command, walk: mc.Motion) -> None:
     Path("in/sub/broken.trc").unlink()
     command("encode", "in", "-o", "out", *FAST)

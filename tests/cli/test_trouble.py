@@ -16,6 +16,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import cli
+from mocodec.cli import compare, files
 
 from .conftest import LOSSY, Command, Result
 
@@ -215,3 +216,108 @@ def test_interrupt_is_quiet(walk_trc: Path) -> None:
     _, err = process.communicate(timeout=30)
     assert err.decode().splitlines() == ["mocodec: interrupted"]
     assert process.returncode == cli.INTERRUPTED
+
+
+def test_extras_that_exceed_a_size_are_named(walk: mc.Motion, tmp_path: Path, command: Command) -> None:
+    noise = np.random.default_rng(1).normal(size=(2400, 8))
+    analog = mc.Signal(noise, 1200.0, tuple(f"EMG{i}" for i in range(8)))
+    mc.write(tmp_path / "loud.c3d", mc.Motion(walk.positions, walk.rate, walk.names, extras={"analog": analog}))
+    result = command("encode", tmp_path / "loud.c3d", "-o", tmp_path / "x.mocz", "--size", "5kB")
+    assert_one_line(result, cli.BAD_INPUT)
+    assert "analog channels" in result.err
+    assert "--bare" in result.err
+    assert command("encode", tmp_path / "loud.c3d", "-o", tmp_path / "x.mocz", "--size", "5kB", "--bare").code == 0
+
+
+@pytest.mark.parametrize("name", ["walk.trc", "walk.C3D", "walk.amc"])
+def test_decoding_another_format_names_the_command_that_is_meant(
+    command: Command, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = command("decode", name, "-o", "x.npz")
+    assert_one_line(result, cli.USAGE)
+    assert f"`mocodec convert {name} x.npz`" in result.err
+    assert f"`mocodec encode {name} -o walk.mocz`" in result.err
+
+
+def test_compare_takes_the_rate_that_the_mocz_knows(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recording = mc.PointClouds([np.random.default_rng(i).normal(size=(50, 3)) for i in range(3)], 12.5)
+    mc.write("frames", recording)
+    Path("other").mkdir()
+    for path in Path("frames").iterdir():  # without the comment that says the rate
+        lines = path.read_bytes().split(b"\n")
+        Path("other", path.name).write_bytes(b"\n".join(line for line in lines if b"rate" not in line))
+    assert command("info", "other").code == cli.BAD_INPUT
+    monkeypatch.setattr(files, "read", lambda name, **options: (seen.append((name, options)), recording)[1])
+    seen: list[tuple[str, dict[str, object]]] = []
+    compare.read_both("other", "people.mocz", {"fps": None, "rate": None})
+    assert seen == [("people.mocz", {}), ("other", {"fps": 12.5})]
+    seen.clear()
+    compare.read_both("other", "people.mocz", {"fps": None, "rate": 10.0})
+    assert seen == [("people.mocz", {}), ("other", {"rate": 10.0})]
+
+
+def run_mocodec(arguments: str) -> subprocess.CompletedProcess[bytes]:
+    """A command line of a shell, in which `$M` is mocodec."""
+    environment = {**os.environ, "M": f"{sys.executable} -m mocodec"}
+    return subprocess.run(["bash", "-c", arguments], capture_output=True, env=environment, timeout=60)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="streams and file names of POSIX")
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("$M info walk.mocz >&-", 0),
+        ("$M info walk.mocz 2>&-", 0),
+        ("$M info missing.mocz 2>&-", cli.BAD_INPUT),
+        ("$M info - <&-", cli.USAGE),
+        ("$M encode walk.trc -o - >&-", cli.USAGE),
+        ("$M decode walk.mocz --format trc -o - >&-", cli.USAGE),
+        ("$M info walk.mocz > /dev/full", cli.BAD_INPUT),
+        ("$M info walk.mocz | head -0; exit ${PIPESTATUS[0]}", None),
+        ("$M verify walk.mocz walk.mocz | head -0", None),
+    ],
+)
+def test_closed_and_full_streams_do_not_crash(walk_mocz: Path, line: str, code: int | None) -> None:
+    process = run_mocodec(line)
+    if code is not None:
+        assert process.returncode == code
+    assert b"Traceback" not in process.stderr
+    assert b"Exception" not in process.stderr
+    assert b"bug" not in process.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names of any bytes")
+def test_undecodable_names_do_not_crash(walk_trc: Path) -> None:
+    name = b"\xff\x1b[31m.trc"
+    Path(os.fsdecode(name)).write_bytes(walk_trc.read_bytes())
+    line = r"$M encode $'\xff\x1b[31m.trc' -o $'\xfe.mocz' --codec lossless && $M info $'\xfe.mocz'"
+    process = run_mocodec(line + r" && $M verify $'\xfe.mocz'")
+    assert process.returncode == 0, process.stderr
+    assert b"\x1b" not in process.stdout + process.stderr
+    line = "$M encode . -o out --codec lossless && LC_ALL=C PYTHONIOENCODING=ascii $M info out ."
+    many = run_mocodec(line + r"; $M info $'\xfd'")
+    assert b"bug" not in many.stderr
+    assert b"\x1b" not in many.stdout + many.stderr
+    assert many.returncode == cli.BAD_INPUT
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.15, 0.3, 0.6, 1.0])
+def test_a_signal_at_any_moment_leaves_no_trace(walk_trc: Path, number: int, after_s: float) -> None:
+    start = "import sys, mocodec_command; sys.argv[1:] = ['encode', 'walk.trc', '-o', 'x.mocz']; print(flush=True)"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{start}; mocodec_command.main()"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(0.01 + after_s)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode in (0, 128 + number, -number)  # the last as the interpreter ends
+    assert b"Traceback" not in err
+    assert [path.name for path in Path().iterdir() if "part" in path.name] == []

@@ -10,7 +10,7 @@ import pytest
 import mocodec as mc
 from mocodec.codecs import lossless
 from mocodec.codecs.lossless import Lossless
-from mocodec.errors import BadInput, CannotEncode, Corrupt
+from mocodec.errors import BadInput, Corrupt
 from mocodec.motion import Motion
 from mocodec.testing import CodecTests, synthetic
 
@@ -55,9 +55,9 @@ def test_ranks_keep_signed_zeros_and_subnormals_and_grow_with_the_value() -> Non
     assert (np.diff(ranks) > 0).all()
 
 
-def test_positions_beyond_float32_raise_cannot_encode() -> None:
-    with pytest.raises(CannotEncode, match="float32"):
-        Lossless().encode(Motion(positions=np.full((3, 1, 3), 1e39) * np.pi, rate=10))
+def test_positions_beyond_float32_are_stored_as_float64() -> None:
+    motion = Motion(np.full((3, 1, 3), 1e39), 120.0)
+    assert np.array_equal(Lossless.decode(Lossless().encode(motion)).positions, motion.positions)
 
 
 def test_chunks_of_zero_seconds_raise_bad_input() -> None:

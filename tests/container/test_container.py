@@ -188,17 +188,17 @@ def arrays() -> list[np.ndarray]:
 
 @pytest.mark.parametrize("array", arrays(), ids=lambda a: f"{a.dtype}{a.shape}")
 def test_arrays_come_back_bit_for_bit(array: np.ndarray):
-    packed, size = values.pack_extras({"a": array})
-    again = values.unpack_extras(packed, size)["a"]
+    packed = values.pack_extras({"a": array})
+    again = values.unpack_extras(packed.section, packed.size)["a"]
     assert (again.dtype, again.shape) == (array.dtype, array.shape)
     assert again.tobytes() == array.tobytes()
-    assert len(packed) <= array.nbytes + 40
+    assert len(packed.section) <= array.nbytes + 40
 
 
 def test_arrays_are_packed_well():
     counts = np.cumsum(np.random.default_rng(0).integers(-9, 10, (3000, 5)), 0)
-    assert len(values.pack_extras({"a": np.zeros(1_000_000)})[0]) < 40
-    assert len(values.pack_extras({"a": counts * 0.000305})[0]) < counts.size * 1.2
+    assert len(values.pack_extras({"a": np.zeros(1_000_000)}).section) < 40
+    assert len(values.pack_extras({"a": counts * 0.000305}).section) < counts.size * 1.2
 
 
 @pytest.mark.parametrize(

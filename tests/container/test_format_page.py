@@ -12,6 +12,7 @@ from mocodec import container
 from mocodec.container import tables
 from mocodec.encoded import Chunk, Encoded
 from mocodec.motion import Motion, Signal, Skeleton
+from mocodec.signals import codec
 
 JOINTS = ("hip", "l_leg", "r_leg", "l_foot", "r_foot", "Left Hand")
 OFFSETS = np.array([[0, 90, 0], [9, -2, 1], [-9, -2, 1], [0.5, -40, 3], [-0.5, -41, 3], [20, 0.125, 0]]) * 1e-2
@@ -101,6 +102,9 @@ class Page:
             dtype = np.dtype(self.value())
             shape = [self.varint() for _ in range(self.varint())]
             return np.frombuffer(self.take(int(np.prod(shape)) * dtype.itemsize), dtype).reshape(shape)
+        if byte == 15:
+            parts = [self.value() for _ in range(4)]
+            return [*parts, tuple(self.varint() for _ in range(self.varint()))]
         if byte == 14:
             return tables.MORE_WORDS[self.varint()]
         assert byte >= 32
@@ -238,7 +242,8 @@ def test_a_file_is_as_the_page_says():
     assert page.tree(dictionary()) == {"max_error": 0.002}
     preset = tables.SOURCES[page.varint()]
     assert {**preset, **page.tree(dictionary())} == source
-    extras_bytes, unpacked_bytes = page.varint(), page.varint()
+    assert page.varint() == 0  # with signals
+    extras_bytes, unpacked_bytes, signal_bytes = page.varint(), page.varint(), page.varint()
     assert [page.take(page.varint() // 2) for _ in range(page.varint())] == [b"basis", b""]
     assert page.at == end
     assert page.take(4) == crc(data[:end])
@@ -249,12 +254,19 @@ def test_a_file_is_as_the_page_says():
     values = inner.tree(dictionary())
     assert values["events"] == extras["events"]
     assert (values["blob"], values["large"]) == (extras["blob"], extras["large"])
-    assert values["analog"] == [1200.0, ["Fx", "Fy"], ["N", "N"], "array"]
+    assert values["analog"] == [1200.0, ["Fx", "Fy"], ["N", "N"], samples.dtype.str, samples.shape]
     np.testing.assert_array_equal(values["small"], extras["small"])
-    for expected in (samples, extras["steps"], extras["zeros"]):
+    head = inner.at
+    encoded = codec.encode(samples, 1200.0)
+    assert encoded is not None
+    assert inner.take(len(codec.pack(encoded[0]))) == codec.pack(encoded[0]), head
+    for expected in (extras["steps"], extras["zeros"]):
         np.testing.assert_array_equal(array(inner), expected)
     assert inner.at == len(section)
-    assert unpacked_bytes <= (1 << 28) + 1024 * extras_bytes
+    assert unpacked_bytes <= (1 << 28) + 1024 * (extras_bytes + signal_bytes)
+
+    signals = page.take(signal_bytes)
+    assert signals == b"".join(chunk + crc(chunk) for chunk in encoded[1])
 
     for chunk in chunks:
         start = page.at

@@ -135,3 +135,20 @@ def test_notes_of_what_is_left_out_are_made_from_the_source():
     text = "; ".join(formats.notes(mc.Motion(np.zeros((2, 1, 3)), 30.0, source=source)))
     for part in ("2 numbers are missing", "alpha", "--residuals", "3 angles (deg)"):
         assert part in text
+
+
+@pytest.mark.parametrize("lost", [4, 12, 30])
+def test_text_of_skeletons_is_salvaged(tmp_path, lost):
+    for suffix, frames in ((".bvh", 3), (".amc", 2)):
+        path = sample(tmp_path, suffix)
+        whole = formats.read(path)
+        text = path.read_text().rstrip("\n")
+        path.write_text(text[:-lost])
+        part = formats.read(path, salvage=True)
+        assert isinstance(part, mc.Motion)
+        assert isinstance(whole, mc.Motion)
+        assert 0 < len(part) < len(whole) or suffix == ".amc"
+        assert np.allclose(part.positions, whole.positions[: len(part)])
+        assert any("cut off" in note for note in formats.notes(part))
+        path.write_text(text + "\n")
+        assert len(formats.read(path, salvage=True)) == len(whole) >= frames

@@ -175,3 +175,34 @@ def test_declared_counts_are_checked_against_the_file(tmp_path):
     more = read(tmp_path, file(rows(range(1, 4), [0, 1 / 60, 2 / 60]), frames=2))
     assert len(more) == 3
     assert any("declares 2 frames, the file has 3" in note for note in formats.notes(more))
+
+
+def test_zeros_are_gaps_and_come_back(tmp_path):
+    motion = markers(30)
+    positions = motion.positions.copy()
+    positions[10:14, 3] = 0
+    formats.write(tmp_path / "x.trc", replace(motion, positions=positions))
+    text = (tmp_path / "x.trc").read_text().split("\n", 1)[1]
+    again = formats.read(tmp_path / "x.trc")
+    assert np.array_equal(again.gaps[10:14, 3], [True] * 4)
+    assert any("--gaps keep" in note for note in formats.notes(again))
+    formats.write(tmp_path / "y.trc", again)
+    assert (tmp_path / "y.trc").read_text().split("\n", 1)[1] == text
+    assert np.array_equal(formats.read(tmp_path / "x.trc", gaps="keep").gaps, np.isnan(positions[..., 0]))
+
+
+def test_salvage_reads_the_complete_rows(tmp_path):
+    formats.write(tmp_path / "x.trc", markers(30))
+    text = (tmp_path / "x.trc").read_text()
+    whole = formats.read(tmp_path / "x.trc")
+    lines = text.split("\n")
+    for cut in ("\n".join(lines[:20]) + "\n", "\n".join(lines[:21])[:-5]):
+        (tmp_path / "x.trc").write_text(cut)
+        with pytest.raises(BadInput, match="cut off"):
+            formats.read(tmp_path / "x.trc")
+        part = formats.read(tmp_path / "x.trc", salvage=True)
+        assert np.array_equal(part.positions, whole.positions[: len(part)], equal_nan=True)
+        assert len(part) == 20 - lines.index("") - 1
+        assert any(f"{len(part)} of 30 declared frames" in note for note in formats.notes(part))
+    (tmp_path / "x.trc").write_text(text)
+    assert len(formats.read(tmp_path / "x.trc", salvage=True)) == 30

@@ -38,6 +38,9 @@ def test_golden_file_decodes_to_its_twin(path: Path):
     assert motion.positions.shape == wanted.shape
     assert np.array_equal(motion.gaps, np.isnan(wanted[:, :, 0]))
     assert np.nanmax(np.abs(motion.positions - wanted)) <= 1e-9
+    if "rotations" in twin:
+        assert motion.rotations is not None
+        assert np.abs(motion.rotations - np.array(twin["rotations"])).max() <= 1e-9
     assert (motion.rate, motion.up, list(motion.names)) == (twin["rate"], twin["up"], twin["names"])
 
 

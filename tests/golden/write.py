@@ -25,7 +25,7 @@ from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
 from mocodec.motion import Motion, Skeleton
 from mocodec.pointcloud import PointClouds
-from mocodec.testing import actors, sequences, synthetic
+from mocodec.testing import actors, hinged_figures, sequences, synthetic
 
 HERE = Path(__file__).parent
 
@@ -91,6 +91,21 @@ def repeated_frames() -> Motion:
     return replace(motion, positions=motion.positions[np.arange(96) // 2 * 2])
 
 
+def figure() -> Motion:
+    """48 frames of a figure with hinges, and rotations."""
+    return hinged_figures.figure(48)
+
+
+def own_frame_figure() -> Motion:
+    """The same in AMC's convention, with joint limits."""
+    return hinged_figures.figure(48, own_frame=True)
+
+
+def figure_with_translations() -> Motion:
+    """48 frames of a figure with joints that slide and stretch."""
+    return hinged_figures.with_translations(48)
+
+
 def jumper() -> PointClouds:
     """Three frames of a jumping person, 240 points each; the middle frame has only four."""
     clouds = sequences.record(PERFORMANCE, 240, seed=14)
@@ -121,10 +136,18 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "tempo-direct": (markers, "tempo", {"max_error": 0.005, "model": "direct"}),
     "tempo-lattice": (markers, "tempo", {"max_error": 0.0005, "model": "lattice"}),
     "tempo-lattice-joints": (joints, "tempo", {"max_error": 0.0002, "model": "lattice"}),
-    "tempo-lattice-spikes": (spiked_markers, "tempo", {"max_error": 0.001, "weights": {"LHEE": 4.0}, "model": "lattice"}),
+    "tempo-lattice-spikes": (
+        spiked_markers,
+        "tempo",
+        {"max_error": 0.001, "weights": {"LHEE": 4.0}, "model": "lattice"},
+    ),
     "tempo-fallback": (markers, "tempo", {"max_error": 0.005, "model": "hou2014"}),
     "tempo-weights": (markers, "tempo", {"max_error": 0.005, "weights": {"LHEE": 4.0, "RTOE": 4.0}}),
     "tempo-repeats": (repeated_frames, "tempo", {"max_error": 0.005, "model": "transform"}),
+    "rotations-figure": (figure, "tempo", {"mean_error": 0.003}),
+    "rotations-own-frame": (own_frame_figure, "tempo", {"max_error": 0.01}),
+    "rotations-translations": (figure_with_translations, "tempo", {"max_error": 0.005}),
+    "rotations-lossless": (figure, "lossless", {}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
 }
@@ -157,6 +180,8 @@ def write(name: str, folder: Path = HERE) -> None:
     else:
         digits, frames = 6, {"positions": decoded.positions, "colours": decoded.colours or []}
     text = json.dumps(about, indent=2)[:-2]
+    if isinstance(decoded, Motion) and decoded.rotations is not None:
+        frames["rotations"] = decoded.rotations
     for key, values in frames.items():
         lines = [
             json.dumps([None if np.isnan(p[0]) else [round(c, digits) for c in p] for p in f.tolist()]) for f in values

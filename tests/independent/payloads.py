@@ -54,6 +54,46 @@ def gap_mask(data: bytes, frames: int, points: int) -> Array:
     return flat.reshape(frames, points)
 
 
+def apart_mask(data: bytes, frames: int, points: int) -> Array:
+    """(frames, points), true where a sample is missing or in a frozen run."""
+    if data[:1] != b"\0":
+        return gap_mask(data, frames, points)
+    part = Bytes(data)
+    _, mask_size, count, run_size = (part.varint() for _ in range(4))
+    out = gap_mask(part.take(mask_size), frames, points)
+    at = 0
+    for wait, longer, _ in integers(part.take(run_size), count, 3):
+        point, frame = divmod(at + wait, frames)
+        out[frame : frame + longer + 1, point] = True
+        at += wait + longer + 1
+    return out
+
+
+def restored(data: bytes, positions: Array) -> Array:
+    """Positions with NaN in gaps and the values of frozen runs."""
+    frames, points, _ = positions.shape
+    out = positions.copy()
+    if data[:1] != b"\0":
+        out[gap_mask(data, frames, points)] = np.nan
+        return out
+    part = Bytes(data)
+    _, mask_size, count, run_size = (part.varint() for _ in range(4))
+    out[gap_mask(part.take(mask_size), frames, points)] = np.nan
+    runs = integers(part.take(run_size), count, 3)
+    rows = integers(part.rest(), max(which for _, _, which in runs), 24)
+    values = [struct.unpack("<3d", bytes(row)) for row in rows]
+    before = out.copy()
+    at = 0
+    for wait, longer, which in runs:
+        point, frame = divmod(at + wait, frames)
+        stop = frame + longer + 1
+        assert stop <= frames
+        assert which or frame
+        out[frame:stop, point] = values[which - 1] if which else before[frame - 1, point]
+        at += wait + longer + 1
+    return out
+
+
 def corrected(data: bytes, positions: Array, bound: float) -> Array:
     if not data:
         return positions
@@ -187,11 +227,10 @@ def hou2014(shared: list[bytes], chunks: Chunks, points: int, parents: list[int]
             inverse_dct(spectrum) @ matrices[j].T for spectrum, j in zip(spectra, choice, strict=True)
         ]).reshape(frames, points, 3)  # fmt: skip
         positions = positions / 2.0 ** (weights / 64)[:, None] + mean
-        mask = gap_mask(part.blob(), frames, points)
+        apart = part.blob()
         if bound is not None:
             positions = corrected(part.rest(), positions, bound)
-        positions[mask] = np.nan
-        parts.append(positions)
+        parts.append(restored(apart, positions))
     return np.concatenate(parts)
 
 
@@ -262,7 +301,7 @@ def liu2006(shared: list[bytes], chunks: Chunks, points: int, up: str) -> Array:
                 positions[t, columns] = out_of_body(pose, markers[t], "xyz".index(up))
         if bound is not None:
             positions = corrected(residuals[i], positions, bound)
-        positions[gap_mask(gaps[i], frames, points)] = np.nan
+        positions = restored(gaps[i], positions)
         parts.append(positions)
     return np.concatenate(parts)
 
@@ -329,7 +368,10 @@ def lossless(shared: list[bytes], chunks: Chunks, points: int) -> Array:
     parts = []
     for frames, payload in chunks:
         (size,) = struct.unpack_from("<I", payload)
-        mask = gap_mask(payload[4 : 4 + size], frames, points)
+        if form == 2:
+            positions = float64_positions(integers(payload[4 + size :], frames, 12 * points), points)
+            parts.append(restored(payload[4 : 4 + size], positions))
+            continue
         residual = integers(payload[4 + size :], frames, 3 * points)
         values = np.zeros((frames, 3 * points))
         for channel in range(3 * points):
@@ -340,10 +382,20 @@ def lossless(shared: list[bytes], chunks: Chunks, points: int) -> Array:
                 level = lossless_level(rank, form, scale)
                 past = [level, *past[:7]] if t else [level] * 8
                 values[t, channel] = rank / steps if form else float_of(rank)
-        positions = (values * unit).reshape(frames, points, 3)
-        positions[mask] = np.nan
-        parts.append(positions)
+        parts.append(restored(payload[4 : 4 + size], (values * unit).reshape(frames, points, 3)))
     return np.concatenate(parts)
+
+
+def float64_positions(words: list[list[int]], points: int) -> Array:
+    bits, ranks = [], [0] * (3 * points)
+    for row in words:
+        for channel in range(3 * points):
+            z = sum(
+                word << shift for word, shift in zip(row[4 * channel : 4 * channel + 4], (48, 32, 16, 0), strict=True)
+            )
+            ranks[channel] = (ranks[channel] + ((z >> 1) ^ -(z & 1))) % 2**64
+        bits += [rank ^ 0x7FFFFFFFFFFFFFFF if rank >> 63 else rank for rank in ranks]
+    return np.array(bits, np.uint64).view(np.float64).reshape(-1, points, 3)
 
 
 def lossless_prediction(past: list[int], taps: list[int], form: int, scale: int) -> int:

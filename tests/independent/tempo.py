@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import payloads
+from . import payloads, tempo_lattice
 from .integers import Bytes, bits_of, integers, number_of
 from .ordered import BAND, log2
-from .payloads import Array, Chunks, gap_mask
+from .payloads import Array, Chunks, apart_mask, restored
 from .tempo_models import read_model
 from .tempo_statistics import Model, Prior, Recording, prior
 
@@ -42,18 +42,20 @@ def decode(shared: bytes, chunks: Chunks, like: Recording, priors: Callable[[str
     runs = None
     if flags & 32:
         like = like._replace(rate=head.varint() / 1000)
-        parts = [run_lengths(payload, frames) for frames, payload in chunks]
-        chunks = [(len(run), rest) for run, rest in parts]
-        runs = np.concatenate([run for run, _ in parts])
+        lengths = [run_lengths(payload, frames) for frames, payload in chunks]
+        chunks = [(len(run), rest) for run, rest in lengths]
+        runs = np.concatenate([run for run, _ in lengths])
     weights = np.ones(points)
     if flags & 8:
         weights = 2.0 ** (np.frombuffer(head.take(points), np.uint8) / 16)
+    neighbours = tempo_lattice.neighbours_of(head.blob(), points) if flags & 64 else []
     if flags & 16:
         positions = payloads.hou2014([head.rest()], chunks, points, like.parents)
     else:
         known = None if flags & 4 else priors(head.take(4).hex())
         model = None if known is None else read_model(flags & 3, head.rest(), known, like)
-        positions = np.concatenate([chunk(payload, frames, model, like, weights) for frames, payload in chunks])
+        parts = [chunk(payload, frames, model, like, weights, neighbours) for frames, payload in chunks]
+        positions = np.concatenate(parts)
     return positions if runs is None else np.repeat(positions, runs, axis=0)
 
 
@@ -69,20 +71,24 @@ def run_lengths(payload: bytes, frames: int) -> tuple[list[int], bytes]:
     return lengths, part.rest()
 
 
-def chunk(payload: bytes, frames: int, model: Model | None, like: Recording, weights: Array) -> Array:
+def chunk(
+    payload: bytes, frames: int, model: Model | None, like: Recording, weights: Array, neighbours: list[list[int]]
+) -> Array:
     part, points = Bytes(payload), len(like.names)
     flags = part.take(1)[0]
     gaps = part.blob() if flags & 8 else b""
     grid = 2.0 ** (part.folded() / 256) if flags & 4 else 0.0
     if flags & 1:
         positions = direct(part.rest(), frames, points) * grid / weights[:, None]
+    elif flags & 2:
+        apart = apart_mask(gaps, frames, points)
+        positions = tempo_lattice.decode(part.rest(), apart, neighbours) * grid / weights[:, None]
     else:
         assert model is not None
         values, step, lists = coefficients(part, frames, model, like)
         positions = synthesise(values, step, frames, model, like)
         correct(positions, lists, grid, weights)
-    positions[gap_mask(gaps, frames, points)] = np.nan
-    return positions[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
+    return restored(gaps, positions)[..., {"y": [0, 1, 2], "z": [2, 0, 1], "x": [1, 2, 0]}[like.up]]
 
 
 # --- coefficients
@@ -295,10 +301,14 @@ def levels(frames: int) -> list[Level]:
 
 
 def direct(data: bytes, frames: int, points: int) -> Array:
+    return direct_columns(data, frames, 3 * points).reshape(frames, points, 3)
+
+
+def direct_columns(data: bytes, frames: int, columns: int) -> Array:
     order = levels(frames)
     contexts = [level.number for level in order for _ in level.frames]
-    residuals = iter(np.array(integers(data, frames, 3 * points, contexts), np.int64).reshape(frames, -1))
-    v, last = np.zeros((frames, 3 * points), np.int64), frames - 1
+    residuals = iter(np.array(integers(data, frames, columns, contexts), np.int64).reshape(frames, -1))
+    v, last = np.zeros((frames, columns), np.int64), frames - 1
     for level, at, d in order:
         for t in at:
             if level < 2:
@@ -308,7 +318,7 @@ def direct(data: bytes, frames: int, points: int) -> Array:
             else:
                 predicted = (v[t - d] + v[min(t + d, last)] + 1) >> 1
             v[t] = predicted + next(residuals)
-    return v.reshape(frames, points, 3).astype(float)
+    return v.astype(float)
 
 
 __all__ = ["Recording", "decode"]

@@ -11,7 +11,8 @@ import pytest
 import mocodec as mc
 from mocodec.codecs.hou2014 import Hou2014Database
 from mocodec.entropy import coder
-from mocodec.testing import synthetic
+from mocodec.stages import frozen
+from mocodec.testing import edge_cases, synthetic
 
 from . import payloads
 from .integers import integers
@@ -48,11 +49,29 @@ def test_golden_files(path: Path) -> None:
 @pytest.mark.parametrize(
     ("codec", "options"),
     [
+        ("hou2014", {"max_error": 0.001}),
+        ("hou2014", {"mean_error": 0.001}),
+        ("hou2014", {"components": 8}),
+        ("liu2006", {"max_error": 0.002, "initial_frames": 40, "ahead_frames": 30, "rise": 5.0}),
+        ("liu2006", {"mean_error": 0.003}),
+        ("lossless", {"chunk_seconds": 0.5}),
+    ],
+)
+def test_frozen_runs(codec: str, options: dict[str, Any]) -> None:
+    motion = edge_cases.motion("parked").select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
+    assert frozen.split(motion.positions).frozen.any()
+    check(mc.encode(motion, codec=codec, **options))
+
+
+@pytest.mark.parametrize(
+    ("codec", "options"),
+    [
         ("hou2014", {"segmentation": "adaptive", "clips": 3, "masking": 0.5, "components": 8}),
         ("hou2014", {"max_error": 0.001, "point_weights": {"C7": 4.0}, "unit": 0.001}),
         ("hou2014", {"compress_basis": False, "centre": False, "components": 5}),
         ("liu2006", {"max_error": 0.002, "initial_frames": 40, "ahead_frames": 30, "rise": 5.0}),
         ("lossless", {"chunk_seconds": 0.5}),
+        ("lossless", {"chunk_seconds": 0.5, "float64": True}),
     ],
 )
 def test_other_settings(codec: str, options: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from mocodec.codecs.tempo.pose.bone_tree import BoneTree
 from mocodec.encoded import Encoded
 from mocodec.entropy import coder
 from mocodec.motion import Motion
-from mocodec.testing import synthetic
+from mocodec.testing import edge_cases, synthetic
 
 from . import motions, tempo
 from .integers import integers
@@ -110,6 +110,11 @@ def test_repeats(model: str) -> None:
 @pytest.mark.parametrize("target", [{"max_error": 0.0005}, {"max_error": 0.03}, {"mean_error": 0.003}, {"ratio": 20.0}])
 def test_gaps_spikes_leaps_and_every_axis(up: str, target: dict[str, Any]) -> None:
     check(Tempo(chunk_seconds=0.7, **target).encode_chunks(replace(with_holes(FEW_MARKERS), up=up)))
+
+
+@pytest.mark.parametrize("target", [{}, {"mean_error": 0.003}, {"model": "direct"}, {"model": "hou2014"}])
+def test_frozen_runs(target: dict[str, Any]) -> None:
+    check(Tempo(chunk_seconds=0.5, **target).encode(replace(edge_cases.motion("parked"), up="x")))
 
 
 def test_the_example_of_the_page() -> None:

@@ -123,7 +123,7 @@ def run(arguments: Sequence[str]) -> int:
         with mocodec.make_context("mocodec", list(arguments) or ["--help"], obj=flags) as ctx:
             result = mocodec.invoke(ctx)
             for note in flags.get("notes", ()):  # of the files that were read
-                click.echo(note, err=True)
+                click.echo(printable(note), err=True)
         if sys.stdout is not None:
             sys.stdout.flush()
         return result if isinstance(result, int) else OK
@@ -168,12 +168,16 @@ def message_and_code(error: Exception) -> tuple[str, int]:
             )
 
 
+def printable(text: str) -> str:
+    """The text without control characters, which files may put into names."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
+
+
 def print_error(message: str, code: int) -> int:
     """Print one line on standard error, unless it is closed; returns the exit code."""
-    from .files import printable
-
+    line = " ".join(message.split())
     with suppress(OSError, ValueError):
-        print("mocodec: " + printable(" ".join(message.split())), file=sys.stderr, flush=True)
+        print(f"mocodec: {printable(line)}", file=sys.stderr, flush=True)
     return code
 
 
@@ -182,6 +186,10 @@ def silence_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+closed_streams: set[str] = set()
+"""Names of the standard streams that were closed when the command began."""
 
 
 def open_streams() -> None:
@@ -193,6 +201,7 @@ def open_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
         if getattr(sys, name) is None:
+            closed_streams.add(name)
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
         elif number:
             getattr(sys, name).reconfigure(errors="backslashreplace")

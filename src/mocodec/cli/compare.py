@@ -58,7 +58,7 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if Path(path).suffix.lower() not in plots.SUFFIXES:
             raise click.UsageError(f"{path}: the suffix of a picture must be one of {', '.join(plots.SUFFIXES)}")
     with files.working(f"reading {a} and {b}"):
-        original, other = (files.read(name, **options_for(name, (a, b), options)) for name in (a, b))
+        original, other = read_both(a, b, options)
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):
         if plot or poses:
             raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
@@ -79,6 +79,19 @@ def title(a: str, b: str, result: metrics.Comparison) -> str:
     """The title of a picture."""
     ratio = f", {result.ratio:.0f} : 1" if result.ratio is not None else ""
     return f"{Path(b).name} against {Path(a).name}: {result.frames:,} frames of {result.points} points{ratio}"
+
+
+def read_both(a: str, b: str, options: dict[str, Any]) -> tuple[Recording, Recording]:
+    """Both recordings. A .mocz is read first: it knows the rate of point clouds whose files do not say theirs."""
+    found: dict[str, Recording] = {}
+    for name in sorted({a, b}, key=lambda name: not files.is_mocz(name)):
+        chosen = options_for(name, (a, b), options)
+        known = next(iter(found.values()), None)
+        if isinstance(known, PointClouds) and not files.is_mocz(name) and Path(name).suffix.lower() in ("", ".ply"):
+            chosen = files.given(**chosen)
+            chosen |= {} if {"fps", "rate"} & chosen.keys() else {"fps": known.rate}
+        found[name] = files.read(name, **chosen)
+    return found[a], found[b]
 
 
 def options_for(name: str, both: tuple[str, str], options: dict[str, Any]) -> dict[str, Any]:

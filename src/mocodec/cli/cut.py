@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -21,6 +22,7 @@ from .. import api, codecs, container
 from ..encoded import Chunk, Encoded, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion, extras_between, source_from
+from ..signals import bounds
 from . import files, quantities
 
 Time = tuple[float | None, int | None]
@@ -118,12 +120,17 @@ def copied_chunks(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] 
         extras=extras_between(about.extras, start, stop, about.rate),
         source=source_from(about.source, start),
     )
-    return dataclasses.replace(encoded, about=about, chunks=kept)
+    settings = encoded.settings if (start, stop) == (0, encoded.frames) else _still_true(encoded.settings)
+    return dataclasses.replace(encoded, about=about, chunks=kept, settings=settings)
 
 
 def positions_equal(a: Recording, b: Recording) -> bool:
-    """Whether the positions of two recordings agree within 1e-9 m."""
-    pairs = [(np.asarray(a), np.asarray(b))] if isinstance(a, Motion) else zip(a.positions, b.positions, strict=True)
+    """Whether the positions of two recordings agree within 1e-9 m, and the components of rotations within 1e-9."""
+    if isinstance(a, Motion) and isinstance(b, Motion):
+        pairs = [(a.positions, b.positions)]
+        pairs += [(a.rotations, b.rotations)] if a.rotations is not None and b.rotations is not None else []
+    else:
+        pairs = list(zip(a.positions, b.positions, strict=True))
     return all(p.shape == q.shape and np.allclose(p, q, rtol=0, atol=1e-9, equal_nan=True) for p, q in pairs)
 
 
@@ -134,13 +141,24 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     """
     encoded, part = opened.encoded, opened[start:stop]
     settings: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in encoded.settings.items()}
-    bounds: dict[str, float] = {name: settings[name] for name in ("max_error", "mean_error") if settings.get(name)}
-    settings |= {name: SECOND_BOUND * bound for name, bound in bounds.items()}
+    errors: dict[str, float] = {
+        name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)
+    }
+    settings |= {name: SECOND_BOUND * bound for name, bound in errors.items()}
     settings.pop("size", None)
+    signal_error = settings.pop("signal_error", None)
     try:
         again = api.with_options(codecs.codec_class(encoded.codec)(), **settings).encode(part)
     except BadInput as error:
         raise CannotEncode(f"this cut needs a second encoding, which failed: {error}; try --chunks") from error
-    promised = {name: (1 + SECOND_BOUND) * bound for name, bound in bounds.items()}
-    grown = "".join(f", promised {n.replace('_', ' ')} now {quantities.bound(b)}" for n, b in promised.items())
-    return dataclasses.replace(again, settings={**again.settings, **promised}), f"encoded again{grown}"
+    promised = {name: (1 + SECOND_BOUND) * bound for name, bound in errors.items()}
+    texts = {n: f"{b:g}°" if n == "max_rotation" else quantities.bound(b) for n, b in promised.items()}
+    grown = "".join(f", promised {n.replace('_', ' ')} now {text}" for n, text in texts.items())
+    kept = _still_true({"signal_error": signal_error} if signal_error else {})
+    return dataclasses.replace(again, settings={**again.settings, **promised, **kept}), f"encoded again{grown}"
+
+
+def _still_true(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without an error of signals that is relative to their range: that of a part is smaller."""
+    relative = bounds.is_relative(settings.get("signal_error") or "")
+    return {name: value for name, value in settings.items() if name != "signal_error" or not relative}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from .. import api, container, formats
 from ..encoded import Encoded, Recording, restore
 from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
+from ..typing import Floats
 from . import DAMAGED, files, many
 from . import output as output_options
 
@@ -123,19 +125,20 @@ def suffix_of(source: str, format_: str | None) -> str:
 
     "" for the folder of a point cloud's frames; .npz if the file does not say its format or cannot be opened.
     """
-    if format_ is None:
-        try:
-            with api.open(files.source_of(source)) as opened:
-                format_ = str(opened.encoded.about.source.get("format", "npz"))
-                is_motion = len(opened.shape) == 3
-        except MocodecError:  # `one` raises it again
-            return ".npz"
-        if not is_motion:
-            return "" if format_ == "ply" else f".{format_}"
-    suffix = f".{format_.lower().lstrip('.')}"
-    if suffix not in formats.FORMATS:
-        raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
-    return suffix
+    if format_ is not None:
+        suffix = f".{format_.lower().lstrip('.')}"
+        if suffix not in formats.FORMATS:
+            raise click.UsageError(f"unknown format {format_!r}; the formats are {' '.join(formats.FORMATS)}")
+        return suffix
+    try:
+        with api.open(files.source_of(source)) as opened:
+            suffix = f".{opened.encoded.about.source.get('format')}"
+            is_motion = len(opened.shape) == 3
+    except MocodecError:  # `one` raises it again
+        return ".npz"
+    if not is_motion:
+        return ".npz" if suffix == ".npz" else ""
+    return suffix if suffix in formats.FORMATS else ".npz"
 
 
 def refuse_other_formats(source: str, output: str) -> None:
@@ -161,8 +164,9 @@ def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:
             raise BadInput(
                 f"{source}: its codec tracks no body, so there is no motion to write; name a folder for .ply files"
             )
-        has_surface = suffix == ".glb" and hasattr(codec, "surface")
-        return codec.track(opened.encoded), {"surface": codec.surface(opened.encoded)} if has_surface else {}
+        has_surface = suffix in (".glb", ".gltf") and hasattr(codec, "surface")
+        with opened.errors_name_file():
+            return codec.track(opened.encoded), {"surface": codec.surface(opened.encoded)} if has_surface else {}
 
 
 def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
@@ -180,9 +184,27 @@ def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
         positions = np.full(opened.shape, np.nan)
         for start, stop in runs:
             positions[start:stop] = opened[start:stop].positions
+        rotations = salvaged_rotations(opened, runs)
         encoded: Encoded[Motion] = opened.encoded
         if any(number is None for number, _ in reader.damage()):
             encoded = dataclasses.replace(encoded, about=dataclasses.replace(encoded.about, extras={}))
         missing = opened.shape[0] - sum(stop - start for start, stop in runs)
         lost += [f"{missing} frames are gaps"] if missing else []
-        return restore(encoded, positions), lost
+        return restore(encoded, positions, rotations=rotations), lost
+
+
+def salvaged_rotations(opened: api.File[Motion], runs: Sequence[tuple[int, int]]) -> Floats | None:
+    """The rotations (frames, joints, 4) of undamaged frames, those of the frame before where frames are lost; None for
+    a file without rotations.
+    """
+    if opened.encoded.about.rotations is None:
+        return None
+    frames, joints, _ = opened.shape
+    known = {start: opened[start:stop].rotations for start, stop in runs}
+    rotations = np.full((frames, joints, 4), np.nan)
+    for start, part in known.items():
+        if part is not None:
+            rotations[start : start + len(part)] = part
+    there = np.flatnonzero(~np.isnan(rotations[:, 0, 0]))
+    nearest = there[np.maximum(np.searchsorted(there, np.arange(frames), side="right") - 1, 0)]
+    return rotations[nearest]

@@ -15,6 +15,7 @@ from ..codecs.base import Codec
 from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
+from ..packing import DEFAULT_CODECS
 from . import files, many, quantities, verify
 
 
@@ -32,8 +33,26 @@ from . import files, many, quantities, verify
 @click.option(
     "--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames is at most this: 1mm."
 )
+@click.option(
+    "--max-rotation",
+    type=click.FloatRange(0, 180, min_open=True),
+    metavar="DEGREES",
+    help="No rotation of a joint is farther off than this, beside any other target: 2.",
+)
 @click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
 @click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
+@click.option(
+    "--signal-error",
+    metavar="ERROR",
+    help="How far samples of signals may be off: 12bit or 0.1% of their range, or by label 'Fz*=0.5N,EMG*=12bit'. "
+    "Default: not at all.",
+)
+@click.option(
+    "--chunk-seconds",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="Length of the parts that damage spares or loses as a whole; default 4. Shorter ones lose less and cost more.",
+)
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
 @click.option(
     "--skeleton",
@@ -57,6 +76,7 @@ def command(
     output: str,
     codec: str | None,
     settings: tuple[str, ...],
+    signal_error: str | None,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -72,9 +92,12 @@ def command(
     after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
     """
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
-    cloud_settings = files.given(**{name: options.pop(name) for name in ("skeleton", "residual")})
-    settings += tuple(f"{name}={value}" for name, value in cloud_settings.items())
+    own_options = files.given(
+        **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
+    )
+    settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
+    chosen |= files.given(signal_error=signal_error)
     if many.is_many(sources, output):
         refuse_file(output)
         refuse_settings(codec, settings, targets)
@@ -83,31 +106,43 @@ def command(
         work = many.Settings({**chosen, **files.given(**options)}, jobs, again, as_json, quiet)
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
+    if output == "-":
+        files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
-    recording, record, blob = encoded(source, **chosen, **options)
+    _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
     files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
         files.echo(summary(output, record), err=True)
-        for text in unstored(recording):
-            files.note(source, text)
     return None
 
 
 def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dict[str, Any]:
     """Encode one of many files to `where`; returns its record for the summary."""
-    recording, record, blob = encoded(source, **chosen)
+    recording, record, blob = encoded(source, **chosen, quiet=True)
     Path(where).parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(where, blob)
-    return {**record, "notes": [*formats.notes(recording), *unstored(recording)]}
+    kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
+    lost = api.not_kept(recording, kind)
+    left_out = [f"not kept: {', '.join(lost)}"] if lost else []
+    return {**record, "notes": [*left_out, *formats.notes(recording)]}
 
 
 def encoded(
-    source: str, codec: str | None, settings: Sequence[str], targets: dict[str, float], bare: bool, **options: Any
+    source: str,
+    codec: str | None,
+    settings: Sequence[str],
+    targets: dict[str, float],
+    bare: bool,
+    signal_error: str | None = None,
+    quiet: bool = False,
+    **options: Any,
 ) -> tuple[Recording, dict[str, Any], bytes]:
     """The recording of a source, what was measured on its .mocz, and the bytes of that.
+
+    Says before the work what will not be kept, unless `quiet`.
 
     Raises CannotEncode if the decoded bytes do not keep their promise.
     """
@@ -116,9 +151,11 @@ def encoded(
     if bare:
         recording = replace(recording, extras={})
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
+    if (lost := api.not_kept(recording, chosen)) and not quiet:
+        files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"):
         with progress.phase(0.0, 0.9):
-            blob = api.pack(chosen, recording)
+            blob = api.pack(chosen, recording, signal_error)
         with progress.phase(0.9, 1.0), api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
     if isinstance(recording, Motion):
@@ -137,7 +174,7 @@ def refuse_file(output: str) -> None:
 def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[str, float]) -> None:
     """Raises a usage error for settings that no codec in question accepts: before any file is read."""
     problems: list[click.UsageError] = []
-    for name in [codec] if codec else api.DEFAULT_CODECS:
+    for name in [codec] if codec else DEFAULT_CODECS:
         try:
             codec_with(name, settings, targets)
         except click.UsageError as error:
@@ -156,16 +193,15 @@ def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -
         raise click.UsageError(str(error)) from error
 
 
-def unstored(recording: Recording) -> list[str]:
-    """What of the recording is not stored in the .mocz, in words."""
-    has_rotations = isinstance(recording, Motion) and recording.rotations is not None
-    return ["joint positions are stored; rotations are not stored yet"] if has_rotations else []
-
-
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:
     """The record of an encoded file: bytes, ratio to float32 positions and, for a motion, errors in metres."""
-    stored, extras = facts["bytes"], facts["bytes_by_part"]["extras"]
-    record: dict[str, Any] = {"codec": facts["codec"], "frames": len(recording), "bytes": stored, "extras": extras}
+    stored, parts = facts["bytes"], facts["bytes_by_part"]
+    record: dict[str, Any] = {"codec": facts["codec"], "frames": len(recording), "bytes": stored}
+    record |= {
+        "motion": stored - parts["extras"] - parts["signals"],
+        "signals": parts["signals"],
+        "extras": parts["extras"],
+    }
     record |= {"raw_bytes": recording.raw_bytes, "ratio": recording.raw_bytes / stored}
     if isinstance(recording, Motion) and isinstance(decoded, Motion):
         error = metrics.compare(recording, decoded, stored)
@@ -177,13 +213,16 @@ def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any])
 def summary(output: str, record: Mapping[str, Any]) -> str:
     """One line: bytes, ratio and, for a motion, the measured error."""
     name = "standard output" if output == "-" else output
-    stored, extras, raw = record["bytes"], record["extras"], record["raw_bytes"]
+    stored, extras, raw = record["bytes"], record["extras"] + record["signals"], record["raw_bytes"]
     if not raw:
         return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
     line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
     if extras > stored / 100:
         points = raw / (stored - extras)
-        line += f" ({points:.1f} : 1 without {extras:,} bytes of analog channels, parameters and other extras)"
+        line += (
+            f" ({points:.1f} : 1 without {record['signals']:,} bytes of signals and {record['extras']:,} of parameters "
+            "and other extras)"
+        )
     if "mean_error" in record:
         line += f", mean error {quantities.length(record['mean_error'])}, max {quantities.length(record['max_error'])}"
     return line

@@ -18,6 +18,7 @@ from ..errors import BadInput, MocodecError
 from ..formats.zeros import GAP_OPTIONS
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
+from . import closed_streams, printable
 
 SUFFIX = ".mocz"
 
@@ -97,6 +98,8 @@ class StandardInput(BytesIO):
     name = "standard input"
 
     def __init__(self) -> None:
+        if "stdin" in closed_streams:
+            raise click.UsageError('"-" reads standard input, which is closed')
         if sys.stdin.isatty():
             raise click.UsageError('"-" reads standard input, which is the terminal: pipe a file into it')
         super().__init__(sys.stdin.buffer.read())
@@ -167,11 +170,6 @@ def note(name: str, text: str) -> None:
             shown.append(line)
 
 
-def printable(text: str) -> str:
-    """The text without control characters, which files may put into names."""
-    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
-
-
 def echo(text: str, err: bool = False) -> None:
     """Print text on standard output or error; control characters, which files may put into names, are replaced."""
     click.echo("\n".join(map(printable, text.split("\n"))), err=err)
@@ -217,7 +215,9 @@ def write_bytes(name: str, data: bytes) -> None:
 
 
 def refuse_terminal() -> None:
-    """Raises a usage error where standard output is a terminal."""
+    """Raises a usage error where standard output is a terminal, or closed."""
+    if "stdout" in closed_streams:
+        raise click.UsageError("standard output is closed: redirect it, or name a file with -o")
     if sys.stdout.isatty():
         raise click.UsageError("standard output is the terminal: redirect it, or name a file with -o")
 

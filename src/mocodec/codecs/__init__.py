@@ -19,6 +19,10 @@ CODECS = {
 }
 
 
+CLOUD_CODECS = ("lien2006", "bodycast")
+"""The codecs of CODECS that code point clouds; the others code motion."""
+
+
 def codec_class(name: str) -> type[Codec[Any]]:
     """The class of a codec, by its name on disk. Raises UnknownCodec."""
     if name not in CODECS:

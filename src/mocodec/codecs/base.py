@@ -8,9 +8,10 @@ from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
-from ..encoded import Chunk, Encoded, RecordingT, about, restore
+from ..encoded import Chunk, Encoded, Recording, RecordingT, about, restore
 from ..errors import CannotEncode, Corrupt
 from ..motion import Motion
+from ..typing import Floats
 
 GAP_CHUNK_FRAMES = 1 << 16
 GAP_CHUNK_SAMPLES = 1 << 22
@@ -58,14 +59,28 @@ def require_frames(motion: Motion) -> None:
         raise CannotEncode("the motion has no frames")
 
 
+def not_kept(codec: Codec[Any], recording: Recording) -> list[str]:
+    """What a codec will not keep of a recording, in words: known before encoding."""
+    if not isinstance(recording, Motion):
+        return []
+    lost: list[str] = []
+    if recording.rotations is not None:
+        lost_rotations = getattr(codec, "lost_rotations", None)
+        reason = f"{codec.name} codes positions only" if lost_rotations is None else lost_rotations(recording)
+        lost += [f"the rotations of the joints ({reason})"] if reason is not None else []
+    if recording.skeleton is not None and recording.skeleton.limits is not None:
+        lost += ["the limits of the joints"] if lost or recording.rotations is None else []
+    return lost
+
+
 def has_samples(motion: Motion) -> bool:
     """Whether any point is present in any frame; force plates may be recorded without points."""
     return bool(motion.positions.size) and not np.isnan(motion.positions).all()
 
 
-def require_usual_lengths(codec: Codec[Motion], motion: Motion) -> None:
+def require_usual_lengths(codec: Codec[Motion], positions: Floats) -> None:
     """Raises CannotEncode for positions that are too far away for coding in steps: a wrong unit, or damaged numbers."""
-    largest = max(float(np.nanmax(motion.positions)), -float(np.nanmin(motion.positions)))
+    largest = max(float(np.nanmax(positions)), -float(np.nanmin(positions)))
     if largest > LARGEST_M:
         raise CannotEncode(
             f"{codec.name} codes positions up to {LARGEST_M:g} m, and there are some at {largest:.3g} m; "

@@ -1,8 +1,10 @@
-"""Lossless coding: every float32 bit of the positions, in the units of the source file.
+"""Lossless coding: every float32 bit of the positions, in the units of the source file, and every bit of rotations.
 
     positions ─► units of the source ─► multiples of a step? ── yes ─► integers k, x = k / steps ──────┐
                  as float32                     └─ no ──► bit patterns as integers in numeric order ───├─► residual
                                 one linear predictor for the recording, in fixed-point arithmetic ─────┘
+
+    rotations ─► differences in time of their bits ─► bytes of equal weight together ─► deflate
 
 The residual is entropy coded. Recordings are smooth far below a millimetre. One linear predictor, fitted to all points
 for the least absolute error (which determines the bits), leaves only the noise of the cameras. Text formats and integer
@@ -20,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import progress
-from ..encoded import Chunk, Encoded, about, restore
+from ..encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ..entropy import coder
-from ..errors import BadInput, CannotEncode, Corrupt
+from ..errors import BadInput, Corrupt
 from ..motion import Motion
-from ..stages import gaps, segment
+from ..stages import frozen, gaps, rotation_bits, segment
 from ..typing import Booleans, Floats, Integers
 from . import base
 
@@ -37,37 +39,62 @@ FIT_SAMPLES = 100_000  # about as many samples are used to fit the predictor
 FIT_ITERATIONS = 8
 RANK_LIMIT = 1 << 37  # every rank is within ±RANK_LIMIT
 HEADER = struct.Struct("<Bdd" + "i" * (ORDER - 1) + "bI")
-ON_GRID, FLOAT32 = 1, 0  # forms on disk: never change one
+ON_GRID, FLOAT32, FLOAT64 = 1, 0, 2  # forms on disk: never change one
+WORDS = 4  # 16-bit words of a float64
+WITH_ROTATIONS = b"\x01"  # the second shared part, if chunks begin with rotations
 
 
 @dataclass(frozen=True)
 class Lossless:
-    """Settings. chunk_seconds: duration of a chunk; each chunk decodes without the others."""
+    """Settings. chunk_seconds: duration of a chunk; each chunk decodes without the others.
+
+    float64: store every bit of float64 positions in metres; always so beyond the range of float32.
+    """
 
     name: ClassVar[str] = "lossless"
     chunk_seconds: float = 4.0
+    float64: bool = False
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
-        """Raises CannotEncode for no samples or positions beyond float32, BadInput for invalid settings."""
+        """Raises CannotEncode for no samples, BadInput for invalid settings."""
         if not base.has_samples(motion):
             return base.encode_gaps(self, motion, base.settings(self))
         if not self.chunk_seconds > 0:
             raise BadInput(f"lossless: chunk_seconds must be positive, not {self.chunk_seconds}")
-        filled, gap_mask = gaps.fill(motion.positions)
-        form, unit, steps, values = to_numbers(filled, ~gap_mask, float(motion.source.get("unit_m", 1.0)))
-        channels = values.reshape(len(values), -1)
-        ranks = channels if form == ON_GRID else float_to_rank(channels)
-        scale = fixed_point_scale(form, values)
-        taps = fit_predictor(channels.astype(np.float64))
-        chunk_frames = max(1, round(self.chunk_seconds * motion.rate))
+        apart = frozen.split(motion.positions, tolerance=0.0, bones=motion.skeleton is not None)
+        filled, mask = gaps.fill(apart.moving)
+        if self.float64 or not fits_float32(filled):
+            form, unit, steps, values = FLOAT64, 1.0, 1.0, filled
+            ranks, scale, taps = float64_to_rank(filled.reshape(len(filled), -1)), 0, np.zeros(ORDER - 1, np.int64)
+        else:
+            form, unit, steps, values = to_numbers(filled, ~mask, float(motion.source.get("unit_m", 1.0)))
+            channels = values.reshape(len(values), -1)
+            ranks = channels if form == ON_GRID else float_to_rank(channels)
+            scale = fixed_point_scale(form, values)
+            taps = fit_predictor(channels.astype(np.float64))
+        longest = most_chunk_frames(motion.points)
+        chunk_frames = max(1, round(min(self.chunk_seconds * motion.rate, longest)))
+        has_rotations = self.lost_rotations(motion) is None and motion.rotations is not None
         chunks = []
         for run in progress.over(segment.equal_length(len(motion), chunk_frames)):
-            residual = ranks[run] - predict_chunk(ranks[run], form, taps, scale)
-            packed_gaps = gaps.pack(gap_mask[run])
+            if form == FLOAT64:
+                residual = to_words(ranks[run])
+            else:
+                residual = ranks[run] - predict_chunk(ranks[run], form, taps, scale)
+            packed_gaps = apart[run].pack()
             payload = struct.pack("<I", len(packed_gaps)) + packed_gaps + coder.pack(residual)
-            chunks.append(Chunk(run.start, len(residual), payload))
+            if has_rotations and motion.rotations is not None:
+                packed = rotation_bits.pack(motion.rotations[run])
+                payload = struct.pack("<I", len(packed)) + packed + payload
+            chunks.append(Chunk(run.start, run.stop - run.start, payload))
         shared = HEADER.pack(form, unit, steps, *taps.tolist(), scale, chunk_frames)
-        return Encoded(self.name, about(motion), tuple(chunks), (shared,), settings=base.settings(self))
+        parts = (shared, WITH_ROTATIONS) if has_rotations else (shared,)
+        return Encoded(self.name, about(motion, has_rotations), tuple(chunks), parts, settings=base.settings(self))
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return "it has no skeleton" if motion.skeleton is None else None
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
@@ -76,25 +103,98 @@ class Lossless:
             return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         points = encoded.about.points
-        if len(encoded.shared) != 1 or len(encoded.shared[0]) != HEADER.size:
+        has_rotations = encoded.shared[1:] == (WITH_ROTATIONS,)
+        if len(encoded.shared) != 1 + has_rotations or len(encoded.shared[0]) != HEADER.size:
             raise Corrupt(f"lossless: the shared bytes must be one header of {HEADER.size} bytes")
         form, unit, steps, *taps, scale, _ = HEADER.unpack(encoded.shared[0])
-        if form not in (ON_GRID, FLOAT32):
+        if form not in (ON_GRID, FLOAT32, FLOAT64):
             raise Corrupt(f"lossless: the header has the unknown form {form}")
         if not -1100 < scale < 1100:
             raise Corrupt(f"lossless: the header has the scale {scale}, outside ±1100")
         chunks = list(encoded.covering(start, stop))
-        decoded_chunks = decode_ranks(chunks, points, form, np.array(taps, np.int64), scale)
+        inside = slice(*within(chunks, start, stop))
+        rotations = None
+        if has_rotations:
+            parts = [split_rotations(chunk, points) for chunk in chunks]
+            chunks = [chunk for chunk, _ in parts]
+            rotations = np.concatenate([*(q for _, q in parts), np.zeros((0, points, 4))])[inside]
+        if form == FLOAT64:
+            return restore(encoded, decode_float64(chunks, points)[inside], start, rotations)
+        decoded_chunks = (
+            decoded
+            for batch in batches(chunks, points, len(chunks))
+            for decoded in decode_ranks(list(batch), points, form, np.array(taps, np.int64), scale)
+        )
         positions = np.empty((sum(c.frames for c in chunks), points, 3))
         at = 0
-        for chunk, (ranks, gap_mask) in zip(chunks, decoded_chunks, strict=True):
+        for chunk, (ranks, packed_gaps) in zip(chunks, decoded_chunks, strict=True):
             with np.errstate(all="ignore"):
                 values = ranks / steps if form == ON_GRID else rank_to_float(ranks).astype(np.float64)
                 decoded = (values * unit).reshape(chunk.frames, points, 3)
-            positions[at : at + chunk.frames] = gaps.apply(decoded, gap_mask)
+            positions[at : at + chunk.frames] = frozen.restore(decoded, packed_gaps)
             at += chunk.frames
-        first = chunks[0].start if chunks else 0
-        return restore(encoded, positions[start - first : stop - first], start)
+        return restore(encoded, positions[inside], start, rotations)
+
+
+def within(chunks: list[Chunk], start: int, stop: int) -> tuple[int, int]:
+    """Frames [start, stop) of the recording, counted from the first of these chunks."""
+    first = chunks[0].start if chunks else 0
+    return start - first, stop - first
+
+
+def split_rotations(chunk: Chunk, joints: int) -> tuple[Chunk, Floats]:
+    """A chunk without its rotations, and the rotations (frames, joints, 4). Raises Corrupt."""
+    size = int.from_bytes(chunk.payload[:4], "little")
+    if len(chunk.payload) < 4 + size:
+        raise Corrupt(f"lossless: the chunk at frame {chunk.start} ends within its rotations")
+    rotations = rotation_bits.unpack(chunk.payload[4 : 4 + size], chunk.frames, joints)
+    return Chunk(chunk.start, chunk.frames, chunk.payload[4 + size :]), rotations
+
+
+# --- float64: differences of bit patterns, in words
+
+
+def float64_to_rank(values: Floats) -> Integers:
+    """float64 → its bit pattern as an integer that grows with the value; −0 is one below +0."""
+    bits = np.ascontiguousarray(values).view(np.int64)
+    return np.where(bits < 0, bits ^ np.int64(0x7FFFFFFFFFFFFFFF), bits)
+
+
+def to_words(ranks: Integers) -> Integers:
+    """Differences along time of ranks (frames, channels) modulo 2^64, folded, as 16-bit words (frames, 4 · channels).
+
+    The words of a channel stand one after the other, the highest first.
+    """
+    unsigned = ranks.view(np.uint64)
+    change = np.concatenate([unsigned[:1], unsigned[1:] - unsigned[:-1]]).view(np.int64)
+    folded = ((change << 1) ^ (change >> 63)).view(np.uint64)
+    shifts = np.arange(48, -1, -16, dtype=np.uint64)
+    words = (folded[..., None] >> shifts) & np.uint64(0xFFFF)
+    return words.astype(np.int64).reshape(len(ranks), -1)
+
+
+def from_words(words: Integers) -> Integers:
+    """The inverse of `to_words`. Raises Corrupt."""
+    if words.size and not 0 <= words.min() <= words.max() <= 0xFFFF:
+        raise Corrupt("lossless: a word outside 16 bits")
+    parts = words.reshape(len(words), -1, WORDS).astype(np.uint64)
+    folded = (parts << np.arange(48, -1, -16, dtype=np.uint64)).sum(axis=2, dtype=np.uint64)
+    change = (folded >> np.uint64(1)) ^ (np.uint64(0) - (folded & np.uint64(1)))
+    return np.cumsum(change, axis=0, dtype=np.uint64).view(np.int64)
+
+
+def decode_float64(chunks: list[Chunk], points: int) -> Floats:
+    """Positions (frames, points, 3) of chunks in the form FLOAT64. Raises Corrupt."""
+    parts = [np.zeros((0, points, 3))]
+    for chunk in progress.over(chunks):
+        words, packed_gaps = _unpack_payload(chunk, points, WORDS)
+        ranks = from_words(words)
+        bits = np.where(ranks < 0, ranks ^ np.int64(0x7FFFFFFFFFFFFFFF), ranks)
+        positions = bits.view(np.float64).reshape(chunk.frames, points, 3)
+        if not np.isfinite(positions).all():
+            raise Corrupt(f"lossless: the chunk at frame {chunk.start} has positions that are not finite")
+        parts.append(frozen.restore(positions, packed_gaps))
+    return np.concatenate(parts)
 
 
 # --- positions ⇄ numbers ⇄ ranks
@@ -104,8 +204,7 @@ def to_numbers(positions: Floats, present: Booleans, unit: float) -> tuple[int, 
     """Form, unit in metres, steps per unit, and values (frames, points, 3) with value / steps × unit = position.
 
     positions (frames, points, 3) with gaps filled; present (frames, points): False in gaps. The equation holds exactly
-    for present positions: in the units of the source for float64 if possible, else in metres for float32. Raises
-    CannotEncode beyond the range of float32.
+    for present positions: in the units of the source for float64 if possible, else in metres for float32.
     """
     samples = positions[present]
     few = samples[:: max(1, len(samples) // 500)]  # rejects most candidates quickly
@@ -120,10 +219,13 @@ def to_numbers(positions: Floats, present: Booleans, unit: float) -> tuple[int, 
                 np.array_equal((x / chosen).astype(np.float32).astype(np.float64) * chosen, x) for x in (few, samples)
             ):
                 return FLOAT32, chosen, 1.0, (positions / chosen).astype(np.float32)
-        as_float32 = positions.astype(np.float32)
-    if not np.isfinite(as_float32).all():
-        raise CannotEncode("lossless: a position is beyond the range of float32")
-    return FLOAT32, 1.0, 1.0, as_float32
+        return FLOAT32, 1.0, 1.0, positions.astype(np.float32)
+
+
+def fits_float32(positions: Floats) -> bool:
+    """Whether no position is beyond the range of float32."""
+    with np.errstate(over="ignore"):
+        return bool(np.isfinite(positions.astype(np.float32)).all())
 
 
 def float_to_rank(values: NDArray[np.float32]) -> Integers:
@@ -215,8 +317,8 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 def decode_ranks(
     chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
-) -> list[tuple[Integers, Booleans]]:
-    """Ranks (frames, channels) and gaps (frames, points) of each chunk. All chunks step through time together."""
+) -> list[tuple[Integers, bytes]]:
+    """Ranks (frames, channels) and the packed gaps of each chunk. All chunks step through time together."""
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]
     if not chunks:
         return []
@@ -233,15 +335,14 @@ def decode_ranks(
         predicted = fixed_point_to_rank(predict(past, taps), form, scale)
         ranks[t] = np.clip(predicted + residuals[t], -RANK_LIMIT, RANK_LIMIT)
         past = np.concatenate([rank_to_fixed_point(ranks[t : t + 1], form, scale), past[:-1]])
-    return [(ranks[: c.frames, i], gap_mask) for i, (c, (_, gap_mask)) in enumerate(zip(chunks, unpacked, strict=True))]
+    return [(ranks[: c.frames, i], part) for i, (c, (_, part)) in enumerate(zip(chunks, unpacked, strict=True))]
 
 
-def _unpack_payload(chunk: Chunk, points: int) -> tuple[Integers, Booleans]:
-    """Residual (frames, channels) and gaps (frames, points) of a chunk. Raises Corrupt."""
+def _unpack_payload(chunk: Chunk, points: int, words: int = 1) -> tuple[Integers, bytes]:
+    """Residual (frames, channels) and the packed gaps of a chunk. Raises Corrupt."""
     if len(chunk.payload) < 4:
         raise Corrupt(f"lossless: the chunk at frame {chunk.start} has {len(chunk.payload)} bytes, fewer than 4")
     (size,) = struct.unpack_from("<I", chunk.payload)
     if size > len(chunk.payload) - 4:
         raise Corrupt(f"lossless: in the chunk at frame {chunk.start} the gaps are longer than the chunk")
-    gap_mask = gaps.unpack(chunk.payload[4 : 4 + size], (chunk.frames, points))
-    return coder.unpack(chunk.payload[4 + size :], (chunk.frames, points * 3)), gap_mask
+    return coder.unpack(chunk.payload[4 + size :], (chunk.frames, points * 3 * words)), chunk.payload[4 : 4 + size]

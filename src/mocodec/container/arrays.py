@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..entropy.compressors import lzma2, unlzma2
 from ..errors import CannotEncode, Corrupt
 from .wire import Cursor, blob, deflate, inflate, text, varint
 
@@ -24,7 +25,6 @@ PLAIN, SHUFFLED, DELTA, STEPS = 0, 1, 2, 3
 KINDS = "biufcSUmM"
 MAX_DIMENSIONS = 16
 SAMPLE_BYTES = 1 << 17
-LZMA_DICTIONARY = 1 << 22
 
 
 class Budget:
@@ -75,7 +75,7 @@ def _forms(array: Array, step: float) -> list[bytes]:
 
 def _form(data: bytes, transform: int, step: float, coder: int) -> bytes:
     """The byte of coder and transform, the step if there is one, and the blob."""
-    packed = deflate(data) if coder == DEFLATE else _lzma(data) if coder == LZMA else data
+    packed = deflate(data) if coder == DEFLATE else lzma2(data) if coder == LZMA else data
     return bytes([coder | transform << 2]) + (struct.pack("<d", step) if transform == STEPS else b"") + blob(packed)
 
 
@@ -147,33 +147,7 @@ def _decode(cursor: Cursor, coder: int, size: int) -> bytes:
         if len(packed) != size:
             raise cursor.corrupt("an array has the wrong number of bytes")
         return packed
-    return inflate(packed, size, cursor.what) if coder == DEFLATE else _unlzma(packed, size, cursor.what)
-
-
-def _filters() -> list[dict[str, int]]:
-    import lzma
-
-    return [{"id": lzma.FILTER_LZMA2, "preset": 2, "dict_size": LZMA_DICTIONARY}]
-
-
-def _lzma(data: bytes) -> bytes:
-    import lzma
-
-    return lzma.compress(data, lzma.FORMAT_RAW, filters=_filters())
-
-
-def _unlzma(data: bytes, size: int, what: str) -> bytes:
-    import lzma
-
-    unpacker = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_filters())
-    try:
-        out = unpacker.decompress(data, size)
-        rest = b"" if unpacker.eof else unpacker.decompress(b"", 1)
-    except (lzma.LZMAError, EOFError) as error:
-        raise Corrupt(f"{what}: {error}") from None
-    if len(out) != size or rest or not unpacker.eof or unpacker.unused_data:
-        raise Corrupt(f"{what}: does not unpack to the {size} bytes declared")
-    return out
+    return inflate(packed, size, cursor.what) if coder == DEFLATE else unlzma2(packed, size, cursor.what)
 
 
 def _word_bytes(dtype: np.dtype[Any]) -> int:

@@ -5,12 +5,18 @@ from __future__ import annotations
 import io
 import os
 import re
+import time
 from typing import Any, BinaryIO, Protocol, cast
 
 from ..errors import BadInput, Truncated
 
 BLOCK_BYTES = 1 << 14
 TIMEOUT_S = 30.0
+"""How long a web server may be silent."""
+DEADLINE_S = 300.0
+"""How long a request may take in all, so that a server that sends a byte now and then does not hold a program up."""
+MAX_DOWNLOAD_BYTES = 1 << 30
+"""The most bytes of one answer: of a whole file, from a server without range requests."""
 
 
 class ByteSource(Protocol):
@@ -160,24 +166,44 @@ class Url:
         self.requests += 1
         try:
             with urlopen(request, timeout=TIMEOUT_S) as response:
-                content_range = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", response.headers.get("Content-Range", ""))
+                content_range = re.fullmatch(
+                    r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", response.headers.get("Content-Range", "")
+                )
                 if response.status == 206 and content_range is not None and int(content_range[1]) == start:
-                    self.start, self.block = start, response.read(stop - start)
+                    self.start, self.block = start, self._receive(response, stop - start)
                     size = int(content_range[3])
                 elif response.status == 200:
-                    self.start, self.block = 0, response.read()
+                    self.start, self.block = 0, self._receive(response, MAX_DOWNLOAD_BYTES + 1)
                     size = len(self.block)
                     self.head = self.block
                 else:
                     raise BadInput(f"{self.url}: the server answered a range request with status {response.status}")
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, UnicodeError) as error:
             if getattr(error, "code", None) == 416:
                 raise Truncated(f"{self.url} is empty") from error
             raise BadInput(f"{self.url}: {error}") from error
+        if len(self.block) > MAX_DOWNLOAD_BYTES:
+            raise BadInput(
+                f"{self.url}: more than {MAX_DOWNLOAD_BYTES:,} bytes from a server without range requests; download it "
+                "first"
+            )
         if first:
             self.size = size
         elif size != self.size:
             raise BadInput(f"{self.url} changed while it was being read; open it again")
+
+    def _receive(self, response: Any, count: int) -> bytes:
+        """At most `count` bytes of an answer. Raises BadInput after DEADLINE_S."""
+        until = time.monotonic() + DEADLINE_S
+        data = bytearray()
+        while len(data) < count:
+            part = response.read1(min(count - len(data), BLOCK_BYTES << 4))
+            if not part:
+                break
+            data += part
+            if time.monotonic() > until:
+                raise BadInput(f"{self.url}: no complete answer within {DEADLINE_S:g} s; download it first")
+        return bytes(data)
 
     def close(self) -> None:
         self.block = self.head = b""

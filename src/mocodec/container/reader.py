@@ -22,7 +22,8 @@ from ..pointcloud import PointClouds
 from . import values
 from .byte_sources import ByteSource, byte_source
 from .locate import find_index, read_header, read_index, walk_chunks
-from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes
+from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes, most_frames
+from .stored_signals import Section
 from .wire import checksum
 
 SEPARATE = ("names", "skeleton", "settings", "source", "shared")
@@ -33,6 +34,7 @@ class Layout(NamedTuple):
     """Byte offsets of the parts of a file."""
 
     extras: int
+    signals: int
     chunks: int
     index_at: int
     end: int
@@ -40,13 +42,23 @@ class Layout(NamedTuple):
 
 @contextmanager
 def errors_name(file: ByteSource) -> Iterator[None]:
-    """Put the file's name before the message of errors that are raised inside."""
+    """Put the file's name before the message of errors that are raised inside.
+
+    Any other exception that bytes with right checksums cause becomes Corrupt; BadInput if memory does not suffice.
+    """
     try:
         yield
     except MocodecError as error:
         if file.name and not str(error).startswith(file.name):
-            error.args = (f"{file.name}: {error}",)
+            error.args = (f"{file.name}: {error}", *error.args[1:])
         raise
+    except MemoryError as error:
+        raise BadInput(f"{file.name or 'the file'}: not enough memory; decode fewer frames at a time") from error
+    except OSError:
+        raise
+    except Exception as error:
+        where = f"{file.name or 'the file'}: cannot be decoded although its checksums hold"
+        raise Corrupt(f"{where} ({type(error).__name__}: {error})") from error
 
 
 class StoredChunk(Chunk):
@@ -124,9 +136,11 @@ class Reader:
 
     def _open(self, salvage: bool) -> None:
         self.header, header_end = read_header(self.source)
-        chunks_at = header_end
+        signals_at = chunks_at = header_end
         if self.header["extras"]:
-            chunks_at += self.header["extras"][0] + CHECKSUM_BYTES
+            section, _, signals = self.header["extras"]
+            signals_at += section + CHECKSUM_BYTES
+            chunks_at = signals_at + signals
         self.problems: list[str] = []
         try:
             index, end = find_index(self.source, chunks_at)
@@ -137,7 +151,10 @@ class Reader:
             self.problems.append(str(error))
             frames, lengths, index = walk_chunks(self.source, chunks_at)
             end = self.source.size
-        self.layout = Layout(header_end, chunks_at, index, end)
+        most = most_frames(len(self.header["names"]) if self.header["kind"] == "motion" else None)
+        if max(frames, default=0) > most:
+            raise Corrupt(f"a chunk of {max(frames)} frames; with so many points, a chunk has at most {most}")
+        self.layout = Layout(header_end, signals_at, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
         self.encoded: Encoded[Any] = Encoded(
             codec=self.header["codec"],
@@ -152,12 +169,14 @@ class Reader:
         header = self.header
         extras: Mapping[str, Any] = Deferred(self.extras) if header["extras"] else {}
         if header["kind"] == "motion":
+            skeleton, has_rotations = header["skeleton"] or (None, False)
             return Motion(
                 positions=np.empty((0, len(header["names"]), 3)),
                 rate=header["rate"],
                 names=header["names"],
                 up=header["up"],
-                skeleton=header["skeleton"],
+                skeleton=skeleton,
+                rotations=np.empty((0, len(header["names"]), 4)) if has_rotations else None,
                 source=header["source"] or {},
                 extras=extras,
             )
@@ -174,21 +193,26 @@ class Reader:
     def extras(self) -> dict[str, Any]:
         """The extras: data that the codec does not code. Raises Corrupt if they are damaged."""
         with errors_name(self.source):
-            return self._extras()
+            return self._extras()[0]
 
-    def _extras(self) -> dict[str, Any]:
-        stored, size = self.header["extras"]
+    def _extras(self) -> tuple[dict[str, Any], Section]:
+        """The extras, and the signals among them, whose chunks are read when they are used."""
+        stored, size, signal_bytes = self.header["extras"]
         data = self.source.read(self.layout.extras, stored + CHECKSUM_BYTES)
         if checksum(data[:stored]) != data[stored:]:
             raise Corrupt(
                 "the extras (analog channels, events, parameters) are damaged; the motion itself can still be read"
             )
         try:
-            extras = values.unpack_extras(data[:stored], size)
+            signals = Section(self._read_signals, signal_bytes)
+            extras = values.unpack_extras(data[:stored], size, signals)
             require_events(extras)
         except BadInput as error:
             raise Corrupt(f"the extras: {error}") from None
-        return extras
+        return extras, signals
+
+    def _read_signals(self, start: int, count: int) -> bytes:
+        return self.source.read(self.layout.signals + start, count)
 
     def errors_name_file(self) -> AbstractContextManager[None]:
         """Put the file's name before the message of errors that are raised inside."""
@@ -202,11 +226,13 @@ class Reader:
                 raise Corrupt("; ".join(problems))
 
     def damage(self) -> list[tuple[int | None, str]]:
-        """(chunk number, message) of each damaged part; the number is None for the extras."""
+        """(chunk number, message) of each damaged part; the number is None for the extras and signals."""
         damaged_parts: list[tuple[int | None, str]] = []
         if self.header["extras"]:
             try:
-                self._extras()
+                for samples in self._extras()[1].all:
+                    for number in range(len(samples.offsets)):
+                        samples.payload(number)
             except (Corrupt, Truncated) as error:
                 damaged_parts.append((None, str(error)))
         for number in range(len(self.chunks)):
@@ -243,7 +269,8 @@ class Reader:
         sizes = {
             "header": layout.extras - sum(fields.get(name, 0) for name in SEPARATE),
             **{name: fields.get(name, 0) for name in SEPARATE},
-            "extras": layout.chunks - layout.extras,
+            "extras": layout.signals - layout.extras,
+            "signals": layout.chunks - layout.signals,
             "chunks": sum(self.chunks.lengths),
             "framing": chunk_overhead,
             "index": layout.end - layout.index_at,
@@ -262,6 +289,7 @@ class Reader:
             "up": header["up"],
             "names": list(about.names) if isinstance(about, Motion) else [],
             "skeleton": header["skeleton"] is not None,
+            "rotations": bool(header["skeleton"] and header["skeleton"][1]),
             "source": header["source"] or {},
             "bytes": layout.end,
             "bytes_by_part": sizes,

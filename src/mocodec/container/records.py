@@ -1,6 +1,6 @@
 """Every record of a `.mocz`, described once: written, read and printed from the same list of fields.
 
-    file     HEAD magic · version · length · HEADER · checksum     extras?     chunk …     index     tail
+    file     HEAD magic · version · length · HEADER · checksum     extras?     signals?     chunk …     index     tail
     chunk    CHUNK frames, length · payload · checksum
     index    0 · INDEX (nothing for one chunk) · checksum · length · magic
 
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..encoded import CLOUD_SAMPLES, MAX_CHUNK_SAMPLES, most_chunk_frames
 from ..errors import UnknownCodec
 from ..fields import Field, Record, Values, unsigned
 from ..motion import UP_AXES, Skeleton
@@ -28,10 +29,10 @@ END_MAGIC = b"cz"
 VERSION = 1
 CHECKSUM_BYTES = 4
 MAX_HEADER_BYTES = 1 << 28
-MAX_CHUNK_FRAMES = 1 << 24
+MAX_CHUNK_FRAMES = MAX_CHUNK_SAMPLES
 MAX_FRAMES = 1 << 40
 MAX_PAYLOAD_BYTES = 1 << 30
-MAX_MARGIN = 1 << 16
+MAX_MARGIN = 8
 KINDS = ("motion", "clouds")
 
 
@@ -113,8 +114,11 @@ def _read_rate(cursor: Cursor, _: Mapping[str, Any]) -> float:
     return top / bottom
 
 
-def _write_skeleton(skeleton: Skeleton, record: Mapping[str, Any]) -> bytes:
-    return skeletons.pack(skeleton, record["names"], exact=record["codec"] == "lossless")
+def _write_skeleton(value: tuple[Skeleton, bool], record: Mapping[str, Any]) -> bytes:
+    """Of a skeleton, and whether rotations are coded."""
+    skeleton, has_rotations = value
+    pack = skeletons.pack_with_rotations if has_rotations else skeletons.pack
+    return pack(skeleton, record["names"], exact=record["codec"] == "lossless")
 
 
 def _write_shared(blobs: tuple[bytes, ...], _: Mapping[str, Any]) -> bytes:
@@ -132,8 +136,19 @@ def _read_shared_blob(cursor: Cursor) -> bytes:
     return cursor.take(head >> 1)
 
 
-def _read_sizes(cursor: Cursor, _: Mapping[str, Any]) -> tuple[int, int]:
-    return cursor.varint(), cursor.varint()
+def _write_sizes(sizes: tuple[int, int, int], _: Mapping[str, Any]) -> bytes:
+    section, unpacked, signals = sizes
+    return (b"\0" if signals else b"") + b"".join(map(varint, (section, unpacked, *([signals] if signals else []))))
+
+
+def _read_sizes(cursor: Cursor, _: Mapping[str, Any]) -> tuple[int, int, int]:
+    section = cursor.varint()
+    if section:
+        return section, cursor.varint(), 0
+    section, unpacked, signals = cursor.varint(), cursor.varint(), cursor.varint()
+    if not (section and signals):
+        raise cursor.corrupt("the bytes of extras or signals are 0")
+    return section, unpacked, signals
 
 
 MARGIN, SKELETON, SETTINGS, SOURCE, EXTRAS = 3, 4, 5, 6, 7
@@ -157,8 +172,8 @@ HEADER = Record(
     Field(
         "skeleton",
         _write_skeleton,
-        lambda c, record: skeletons.unpack(c, record["names"]),
-        "tree and offsets",
+        lambda c, record: skeletons.unpack_any(c, record["names"]),
+        "tree and offsets; whether rotations are coded, and joint limits",
         when=_has_skeleton,
     ),
     Field(
@@ -177,9 +192,9 @@ HEADER = Record(
     ),
     Field(
         "extras",
-        lambda sizes, _: varint(sizes[0]) + varint(sizes[1]),
+        _write_sizes,
         _read_sizes,
-        "bytes of the extras section, and bytes that it unpacks to",
+        "bytes of the extras section, bytes that it unpacks to, and bytes of the signals behind it",
         when=_with_bit(EXTRAS),
     ),
     Field("shared", _write_shared, _read_shared, "bytes that all chunks need"),
@@ -236,6 +251,11 @@ INDEX = Record(
     Field("frames", _write_runs, _read_runs, "how many chunks, then runs of (chunks, frames of each)"),
     Field("lengths", lambda value, _: b"".join(map(varint, value)), _read_lengths, "bytes of each payload"),
 )
+
+
+def most_frames(points: int | None) -> int:
+    """The most frames that a chunk may have; points: None for point clouds."""
+    return most_chunk_frames(CLOUD_SAMPLES if points is None else points)
 
 
 def chunk_bytes(frames: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ one bit. All arithmetic is on integers. The lossless codec stores exact offsets 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -19,9 +20,9 @@ import numpy as np
 from ..errors import CannotEncode
 from ..motion import Skeleton
 from ..typing import Floats
-from . import arrays, names
+from . import arrays, limits, names
 from .tables import REFERENCE_OFFSETS, TREES
-from .wire import BitReader, BitWriter, Cursor, unzigzag, zigzag
+from .wire import BitReader, BitWriter, Cursor, blob, unzigzag, zigzag
 
 STEP_M = 1e-5
 """Offsets are rounded to this step: finer than any measurement of a body."""
@@ -30,6 +31,11 @@ EXACT, OWN_NAMES, MIRROR, TREE, CHAINED = 1, 2, 2, 4, 128
 """Flags: bit 0 exact offsets, bit 1 joint names differ from the point names, bit 7 each prediction is scaled by the
 length ratio of the bone before. Shifts: MIRROR of the mirror axis (0 none, x, y, z), TREE of the tree's number."""
 
+EXTENDED = 7 << TREE
+"""In place of the flags: a tree that no table has. Facts, limits and the skeleton follow."""
+ROTATIONS, LIMITED = 1, 2
+"""Facts: the rotations of the joints are coded; joint limits follow."""
+
 Vector = tuple[int, int, int]
 SIDES = (("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"))
 
@@ -37,6 +43,26 @@ SIDES = (("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"))
 def rounded(offsets: Floats) -> Floats:
     """Offsets in metres as a file stores them: rounded to steps of 10 µm."""
     return np.rint(np.asarray(offsets, np.float64) / STEP_M) / round(1 / STEP_M)
+
+
+def pack_with_rotations(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) -> bytes:
+    """The skeleton of a motion whose rotations are coded too: with its joint limits. Raises CannotEncode."""
+    limited = skeleton.limits is not None
+    packed = blob(limits.pack(skeleton.limits)) if skeleton.limits is not None else b""
+    return bytes([EXTENDED, ROTATIONS | LIMITED * limited]) + packed + pack(skeleton, point_names, exact)
+
+
+def unpack_any(cursor: Cursor, point_names: Sequence[str]) -> tuple[Skeleton, bool]:
+    """A skeleton, and whether the rotations of its joints are coded too. Raises Corrupt, Truncated."""
+    if not cursor.left or cursor.data[cursor.at] != EXTENDED:
+        return unpack(cursor, point_names), False
+    cursor.byte()
+    facts = cursor.byte()
+    if facts & ~(ROTATIONS | LIMITED):
+        raise cursor.corrupt("a skeleton with parts that this version does not know")
+    known = limits.unpack(cursor.blob(), len(point_names)) if facts & LIMITED else None
+    skeleton = unpack(cursor, point_names)
+    return replace(skeleton, limits=known), bool(facts & ROTATIONS)
 
 
 def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) -> bytes:

@@ -1,7 +1,7 @@
 """A tree of values on disk: JSON values, bytes, arrays and signals, each after a type byte; common ones in one byte.
 
 0 null · 1 false · 2 true · 3 integer · 4 decimal · 5 float64 · 6 string · 7 list · 8 dict · 9 bytes ·
-10 large integer · 11 array · 12 signal · 13 small array · 14 a word of the second table
+10 large integer · 11 array · 12 signal · 13 small array · 14 a word of the second table · 15 coded signal
 32…95 the integers 0…63 · 96…127 a string of 0…31 bytes · 128…255 a word of the table
 """
 
@@ -11,6 +11,7 @@ import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast
 
@@ -18,13 +19,14 @@ import numpy as np
 
 from ..errors import CannotEncode
 from ..motion import Signal
-from . import arrays, tables
+from . import arrays, stored_signals, tables
 from .arrays import Array, Budget
+from .stored_signals import CodedSignal
 from .tables import MORE_WORDS, SOURCES, WORDS
 from .wire import Cursor, blob, deflate, inflate, text, varint, zigzag
 
 NULL, FALSE, TRUE, INTEGER, DECIMAL, FLOAT64, STRING, LIST, DICT, BYTES, LARGE = range(11)
-ARRAY, SIGNAL, SMALL_ARRAY, MORE = 11, 12, 13, 14
+ARRAY, SIGNAL, SMALL_ARRAY, MORE, CODED_SIGNAL = 11, 12, 13, 14, 15
 SMALL, SHORT, WORD = 32, 96, 128
 WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))}
 MORE_WORD_NUMBER = {word: number for number, word in enumerate(MORE_WORDS)}
@@ -75,23 +77,48 @@ def dictionary() -> bytes:
     return _TreeWriter("the dictionary", arrays_allowed=True).all(tables.typical_extras())
 
 
-def pack_extras(tree: Mapping[str, Any]) -> tuple[bytes, int]:
-    """The extras section (the tree, then its arrays) and its unpacked size in bytes. Raises CannotEncode."""
+@dataclass(frozen=True)
+class Extras:
+    """Extras as bytes. section: the tree, then its arrays and heads of signals; size: what it unpacks to, signals
+    included; signals: the chunks of all signals, stored behind the section."""
+
+    section: bytes
+    size: int
+    signals: tuple[bytes, ...] = ()
+
+    @property
+    def signal_bytes(self) -> int:
+        """Bytes of the signals in the file, a checksum for each chunk included."""
+        return sum(map(len, self.signals)) + stored_signals.CHECKSUM_BYTES * len(self.signals)
+
+
+def pack_extras(tree: Mapping[str, Any]) -> Extras:
+    """Extras as bytes. Raises CannotEncode."""
     writer = _TreeWriter("extras", arrays_allowed=True)
     stream = writer.all(tree)
-    packed = _wrapped(stream) + b"".join(map(arrays.pack, writer.arrays))
-    size = len(stream) + sum(map(arrays.nbytes, writer.arrays))
-    if size > unpack_limit(len(packed)):
-        raise CannotEncode(f"extras of {size} bytes shrink to {len(packed)}, which readers refuse; store fewer extras")
-    return packed, size
+    packed = _wrapped(stream) + b"".join(part.head if isinstance(part, CodedSignal) else arrays.pack(part)
+                                         for part in writer.parts)  # fmt: skip
+    size = len(stream) + sum(part.nbytes if isinstance(part, CodedSignal) else arrays.nbytes(part)
+                             for part in writer.parts)  # fmt: skip
+    signals = tuple(chunk for part in writer.parts if isinstance(part, CodedSignal) for chunk in part.chunks)
+    extras = Extras(packed, size, signals)
+    stored = len(packed) + extras.signal_bytes
+    if size > unpack_limit(stored):
+        raise CannotEncode(f"extras of {size} bytes shrink to {stored}, which readers refuse; store fewer extras")
+    return extras
 
 
-def unpack_extras(data: bytes, size: int) -> dict[str, Any]:
-    """The inverse of `pack_extras`; allocates no more than `size` declares. Raises Corrupt, Truncated."""
+def unpack_extras(data: bytes, size: int, signals: stored_signals.Section | None = None) -> dict[str, Any]:
+    """The inverse of `pack_extras`, from its section; allocates no more than `size` declares.
+
+    Raises Corrupt, Truncated. signals: where the chunks of signals are in the file.
+    """
+    signals = signals or stored_signals.Section(lambda start, count: b"", 0)
     cursor = Cursor(data, "extras")
-    budget = Budget(min(size, unpack_limit(len(data))))
-    tree = _tree(cursor, budget, budget)
+    budget = Budget(min(size, unpack_limit(len(data) + signals.size)))
+    tree = _tree(cursor, budget, budget, signals)
     cursor.done()
+    signals.done(cursor)
     return tree
 
 
@@ -108,22 +135,24 @@ def _wrapped(stream: bytes) -> bytes:
     return varint(len(stream) << 1) + stream
 
 
-def _tree(cursor: Cursor, budget: Budget, arrays_budget: Budget | None) -> dict[str, Any]:
+def _tree(
+    cursor: Cursor, budget: Budget, arrays_budget: Budget | None, signals: stored_signals.Section | None = None
+) -> dict[str, Any]:
     head = cursor.varint()
     budget.take(head >> 1, cursor.what)
     stream = inflate(cursor.blob(), head >> 1, cursor.what, dictionary()) if head & 1 else cursor.take(head >> 1)
     inner = Cursor(stream, cursor.what)
-    reader = _TreeReader(inner, cursor, arrays_budget)
+    reader = _TreeReader(inner, cursor, arrays_budget, signals)
     tree = reader.items(0, None)
     return reader.fill_arrays(tree) if reader.has_arrays else tree
 
 
 class _TreeWriter:
-    """Writes values to a stream; arrays are collected for the section after it."""
+    """Writes values to a stream; arrays and coded signals are collected for the section after it."""
 
     def __init__(self, what: str, arrays_allowed: bool) -> None:
         self.what = what
-        self.arrays: list[Array] = []
+        self.parts: list[Array | CodedSignal] = []
         self.arrays_allowed = arrays_allowed
 
     def all(self, tree: Mapping[str, Any]) -> bytes:
@@ -155,9 +184,7 @@ class _TreeWriter:
         elif self.arrays_allowed and isinstance(value, np.ndarray):
             self.array(out, value)
         elif self.arrays_allowed and isinstance(value, Signal):
-            out.append(SIGNAL)
-            for part in (float(value.rate), list(value.labels), list(value.units), np.asarray(value.values)):
-                self.value(out, part, depth + 1)
+            self.signal(out, value, depth)
         elif isinstance(value, Sequence) and not isinstance(value, (bytes, bytearray, memoryview)):
             out += bytes([LIST]) + varint(len(value))
             for item in value:
@@ -176,11 +203,23 @@ class _TreeWriter:
         arrays.require_storable(array)
         if array.nbytes > SMALL_ARRAY_BYTES:
             out.append(ARRAY)
-            self.arrays.append(array)
+            self.parts.append(array)
             return
         out.append(SMALL_ARRAY)
         self.string(out, array.dtype.str)
         out += varint(array.ndim) + b"".join(map(varint, array.shape)) + array.tobytes()
+
+    def signal(self, out: bytearray, signal: Signal, depth: int) -> None:
+        coded = stored_signals.coded(signal)
+        out.append(SIGNAL if coded is None else CODED_SIGNAL)
+        for part in (float(signal.rate), list(signal.labels), list(signal.units)):
+            self.value(out, part, depth + 1)
+        if coded is None:
+            self.value(out, np.asarray(signal.values), depth + 1)
+        else:
+            self.string(out, coded.dtype.str)
+            out += varint(len(coded.shape)) + b"".join(map(varint, coded.shape))
+            self.parts.append(coded)
 
     def integer(self, out: bytearray, value: int) -> None:
         if 0 <= value < SHORT - SMALL:
@@ -233,10 +272,17 @@ def from_decimal(cursor: Cursor) -> float:
 class _TreeReader:
     """Reads the tree; arrays stand after it, so they are put in once the tree is whole."""
 
-    def __init__(self, stream: Cursor, section: Cursor, arrays_budget: Budget | None) -> None:
+    def __init__(
+        self,
+        stream: Cursor,
+        section: Cursor,
+        arrays_budget: Budget | None,
+        signals: stored_signals.Section | None = None,
+    ) -> None:
         self.stream = stream
         self.section = section
         self.budget = arrays_budget
+        self.signals = signals
         self.has_arrays = False
 
     def value(self, depth: int) -> Any:
@@ -277,6 +323,11 @@ class _TreeReader:
         if self.budget is not None and tag in (ARRAY, SIGNAL):
             self.has_arrays = True
             return _Placeholder(None if tag == ARRAY else [self.value(depth + 1) for _ in range(4)])
+        if self.signals is not None and tag == CODED_SIGNAL:
+            self.has_arrays = True
+            parts = [self.value(depth + 1) for _ in range(3)]
+            dtype = arrays.dtype_of(self.value(MAX_DEPTH + 1), stream)
+            return _Placeholder([*parts, (dtype, arrays.read_shape(stream))])
         raise stream.corrupt(f"a value of the reserved type {tag}")
 
     def word(self, number: int) -> str:
@@ -319,11 +370,17 @@ class _TreeReader:
         if value.signal is None:
             return arrays.unpack(self.section, self.budget)
         rate, labels, units, samples = map(self.fill_arrays, value.signal)
-        if not (isinstance(rate, float) and isinstance(samples, np.ndarray)):
+        if isinstance(samples, tuple) and self.signals is not None and self.budget is not None:
+            dtype, shape = samples
+            self.budget.take(math.prod(shape) * dtype.itemsize, self.section.what)
+            samples = self.signals.next(self.section, dtype, shape)
+        if not (isinstance(rate, float) and isinstance(samples, np.ndarray | stored_signals.StoredSamples)):
             raise self.stream.corrupt("a signal without rate or samples")
         if not all(isinstance(part, list) and all(isinstance(s, str) for s in part) for part in (labels, units)):
             raise self.stream.corrupt("a signal's labels or units are not strings")
-        return Signal(samples, rate, tuple(labels), tuple(units))
+        if isinstance(samples, np.ndarray):
+            return Signal(samples, rate, tuple(labels), tuple(units))
+        return stored_signals.StoredSignal(samples, rate, tuple(labels), tuple(units))
 
 
 class _Placeholder:

@@ -1,4 +1,4 @@
-"""Encoded to the bytes of a `.mocz`, front to back: header, extras, chunks, index."""
+"""Encoded to the bytes of a `.mocz`, front to back: header, extras, signals, chunks, index."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def pack(encoded: Encoded[Any]) -> bytes:
 
 def extras_bytes(about: Motion | PointClouds) -> int:
     """Bytes that the extras of a recording take in a `.mocz`. Raises CannotEncode for extras that it cannot hold."""
-    return len(values.pack_extras(about.extras)[0]) + records.CHECKSUM_BYTES if about.extras else 0
+    if not about.extras:
+        return 0
+    extras = values.pack_extras(about.extras)
+    return len(extras.section) + records.CHECKSUM_BYTES + extras.signal_bytes
 
 
 class Writer:
@@ -55,6 +58,7 @@ class Writer:
         shared: tuple[bytes, ...] = (),
     ) -> None:
         self.file = file
+        self.most_frames = records.most_frames(about.points if isinstance(about, Motion) else None)
         self.stop = 0
         self.frames: list[int] = []
         self.lengths: list[int] = []
@@ -64,8 +68,9 @@ class Writer:
             raise CannotEncode(f"a header of {len(body)} bytes; at most {records.MAX_HEADER_BYTES} are allowed")
         head = MAGIC + bytes([VERSION]) + varint(len(body)) + body
         file.write(head + checksum(head))
-        if extras:
-            file.write(extras + checksum(extras))
+        if extras is not None:
+            for part in (extras.section, *extras.signals):
+                file.write(part + checksum(part))
 
     def add(self, chunk: Chunk) -> None:
         """Write the next chunk; its frames must follow those of the chunk before."""
@@ -74,8 +79,11 @@ class Writer:
             raise CannotEncode(
                 f"the next chunk starts at frame {chunk.start}, not at frame {self.stop}, where the last one ends"
             )
-        if not 0 < chunk.frames <= records.MAX_CHUNK_FRAMES or len(payload) > records.MAX_PAYLOAD_BYTES:
-            raise CannotEncode(f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range")
+        if not 0 < chunk.frames <= self.most_frames or len(payload) > records.MAX_PAYLOAD_BYTES:
+            raise CannotEncode(
+                f"a chunk of {chunk.frames} frames and {len(payload)} bytes is out of range: at most "
+                f"{self.most_frames} frames of these points and {records.MAX_PAYLOAD_BYTES} bytes"
+            )
         head = CHUNK.pack({"frames": chunk.frames, "length": len(payload)})
         self.file.write(head + payload + checksum(head, payload))
         self.stop += chunk.frames
@@ -93,16 +101,17 @@ class Writer:
 
 def header_record(
     about: Motion | PointClouds, codec: str, settings: Mapping[str, Any], margin: int, shared: tuple[bytes, ...]
-) -> tuple[dict[str, Any], bytes]:
-    """The header's fields, and the extras section that they declare."""
-    extras, extras_size = values.pack_extras(about.extras) if about.extras else (b"", 0)
+) -> tuple[dict[str, Any], values.Extras | None]:
+    """The header's fields, and the extras that they declare."""
+    extras = values.pack_extras(about.extras) if about.extras else None
     skeleton = about.skeleton if isinstance(about, Motion) else None
+    has_rotations = isinstance(about, Motion) and about.rotations is not None
     present = {
         records.MARGIN: margin > 0,
         records.SKELETON: skeleton is not None,
         records.SETTINGS: bool(settings),
         records.SOURCE: bool(about.source),
-        records.EXTRAS: bool(extras),
+        records.EXTRAS: extras is not None,
     }
     kind = "motion" if isinstance(about, Motion) else "clouds"
     record: dict[str, Any] = {
@@ -111,10 +120,10 @@ def header_record(
         "codec": codec,
         "rate": about.rate,
         "margin": margin,
-        "skeleton": skeleton,
+        "skeleton": (skeleton, has_rotations),
         "settings": dict(settings),
         "source": dict(about.source),
-        "extras": (len(extras), extras_size),
+        "extras": (len(extras.section), extras.size, extras.signal_bytes) if extras is not None else None,
         "shared": tuple(shared),
     }
     if isinstance(about, Motion):

@@ -214,7 +214,10 @@ def _unpack_states(data: bytes, at: int, states: int) -> tuple[NDArray[np.uint32
     size = (int(extra.sum(dtype=np.int64)) + 16 * states + 7) // 8
     if len(extra) < states or len(data) < at + size:
         raise Corrupt("coded integers end too early")
-    lower, _ = bit_fields.unpack_split(np.unpackbits(np.frombuffer(data, np.uint8, size, at)), extra + np.uint8(16))
+    stored = np.unpackbits(np.frombuffer(data, np.uint8, size, at))
+    lower, taken = bit_fields.unpack_split(stored, extra + np.uint8(16))
+    if stored[taken:].any() or (states % 2 and nibbles[-1] & 15):
+        raise Corrupt("coded integers with bits behind their states")
     return lower.astype(np.uint32) | _ONE << extra.astype(np.uint32) + _16, at + size
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import native
-from ..errors import Corrupt
+from ..errors import CannotEncode, Corrupt
 from ..typing import AnyInteger, Bytes, Integers
 from . import bulk, choice, models
 from .choice import Parameters, kept
@@ -31,6 +31,8 @@ SPARSE = b"\0\0"
 BULK = 1
 """First byte of a stream of many states, plus the order of differences."""
 MAX_MAGNITUDE = 1 << 62
+MAX_INTEGERS = 1 << 24
+"""The most integers of an array: more than the coordinates of the largest chunk."""
 
 ONE_STATE_SYMBOLS = 8000
 """Up to here an array goes through one state,"""
@@ -47,9 +49,11 @@ def pack(values: AnyInteger, contexts: AnyInteger | None = None) -> bytes:
 
     Made for arrays with many zeros and with magnitudes that differ from lane to lane and change slowly along steps or
     lanes; it needs to know nothing else about them. contexts (steps, lanes): expected magnitudes that the decoder knows
-    too. Raises ValueError for values beyond ±2^62.
+    too. Raises ValueError for values beyond ±2^62, CannotEncode for more than MAX_INTEGERS.
     """
     v = np.asarray(values).astype(np.int64)
+    if v.size > MAX_INTEGERS:
+        raise CannotEncode(f"{v.size} integers in one array; at most {MAX_INTEGERS} can be coded")
     if v.ndim != 2:
         raise ValueError(f"values must be (steps, lanes), not {v.shape}")
     if not v.any():
@@ -64,9 +68,13 @@ def pack(values: AnyInteger, contexts: AnyInteger | None = None) -> bytes:
     return dense
 
 
-def unpack(data: bytes, shape: tuple[int, int], contexts: AnyInteger | None = None) -> Integers:
-    """The integers of `pack`, of this shape. Raises Corrupt."""
+def unpack(
+    data: bytes, shape: tuple[int, int], contexts: AnyInteger | None = None, most: int = MAX_INTEGERS
+) -> Integers:
+    """The integers of `pack`, of this shape. Raises Corrupt, also above `most` integers, since zeros take no bytes."""
     steps, lanes = shape
+    if steps * lanes > most:
+        raise Corrupt(f"coded integers: an array of {steps} × {lanes}, of at most {most} integers")
     if len(data) == 0 or steps * lanes == 0:
         if len(data):
             raise Corrupt("coded integers for an array that has none")

@@ -30,6 +30,9 @@ FORMATS = {
     ".glb": "mocodec.formats.gltf",
     ".gltf": "mocodec.formats.gltf",
     ".ply": "mocodec.formats.ply",
+    ".sto": "mocodec.formats.opensim",
+    ".mot": "mocodec.formats.opensim",
+    ".csv": "mocodec.formats.delimited",
 }
 PICKLES = (".pkl", ".pickle")
 CLOUDS = (".ply", ".npz")
@@ -176,6 +179,7 @@ DESCRIPTIONS = {
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",
     "rotations": "segment poses",
+    "signals": "signals beside the points",
     "zero_samples": "marks of zeros",
 }
 """Keys of `Motion.extras` as users read them; other keys are shown as they are."""

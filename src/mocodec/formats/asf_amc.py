@@ -41,12 +41,17 @@ BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
 def read(
-    path: str | Path, asf: str | Path | None = None, rate: float | None = None, unit: str | float | None = None
+    path: str | Path,
+    asf: str | Path | None = None,
+    rate: float | None = None,
+    unit: str | float | None = None,
+    salvage: bool = False,
 ) -> Motion:
     """An AMC with its ASF as a motion, metres, y up, with skeleton and rotations.
 
     asf: the skeleton file; by default the ASF in the same folder whose name the AMC's name begins with, or the only one
-    there. rate: hertz, by default that of the header, else 120, CMU's. unit: by default the ASF's. Raises BadInput.
+    there. rate: hertz, by default that of the header, else 120, CMU's. unit: by default the ASF's.
+    salvage: read the complete frames of a truncated file. Raises BadInput.
     """
     path = Path(path)
     acclaim = read_asf(find_asf(path) if asf is None else asf)
@@ -55,7 +60,9 @@ def read(
     text = read_text(path)
     header = _header(text, path)
     is_degrees = acclaim.degrees if header.is_degrees is None else header.is_degrees
-    first, values = _channels(text[header.size :], path, acclaim)
+    notes: list[str] = []
+    body = _salvaged(text[header.size :], notes) if salvage else text[header.size :]
+    first, values = _channels(body, path, acclaim)
     _require_angles(path, acclaim, values, is_degrees)
     frames = len(values[0])
     rotations = np.empty((frames, len(acclaim.bones), 4))
@@ -75,6 +82,7 @@ def read(
         rate = header.rate
     source |= remembered(acclaim)
     source |= {} if is_degrees == acclaim.degrees else {"amc_angle": "deg" if is_degrees else "rad"}
+    source |= {"notes": notes} if notes else {}
     skeleton = acclaim.skeleton
     return Motion(positions, rate or CMU_RATE, skeleton.names, "y", skeleton, rotations, source)
 
@@ -124,6 +132,19 @@ def find_asf(amc: Path) -> Path:
         found = "no .asf" if not candidates else f"{len(candidates)} .asf files, none with this name,"
         raise BadInput(f"{amc}: {found} beside it; name its skeleton with asf= (--asf)")
     return candidates[0]
+
+
+def _salvaged(body: str, notes: list[str]) -> str:
+    """The frames of an AMC without the last one if the end of the file cuts it off; noted."""
+    starts = [match.start() for match in re.finditer(r"^[ \t]*\d+[ \t]*$", body, re.MULTILINE)]
+    if len(starts) < 2:
+        return body
+    shapes = [[len(line.split()) for line in body[a:b].split("\n") if line.strip()]
+              for a, b in ((starts[0], starts[1]), (starts[-1], len(body)))]  # fmt: skip
+    if shapes[0] == shapes[1] and body[-1].isspace():
+        return body
+    notes.append(f"cut off: the last frame is left out, {len(starts) - 1} frames are read")
+    return body[: starts[-1]]
 
 
 def _channels(body: str, path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:

@@ -20,8 +20,9 @@ from ..typing import Floats, Integers
 from . import replace_whole
 from .conventions import USUAL_RATES, first_frame, guess_up, metres_in, start_s, unit_option, with_start
 from .text import numbers, read_text
+from .zeros import parked_at_origin, parked_of, store_parked, zeros_are_gaps
 
-HOLDS: frozenset[str] = frozenset()
+HOLDS: frozenset[str] = frozenset({"zero_samples"})
 """What a TRC stores beside the positions."""
 
 KEYS = (
@@ -51,14 +52,23 @@ class _Clock(NamedTuple):
     rate: float
 
 
-def read(path: str | Path, up: str | None = None, unit: str | float | None = None, rate: float | None = None) -> Motion:
+def read(
+    path: str | Path,
+    up: str | None = None,
+    unit: str | float | None = None,
+    rate: float | None = None,
+    gaps: str | None = None,
+    salvage: bool = False,
+) -> Motion:
     """A TRC file as a motion, metres. A marker without all three coordinates in a frame is a gap there.
 
     Columns after the named ones, where some programs store unidentified reflections, become points P34, P35, …:
     NumMarkers counts something else in those programs, so the columns decide. Frames that the numbering skips are
     gaps. up: the vertical axis, which a TRC does not store; by default guessed. unit, rate: in place of the header's.
+    Markers at exactly (0, 0, 0) are gaps unless gaps="keep". salvage: read the complete rows of a truncated file.
     Raises BadInput.
     """
+    zeros = zeros_are_gaps(gaps)
     lines = read_text(path).split("\n")
     if not lines[0].startswith("PathFileType"):
         raise BadInput(f"{path}: not a TRC: it does not begin with PathFileType")
@@ -68,25 +78,46 @@ def read(path: str | Path, up: str | None = None, unit: str | float | None = Non
     try:
         header = _header(lines[1], lines[2])
         units, unit_m = unit_option(header.units or "mm" if unit is None else unit)
-        names, table, decimals = _rows(header, lines, names_at, str(path))
         notes: list[str] = []
+        if salvage:
+            header, lines = _salvaged(header, lines, names_at, notes)
+        names, table, decimals = _rows(header, lines, names_at, str(path))
         clock = _clock(table[:, :2], decimals, header, rate, notes)
     except BadInput as error:
         raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
     count = int(clock.frames[-1]) + 1 if len(clock.frames) else 0
     positions = np.full((count, len(names), 3), np.nan)
     positions[clock.frames] = (table[:, 2:] * unit_m).reshape(-1, len(names), 3)
-    positions[np.isnan(positions).any(axis=2)] = np.nan
+    gap = np.isnan(positions.sum(axis=2))
+    positions[gap] = np.nan
+    extras: dict[str, Any] = {}
     source: dict[str, Any] = {"format": "trc", "units": units, "unit_m": unit_m, "first_frame": clock.first}
     if up is None:
         source["up_guessed"] = True
     if header.units is None and unit is None:
         source["unit_guessed"] = True
+    if zeros:
+        parked = parked_at_origin(positions, gap)
+        store_parked(parked, gap, clock.rate, source, extras, notes)
+        positions[parked] = np.nan
     if not math.isnan(clock.start):
         source = with_start(source, clock.rate, clock.start)
     if notes:
         source["notes"] = notes
-    return Motion(positions, clock.rate, names, up or guess_up(positions), source=source)
+    return Motion(positions, clock.rate, names, up or guess_up(positions), source=source, extras=extras)
+
+
+def _salvaged(header: _Header, lines: list[str], names_at: int, notes: list[str]) -> tuple[_Header, list[str]]:
+    """The header and lines of a truncated file, without the line that the end of the file cuts off; noted."""
+    rows = [i for i in range(names_at + 2, len(lines)) if lines[i].strip()]
+    if len(rows) >= header.frames and not lines[-1].strip():
+        return header, lines
+    if lines[-1].strip():  # a whole line ends with a line break
+        lines, rows = lines[:-1], rows[:-1]
+    if not rows or len(rows) >= header.frames:
+        return header, lines
+    notes.append(f"cut off: {len(rows)} of {header.frames} declared frames are read")
+    return header._replace(frames=len(rows)), lines
 
 
 def _header(keys: str, values: str) -> _Header:
@@ -162,7 +193,9 @@ def _clock(columns: Floats, decimals: int, header: _Header, rate: float | None, 
     index = _frame_index(ids, times if has_times else None, header, notes)
     missing = int(index[-1]) + 1 - rows
     if rows < header.frames and int(index[-1]) + 1 < header.frames:
-        raise BadInput(f"cut off: its header declares {header.frames} frames, the file has {rows}")
+        raise BadInput(
+            f"cut off: its header declares {header.frames} frames, the file has {rows}; --salvage reads these"
+        )
     if rows > header.frames and int(index[-1]) + 1 != header.frames:
         notes.append(f"the header declares {header.frames} frames, the file has {rows}: all are read")
     if missing:
@@ -252,7 +285,7 @@ def write(path: str | Path, motion: Motion) -> None:
         "\t\t" + "\t".join(f"{axis}{i + 1}" for i in range(motion.points) for axis in "XYZ"),
         "",
     ]
-    values = (motion.positions / unit_m).reshape(count, -1)
+    values = np.where(parked_of(motion)[:, :, None], 0.0, motion.positions / unit_m).reshape(count, -1)
     form = "\t".join(["%.7f"] * values.shape[1])
     for frame, row in enumerate(values):
         text = (form % tuple(row.tolist())).replace("nan", "")

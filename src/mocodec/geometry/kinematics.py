@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from .. import native
 from ..motion import Skeleton
 from ..typing import Floats
 from . import rigid
@@ -31,6 +32,9 @@ def forward(
     their parent (BVH with position channels).
     """
     moving = translations or {}
+    if not moving and (kernel := native.kernel("forward_kinematics")) is not None:
+        arrays = (rotations, root_positions, np.array(skeleton.parents, np.int64), skeleton.offsets)
+        return kernel(*map(np.ascontiguousarray, arrays), own_frame)
     frames, joints = len(rotations), len(skeleton)
     positions = np.empty((frames, joints, 3))
     world = np.empty((joints, frames, 4))  # rotations

@@ -18,11 +18,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..entropy import coder, varint
-from ..errors import Corrupt
+from ..errors import CannotEncode, Corrupt
 from ..typing import Floats, Integers
 
 FINEST = 96
 """The largest precision: entries are multiples of 2^(−precision / 2), here of 2^−48."""
+FREE_STEPS = 1 << 28
+STEPS_PER_BYTE = 1 << 14
+"""Decoding a basis (n, k) takes n k² steps: at most FREE_STEPS, and so many more for each byte that is stored."""
 
 
 def fit(covariance: Floats, components: int | None = None) -> tuple[Floats, Floats]:
@@ -85,7 +88,15 @@ def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> b
     saved = np.cumsum(np.append(0, sizes[0] - sizes[1]))
     leading = int(saved.argmax()) if alike is not None else 0
     values = np.concatenate([differences[:, :leading], entries[:, leading:]], axis=1)
-    return varint.write([leading]) + coder.pack(values)
+    packed = varint.write([leading]) + coder.pack(values)
+    if not _is_affordable(*basis.shape, len(packed)):
+        raise CannotEncode(f"a basis of {basis.shape[1]} components for {len(basis)} dimensions is too large to decode")
+    return packed
+
+
+def _is_affordable(n: int, k: int, stored: int) -> bool:
+    """Whether the n k² steps of `_compose` are in proportion to the bytes that are stored."""
+    return n * k * k <= FREE_STEPS + STEPS_PER_BYTE * stored
 
 
 def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | None = None) -> Floats:
@@ -94,6 +105,8 @@ def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | 
     if k > n:
         raise Corrupt(f"a basis of {k} components for {n} dimensions")
     (leading,), at = varint.read(data, 1)
+    if not _is_affordable(n, k, len(data)):
+        raise Corrupt(f"a basis of {k} components for {n} dimensions in {len(data)} bytes")
     if leading > (0 if alike is None else k):
         raise Corrupt("a basis with differences between dimensions that are not there")
     values = coder.unpack(data[at:], (n, k))

@@ -157,7 +157,10 @@ def _unpack_runs(data: bytes, frames: int, points: int) -> Integers:
         raise Corrupt("more runs of corrections than samples")
     ends = np.cumsum([at, -(-count // 8), *sizes]).tolist()
     bits, pauses_part, lengths_part = (data[a:b] for a, b in pairwise(ends))
-    apart = np.unpackbits(np.frombuffer(bits, np.uint8))[:count].astype(bool)
+    flags = np.unpackbits(np.frombuffer(bits, np.uint8))
+    if flags[count:].any():
+        raise Corrupt("runs of corrections with bits behind their end")
+    apart = flags[:count].astype(bool)
     pauses = np.zeros(count, np.int64)
     pauses[apart] = coder.unpack(pauses_part, (int(apart.sum()), 1))[:, 0] + 1
     lengths = coder.unpack(lengths_part, (count, 1))[:, 0] + 1

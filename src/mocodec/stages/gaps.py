@@ -37,11 +37,13 @@ def fill(positions: Floats) -> tuple[Floats, Mask]:
     present = ~mask
     for point in np.flatnonzero(mask.any(axis=0) & present.any(axis=0)):
         known, missing = frames[present[:, point]], frames[mask[:, point]]
-        filled[missing, point] = _bridge(known, positions[known, point], missing)
+        with np.errstate(over="ignore", invalid="ignore"):
+            filled[missing, point] = np.nan_to_num(_bridge(known, positions[known, point], missing))
     empty = mask.all(axis=0)
     if empty.any():
         rest = filled[:, ~empty]
-        filled[:, empty] = rest.mean(axis=(0, 1)) if rest.size else 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            filled[:, empty] = np.nan_to_num(rest.mean(axis=(0, 1))) if rest.size else 0.0
     return filled, mask
 
 
@@ -63,7 +65,7 @@ def _speed(known: Integers, samples: Floats, at: Integers, way: int) -> Floats:
     two differences, zero where these have different signs or a gap between them."""
     one, two = np.clip(at + way, 0, len(known) - 1), np.clip(at + 2 * way, 0, len(known) - 1)
     last, before = samples[at] - samples[one], samples[one] - samples[two]
-    steady = (np.abs(known[two] - known[at]) == 2)[:, None] & (last * before > 0)
+    steady = (np.abs(known[two] - known[at]) == 2)[:, None] & (np.sign(last) * np.sign(before) > 0)
     return np.where(steady, np.where(np.abs(last) < np.abs(before), last, before), 0.0)
 
 

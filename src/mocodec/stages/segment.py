@@ -6,6 +6,8 @@ ppca           poses ──► slices, and the distance curves that the cuts wer
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +24,17 @@ STILL_M = 1e-4
 def equal_length(frames: int, length: int) -> list[slice]:
     """Runs of `length` frames; the last may be shorter."""
     return [slice(start, min(start + length, frames)) for start in range(0, frames, length)]
+
+
+def no_longer_than(segments: Sequence[slice], longest: int) -> list[slice]:
+    """The segments, those of more than `longest` frames divided into equal parts."""
+    result: list[slice] = []
+    for one in segments:
+        count = one.stop - one.start
+        parts = -(-count // longest)
+        edges = [one.start + count * i // parts for i in range(parts + 1)]
+        result += [slice(a, b) for a, b in pairwise(edges)]
+    return result
 
 
 class Curve(NamedTuple):

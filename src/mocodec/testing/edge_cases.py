@@ -35,6 +35,13 @@ def _add_jumps(p: Floats) -> None:
     p[110, 4] += 0.8
 
 
+def _park(p: Floats) -> None:
+    p[30:90, [3, 8]] = p[110:113, 3] = 0.0
+    p[20:60, 5] = p[100:, 6] = (3.2767, -3.2768, 3.2767)
+    p[70:130, 32] = p[69, 32]
+    p[:, 9] = (0.5, 0.25, -0.125)
+
+
 MOTIONS: dict[str, Callable[[], Motion]] = {
     "one frame": lambda: _walk()[:1],
     "two frames": lambda: _walk()[:2],
@@ -52,6 +59,7 @@ MOTIONS: dict[str, Callable[[], Motion]] = {
     ),
     "first and last frames missing": lambda: _modified_walk(lambda p: p.__setitem__(np.r_[:20, 140:150], NAN)),
     "every other frame missing": lambda: _modified_walk(lambda p: p.__setitem__(slice(1, None, 2), NAN)),
+    "parked": lambda: _modified_walk(_park),
     "jumps": lambda: _modified_walk(_add_jumps),
     "repeated samples": lambda: _modified_walk(lambda p: p[np.arange(len(p)) // 4 * 4]),
     "far away": lambda: _modified_walk(lambda p: p + np.array([4e5, -5e6, 100.0])),

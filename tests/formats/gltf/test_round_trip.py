@@ -61,6 +61,8 @@ def test_markers_slide(tmp_path):
     back = gltf.read(tmp_path / "m.glb")
     assert back.names == motion.names
     assert np.abs(back.positions - motion.positions).max() < 1e-5
+    assert back.skeleton is None
+    assert back.rotations is None
     gapped = motion.positions.copy()
     gapped[3, 2] = np.nan
     with pytest.raises(BadInput, match="gaps"):

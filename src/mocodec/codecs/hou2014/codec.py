@@ -20,10 +20,10 @@ import numpy as np
 
 from ... import encoded as encodeds
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded
+from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
-from ...stages import bounded, gaps, quantise, search
+from ...stages import bounded, frozen, gaps, quantise, search
 from ...typing import Floats, Integers
 from .. import base
 from . import clip_segmentation, left_transform, parameters, quantised_motion, stream
@@ -40,6 +40,9 @@ FIRST_MEAN_ERROR_M = 0.003
 
 FARTHEST_RUNGS = 30 * quantise.LADDER
 """No rung that is tried is farther than this from the first: 30 octaves."""
+
+FROZEN_SHARE = 1 / 8
+"""Share of the target error that the rounding of a frozen position may take."""
 
 STRIDES = (quantise.LADDER // 2, quantise.LADDER // 5)
 """Under a bound the step is searched in half octaves, then in fifths of an octave around the best."""
@@ -84,8 +87,9 @@ class Hou2014:
         if not base.has_samples(motion):
             self._check(motion)
             return base.encode_gaps(self, motion, base.settings(replace(self, transforms=())))
-        base.require_usual_lengths(self, motion)
-        return self.encode_smoothed(motion, gaps.fill(motion.positions)[0])
+        moving = split(self, motion).moving
+        base.require_usual_lengths(self, moving)
+        return self.encode_smoothed(motion, gaps.fill(moving)[0])
 
     def encode_smoothed(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
         """`encode`, where the transform codes `smooth` in place of the motion's positions.
@@ -165,8 +169,10 @@ class _MotionEncoder:
     """
 
     def __init__(self, codec: Hou2014, motion: Motion, filled: Floats) -> None:
-        self.codec, self.motion, self.gap_mask = codec, motion, motion.gaps
+        self.codec, self.motion, self.apart = codec, motion, split(codec, motion)
+        self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
+        self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
         self.prepared = self._prepare(filled)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
@@ -177,6 +183,7 @@ class _MotionEncoder:
         """Segment into clips, choose each clip's step and frequencies, fit B."""
         codec, motion = self.codec, self.motion
         length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
+        length = min(length, most_chunk_frames(motion.points))
         lengths = stream.equal_lengths(len(motion), length)
         prepared = PreparedMotion(
             points=motion.points,
@@ -216,9 +223,9 @@ class _MotionEncoder:
         curves = quantised_motion.component_curves(prepared, step)
         if codec.segmentation == "adaptive":
             length = 0
-            lengths = clip_segmentation.adaptive_lengths(filled, curves, step, codec.clips, codec.chunk_frames)
+            lengths = clip_segmentation.adaptive_lengths(filled, curves, step, codec.clips, self.chunk_frames)
         else:
-            length = clip_segmentation.best_equal_length(curves, step, codec.chunk_frames)
+            length = clip_segmentation.best_equal_length(curves, step, self.chunk_frames)
             lengths = stream.equal_lengths(len(filled), length)
         return replace(prepared, lengths=lengths, clip_frames=length)
 
@@ -237,12 +244,12 @@ class _MotionEncoder:
     def mean_error(self, rung: int) -> float:
         """Mean distance in metres between the motion and its reconstruction at this step."""
         quantised = self.quantised(rung)
-        return metrics.mean_distance(self.motion.positions, stream.reconstruct(quantised.clips, quantised.header))
+        return self.apart.mean_error(stream.reconstruct(quantised.clips, quantised.header))
 
     def _encode(self, rung: int) -> Encoded[Motion]:
         """The encoded motion at this step, with corrections if there is a bound."""
         quantised = self.quantised(rung)
-        groups = clip_segmentation.group_into_chunks(quantised.clips, self.codec.chunk_frames)
+        groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
         stops = np.cumsum([clips.lengths.sum() for clips in groups]).tolist()
         chunks: list[Chunk] = []
         for clips, (start, stop) in zip(groups, pairwise([0, *stops]), strict=True):
@@ -259,10 +266,10 @@ class _MotionEncoder:
         """The payload of one chunk, frames [start, stop)."""
         corrections = b""
         if header.max_error is not None:
-            original, prediction = self.motion.positions[start:stop], stream.reconstruct(clips, header)
-            corrections = bounded.pack(original, prediction, header.max_error)
+            moving, prediction = self.moving[start:stop], stream.reconstruct(clips, header)
+            corrections = bounded.pack(moving, prediction, header.max_error)
         packed = stream.pack_clips(clips, header)
-        return stream.pack_payload(packed, gaps.pack(self.gap_mask[start:stop]), corrections)
+        return stream.pack_payload(packed, self.apart[start:stop].pack(), corrections)
 
     def sampled_size(self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
         """Estimated payload bytes at this step, from at most `chunks` chunks; infinite if it is too small to code.
@@ -271,7 +278,7 @@ class _MotionEncoder:
         """
         try:
             quantised = self.quantised(rung)
-            groups = clip_segmentation.group_into_chunks(quantised.clips, self.codec.chunk_frames)
+            groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
             starts = np.cumsum([0, *(clips.lengths.sum() for clips in groups)]).tolist()
             sampled = range(0, len(groups), -(-len(groups) // chunks))
             sizes = [len(self._payload(groups[i], quantised.header, starts[i], starts[i + 1])) for i in sampled]
@@ -316,6 +323,13 @@ class _MotionEncoder:
                 f"hou2014 cannot keep max_error={bound:g} m on this motion, only {largest:g} m: ask for a larger bound"
             )
         return encoded
+
+
+def split(codec: Hou2014, motion: Motion) -> frozen.Split:
+    """The samples that the transform does not code: missing or frozen."""
+    error = codec.max_error or codec.mean_error
+    bones, holds = motion.skeleton is not None, codec.mean_error is None
+    return frozen.split(motion.positions, error and FROZEN_SHARE * error, bones, holds)
 
 
 def _stride(log: float) -> int:

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...fields import Record, array, positive_float, raw, signed, sized, unsigned
-from ...stages import bounded, dct, gaps, quantise
+from ...stages import bounded, dct, frozen, quantise
 from ...typing import Floats, Integers
 from . import left_transform, parameters
 from .left_transform import LeftTransform
@@ -29,6 +29,8 @@ MEAN_POSE, POINT_WEIGHTS, ERROR_BOUND, CUSTOM_UNIT, CLIP_STEPS, ADAPTIVE_CLIPS, 
 """Flags on disk: never change one."""
 
 LARGEST_RUNG = 1 << 12
+MAX_TRANSFORM_ENTRIES = 1 << 24
+"""Of all left transforms of a file together."""
 """Limit for every rung in a file: 64 octaves of the ladder of steps."""
 
 
@@ -127,7 +129,7 @@ def unpack_header(blobs: Sequence[bytes], points: int, parents: Sequence[int] | 
         raise Corrupt("hou2014: the shared bytes are missing")
     values = HEADER.unpack(blobs[0], points=points)
     transform_blobs = blobs[1:] if values["transform"] is None else [values["transform"]]
-    transforms = tuple(left_transform.unpack(blob, 3 * points, parents) for blob in transform_blobs)
+    transforms = tuple(_read_transforms(transform_blobs, 3 * points, parents))
     components = values["components"]
     if not transforms:
         raise Corrupt("hou2014: the shared bytes hold no left transform")
@@ -147,6 +149,19 @@ def unpack_header(blobs: Sequence[bytes], points: int, parents: Sequence[int] | 
         clip_steps=bool(values["flags"] & CLIP_STEPS),
         shared_transforms=bool(values["flags"] & SHARED_TRANSFORMS),
     )
+
+
+def _read_transforms(
+    blobs: Sequence[bytes], dimensions: int, parents: Sequence[int] | None
+) -> Iterator[left_transform.LeftTransform]:
+    """The left transforms of blobs. Raises Corrupt, also for more entries in all of them than the format allows."""
+    entries = 0
+    for blob in blobs:
+        transform = left_transform.unpack(blob, dimensions, parents)
+        entries += transform.matrix.size
+        if entries > MAX_TRANSFORM_ENTRIES:
+            raise Corrupt(f"hou2014: left transforms of more than {MAX_TRANSFORM_ENTRIES} entries")
+        yield transform
 
 
 def row_weights(weight_rungs: Integers | None, points: int) -> Floats:
@@ -293,22 +308,21 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
     return positions.reshape(-1, header.points, 3)
 
 
-def pack_payload(clips: bytes, gap_mask: bytes, corrections: bytes) -> bytes:
+def pack_payload(clips: bytes, packed_gaps: bytes, corrections: bytes) -> bytes:
     """The payload of a chunk from its packed parts."""
-    return clips + _with_size(gap_mask) + corrections
+    return clips + _with_size(packed_gaps) + corrections
 
 
 def unpack_payload(data: bytes, frames: int, header: SharedHeader) -> Floats:
     """Positions of a chunk, (frames, points, 3), NaN in gaps. Raises Corrupt."""
     clips, at = unpack_clips(data, 0, frames, header)
     part, at = _read_sized(data, at)
-    gap_mask = gaps.unpack(part, (frames, header.points))
     positions = reconstruct(clips, header)
     if header.max_error is not None:
         positions = bounded.unpack(data[at:], positions, header.max_error)
     elif at != len(data):
         raise Corrupt(f"hou2014: a chunk has {len(data) - at} bytes after its last field")
-    return gaps.apply(positions, gap_mask)
+    return frozen.restore(positions, part)
 
 
 def equal_length_runs(lengths: Integers) -> list[tuple[int, slice]]:

@@ -19,13 +19,13 @@ import numpy as np
 
 from ... import encoded as encodeds
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded
+from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
 from ...motion import Motion
-from ...stages import bounded, gaps, search, segment
-from ...typing import Booleans, Floats
+from ...stages import bounded, frozen, gaps, search, segment
+from ...typing import Floats
 from .. import base
 from . import marker_groups, segment_model
 from .marker_groups import MarkerGroups
@@ -33,6 +33,9 @@ from .segment_model import SegmentModel
 
 MEAN_PER_BOUND = 0.5
 """With `max_error`, the mean error of the method in parts of the bound; the residual layer corrects the rest."""
+
+FROZEN_SHARE = 1 / 8
+"""Share of the target error that the rounding of a frozen position may take."""
 
 FINENESS = 0.04
 FINENESS_WITH_TARGET = 0.25
@@ -100,20 +103,24 @@ class Liu2006:
         """Raises CannotEncode for a motion without samples, unknown marker names, or a target that cannot be met."""
         if not base.has_samples(motion):
             return base.encode_gaps(self, motion, base.settings(self))
-        base.require_usual_lengths(self, motion)
-        positions, gap_mask = gaps.fill(motion.positions)
-        markers = marker_groups.assign(motion, self.normalisation_markers, self.foot_markers)
+        error = self.max_error or self.mean_error
+        bones, holds = motion.skeleton is not None, self.mean_error is None
+        apart = frozen.split(motion.positions, error and FROZEN_SHARE * error, bones, holds)
+        base.require_usual_lengths(self, apart.moving)
+        positions, _ = gaps.fill(apart.moving)
+        moving = dataclasses.replace(motion, positions=apart.moving)
+        markers = marker_groups.assign(moving, self.normalisation_markers, self.foot_markers)
         segments = self.segment_motion(positions, markers, motion.up).segments
 
         def fit(scale: float) -> list[SegmentModel]:
             return self.fit_segments(positions, markers, segments, motion.up, scale)
 
         def encoded(models: list[SegmentModel]) -> Encoded[Motion]:
-            return self._encode_models(motion, models, markers, gap_mask)
+            return self._encode_models(motion, models, markers, apart)
 
         def mean_error(models: list[SegmentModel]) -> float:
             decoded = reconstruct(models, markers, motion.up, 0, len(motion), self.blend_frames)
-            return metrics.mean_distance(motion.positions, decoded)
+            return apart.mean_error(decoded)
 
         if self.ratio is not None:
             allowed = motion.raw_bytes / self.ratio
@@ -126,13 +133,15 @@ class Liu2006:
     def segment_motion(self, positions: Floats, markers: MarkerGroups, up: str) -> segment.Segmentation:
         """Normalise, and cut where the distribution of poses changes: sections 3.1 and 3.2."""
         rest = np.concatenate([*markers.pca_groups, np.zeros(0, np.int64)])
+        longest = most_chunk_frames(markers.points)
         if not len(rest):
-            return segment.Segmentation([slice(0, len(positions))], [])
+            return segment.Segmentation(segment.equal_length(len(positions), longest), [])
         frame = body_frame.from_markers(positions[:, markers.normalisation], up)
         poses = body_frame.to_body(positions[:, rest], frame).reshape(len(positions), -1)
-        return segment.ppca(
+        found = segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
+        return segment.Segmentation(segment.no_longer_than(found.segments, longest), found.curves)
 
     def fit_segments(
         self, positions: Floats, markers: MarkerGroups, segments: Sequence[slice], up: str, scale: float
@@ -190,7 +199,7 @@ class Liu2006:
         return dataclasses.replace(model, before=own.start, after=last - model.stop, groups=tuple(fitted))
 
     def _encode_models(
-        self, motion: Motion, models: list[SegmentModel], markers: MarkerGroups, gap_mask: Booleans
+        self, motion: Motion, models: list[SegmentModel], markers: MarkerGroups, apart: frozen.Split
     ) -> Encoded[Motion]:
         """A chunk for each segment: its model, its gaps and, with `max_error`, its residual."""
         shared = varint.write([self.blend_frames, *marker_groups.pack(markers)])
@@ -202,8 +211,8 @@ class Liu2006:
             if self.max_error is not None:
                 neighbours = models[max(i - 1, 0) : i + 2]
                 prediction = reconstruct(neighbours, markers, motion.up, model.start, model.stop, self.blend_frames)
-                residual = _pack_residual(motion.positions[model.start : model.stop], prediction, self.max_error)
-            payload = segment_model.pack(model, gaps.pack(gap_mask[model.start : model.stop]), residual)
+                residual = _pack_residual(apart[model.start : model.stop].moving, prediction, self.max_error)
+            payload = segment_model.pack(model, apart[model.start : model.stop].pack(), residual)
             chunks.append(Chunk(model.start, model.stop - model.start, payload))
         return Encoded(
             self.name, encodeds.about(motion), tuple(chunks), (shared,), int(len(chunks) > 1), base.settings(self)
@@ -228,7 +237,7 @@ class Liu2006:
             decoded = reconstruct(models, markers, up, decode_first, decode_last, blend_frames)
             if residual:
                 decoded = bounded.unpack(residual, decoded, max_error)
-            decoded = gaps.apply(decoded, gaps.unpack(packed, decoded.shape[:2]))
+            decoded = frozen.restore(decoded, packed)
             positions[first - start : last - start] = decoded[first - decode_first : last - decode_first]
         return encodeds.restore(encoded, positions, start)
 

@@ -44,11 +44,17 @@ class MarkerGroups:
         return len(self.normalisation) + len(self.feet) + len(self.others)
 
 
+MAX_POINTS = 1 << 14
+"""Finding each marker's nearest takes time that grows with the square of their number."""
+
+
 def assign(motion: Motion, normalisation_names: Sequence[str], foot_names: Sequence[str]) -> MarkerGroups:
     """Groups by the given names; without names, by common labels or, for normalisation, by geometry.
 
     Raises CannotEncode for a name that the motion does not have.
     """
+    if motion.points > MAX_POINTS:
+        raise CannotEncode(f"liu2006 codes at most {MAX_POINTS:,} points, not {motion.points:,}")
     normalisation = _normalisation_columns(motion, normalisation_names)
     rest = [i for i in range(motion.points) if i not in normalisation]
     if foot_names:
@@ -99,6 +105,8 @@ def pack(groups: MarkerGroups) -> list[int]:
 
 def unpack(data: bytes, points: int) -> tuple[MarkerGroups, int]:
     """The inverse of `pack`, from varints, and the offset after them. Raises Corrupt."""
+    if points > MAX_POINTS:
+        raise Corrupt(f"liu2006 codes at most {MAX_POINTS:,} points, not {points:,}")
     (count,), at = varint.read(data, 1)
     normalisation, at = varint.read(data, min(count, points + 1), at)
     (count,), at = varint.read(data, 1, at)

@@ -22,6 +22,7 @@ TRIPLE_ROTATION = np.array([[1, 1, 1], [0, -1, 1], [-2, 1, 1]]) / np.sqrt([[3], 
 """Orthonormal transform of the markers (origin, left, right): centroid, left to right, origin to shoulders."""
 
 LARGEST_BLEND_MARGIN = 1 << 16
+DISTANCES_AT_A_TIME = 1 << 20
 """Frames that a segment's models reach into a neighbour at most."""
 
 LARGEST_RUNG = 60 * quantise.LADDER
@@ -206,6 +207,8 @@ def unpack(payload: bytes, start: int, stop: int, markers: MarkerGroups) -> tupl
         mean = quantise.inverse(own_numbers, _model_step(_read_rung(rung), keys))
         values = _unpack_track(packed_values, keys, _read_rung(rung), k)
         models.append(PcaModel(own_numbers, mean, components, precision, components, values))
+    if len(bits) - used >= 8 or bits[used:].any() or at != len(head):
+        raise Corrupt("liu2006: a segment with bits behind its key frames, or numbers behind its head")
     return SegmentModel(start, stop, before, after, track, tuple(models)), sections[-2], sections[-1]
 
 
@@ -238,9 +241,14 @@ def _nearest_marker(mean_numbers: Integers) -> Integers:
     Markers near each other move alike. −1 for the first marker.
     """
     pose = mean_numbers.reshape(-1, 3)
-    squared_distances = ((pose[:, None] - pose) ** 2).sum(axis=-1)
-    squared_distances[np.triu_indices(len(pose))] = np.iinfo(np.int64).max
-    predictors = 3 * squared_distances.argmin(axis=1)[:, None] + np.arange(3)
+    nearest = np.zeros(len(pose), np.int64)
+    rows = max(1, DISTANCES_AT_A_TIME // max(len(pose), 1))
+    for first in range(0, len(pose), rows):
+        some = pose[first : first + rows]
+        squared_distances = ((some[:, None] - pose[: first + len(some)]) ** 2).sum(axis=-1)
+        squared_distances[np.triu_indices(len(some), first, first + len(some))] = np.iinfo(np.int64).max
+        nearest[first : first + rows] = squared_distances.argmin(axis=1)
+    predictors = 3 * nearest[:, None] + np.arange(3)
     predictors[0] = -1
     return predictors.ravel()
 

@@ -13,21 +13,23 @@ direct      every sample on a grid, predicted in time: for numbers too large for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ...encoded import Chunk
 from ...entropy import varint
-from ...errors import Corrupt
-from ...stages import gaps
+from ...errors import CannotEncode, Corrupt
+from ...stages import frozen
 from ...typing import Booleans, Floats, Integers
 from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
 from .preparation import Prepared
+
+Result = TypeVar("Result")
 
 TRANSFORM, DIRECT, LATTICE = 0, 1, 2
 STEPPED, GAPPED = 4, 8
@@ -111,6 +113,13 @@ class Draft(NamedTuple):
     error: float = 0.0
     bits: float = 0.0
 
+    @property
+    def direct_grid(self) -> int:
+        """The grid step of the direct engine: that of the draft, or one as fine as the step of its coefficients."""
+        if self.numbers is None or self.grid is not None:
+            return self.grid or 0
+        return self.numbers.step * GRID_OCTAVE // OCTAVE
+
 
 class ChunkEncoder:
     """A chunk while it is encoded: its samples and, computed once, their coefficients."""
@@ -120,35 +129,59 @@ class ChunkEncoder:
         model: Model,
         positions: Floats,
         smooth: Floats | None = None,
-        gap_mask: Booleans | None = None,
+        apart: frozen.Split | None = None,
         spikes: Booleans | None = None,
         spectrum: Floats | None = None,
     ) -> None:
-        """positions (frames, points, 3), y up, gaps filled; smooth: without spikes; masks (frames, points).
+        """positions (frames, points, 3), y up, filled where samples are set apart; smooth: without spikes.
 
-        spectrum: coefficients of `smooth`, if they are known.
+        spikes (frames, points): mask. spectrum: coefficients of `smooth`, if they are known.
         """
         none = np.zeros(positions.shape[:2], bool)
+        self.apart = frozen.Split(positions, none, none, none) if apart is None else apart
         self.model = model
         self.positions = np.asfortranarray(positions)  # the frames of a point next to each other
         self.smooth = self.positions if smooth is None else smooth
-        self.gap_mask = none if gap_mask is None else gap_mask
+        self.gap_mask = self.apart.apart
         self.spikes = none if spikes is None else spikes
-        self.gaps = gaps.pack(self.gap_mask)
-        self.spectrum = model.analyse(self.smooth) if model.rows and spectrum is None else spectrum
+        self.gaps = self.apart.pack()
+        self.failure: Exception | None = None
+        self.spectrum = spectrum
+        if model.rows and spectrum is None:
+            self.attempt(self._analyse)
 
     @classmethod
     def of(cls, model: Model, source: Prepared, frames: slice, spectrum: Floats | None = None) -> ChunkEncoder:
         """Of some frames of a recording."""
         positions, smooth = source.positions[frames], source.smooth[frames]
-        return cls(model, positions, smooth, source.gap_mask[frames], source.spikes[frames], spectrum)
+        return cls(model, positions, smooth, source.apart[frames], source.spikes[frames], spectrum)
 
     @property
     def frames(self) -> int:
         return len(self.positions)
 
+    def _analyse(self) -> None:
+        self.spectrum = self.model.analyse(self.smooth)
+        if not np.isfinite(self.spectrum).all():
+            raise CannotEncode("coefficients that are too large for float64")
+
+    def attempt(self, work: Callable[[], Result]) -> Result | None:
+        """The result of `work` with the model; None after a failure, which makes the chunk coded directly."""
+        try:
+            with np.errstate(all="ignore"):
+                return work()
+        except MemoryError:
+            raise
+        except Exception as error:
+            self.failure = error
+            self.spectrum = None
+            return None
+
     def refill_gaps(self, step: int) -> None:
         """Replaces what fills gaps by the decoder's output in about this step: gap samples carry no error."""
+        self.attempt(lambda: self._refill_gaps(step))
+
+    def _refill_gaps(self, step: int) -> None:
         for _ in range(REFILLS if self.gap_mask.any() and self.spectrum is not None else 0):
             decoded = self.transformed(step)[1]
             self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
@@ -177,9 +210,24 @@ class ChunkEncoder:
         return found, self.model.synthesise(quantise.dequantise(found.values, sizes), self.frames)
 
     def errors(self, decoded: Floats) -> Floats:
-        """Distances (frames, points) of decoded positions times the points' weights, 0 in gaps."""
+        """Distances (frames, points) of decoded positions times the points' weights, 0 where samples are set apart."""
         d = np.where(self.gap_mask, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=2)))
         return d if self.model.weights is None else d * self.model.weights
+
+    @property
+    def samples(self) -> int:
+        """Number of samples that are not missing."""
+        return int((~self.apart.missing).sum())
+
+    def keeps(self, decoded: Floats, bound: float) -> bool:
+        """Whether decoded positions (frames, points, 3) have the gaps, and all samples within the bound (metres)."""
+        if (np.isnan(decoded[..., 0]) != self.apart.missing).any() or not self.errors(decoded).max() <= bound:
+            return False
+        frozen_ = self.apart.frozen
+        off = np.sqrt(((self.apart.positions[frozen_] - decoded[frozen_]) ** 2).sum(axis=1))
+        if self.model.weights is not None:
+            off *= self.model.weights[np.nonzero(frozen_)[1]]
+        return bool((off <= bound).all())
 
     def within_bound(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
         """The cheapest draft tried that should decode to within the bound (metres) at every sample, and its offset.
@@ -187,9 +235,13 @@ class ChunkEncoder:
         offset: log₂ of the step in bounds, 1/32 octave. The changes are added to it in turn, until one is worse than
         the first.
         """
+        found = None
+        if self.spectrum is not None:
+            found = self.attempt(lambda: self._transform_within(bound, offset, changes))
+        return found or (Draft(grid=grid_step(direct.cell(bound))), offset)
+
+    def _transform_within(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
         grid = grid_step(direct.cell(bound))
-        if self.spectrum is None:
-            return Draft(grid=grid), offset
         centre = round(np.log2(bound) * OCTAVE)
         costs: list[float] = []
         drafts: list[Draft] = []
@@ -225,10 +277,16 @@ class ChunkEncoder:
 
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
-        if self.spectrum is None:
+        drafted = None
+        if self.spectrum is not None:
+            drafted = self.attempt(lambda: self._transform_draft(step, slope))
+        if drafted is None:
             grid = step * GRID_OCTAVE // OCTAVE
             decoded = direct.quantise(self.positions, grid_size(grid)) * grid_size(grid)
             return Draft(grid=grid, error=float(self.errors(np.asarray(decoded, np.float64)).sum()))
+        return drafted
+
+    def _transform_draft(self, step: int, slope: float) -> Draft:
         found, decoded = self.transformed(step, slope)
         moved, grid = self._restored_spikes(decoded, step)
         return Draft(self._numbers(found, step, moved), grid, float(self.errors(decoded).sum()))
@@ -273,14 +331,29 @@ def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[byte
     payloads: list[bytes] = []
     for first in range(0, len(encoders), BATCH):
         batch = list(zip(encoders, drafts, strict=True))[first : first + BATCH]
-        numbers = [d.numbers for _, d in batch if d.numbers is not None]
-        coded = iter(coefficients.pack(encoders[0].model, numbers) if numbers else [])
+        coded = iter(_pack_numbers(batch))
         for encoder, draft in batch:
-            if draft.numbers is not None:
-                payloads.append(Payload(TRANSFORM, next(coded), draft.grid, encoder.gaps).pack())
+            numbers = next(coded) if draft.numbers is not None else None
+            if numbers is not None:
+                payloads.append(Payload(TRANSFORM, numbers, draft.grid, encoder.gaps).pack())
             else:
-                payloads.append(encoder.directly(draft.grid or 0))
+                payloads.append(encoder.directly(draft.direct_grid))
     return payloads
+
+
+def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | None]:
+    """The coefficients of the drafts that have some; None where their coding fails."""
+    listed = [(e, d.numbers) for e, d in batch if d.numbers is not None]
+    if not listed:
+        return []
+    model, numbers = listed[0][0].model, [n for _, n in listed]
+    together = listed[0][0].attempt(lambda: coefficients.pack(model, numbers)) if len(listed) > 1 else None
+    if together is not None:
+        return list(together)
+    if len(listed) > 1:
+        listed[0][0].failure = None
+    alone = [e.attempt(lambda n=n: coefficients.pack(model, [n])) for e, n in listed]
+    return [None if one is None else one[0] for one in alone]
 
 
 def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
@@ -301,7 +374,6 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
     for i, (chunk, payload) in enumerate(zip(chunks, payloads, strict=True)):
         size = 0.0 if payload.step is None else grid_size(payload.step)
         shape = chunk.frames, model.points
-        missing = gaps.unpack(payload.gaps, shape)
         if payload.engine == TRANSFORM:
             positions = _positions(model, chunk.frames, decoded[i], size)
         else:
@@ -310,11 +382,11 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
             elif model.neighbours is None:
                 raise Corrupt("tempo: a chunk of the lattice engine in a stream without neighbours")
             else:
-                values = lattice.decode(payload.numbers, missing, model.neighbours)
+                values = lattice.decode(payload.numbers, frozen.apart(payload.gaps, shape), model.neighbours)
             positions = np.asarray(values * size, np.float64)
             if model.weights is not None:
                 positions /= model.weights[:, None]
-        out.append(gaps.apply(positions, missing))
+        out.append(frozen.restore(positions, payload.gaps))
     return out
 
 

@@ -12,7 +12,7 @@ repeat are coded once (`repeats`); where hou2014 is smaller on the whole recordi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -20,13 +20,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded, about, restore
+from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
+from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
+from ..lossless import Lossless
 from . import chunk, engine_choice, fallback, lattice_mean, model_choice, repeats, target
-from .chunk import LATTICE, TRANSFORM, ChunkEncoder, Payload
+from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
@@ -34,6 +36,9 @@ from .models import MODELS, Recording
 from .models.model import Model
 from .pose import heading, leaps
 from .preparation import Prepared, prepare
+from .rotation_layer import layer
+from .rotation_layer.encoder import Encoder as RotationEncoder
+from .rotation_layer.encoder import Promise
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -48,6 +53,8 @@ CHUNKS_SHARE, FALLBACK_SHARE, CHOICE_SHARE = 0.7, 0.9, 0.2
 """Of the progress: where the chunks end, and the fallback; within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
+FROZEN_SHARE = 1 / 8
+"""Share of the target error that the rounding of a frozen position may take."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -61,6 +68,10 @@ class Tempo:
     model: "auto" takes the smallest, "transform" the smallest of the models. Or one of "points-prior", "points-stored",
     "directions-prior", "directions-stored" (coordinates and statistics, see `models`), "lattice" (predictions within a
     hard bound), "direct" (a grid without a model) and "hou2014".
+
+    Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
+    of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
+    max_rotation: degrees, beside any target; no rotation of a joint, against the world or its parent, is farther off.
     """
 
     name: ClassVar[str] = "tempo"
@@ -72,6 +83,8 @@ class Tempo:
     chunk_seconds: float = 4.0
     weights: Mapping[str, float] | None = None
     model: str = model_choice.AUTO
+    max_rotation: float | None = None
+    shell: float = 0.03
 
     def __post_init__(self) -> None:
         targets = {t: getattr(self, t) for t in TARGETS if getattr(self, t) is not None}
@@ -89,20 +102,76 @@ class Tempo:
             raise BadInput(f"tempo has no model {self.model!r}; it has: {', '.join(MODEL_NAMES)}")
         if self.model == LATTICE_MODEL and targets.keys() - {"max_error"}:
             raise BadInput("the model 'lattice' goes with a hard bound: max_error")
+        if self.max_rotation is not None and not 0 < self.max_rotation <= 180:
+            raise BadInput("max_rotation must lie between 0 and 180 degrees")
+        if not 1e-4 <= self.shell <= 10:
+            raise BadInput("shell must lie between 0.0001 and 10 metres")
         if self.weights and self.model == FALLBACK_MODEL:
             raise BadInput("hou2014 does not take weights")
 
     def encode(self, motion: Motion) -> Encoded[Motion]:
-        """Raises CannotEncode where the positions are too large for the target, or do not fit the model."""
+        """Raises CannotEncode where the target cannot be met, or the motion does not fit the model that is asked for.
+
+        Where the models fail, direct coding is tried, then lossless coding; a note in `about.source` says so.
+        """
         if not has_samples(motion):
             return encode_gaps(self, motion, self._stored_settings())
-        require_usual_lengths(self, motion)
+        stored = self._stored_settings()
+        ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
+        if self.model != model_choice.DIRECT:
+            direct = replace(self, model=model_choice.DIRECT)
+            encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
+            ways.append(("directly", lambda: encode(motion)))
+        if self.model == model_choice.AUTO:
+            ways += [
+                ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
+                ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
+            ]
+        encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
+        targets = {name: value for name, value in stored.items() if name in TARGETS}
+        return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
+
+    def _encode_any(self, motion: Motion) -> Encoded[Motion]:
+        """With rotations where they can be kept."""
+        return self._encode_rotations(motion) if self._keeps_rotations(motion) else self.encode_smallest(motion)
+
+    def _keeps_rotations(self, motion: Motion) -> bool:
+        return motion.rotations is not None and self.lost_rotations(motion) is None
+
+    def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
+        weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
+        has_bound = not (self._has_size or self.mean_error)
+        bound = (self.max_error or DEFAULT_MAX_ERROR) if has_bound else None
+        turn = None if self.max_rotation is None else np.radians(self.max_rotation)
+        encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
+        positions = replace(motion, rotations=None)
+        bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None)
+
+        def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
+            return lambda value: replace(bare, **{kind: value}).encode_smallest(positions)
+
+        if self.mean_error is not None:
+            encoded = encoder.to_mean(self.mean_error, inner("mean_error"), Tempo.decode)
+        elif self._has_size:
+            encoded = encoder.to_size(self._wanted_bytes(motion), inner("size"), Tempo.decode)
+        else:
+            encoded = encoder.to_bound(inner("max_error"), Tempo.decode)
+        return replace(encoded, settings=self._stored_settings())
+
+    @staticmethod
+    def lost_rotations(motion: Motion) -> str | None:
+        """Why the rotations of a motion are not kept, in words; None where they are."""
+        return layer.lost_rotations(motion)
+
+    def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
+        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
         with progress.attempt(0):
             encoded = self._encode_distinct(motion, distinct)
-        if self._meets_target(encoded, motion):
+        longest = max(chunk.frames for chunk in encoded.chunks)
+        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion):
             return encoded
         with progress.attempt(1):
             return self.encode_without_repeats(motion)
@@ -140,7 +209,10 @@ class Tempo:
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        source = prepare(motion.positions, motion.up)
+        source = prepare(
+            motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
+        )
+        require_usual_lengths(self, source.positions)
         plan = self._lattice_plan(motion, source)
         if plan is not None and plan.alone:
             return self._encode_planned(motion, source, plan)
@@ -152,13 +224,14 @@ class Tempo:
 
     def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
         """By the chosen model, by the lattice engine, or each chunk by the smaller."""
+        most = most_chunk_frames(motion.points) / 2 / motion.rate
         if plan is not None and plan.alone:
-            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS)
+            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS, most)
             bounds = chunk_bounds(len(motion), motion.rate, seconds)
             choice = model_choice.without_model(motion)
         else:
             cuts = leaps.discontinuities(source.smooth, motion.rate)
-            bounds = chunk_bounds(len(motion), motion.rate, self.chunk_seconds, cuts)
+            bounds = chunk_bounds(len(motion), motion.rate, min(self.chunk_seconds, most), cuts)
             with progress.phase(0.0, CHOICE_SHARE):
                 choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
@@ -176,22 +249,29 @@ class Tempo:
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
             payloads = self._to_target(encoders, motion, model_bytes, plan and plan.stride)
-        engines = {Payload.unpack(p).engine for p in payloads}
+        engines = [Payload.unpack(p).engine for p in payloads]
+        failures = [e.failure for e, n in zip(encoders, engines, strict=True) if e.failure is not None and n == DIRECT]
         header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
         if TRANSFORM not in engines:
             header = StreamHeader(weights=header.weights, neighbours=header.neighbours)
-        return Encoded(
+        encoded = Encoded(
             self.name,
             about(motion),
             [Chunk(a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)],
             shared=(header.pack(),),
             settings=self._stored_settings(),
         )
+        if not failures:
+            return encoded
+        reason = rescue.in_words("with tempo's models", failures[0])
+        return rescue.with_note(encoded, f"{reason}; {len(failures)} of {len(payloads)} chunks are coded directly")
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         if not encoded.shared:
             return decode_gaps(encoded, frames)
+        if layer.has_rotations(encoded):
+            return layer.decode(encoded, frames, Tempo.decode)
         header = StreamHeader.unpack(encoded.shared, encoded.about.points)
         if header.millihertz is not None:
             return repeats.decode(encoded, header, frames, Tempo.decode)
@@ -202,8 +282,7 @@ class Tempo:
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
         covering = encoded.covering(start, stop)
-        for first in progress.over(range(0, len(covering), chunk.BATCH)):
-            batch = covering[first : first + chunk.BATCH]
+        for batch in progress.over(list(batches(covering, like.points, chunk.BATCH))):
             for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
                 a, b = max(start, one.start), min(stop, one.stop)
                 here = heading.from_y_up(decoded[a - one.start : b - one.start], like.up)
@@ -215,6 +294,12 @@ class Tempo:
         """About the step that the target needs, log₂ in 1/32 octave."""
         bound = None if self._has_size or self.mean_error else self.max_error or DEFAULT_MAX_ERROR
         return target.first_step(bound, self.mean_error, self.size, self.ratio, motion.raw_bytes)
+
+    @property
+    def _frozen_tolerance(self) -> float | None:
+        """Metres by which a frozen position may be rounded; None for the usual share of it."""
+        error = None if self._has_size else self.mean_error or self.max_error or DEFAULT_MAX_ERROR
+        return error and FROZEN_SHARE * error / max((self.weights or {}).values(), default=1.0)
 
     @property
     def _has_size(self) -> bool:
@@ -292,6 +377,10 @@ class Tempo:
         if not stored.keys() & {"mean_error", "ratio", "size"}:
             stored["max_error"] = self.max_error or DEFAULT_MAX_ERROR
         return stored
+
+
+def _decode(encoded: Encoded[Motion]) -> Motion:
+    return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
 
 
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:

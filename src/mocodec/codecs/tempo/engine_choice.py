@@ -55,7 +55,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     if weights is not None:
         positions = positions * weights[:, None]
     size = grid_size(grid_step(lattice.half_step(bound)))
-    stride, cost = lattice.best_stride([positions / size], [source.gap_mask[some]], found)
+    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
     if named or weights is not None:
         return LatticePlan(found, stride, alone=False)
     share = ALONE + ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ... import metrics
-from ...encoded import Encoded
+from ...encoded import Encoded, most_chunk_frames
 from ...errors import CannotEncode
 from ...motion import Motion
 from ...typing import Floats
@@ -33,6 +33,9 @@ LONGEST_SECONDS = 10.0
 
 LONGEST_FRAMES = 60_000
 """Longer recordings are too varied for one basis, and the trial takes too long."""
+
+MOST_POINTS = 2048
+"""A basis across more points takes too long to fit."""
 
 PROMISING = 1.06
 """A first coding up to this much larger than tempo's may still be smaller at its best step."""
@@ -56,7 +59,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
 
     target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
     """
-    if len(motion) > LONGEST_FRAMES:
+    if len(motion) > LONGEST_FRAMES or motion.points > MOST_POINTS:
         return encoded
     best = encoded
     filled, smooth = _without_gaps_and_spikes(motion)
@@ -145,12 +148,13 @@ def _stretch(encoded: Encoded[Motion]) -> slice:
 
 def _longest_chunk(motion: Motion, seconds: float) -> int:
     """Frames that a chunk may have."""
-    return max(1, round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate))
+    wanted = round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate)
+    return max(1, min(wanted, most_chunk_frames(motion.points)))
 
 
 def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
     """Positions with gaps filled, and without spikes too: the same array where there are none."""
-    source = prepare(motion.positions, motion.up)
+    source = prepare(motion.positions, motion.up, bones=motion.skeleton is not None)
     filled = heading.from_y_up(source.positions, motion.up)
     return filled, heading.from_y_up(source.smooth, motion.up) if source.spikes.any() else filled
 

@@ -19,6 +19,7 @@ from .coding.contexts import OCTAVE
 from .header import StreamHeader
 from .models import MODELS, Recording, points, prior
 from .models.model import Model
+from .models.stored_basis import MOST_DIMENSIONS
 
 AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
@@ -49,7 +50,8 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     """
     if model == DIRECT:
         return without_model(recording.like)
-    if model in (AUTO, TRANSFORM) and mean_error and not known_by_name(recording) and recording.frames >= 2:
+    stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
+    if model in (AUTO, TRANSFORM) and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
     if (found := _cheapest(recording, model)) is not None:
         return found

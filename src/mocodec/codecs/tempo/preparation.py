@@ -1,27 +1,32 @@
-"""Positions before they are coded: gaps filled, y up, spikes found and interpolated."""
+"""Positions before they are coded: gaps and frozen samples filled, y up, spikes found and interpolated."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...stages import gaps
+from ...stages import frozen, gaps
 from ...typing import Booleans, Floats
 from .pose import heading, leaps
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """positions (frames, points, 3), y up, gaps filled; smooth: without spikes; masks (frames, points)."""
+    """positions (frames, points, 3), y up, filled; smooth: without spikes. apart: missing and frozen samples, y up.
+
+    spikes (frames, points): mask.
+    """
 
     positions: Floats
     smooth: Floats
-    gap_mask: Booleans
+    apart: frozen.Split
     spikes: Booleans
 
 
-def prepare(positions: Floats, up: str) -> Prepared:
-    """Of positions (frames, points, 3), metres, NaN in gaps."""
-    filled, gap_mask = gaps.fill(positions)
-    upright = heading.to_y_up(filled, up)
-    spikes = leaps.spikes(upright) & ~gap_mask
-    return Prepared(upright, leaps.without_spikes(upright, spikes), gap_mask, spikes)
+def prepare(
+    positions: Floats, up: str, tolerance: float | None = None, bones: bool = False, holds: bool = True
+) -> Prepared:
+    """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
+    apart = frozen.split(heading.to_y_up(positions, up), tolerance, bones, holds)
+    filled, mask = gaps.fill(apart.moving)
+    spikes = leaps.spikes(filled) & ~mask
+    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes)

@@ -16,6 +16,7 @@ from ... import progress
 from ...encoded import Chunk
 from ...errors import CannotEncode
 from ...stages import search
+from ...typing import Floats
 from . import chunk
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_step
 from .coding import coefficients, direct, quantise
@@ -109,13 +110,24 @@ def to_bound(
         for i, payload in zip(drafts, packed, strict=True):
             if not coded[i] or len(payload) + share <= len(coded[i]):
                 coded[i] = batch[i].smaller_of_engines(payload, bound)
-        listed = [Chunk(0, e.frames, b) for e, b in zip(batch, coded, strict=True)]
-        for i, (encoder, decoded) in enumerate(zip(batch, chunk.decode(batch[0].model, listed), strict=True)):
-            missing = np.isnan(decoded[..., 0])
-            if (missing != encoder.gap_mask).any() or not encoder.errors(decoded).max() <= bound:
+        for i, (encoder, decoded) in enumerate(zip(batch, _decoded(batch, coded), strict=True)):
+            if decoded is None or not encoder.keeps(decoded, bound):
                 coded[i] = encoder.directly(grid_step(direct.cell(bound)))
         payloads += coded
     return payloads
+
+
+def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:
+    """Positions of a batch of chunks; None where decoding fails."""
+    listed = [Chunk(0, e.frames, b) for e, b in zip(batch, payloads, strict=True)]
+    model = batch[0].model
+    together = batch[0].attempt(lambda: chunk.decode(model, listed)) if len(batch) > 1 else None
+    if together is not None:
+        return list(together)
+    if len(batch) > 1:
+        batch[0].failure = None
+    alone = [e.attempt(lambda c=c: chunk.decode(model, [c])) for e, c in zip(batch, listed, strict=True)]
+    return [None if one is None else one[0] for one in alone]
 
 
 def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
@@ -128,7 +140,8 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
         """How much too large the mean error is, 1/32 octave, and the drafts."""
         drafts = [e.draft(step, slope) for e in of]
-        error = sum(d.error for d in drafts) / sum(int((~e.gap_mask).sum()) for e in of)
+        error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in of)
+        error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
 
     def estimate(step: int) -> tuple[float, None]:

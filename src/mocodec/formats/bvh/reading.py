@@ -26,12 +26,18 @@ MAX_FRAME_MISMATCH = 1
 """Frames that may be there beyond or below the declared number."""
 
 
-def read(path: str | Path, unit: str | float | None = None, rate: float | None = None, up: str | None = None) -> Motion:
+def read(
+    path: str | Path,
+    unit: str | float | None = None,
+    rate: float | None = None,
+    up: str | None = None,
+    salvage: bool = False,
+) -> Motion:
     """A BVH as a motion, metres, with skeleton and rotations.
 
     unit: "cm", "m", "mm", "in", "ASF" (CMU's) or metres in one unit; by default the first of cm, m, mm, ASF and inch in
     which the body is as tall as a person, else cm. rate: hertz, by default 1 / Frame Time. up: the vertical axis, by
-    default y unless body and motion say z. Raises BadInput.
+    default y unless body and motion say z. salvage: read the complete frames of a truncated file. Raises BadInput.
     """
     text = read_text(path)
     head, body = _split(text, path)
@@ -45,7 +51,10 @@ def read(path: str | Path, unit: str | float | None = None, rate: float | None =
         raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
     file_rate = rate_of(timing[2], path)
     notes: list[str] = []
-    table = _channel_table(numbers(body[timing.end() :], path), int(timing[1]), joints, path, notes)
+    declared, samples = int(timing[1]), body[timing.end() :]
+    if salvage:
+        declared, samples = _salvaged(declared, samples, sum(len(joint.channels) for joint in joints), notes)
+    table = _channel_table(numbers(samples, path), declared, joints, path, notes)
     offsets = np.array([[float(word) for word in joint.offset] for joint in joints])
     names, originals = unique_names(joints)
     skeleton = Skeleton(names, tuple(joint.parent for joint in joints), offsets)
@@ -87,6 +96,19 @@ def _split(text: str, path: str | Path) -> tuple[str, str]:
     if motion is None:
         raise BadInput(f"{path}: cut off or not a BVH: it has no MOTION")
     return text[: motion.end()].removesuffix(motion[0].lstrip("}")), text[motion.end() :]
+
+
+def _salvaged(declared: int, samples: str, width: int, notes: list[str]) -> tuple[int, str]:
+    """The frames and text of a truncated motion, without the frame that the end of the file cuts off; noted."""
+    words = samples.split()
+    if len(words) >= declared * width or not width:
+        return declared, samples
+    is_cut_in_number = bool(samples) and not samples[-1].isspace()
+    complete = (len(words) - is_cut_in_number) // width
+    if not complete:
+        return declared, samples
+    notes.append(f"cut off: {complete} of {declared} declared frames are read")
+    return complete, " ".join(words[: complete * width])
 
 
 def _channel_table(values: Floats, declared: int, joints: list[Joint], path: str | Path, notes: list[str]) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,15 +48,19 @@ def analog(motion: Motion) -> Floats:
     signal = motion.extras.get("analog")
     if not isinstance(signal, Signal):
         raise BadInput("this motion has no analog channels")
-    parameters = Parameters(dict(motion.extras.get("parameters", {})))
     channels = signal.values.shape[1]
+    return (signal.values - _by_channel(motion.extras, channels, "OFFSET", 0.0)) * scales(motion.extras, channels)
 
-    def by_channel(name: str, default: float) -> Floats:
-        values = parameters.numbers("ANALOG", name)[:channels].astype(np.float64)
-        if name == "OFFSET" and is_unsigned(parameters):
-            values %= 65536  # stored in signed words
-        return np.concatenate([values, np.full(channels - len(values), default)])
 
-    general = parameters.number("ANALOG", "GEN_SCALE")
-    scale = by_channel("SCALE", 1.0) * (1.0 if general is None else general)
-    return (signal.values - by_channel("OFFSET", 0.0)) * scale
+def scales(extras: Mapping[str, Any], channels: int) -> Floats:
+    """SCALE × GEN_SCALE of each analog channel (channels,): its physical unit in one count."""
+    general = Parameters(dict(extras.get("parameters", {}))).number("ANALOG", "GEN_SCALE")
+    return _by_channel(extras, channels, "SCALE", 1.0) * (1.0 if general is None else general)
+
+
+def _by_channel(extras: Mapping[str, Any], channels: int, name: str, default: float) -> Floats:
+    parameters = Parameters(dict(extras.get("parameters", {})))
+    values = parameters.numbers("ANALOG", name)[:channels].astype(np.float64)
+    if name == "OFFSET" and is_unsigned(parameters):
+        values %= 65536  # stored in signed words
+    return np.concatenate([values, np.full(channels - len(values), default)])

@@ -205,6 +205,8 @@ def _motion(
         raise BadInput(f"damaged: its joints are beyond {MAX_VALUE:g} m")
     names, originals = unique_names([nodes.name(node) for node in joints], len(joints))
     source |= {"labels": originals} if originals else {}
+    if own.get("rotations") is False:
+        return Motion(positions, rate, names, up, source=source)
     tree = node_tree.of_nodes(nodes, chosen - {world}, place, names, world)
     scales = node_tree.scale_signal(tree, tracks, at, rate)
     extras = {"gltf": {**node_tree.pack(tree), **scales}} if scales or not node_tree.is_plain(tree, parents) else {}

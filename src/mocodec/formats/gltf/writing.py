@@ -124,7 +124,7 @@ class _Writer:
         """What `read` takes from a file of ours, in asset.extras."""
         motion = self.motion
         numbers = {"first_frame": first_frame(motion.source)} if "first_frame" in motion.source else {}
-        return {"up": motion.up, "rate": motion.rate, **numbers}
+        return {"up": motion.up, "rate": motion.rate, "rotations": motion.rotations is not None, **numbers}
 
     def _nodes(self) -> list[dict[str, Any]]:
         tree, nodes = self.tree, list[dict[str, Any]]()

@@ -30,6 +30,8 @@ SIGNED_FIELDS = 3
 """So many of a list's fields may be negative: the first ones."""
 SYMBOLS_PER_LANE = 96
 """A lane carries at least this many symbols, or it would cost more than the time that it saves is worth."""
+LISTED_PER_BYTE = 64
+"""Items of lists per byte of a chunk, at most: an item has the sign of a number that is not zero, a raw bit."""
 BITS_PER_LANE = 16
 """Raw bits that an initial state holds."""
 LANE_CODE, HAS_LISTS, THRESHOLD_SHIFT = 7, 8, 4
@@ -125,8 +127,10 @@ def unpack(model: Expectations, frames: Sequence[int], payloads: Sequence[bytes]
         beyond = max(0, total - len(first))
         if len(head.rest) != 2 * stream.used + (beyond + 7) // 8:
             raise Corrupt("tempo: a chunk that does not end where it should")
-        later = np.unpackbits(np.frombuffer(head.rest, np.uint8, offset=2 * stream.used), count=beyond)
+        later = np.unpackbits(np.frombuffer(head.rest, np.uint8, offset=2 * stream.used))
         raw = np.concatenate([first, later])
+        if raw[total:].any():
+            raise Corrupt("tempo: a chunk with bits behind its end")
         values = np.zeros((head.plan.frequencies, model.rows), np.int64)
         values.put(head.plan.places, symbols.values(known, raw[:count]))
         lists = symbols.values(listed, raw[count:total], signed).reshape(fields, -1)
@@ -144,6 +148,8 @@ def _read_head(model: Expectations, frames: int, payload: bytes, fields: int) ->
         (n, *classes), at = varint.read(payload, 1 + fields, at)
         if n > frames * model.points or max(classes) >= contexts.CLASSES:
             raise Corrupt("tempo: a chunk with more corrections than samples")
+        if n > LISTED_PER_BYTE * len(payload):  # before tables for each are made
+            raise Corrupt("tempo: a chunk with more corrections than its bytes can hold")
         list_tables = np.repeat(LIST_TABLES + np.array(classes), n)
     known = plan(model, frames, step - MAX_STEP, threshold, first & LANE_CODE)
     states = np.full(1, rans.LOW)
@@ -197,4 +203,6 @@ def _read_states(payload: bytes, at: int, count: int) -> tuple[Integers, int]:
     end = 4 * count + int(sizes.sum())
     if end > len(area):
         raise Corrupt("tempo: a chunk that ends within its head")
+    if area[end : (end + 7) // 8 * 8].any():
+        raise Corrupt("tempo: a chunk with bits behind its states")
     return bits.unpack(area[4 * count :], sizes) + (1 << sizes), at + (end + 7) // 8

@@ -115,10 +115,16 @@ def fit(
 
     similar (dimensions,): a coordinate before each that moves alike, −1 for none, which its entries are predicted from.
     """
-    frames = sum(map(len, positions))
-    noise = noise_step(step, frames)
     start = identity_model(coordinates, prior, rate)
-    spectra = [start.analyse(p)[:, POSE:] for p in positions]
+    return fit_spectra([start.analyse(p)[:, POSE:] for p in positions], prior, rate, step, similar)
+
+
+def fit_spectra(
+    spectra: Sequence[Floats], prior: Prior, rate: float, step: int, similar: Integers | None = None
+) -> StoredBasis:
+    """`fit` to spectra (frames, dimensions), one a chunk."""
+    frames = sum(map(len, spectra))
+    noise = noise_step(step, frames)
     vectors, variances = _principal(spectra, frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))

@@ -1,0 +1,13 @@
+"""Rotations of a skeleton's joints, kept beside positions.
+
+rules       how each joint's rotation follows from positions, and what is coded beside them
+choose      rules and side values of a recording
+solve       rotations from positions and side values
+shell       shell points, and errors at them
+side        side values as coefficients
+record      the stored form of rules and statistics
+payload     a chunk's part, both ways
+encoder     coding to a target
+layer       decoding, and what a motion needs
+compiled    the rules as arrays, for the compiled solver
+"""

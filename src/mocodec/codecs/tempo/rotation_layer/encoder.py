@@ -1,0 +1,384 @@
+"""Coding a motion with rotations to a target: how exact positions and side values are, and what is mended.
+
+mean_error      positions at a share of it, then the coarsest side values that keep the mean of joints and shell points
+max_error       positions at a share of it, then side values per chunk; corrections, finer steps or direct coding for
+                what is beyond the bound
+ratio, size     positions in a share of the bytes, then the finest side values that fit
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from .... import progress
+from ....encoded import Chunk, Encoded, about
+from ....errors import CannotEncode
+from ....motion import Motion
+from ....stages import search
+from ....typing import Booleans, Floats
+from ..chunk import BOUND_SLOPE, grid_size, grid_step
+from ..coding import coefficients, corrections, direct, quantise
+from ..coding.contexts import OCTAVE
+from ..models import prior
+from . import choose, layer, payload, record, shell, side, solve
+from .payload import Layer
+
+MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.7, 0.9
+"""Of the mean error, of the bound and of the bytes that the target allows: what the inner stream gets at first."""
+FLOOR = 0.985
+"""With exact side values, at most this share of the mean error may be used up by positions."""
+INNER_TRIES = 5
+WORTH_SHARING, LESS = 0.2, 0.85
+"""Where rotations take more than this part of the positions' bytes, positions get so much less of the error as well."""
+SEARCHED_FRAMES, FULL_TRIES = 1000, 6
+"""The search for a step looks at about so many frames; then the step is made finer until all frames keep the mean."""
+NEAR = 0.97
+"""A mean error from this share of the target on ends the search for a step."""
+MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
+"""The first step of side values: times the mean error, times the bound, and times the ratio in metres."""
+COARSEST, FINEST = 8 * OCTAVE, -40 * OCTAVE
+TIGHTER = (0, 16, 40, 72, 112)
+"""A chunk beyond a bound is tried with steps that are so much finer, 1/32 octave, and corrections;"""
+ROUNDS = 4
+"""corrections are added so often; then it is coded directly,"""
+GRIDS = 60
+"""on a grid that is halved at most so often."""
+CORRECTION_SHARE = 0.2
+"""Corrections bring targets within this share of the bound."""
+
+
+class Promise(NamedTuple):
+    """max_error: metres, None without; max_rotation: radians, None without; weights (joints,): of the bound."""
+
+    max_error: float | None
+    max_rotation: float | None
+    weights: Floats | None
+
+    @property
+    def is_hard(self) -> bool:
+        return self.max_error is not None or self.max_rotation is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """positions (frames, joints, 3), local and world rotations (frames, joints, 4) of the motion."""
+
+    positions: Floats
+    local: Floats
+    world: Floats
+
+    def between(self, start: int, stop: int) -> Original:
+        return Original(self.positions[start:stop], self.local[start:stop], self.world[start:stop])
+
+
+class Draft(NamedTuple):
+    """A chunk in one step: its numbers, decoded side values (frames, n), and the grid of corrections."""
+
+    numbers: coefficients.ChunkNumbers | None
+    side: Floats
+    grid: int | None = None
+
+
+class ChunkLayer:
+    """The rotations of a chunk while they are encoded."""
+
+    def __init__(self, of: Layer, original: Original, values: Floats, targets: Floats) -> None:
+        """values (frames, n): side values less the nominal ones; targets: decoded positions of the inner stream."""
+        self.layer, self.original, self.values = of, original, values
+        self.targets = np.ascontiguousarray(targets)
+        self.spectrum = of.model.analyse(values)
+
+    @property
+    def frames(self) -> int:
+        return len(self.targets)
+
+    def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
+        if not self.layer.rules.side_values:
+            return Draft(None, np.zeros((self.frames, 0)))
+        found = self.layer.model.quantised(self.spectrum, step, slope)
+        numbers = coefficients.ChunkNumbers(self.frames, found.values, step, found.threshold)
+        return Draft(numbers, self.layer.model.dequantised(found.values, step, self.frames))
+
+    def exact(self) -> Draft:
+        """Side values as they are, for a lower limit of the error."""
+        return Draft(None, self.values + self.layer.rules.nominal)
+
+    def solved(self, draft: Draft) -> tuple[Floats, Floats]:
+        """Local rotations and positions that a draft decodes to."""
+        targets, values = self.targets, draft.side
+        if draft.grid is not None and draft.numbers is not None and draft.numbers.lists is not None:
+            targets, values = payload.corrected(self.layer, targets, values, draft.numbers.lists, draft.grid)
+        return solve.solve(self.layer.rules, targets, values)
+
+    def errors(self, local: Floats, positions: Floats) -> shell.Errors:
+        world = shell.world_rotations(self.layer.rules.skeleton, local)
+        return shell.errors(self.original.positions, self.original.world, positions, world, self.layer.reach_m)
+
+    def sampled_errors(self, draft: Draft, every: int) -> shell.Errors:
+        """Errors of every so many frames of a draft without corrections."""
+        local, positions = solve.solve(self.layer.rules, self.targets[::every], draft.side[::every])
+        world = shell.world_rotations(self.layer.rules.skeleton, local)
+        true = self.original
+        return shell.errors(true.positions[::every], true.world[::every], positions, world, self.layer.reach_m)
+
+    def broken(self, local: Floats, positions: Floats, promise: Promise) -> Booleans:
+        """(frames, joints): where a joint, its shell points or its rotation are beyond the promise."""
+        beyond = np.zeros(positions.shape[:2], bool)
+        if promise.max_error is not None:
+            found = self.errors(local, positions)
+            bound = promise.max_error * (1 - 1e-9)
+            beyond |= found.beyond(bound) if promise.weights is None else found.beyond(bound / promise.weights)
+        if promise.max_rotation is not None:
+            world = shell.world_rotations(self.layer.rules.skeleton, local)
+            beyond |= shell.angles(world, self.original.world) > promise.max_rotation * (1 - 1e-9)
+            beyond |= shell.angles(local, self.original.local) > promise.max_rotation * (1 - 1e-9)
+        return beyond
+
+    def mended(self, step: int, promise: Promise) -> bytes:
+        """The part of a chunk that keeps the promise. Raises CannotEncode."""
+        parts: list[bytes] = []
+        for finer in TIGHTER:
+            draft = self._corrected(self.draft(step - finer, BOUND_SLOPE), promise)
+            if draft is not None:
+                parts.append(payload.pack_transforms(self.layer, [(draft.numbers, draft.grid)])[0])
+                if len(parts) > 1 and len(parts[-1]) > len(parts[-2]):
+                    break
+        return min(parts, key=len) if parts else self.directly(promise)
+
+    def _corrected(self, draft: Draft, promise: Promise) -> Draft | None:
+        """The draft with the corrections that it needs, or None where they do not suffice."""
+        bound = promise.max_error if promise.max_error is not None else self.layer.reach_m * (promise.max_rotation or 1)
+        grid = grid_step(direct.cell(CORRECTION_SHARE * bound))
+        truth = payload.together(self.layer, self.original.positions, self.values + self.layer.rules.nominal)
+        off = truth - payload.together(self.layer, self.targets, draft.side)
+        wrong = np.zeros(off.shape[:2], bool)
+        numbers = draft.numbers
+        if numbers is None:
+            empty = np.zeros((0, self.layer.model.rows), np.int64)
+            numbers = coefficients.ChunkNumbers(self.frames, empty, 0, 0)
+        for _ in range(ROUNDS):
+            broken = self.broken(*self.solved(draft), promise)
+            if not broken.any():
+                return draft
+            wrong |= _causes(self.layer, broken)
+            found = corrections.find(np.where(wrong[..., None], off, 0.0), CORRECTION_SHARE * bound, grid_size(grid))
+            draft = Draft(numbers._replace(lists=corrections.numbers(found)), draft.side, grid)
+        return None if self.broken(*self.solved(draft), promise).any() else draft
+
+    def directly(self, promise: Promise) -> bytes:
+        """The chunk with every rotation on a grid that keeps the promise. Raises CannotEncode."""
+        bound = promise.max_error or self.layer.reach_m * (promise.max_rotation or 1)
+        for finer in range(GRIDS):
+            grid = grid_step(bound / 2.0**finer)
+            part = payload.pack_direct(self.layer, self.original.local, self.original.positions, grid)
+            decoded = payload.unpack_direct(self.layer, Chunk(0, self.frames, part))
+            if not self.broken(*decoded, promise).any():
+                return part
+        raise CannotEncode("the positions of this motion do not follow from its skeleton and rotations so exactly")
+
+
+def _causes(of: Layer, broken: Booleans) -> Booleans:
+    """What may have moved joints or their frames too far, as corrections name it: (frames, corrected_points).
+
+    The targets of the joint, of its parent and of the vectors that both carry; the side values of it and all above it.
+    """
+    rules = of.rules
+    wrong = np.zeros((len(broken), of.corrected_points), bool)
+    for joint in np.flatnonzero(broken.any(axis=0)).tolist():
+        at, parent = broken[:, joint], rules.skeleton.parents[joint]
+        for one in {joint, parent} - {-1}:
+            for point in {one, rules.carried[one].anchor, *rules.carried[one].targets}:
+                wrong[:, point] |= at
+        above = joint
+        while above >= 0:
+            for value in range(rules.starts[above], rules.starts[above + 1]):
+                wrong[:, of.joints + value // 3] |= at
+            above = rules.skeleton.parents[above]
+    return wrong
+
+
+class Encoder:
+    """Codes a motion with rotations, given a function that codes positions to a target of their own."""
+
+    def __init__(self, motion: Motion, reach_m: float, promise: Promise) -> None:
+        assert motion.skeleton is not None
+        assert motion.rotations is not None
+        self.motion, self.promise, self.reach_m = motion, promise, reach_m
+        local = layer.unit_rotations(motion.rotations, motion.names)
+        skeleton = record.rounded(motion.skeleton)
+        own_frame = motion.source.get("format") == "amc"
+        self.rules = choose.choose(skeleton, own_frame, motion.positions, local)
+        self.values = choose.side_values(self.rules, motion.positions, local)
+        self.original = Original(motion.positions, local, shell.world_rotations(skeleton, local))
+        self.factor = side.coordinates(self.rules, reach_m)
+
+    def to_mean(self, target: float, inner: Callable[[float], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
+        """inner(mean error) codes the positions."""
+        share, best = MEAN_SHARE, None
+        encoded, coded = None, None
+        for attempt in range(INNER_TRIES):
+            with progress.attempt(attempt):
+                encoded = inner(share * target)
+            coded = self._chunks(encoded, decode, MEAN_STEP * target)
+            floor = self._mean(coded, [c.exact() for c in coded.chunks]) / target
+            if floor > FLOOR or (not self.rules.side_values and floor < NEAR):
+                share *= 0.995 * FLOOR / floor
+                continue
+            drafts = self._step_for_mean(coded, target)
+            if drafts is not None:
+                made = self._finished(encoded, coded, drafts)
+                if best is not None and made.payload_bytes >= best.payload_bytes:
+                    return best
+                best = made
+                if made.payload_bytes < (1 + WORTH_SHARING) * encoded.payload_bytes:
+                    return best
+            share *= LESS
+        if best is not None:
+            return best
+        assert encoded is not None
+        assert coded is not None
+        return self._directly_to_mean(encoded, coded, target)
+
+    def _step_for_mean(self, coded: Coded, target: float) -> list[Draft] | None:
+        """Drafts in the coarsest step that keeps the mean error, searched for among some of the frames first."""
+        if not self.rules.side_values:
+            return [c.exact() for c in coded.chunks]
+        every = max(1, len(self.motion) // SEARCHED_FRAMES)
+
+        def measure(step: float, every: int = every) -> tuple[float, list[Draft]]:
+            drafts = [c.draft(int(step)) for c in coded.chunks]
+            return self._mean(coded, drafts, every) / target, drafts
+
+        found = search.closest_within(
+            measure, coded.step, rising=True, stride=_stride, farthest=12 * OCTAVE, near=NEAR, tries=9
+        )
+        if found is None or every == 1:
+            return None if found is None else found.result
+        step, drafts = found.setting, found.result
+        for _ in range(FULL_TRIES):
+            mean = self._mean(coded, drafts) / target
+            if mean <= 1:
+                return drafts
+            step -= 2 + round(64 * float(np.log(mean)))
+            drafts = measure(step)[1]
+        return None
+
+    def to_bound(self, inner: Callable[[float], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
+        """inner(max error) codes the positions."""
+        bound = self.promise.max_error
+        assert bound is not None
+        encoded = inner(BOUND_SHARE * bound)
+        coded = self._chunks(encoded, decode, BOUND_STEP * bound)
+        return self._finished(encoded, coded, [c.draft(coded.step, BOUND_SLOPE) for c in coded.chunks])
+
+    def to_size(self, size: int, inner: Callable[[int], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
+        """inner(bytes) codes the positions. Raises CannotEncode."""
+        share = SIZE_SHARE
+        for attempt in range(INNER_TRIES):
+            with progress.attempt(attempt):
+                encoded = inner(max(1, int(share * size)))
+            coded = self._chunks(encoded, decode, RATIO_STEP * self.motion.raw_bytes / size)
+            found: dict[int, Encoded[Motion]] = {}
+
+            def fits(coarseness: int, encoded: Encoded[Motion] = encoded, coded: Coded = coded,
+                     found: dict[int, Encoded[Motion]] = found) -> bool:  # fmt: skip
+                drafts = [c.draft(-coarseness) for c in coded.chunks]
+                made = self._finished(encoded, coded, drafts)
+                if made.payload_bytes <= size:
+                    found.clear()
+                    found[-coarseness] = made
+                    return True
+                return False
+
+            step = search.largest_true(fits, -coded.step, -COARSEST, -FINEST, stride=16)
+            if step is not None:
+                return found[-step]
+            share *= 0.75
+        raise CannotEncode(f"even the coarsest rotations take more than {size} bytes")
+
+    def _chunks(self, encoded: Encoded[Motion], decode: Decode, step_m: float) -> Coded:
+        """The chunks of an inner stream, with side values in about this step, metres."""
+        decoded = decode(encoded).positions
+        step = round(np.log2(step_m) * OCTAVE)
+        bounds = [(c.start, c.stop) for c in encoded.chunks]
+        values = [choose.chunk_values(self.rules, self.values[a:b]) for a, b in bounds]
+        of, shared = self.fitted(values, step)
+        made = [
+            ChunkLayer(of, self.original.between(a, b), v, decoded[a:b])
+            for (a, b), v in zip(bounds, values, strict=True)
+        ]
+        return Coded(of, shared, step, made)
+
+    def fitted(self, values: Sequence[Floats], step: int) -> tuple[Layer, bytes]:
+        """The layer for chunks of side values (frames, n) in about this step, and its shared bytes."""
+        known, rate = prior.for_points(), self.motion.rate
+        stored = side.fit(values, self.factor, known, rate, step) if self.rules.side_values else None
+        shared = record.pack(self.rules, self.reach_m, record.pack_statistics(stored, known))
+        return Layer(self.rules, self.reach_m, side.SideModel.of(stored, known, self.rules, self.factor, rate)), shared
+
+    def _mean(self, coded: Coded, drafts: Sequence[Draft], every: int = 1) -> float:
+        """Mean distance of joints and shell points, or of joints alone if that is larger, metres, of every so many
+        frames."""
+        sampled = [c.sampled_errors(d, every) for c, d in zip(coded.chunks, drafts, strict=True)]
+        joints, count = sum(float(e.joints.sum()) for e in sampled), sum(e.joints.size for e in sampled)
+        return max(sum(e.total for e in sampled) / 4, joints) / count
+
+    def _finished(self, encoded: Encoded[Motion], coded: Coded, drafts: Sequence[Draft]) -> Encoded[Motion]:
+        """The stream of drafts, with chunks mended that break a promise."""
+        parts = payload.pack_transforms(coded.layer, [(d.numbers, d.grid) for d in drafts])
+        if self.promise.is_hard:
+            for i, (chunk, draft) in enumerate(zip(coded.chunks, drafts, strict=True)):
+                if chunk.broken(*chunk.solved(draft), self.promise).any():
+                    step = coded.step if draft.numbers is None else draft.numbers.step
+                    parts[i] = chunk.mended(step, self.promise)
+        return _joined(self.motion, encoded, coded, parts)
+
+    def _directly_to_mean(self, encoded: Encoded[Motion], coded: Coded, target: float) -> Encoded[Motion]:
+        """Every rotation on a grid, so fine that the mean error is kept. Raises CannotEncode."""
+        for finer in range(GRIDS):
+            grid = grid_step(target / 2.0 ** (finer / 2))
+            parts = [
+                payload.pack_direct(coded.layer, c.original.local, c.original.positions, grid) for c in coded.chunks
+            ]
+            decoded = [
+                payload.unpack_direct(coded.layer, Chunk(0, c.frames, p))
+                for c, p in zip(coded.chunks, parts, strict=True)
+            ]
+            total = sum(c.errors(*d).total for c, d in zip(coded.chunks, decoded, strict=True))
+            broken = self.promise.is_hard and any(
+                c.broken(*d, self.promise).any() for c, d in zip(coded.chunks, decoded, strict=True)
+            )
+            if total <= target * 4 * self.motion.positions[..., 0].size and not broken:
+                return _joined(self.motion, encoded, coded, parts)
+        raise CannotEncode("the positions of this motion do not follow from its skeleton and rotations so exactly")
+
+
+def _stride(logarithm: float) -> int:
+    """How many 1/32 octaves of the step change the mean error by this logarithm, or more."""
+    return max(24, round(64 * abs(logarithm)))
+
+
+Decode = Callable[[Encoded[Motion]], Motion]
+
+
+class Coded(NamedTuple):
+    """An inner stream's chunks with what they share; shared: the layer's bytes; step: of side values, at first."""
+
+    layer: Layer
+    shared: bytes
+    step: int
+    chunks: list[ChunkLayer]
+
+
+def _joined(motion: Motion, encoded: Encoded[Motion], coded: Coded, parts: Sequence[bytes]) -> Encoded[Motion]:
+    """The inner stream with the layer's parts in front of its payloads."""
+    chunks = [
+        Chunk(c.start, c.frames, payload.join(part, c.payload)) for c, part in zip(encoded.chunks, parts, strict=True)
+    ]
+    return replace(
+        encoded, about=about(motion, has_rotations=True), chunks=chunks, shared=(*encoded.shared, coded.shared)
+    )

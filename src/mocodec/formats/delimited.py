@@ -1,0 +1,308 @@
+"""CSV: a table of points and signals in one of the headers that programs write.
+
+    time,LASI.x,LASI.y,LASI.z,Fz            one row of labels; a row of units may follow
+    Frame,Time,LASI,,,RASI,,                names, one every three columns,
+    ,,X,Y,Z,X,Y,Z                           then axes; a row of units may follow
+    Trajectories · rate · names · axes · units      Vicon Nexus: sections, of which Trajectories has the points
+    Format Version,1.23,… Type · Name · ID · Position · axes      OptiTrack Motive
+
+Cells are separated by commas, semicolons (with decimal points or commas) or tabs.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import BadInput
+from ..motion import Motion
+from ..typing import Floats
+from . import replace_whole
+from .columns import Clock, Point, cell, clock, columns_of, find_points, motion_of
+from .conventions import metres_in, start_s, unit_of, unit_option
+from .opensim import numbers
+from .text import read_text
+from .zeros import parked_of, zeros_are_gaps
+
+HOLDS = frozenset({"signals", "columns", "times", "zero_samples"})
+"""What a CSV stores beside the positions."""
+
+TIMES = re.compile(r"^time\b.*$|^t$|^t \(s\)$", re.IGNORECASE)
+FRAMES = re.compile(r"^(frame|frames|frame#|frame number|sub frame|#|index|sample)$", re.IGNORECASE)
+UNIT_WORDS = re.compile(
+    r"^\[?(s|ms|sec|seconds|deg|rad|n|nmm|nm|n\.mm|n\.m|w|v|mv|%|mm/s.*|m/s.*|deg/s.*|hz|)\]?$", re.IGNORECASE
+)
+COMMENT = re.compile(r"^#(?!\s*[,;\t])")
+"""A line that begins with # and is no header whose first label is #."""
+HEADER_ROWS = 30
+
+
+class _Columns(NamedTuple):
+    """labels and units of all columns; points; first row of numbers; rate and unit that the header declares."""
+
+    labels: list[str]
+    units: list[str]
+    points: list[Point]
+    first_row: int
+    rate: float | None
+    unit: str | None
+
+
+def read(
+    path: str | Path,
+    up: str | None = None,
+    unit: str | float | None = None,
+    rate: float | None = None,
+    gaps: str | None = None,
+    salvage: bool = False,
+) -> Motion:
+    """A CSV as a motion: columns of positions are points, all others `extras["signals"]`.
+
+    up, unit, rate: in place of what the file says; without a unit it is metres, a guess. gaps: "keep" takes points at
+    exactly (0, 0, 0) as positions. salvage: leave out a last row that is cut off. Raises BadInput.
+    """
+    try:
+        return _read(read_text(path), up, unit, rate, zeros_are_gaps(gaps), salvage)
+    except BadInput as error:
+        raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
+    except csv.Error as error:
+        raise BadInput(f"{path}: cannot be read as a CSV ({error})") from None
+
+
+def _read(
+    text: str, up: str | None, unit: str | float | None, rate: float | None, zeros: bool, salvage: bool
+) -> Motion:
+    notes: list[str] = []
+    lines = text.split("\n")
+    comments: dict[str, str] = {}
+    for line in lines[:HEADER_ROWS]:
+        if COMMENT.match(line):
+            key, _, value = line[1:].partition(":")
+            comments[key.strip().lower()] = value.strip()
+    rows = _rows([line for line in lines if not COMMENT.match(line)])
+    if not rows:
+        raise BadInput("has no rows")
+    kind = rows[0][0].lower() if rows[0] else ""
+    if kind == "format version":
+        columns = _motive(rows)
+    elif kind in ("trajectories", "devices", "model outputs", "joints", "segments"):
+        rows, columns = _nexus(rows, notes)
+    else:
+        columns = _plain(rows)
+    body = [row for row in rows[columns.first_row :] if any(row)]
+    values = _values(body, len(columns.labels), salvage, notes)
+    declared = float(comments["rate"]) if _is_number(comments.get("rate", "")) else columns.rate
+    timing, times, drop = _timing(columns, values, declared, rate, notes)
+    keep = [column for column in range(len(columns.labels)) if column not in drop]
+    place = {column: at for at, column in enumerate(keep)}
+    points = [
+        Point(point.name, (place[x], place[y], place[z])) for point in columns.points for x, y, z in [point.columns]
+    ]
+    source: dict[str, Any] = {"format": "csv"}
+    units = [columns.units[column] for column in keep]
+    declared_unit = columns.unit or comments.get("unit")
+    if unit is None and points and not declared_unit:
+        source["unit_guessed"] = True
+    chosen = unit_option(unit if unit is not None else declared_unit or "m")
+    up = up or (comments.get("up") if comments.get("up") in ("x", "y", "z") else None)
+    labels = [columns.labels[column] for column in keep]
+    return motion_of(labels, values[:, keep], points, timing, times, units, chosen, up, zeros, source, notes)
+
+
+def _rows(lines: Sequence[str]) -> list[list[str]]:
+    """The cells of all lines without empty ones, by the separator that the lines have; decimal commas are points."""
+    head = [line for line in lines[: 2 * HEADER_ROWS] if line.strip()]
+    separator = next((mark for mark in "\t;," if sum(mark in line for line in head) * 2 > len(head)), ",")
+    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
+    rows = [row for row in rows if any(row)]
+    if separator != ",":
+        decimal = re.compile(r"^[-+]?\d*,\d+(e[-+]?\d+)?$", re.IGNORECASE)
+        if any(decimal.match(cell) for row in rows[:HEADER_ROWS] for cell in row):
+            rows = [[cell.replace(",", ".") if decimal.match(cell) else cell for cell in row] for row in rows]
+    return rows
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _plain(rows: list[list[str]]) -> _Columns:
+    """A header of one to three rows: labels or names, axes, units."""
+    first = next((i for i, row in enumerate(rows[:HEADER_ROWS]) if _is_data(row)), len(rows))
+    if not 1 <= first <= 3:
+        raise BadInput("it does not begin with one to three rows of labels and then numbers")
+    head, width = rows[:first], max(map(len, rows[: first + 1]))
+    head = [row + [""] * (width - len(row)) for row in head]
+    units = [""] * width
+    if len(head) > 1 and all(UNIT_WORDS.match(text) or metres_in(text) for text in head[-1]):
+        units = [text.strip("[]") for text in head.pop()]
+    if len(head) == 2:
+        labels, points = _two_rows(*head)
+    elif len(head) == 1:
+        labels = []
+        for column, text in enumerate(head[0]):  # units may stand in the labels: LASI.x (mm)
+            match = re.match(r"^(.+?)\s*[(\[]([^()\[\]]+)[)\]]$", text)
+            is_unit = match is not None and (metres_in(match[2]) or UNIT_WORDS.match(match[2]))
+            labels.append(match[1] if match and is_unit else text)
+            units[column] = match[2] if match and is_unit else units[column]
+        points = find_points(labels)
+    else:
+        raise BadInput("its header has more rows than names, axes and units")
+    return _Columns(labels, units, points, first, None, _unit_of_points(units, points))
+
+
+def _is_data(row: Sequence[str]) -> bool:
+    """Whether a row has numbers and nothing else."""
+    texts = [text for text in row if text]
+    return bool(texts) and all(map(_is_number, texts))
+
+
+def _two_rows(names: list[str], axes: list[str]) -> tuple[list[str], list[Point]]:
+    """Labels and points of a row of names, each above the first of its columns or above all, and a row of axes."""
+    labels: list[str] = []
+    points: list[Point] = []
+    name, start = "", 0
+    for column, (text, axis) in enumerate(zip(names, axes, strict=True)):
+        if text and (text != name or column >= start + 3):
+            name, start = text, column
+        if axis.lower() == "x" and [a.lower() for a in axes[column : column + 3]] == ["x", "y", "z"] and name:
+            points.append(Point(name, (column, column + 1, column + 2)))
+        labels.append(f"{name}.{axis}" if name and axis and text != axis else axis or text)
+    return labels, points
+
+
+def _unit_of_points(units: Sequence[str], points: Sequence[Point]) -> str | None:
+    """The unit of the columns of points, or None. Raises BadInput if they differ."""
+    found = dict.fromkeys(units[column] for point in points for column in point.columns if units[column])
+    if len(found) > 1:
+        raise BadInput(f"its points have different units, {', '.join(found)}; use unit= (--unit)")
+    return next(iter(found), None)
+
+
+def _nexus(rows: list[list[str]], notes: list[str]) -> tuple[list[list[str]], _Columns]:
+    """The section Trajectories of a Vicon Nexus export; the others are noted."""
+    titles = ("trajectories", "devices", "model outputs", "joints", "segments", "events")
+    starts = [i for i, row in enumerate(rows) if row[0].lower() in titles and not any(row[1:])]
+    sections = {rows[a][0].lower(): rows[a:b] for a, b in zip(starts, [*starts[1:], len(rows)], strict=True)}
+    chosen = "trajectories" if "trajectories" in sections else next(iter(sections))
+    others = [title for title in sections if title != chosen]
+    if others:
+        notes.append(f"only the section {chosen} is read, not {', '.join(others)}")
+    section = sections[chosen]
+    if len(section) < 5 or not _is_number(section[1][0]):
+        raise BadInput(f"its section {chosen} has no rate, names, axes and units")
+    width = max(map(len, section[:6]))
+    names, axes, units = ([*row, *[""] * (width - len(row))] for row in section[2:5])
+    labels, points = _two_rows(names, axes)
+    points = points if chosen == "trajectories" else []
+    rate = float(section[1][0])
+    return section, _Columns(labels, units, points, 5, rate, _unit_of_points(units, points))
+
+
+def _motive(rows: list[list[str]]) -> _Columns:
+    """An OptiTrack Motive export: markers are points, rotations of rigid bodies and all others are signals."""
+    facts = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    axes_at = next((i for i, row in enumerate(rows[:HEADER_ROWS]) if row[0].lower() == "frame"), None)
+    if axes_at is None or axes_at < 3:
+        raise BadInput("its header has no row that begins with Frame")
+    width = len(rows[axes_at])
+    head = {row[1].lower(): [*row, *[""] * (width - len(row))] for row in rows[1:axes_at] if len(row) > 1 and row[1]}
+    names = head.get("name", [""] * width)
+    what = [*rows[axes_at - 1], *[""] * (width - len(rows[axes_at - 1]))]
+    axes = rows[axes_at]
+    labels = [f"{name}.{kind}.{axis}" if kind else axis for name, kind, axis in zip(names, what, axes, strict=True)]
+    points = [
+        Point(names[c], (c, c + 1, c + 2))
+        for c in range(width - 2)
+        if axes[c : c + 3] == ["X", "Y", "Z"] and what[c].lower() == "position"
+    ]
+    rates = (facts.get(f"{kind} Frame Rate", "") for kind in ("Export", "Capture"))
+    rate = next((float(text) for text in rates if _is_number(text)), None)
+    return _Columns(labels, [""] * width, points, axes_at + 1, rate, facts.get("Length Units") or None)
+
+
+def _values(body: list[list[str]], columns: int, salvage: bool, notes: list[str]) -> Floats:
+    """Rows of cells as numbers (rows, columns). Shorter rows end in gaps, but for the last, which may be cut off."""
+    widths = [len(row) for row in body]
+    if len(body) * columns > 64 * sum(widths) + 4096:
+        raise BadInput(f"its rows have far fewer cells than its {columns} labels")
+    if body and max(widths) > columns:
+        extra = next(row for row in body if len(row) > columns)
+        if any(extra[columns:]):
+            raise BadInput(f"a row has {len(extra)} cells, there are {columns} labels")
+    if len(body) > 1 and len(body[-1]) < min(widths[:-1]):
+        if not salvage:
+            raise BadInput("cut off: its last row ends early; --salvage (salvage=True) leaves it out")
+        body = body[:-1]
+        notes.append(f"cut off: its last row is left out, {len(body)} rows are read")
+    return numbers([[*row[:columns], *[""] * (columns - len(row))] for row in body], columns)
+
+
+def _timing(
+    columns: _Columns, values: Floats, declared: float | None, rate: float | None, notes: list[str]
+) -> tuple[Clock, Floats, set[int]]:
+    """The clock of the rows, their times, and the columns of times and frame numbers."""
+    used = {column for point in columns.points for column in point.columns}
+    free = [column for column in range(len(columns.labels)) if column not in used]
+    time_at = next((c for c in free if TIMES.match(columns.labels[c])), None)
+    frame_at = next((c for c in free[:3] if FRAMES.match(columns.labels[c])), None)
+    drop = {c for c in (time_at, frame_at) if c is not None}
+    sub_at = next((c for c in free[:3] if columns.labels[c].lower() == "sub frame"), None)
+    drop |= {sub_at} if sub_at is not None else set()
+    if time_at is not None and len(values):
+        is_ms = "ms" in columns.labels[time_at].lower() or columns.units[time_at].lower() == "ms"
+        times = values[:, time_at] * (1e-3 if is_ms else 1.0)
+        return clock(times, declared, rate, notes), times, drop
+    hertz = rate or declared
+    if hertz is None:
+        raise BadInput("it has neither times nor a rate; use rate= (--rate)")
+    ids = values[:, frame_at] if frame_at is not None else np.arange(1.0, len(values) + 1)
+    if sub_at is not None and len(values) and values[:, sub_at].any():  # the rate is that of the samples in a frame
+        ids = (ids - 1) * (values[:, sub_at].max() + 1) + values[:, sub_at] + 1
+    times = (ids - 1) / hertz
+    if not (np.isfinite(times).all() and (np.diff(ids) > 0).all() and math.isfinite(hertz)):
+        raise BadInput("its frame numbers do not increase")
+    return clock(times, hertz, hertz, notes), times, drop
+
+
+def write(path: str | Path, motion: Motion) -> None:
+    """Write a CSV: comments with unit, rate and vertical axis; labels `time,NAME.x,NAME.y,NAME.z,…`; units; rows.
+
+    Points are in the source's unit, metres for other sources; signals at the frame rate follow. Gaps are empty cells.
+    Numbers read back the same. Raises BadInput for names with line breaks.
+    """
+    is_own = motion.source.get("format") == "csv" and "unit_m" in motion.source
+    unit, unit_m = (str(motion.source["units"]), unit_of(motion.source)) if is_own else ("m", 1.0)
+    labels, values = columns_of(motion, (".x", ".y", ".z"), unit_m, parked_of(motion))
+    if any(not label.strip() or set(label) & set("\r\n") or label != label.strip() for label in labels):
+        raise BadInput("a CSV cannot hold a column whose name is empty or has line breaks or spaces around it")
+    begin = start_s(motion.source, motion.rate)
+    times = [begin + frame / motion.rate for frame in range(len(motion))]
+    if "times" in motion.extras and len(motion.extras["times"].values) == len(motion):
+        times = motion.extras["times"].values.tolist()
+    signals = motion.extras.get("signals")
+    of_signals = dict(zip(signals.labels, signals.units, strict=False)) if signals is not None else {}
+    of_points = {f"{name}.{axis}" for name in motion.names for axis in "xyz"}
+    units = [unit if label in of_points else of_signals.get(label, "") for label in labels]
+    lines = [f"# unit: {unit_m!r}" if metres_in(unit) is None else f"# unit: {unit}"]
+    lines += [f"# rate: {motion.rate!r}", f"# up: {motion.up}", ",".join(["time", *map(_quoted, labels)])]
+    if any(of_signals.values()) and all(metres_in(text) or UNIT_WORDS.match(text) for text in units):
+        lines.append(",".join(["s", *units]))
+    for time, row in zip(times, values.tolist(), strict=True):
+        lines.append(",".join([cell(float(f"{time:.12g}")), *map(cell, row)]))
+    replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
+
+
+def _quoted(text: str) -> str:
+    """A label as a cell."""
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',;"#') else text

@@ -1,0 +1,126 @@
+"""A recording to the bytes of a `.mocz` that meet a size or a ratio for the whole file."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, cast
+
+from . import codecs
+from . import progress as progress_
+from .codecs import rescue
+from .codecs.base import Codec
+from .encoded import TARGETS, Encoded, Recording, RecordingT
+from .errors import BadInput, CannotEncode, MocodecError
+from .motion import Motion
+
+DEFAULT_CODECS = ("tempo", "bodycast")
+"""The codecs that are used by default: for motion, and for point clouds."""
+ATTEMPTS = 5
+"""How often a recording is encoded to meet a size or a ratio."""
+SMALLEST_FILE_BYTES = 64
+"""About how many bytes a file takes at least, without its extras."""
+
+
+def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | None = None) -> bytes:
+    """Encode, and meet `size` for the whole file and `ratio` for the whole file without extras.
+
+    A codec counts only its own bytes. If the container makes the file too large, the codec encodes again with a target
+    that is smaller by the excess. Raises CannotEncode if the target cannot be met. signal_error: as in `encode`.
+    """
+    from . import container
+
+    if signal_error is not None:
+        recording = with_signal_error(recording, signal_error)
+    promised = {} if signal_error is None else {"signal_error": signal_error}
+    target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
+    if target is None:
+        return container.pack(_promising(_encoded(codec, recording), promised))
+    if target == "size":
+        _require_room(recording, codec)
+    with progress_.attempt(0):
+        encoded = _promising(_encoded(codec, recording), promised)
+    blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
+    target_bytes: float = value if target == "size" else recording.raw_bytes / value
+    limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
+    for attempt in range(1, ATTEMPTS):
+        if len(blob) <= limit:
+            return blob
+        target_bytes = math.floor(min(target_bytes, encoded.payload_bytes) - (len(blob) - limit))
+        if target_bytes < 1:
+            break
+        value = target_bytes if target == "size" else recording.raw_bytes / target_bytes
+        with progress_.attempt(attempt):
+            encoded = _encoded(dataclasses.replace(codec, **{target: value}), recording)
+        blob = container.pack(dataclasses.replace(encoded, settings=settings))
+    if len(blob) <= limit:
+        return blob
+    raise CannotEncode(
+        f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
+        f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
+    )
+
+
+def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[RecordingT]:
+    """By the codec, or for a motion by the default codec if an error in mocodec ends the codec; a note says so."""
+    try:
+        return codec.encode(recording)
+    except (MocodecError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        failure = rescue.in_words(f"with {codec.name}", error)
+        if not isinstance(recording, Motion):
+            raise CannotEncode(f"{failure}; please report it, and try another codec") from error
+        targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
+        names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
+        default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})
+        encoded = rescue.with_note(default.encode(recording), f"{failure}; {default.name} codes the motion")
+        return cast("Encoded[RecordingT]", encoded)
+
+
+def with_signal_error(recording: RecordingT, signal_error: str) -> RecordingT:
+    """The recording with signals within this error. Raises BadInput for an error that does not fit its channels."""
+    from .signals import bounds
+
+    return dataclasses.replace(recording, extras=bounds.bounded(recording.extras, signal_error))
+
+
+def _promising(encoded: Encoded[RecordingT], promised: dict[str, str]) -> Encoded[RecordingT]:
+    return dataclasses.replace(encoded, settings={**encoded.settings, **promised}) if promised else encoded
+
+
+def _require_room(recording: Recording, codec: Codec[Any]) -> None:
+    """Raises CannotEncode if the extras of a recording alone exceed the size that the codec is asked for."""
+    from . import container
+
+    extras, size = container.extras_bytes(recording), cast("int", getattr(codec, "size", 0))
+    if extras + SMALLEST_FILE_BYTES > size and extras:
+        raise CannotEncode(
+            f"{codec.name} cannot encode this to a file of {size:,} bytes: analog channels, events, parameters and "
+            f"other extras alone take {extras:,}; ask for a larger size, or leave them out (--bare)"
+        )
+
+
+def extras_bytes(blob: bytes) -> int:
+    """Bytes of the extras in a .mocz, signals included."""
+    from . import container
+
+    with container.Reader(blob) as reader:
+        sizes = reader.info()["bytes_by_part"]
+        return sizes["extras"] + sizes["signals"]
+
+
+def default_codec(recording: Recording) -> str:
+    """The name of the codec that is used by default."""
+    return DEFAULT_CODECS[0 if isinstance(recording, Motion) else 1]
+
+
+def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
+    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
+    chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
+    known = [f.name for f in dataclasses.fields(chosen)]
+    for name in options:
+        if name not in known:
+            what = "target" if name in TARGETS else "setting"
+            raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")
+    return dataclasses.replace(chosen, **options)

@@ -1,0 +1,310 @@
+"""One chunk of a signal to bytes: a lane for each channel that is not constant, and back.
+
+    values ─► integers, special samples (forms) ─► removed samples ─► residuals (prediction) ─► lane (residuals)
+
+Removed samples take part in nothing: those that repeat the one before bit for bit, where many do (a slower converter),
+and special ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entropy import bits
+from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
+from ..entropy.varint import signed as zigzag
+from ..errors import Corrupt
+from ..fields.cursor import Cursor, blob, varint
+from ..typing import Bytes, Integers
+from . import fitting, forms, prediction, residuals
+from .forms import CONSTANT, CORRECTED, COUNTS, GRID, INTEGERS, Form
+from .prediction import Predictor
+from .residuals import Lane
+
+Array = NDArray[Any]
+
+KEPT, REPEATS, SPECIAL = 0, 1, 2
+HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
+ITEMS_SHARE = 0.9
+"""A channel is tried as plain items if it has at most this many distinct ones for each sample."""
+EXACT_COUNTS = (INTEGERS, COUNTS)
+REPEATS_SHARE = 0.3
+REPEAT_BITS = 2.0
+"""Repeats are removed where their places take less than this for each of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A channel in a chunk before it is coded. codes (n,): why samples are removed; integers and extra of the kept."""
+
+    form: Form
+    codes: Bytes
+    specials: Array
+    integers: Integers
+    extra: Integers
+
+    @property
+    def held(self) -> Integers:
+        return _held(self.integers, self.codes)
+
+
+def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
+    """The record of each channel in a chunk (samples, channels), nothing for a constant one; joined, the chunk."""
+    columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
+    sources = [
+        None if form.kind == CONSTANT else _source(column, form)
+        for column, form in zip(columns, channel_forms, strict=True)
+    ]
+    ranks = _ranks(channel_forms)
+    channels = [
+        None
+        if source is None or not len(source.integers)
+        else fitting.Channel(source.held, source.codes == KEPT, ranks[i], source.form.kind in EXACT_COUNTS)
+        for i, source in enumerate(sources)
+    ]
+    predictors = fitting.choose(channels)
+    held = {i: channel.samples for i, channel in enumerate(channels) if channel is not None}
+    streams: list[Integers] = []
+    for source, predictor in zip(sources, predictors, strict=True):
+        if source is not None and len(source.integers):
+            streams.append(_residuals_of(source, predictor, held))
+            streams += [source.extra] if source.form.kind == CORRECTED else []
+    lanes = iter(residuals.encode(streams))
+    referred = {channel for predictor in predictors if predictor for channel, _ in predictor.references}
+    out, before = [], b""
+    for i, (source, predictor) in enumerate(zip(sources, predictors, strict=True)):
+        record = b"" if source is None else _pack(source, predictor, lanes, before)
+        items = _items(columns[i], channel_forms[i]) if source is not None and i not in referred else None
+        if items is not None and len(items) < len(record):
+            record = items
+        elif source is not None and source.codes.any():
+            before = source.codes.tobytes()
+        out.append(record)
+    return out
+
+
+def _items(values: Array, form: Form) -> bytes | None:
+    """The record of a channel as plain items, for floats of which many occur more than once."""
+    if form.kind in EXACT_COUNTS or len(np.unique(forms.words(values))) > ITEMS_SHARE * len(values):
+        return None
+    return bytes([ITEMS]) + blob(lzma2(values.tobytes(), 6, lc=0, lp=2, pb=2))
+
+
+def _ranks(channel_forms: Sequence[Form]) -> list[int]:
+    """Channels of counts before those of a grid: forces are sums of what the plate's sensors count."""
+    order = sorted(range(len(channel_forms)), key=lambda i: (channel_forms[i].kind not in EXACT_COUNTS, i))
+    ranks = [0] * len(order)
+    for rank, i in enumerate(order):
+        ranks[i] = rank
+    return ranks
+
+
+def _source(values: Array, form: Form) -> _Source:
+    integers, special = forms.forward(form, values)
+    codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
+    plain = forms.words(values)
+    repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
+    repeats[1:] &= ~special[:-1]
+    if repeats.mean() > REPEATS_SHARE:
+        trial = np.where(repeats, REPEATS, codes).astype(np.uint8)
+        if 8 * len(deflate(trial.tobytes())) < REPEAT_BITS * repeats.sum():
+            codes = trial
+    kept = codes == KEPT
+    extra = forms.extra_bits(form, values) if form.kind in (GRID, CORRECTED) else integers
+    return _Source(form, codes, values[codes == SPECIAL], integers[kept], extra[kept])
+
+
+def _held(integers: Integers, codes: Bytes) -> Integers:
+    """Samples (n,) for other channels to refer to: 0 for special ones, that of the sample before for repeats."""
+    if not codes.any():
+        return integers
+    present = codes != REPEATS
+    distinct = np.zeros(max(1, int(present.sum())), np.int64)
+    distinct[: present.sum()][codes[present] == KEPT] = integers
+    return distinct[np.maximum(np.cumsum(present) - 1, 0)]
+
+
+def _residuals_of(source: _Source, predictor: Predictor | None, held: dict[int, Integers]) -> Integers:
+    if predictor is None:
+        return source.integers - source.integers[0]
+    sums = prediction.known_sums(predictor, held, source.codes == KEPT)
+    return prediction.forward(source.integers, predictor, sums)
+
+
+def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: bytes) -> bytes:
+    """The record of a channel; before: the codes of the last channel with removed samples."""
+    codes, specials = source.codes.tobytes(), source.specials.tobytes()
+    item = source.specials[:1].tobytes()
+    equal = specials == item * len(source.specials)
+    flags, body = HAS_PREDICTOR * (predictor is not None), b""
+    if source.codes.any():
+        flags |= HAS_REMOVED | SAME_REMOVED * (codes == before) | EQUAL_SPECIALS * equal
+        body += b"" if codes == before else blob(deflate(codes))
+        body += item if equal else blob(deflate(specials))
+    if len(source.integers):
+        body += varint(zigzag(int(source.integers[0])))
+        body += prediction.pack(predictor) if predictor else b""
+        body += _pack_lane(next(lanes))
+        body += _pack_lane(next(lanes)) if source.form.kind == CORRECTED else b""
+        if source.form.kind == GRID:
+            widths = forms.extra_widths(source.form, source.integers, source.specials.dtype)
+            body += blob(np.packbits(bits.pack(source.extra, widths)).tobytes())
+    return bytes([flags]) + body
+
+
+def _pack_lane(lane: Lane) -> bytes:
+    """start, state, words, raw bits."""
+    head = bytes([lane.start]) + lane.state.to_bytes(4, "little") + varint(len(lane.words))
+    return head + lane.words.astype("<u2").tobytes() + blob(lane.raw.tobytes())
+
+
+def _unpack_lane(cursor: Cursor) -> Lane:
+    start, state = cursor.byte(), int.from_bytes(cursor.take(4), "little")
+    if start >= residuals.START_CODES or state < residuals.LOWEST:
+        raise cursor.corrupt("a lane of samples is out of range")
+    words = np.frombuffer(cursor.take(2 * cursor.count(2)), "<u2").astype(np.uint16)
+    return Lane(start, state, words, np.frombuffer(cursor.blob(), np.uint8))
+
+
+@dataclass(frozen=True, eq=False)
+class _Record:
+    """The record of a channel, read but not decoded. lanes: of the samples, and of the corrections."""
+
+    codes: Bytes
+    specials: Array
+    first: int
+    predictor: Predictor | None
+    lanes: tuple[Lane, ...]
+    lower: bytes
+    items: bytes | None = None
+
+
+def decode(
+    payload: bytes, channel_forms: Sequence[Form], dtype: np.dtype[Any], samples: int, wanted: Iterable[int]
+) -> dict[int, Array]:
+    """The samples of the wanted channels in a chunk of so many samples, by channel. Raises Corrupt."""
+    cursor = Cursor(payload, "a chunk of signals", ends_early=Corrupt)
+    records: dict[int, _Record] = {}
+    before = np.zeros(samples, np.uint8)
+    for i, form in enumerate(channel_forms):
+        if form.kind != CONSTANT:
+            records[i] = record = _read(cursor, form, dtype, before, len(channel_forms))
+            before = record.codes if record.items is None and record.codes.any() else before
+    cursor.done()
+    wanted = list(wanted)
+    levels = _levels(records, [i for i in wanted if i in records and records[i].items is None])
+    integers = _integers(records, levels)
+    result = {}
+    for i in wanted:
+        form = channel_forms[i]
+        if form.kind == CONSTANT:
+            result[i] = np.frombuffer(form.item * samples, dtype)
+        elif (items := records[i].items) is not None:
+            result[i] = np.frombuffer(unlzma2(items, samples * dtype.itemsize, "a chunk of signals"), dtype)
+        else:
+            result[i] = _values(records[i], form, integers[i], dtype)
+    return result
+
+
+def _read(cursor: Cursor, form: Form, dtype: np.dtype[Any], before: Bytes, channels: int) -> _Record:
+    flags = cursor.byte()
+    if flags == ITEMS:
+        return _Record(before, np.zeros(0, dtype), 0, None, (), b"", cursor.blob())
+    if flags > 15 or (not flags & HAS_REMOVED and flags & (SAME_REMOVED | EQUAL_SPECIALS)):
+        raise cursor.corrupt("reserved flags of a channel")
+    codes, specials = np.zeros(len(before), np.uint8), np.zeros(0, dtype)
+    if flags & HAS_REMOVED:
+        codes = before
+        if not flags & SAME_REMOVED:
+            codes = np.frombuffer(inflate(cursor.blob(), len(before), cursor.what), np.uint8)
+        count = int((codes == SPECIAL).sum())
+        if codes.max(initial=0) > SPECIAL:
+            raise cursor.corrupt("a sample is removed for an unknown reason")
+        if flags & EQUAL_SPECIALS:
+            specials = np.frombuffer(cursor.take(dtype.itemsize if count else 0) * count, dtype)
+        else:
+            specials = np.frombuffer(inflate(cursor.blob(), count * dtype.itemsize, cursor.what), dtype)
+    if not (codes == KEPT).any():
+        if flags & HAS_PREDICTOR or (codes[:1] == REPEATS).any():
+            raise cursor.corrupt("a channel without samples has a predictor")
+        return _Record(codes, specials, 0, None, (), b"")
+    first = cursor.signed()
+    if abs(first) >= forms.MAX_INTEGER:
+        raise cursor.corrupt("a first sample is out of range")
+    predictor = prediction.unpack(cursor, channels) if flags & HAS_PREDICTOR else None
+    lanes = tuple(_unpack_lane(cursor) for _ in range(2 if form.kind == CORRECTED else 1))
+    return _Record(codes, specials, first, predictor, lanes, cursor.blob() if form.kind == GRID else b"")
+
+
+def _levels(records: dict[int, _Record], wanted: list[int]) -> list[list[int]]:
+    """The wanted channels and those that they refer to: lists of channels that depend on earlier lists only."""
+    needed, stack = set(wanted), list(wanted)
+    while stack:
+        predictor = records[stack.pop()].predictor
+        for channel, _ in predictor.references if predictor else ():
+            if channel not in records or records[channel].items is not None:
+                raise Corrupt("a chunk of signals: a predictor refers to a channel without integers")
+            if channel not in needed:
+                needed.add(channel)
+                stack.append(channel)
+    levels: list[list[int]] = []
+    done: set[int] = set()
+    while len(done) < len(needed):
+        level = [i for i in sorted(needed - done) if _referred(records[i]) <= done]
+        if not level:
+            raise Corrupt("a chunk of signals: predictors refer to each other in a circle")
+        levels.append(level)
+        done.update(level)
+    return levels
+
+
+def _referred(record: _Record) -> set[int]:
+    return {channel for channel, _ in record.predictor.references} if record.predictor else set()
+
+
+def _integers(records: dict[int, _Record], levels: list[list[int]]) -> dict[int, tuple[Integers, Integers]]:
+    """Integers and corrections of the kept samples of all channels in the levels."""
+    order = [i for level in levels for i in level]
+    lanes = [lane for i in order for lane in records[i].lanes]
+    kept = {i: records[i].codes == KEPT for i in order}
+    decoded = iter(residuals.decode(lanes, [int(kept[i].sum()) for i in order for _ in records[i].lanes]))
+    streams = {i: [next(decoded) for _ in records[i].lanes] for i in order}
+    held: dict[int, Integers] = {}
+    result: dict[int, tuple[Integers, Integers]] = {}
+    for level in levels:
+        active = [i for i in level if streams[i]]
+        plain = [i for i in active if records[i].predictor is None]
+        restored = {i: streams[i][0] + records[i].first for i in plain}
+        predicted = [i for i in active if i not in restored]
+        predictors = [p for i in predicted if (p := records[i].predictor) is not None]
+        sums = [prediction.known_sums(p, held, kept[i]) for i, p in zip(predicted, predictors, strict=True)]
+        inputs = [(streams[i][0], known, records[i].first) for i, known in zip(predicted, sums, strict=True)]
+        restored |= dict(zip(predicted, prediction.inverse(inputs, predictors), strict=True))
+        for i in level:
+            integers = restored.get(i, np.zeros(0, np.int64))
+            held[i] = _held(integers, records[i].codes)
+            result[i] = integers, streams[i][-1] if streams[i] else integers
+    return result
+
+
+def _values(record: _Record, form: Form, integers: tuple[Integers, Integers], dtype: np.dtype[Any]) -> Array:
+    """All samples of a channel, with those that were removed."""
+    whole, extra = integers
+    if form.kind == GRID and len(whole):
+        widths = forms.extra_widths(form, whole, dtype)
+        if (int(widths.sum()) + 7) // 8 != len(record.lower):
+            raise Corrupt("a chunk of signals: a channel has the wrong number of lower bits")
+        extra = bits.unpack(np.unpackbits(np.frombuffer(record.lower, np.uint8)), widths)
+    values = forms.inverse(form, whole, extra, dtype)
+    if not record.codes.any():
+        return values
+    present = record.codes != REPEATS
+    distinct = np.empty(int(present.sum()), dtype)
+    codes = record.codes[present]
+    distinct[codes == KEPT], distinct[codes == SPECIAL] = values, record.specials
+    return distinct[np.maximum(np.cumsum(present) - 1, 0)]

@@ -1,0 +1,162 @@
+"""A signal to bytes: a head, then chunks of a few seconds, each of which decodes alone, channel by channel."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entropy.compressors import deflate, inflate
+from ..errors import Corrupt
+from ..fields.cursor import Cursor, blob, varint
+from . import chunks, forms
+from .forms import Form
+
+Array = NDArray[Any]
+
+CHUNK_SECONDS = 8.0
+MIN_CHUNK_SAMPLES, MAX_CHUNK_SAMPLES = 2048, 1 << 15
+MAX_CHANNELS = 1 << 16
+MAX_HEAD_BYTES = 1 << 24
+SMALL_STEP = 2.0**-14
+"""Counts of smaller steps than this part of the largest value may be places in a palette instead."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the chunks of a signal have in common. shape: of all samples; a channel is an item of the other axes."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    chunk_samples: int
+    forms: tuple[Form, ...]
+    chunk_bytes: tuple[int, ...]
+
+    @property
+    def samples(self) -> int:
+        return self.shape[0]
+
+
+def suits(values: Array) -> bool:
+    """Whether `encode` takes an array: numbers of a type that has forms, not empty."""
+    return forms.suits(values.dtype) and values.size > 0 and values[0].size <= MAX_CHANNELS
+
+
+def encode(values: Array, rate: float) -> tuple[Head, list[bytes]] | None:
+    """Head and chunks of a signal (samples, …); None where its numbers are too large for the coder's integers.
+
+    rate in hertz: a chunk has some seconds.
+    """
+    table = values.reshape(len(values), -1)
+    length = chunk_samples(len(table), rate)
+    channel_forms = _forms(table, length)
+    if channel_forms is None:
+        return None
+    starts = range(0, len(table), length)
+    payloads = [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
+    return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
+
+
+def channel_sizes(values: Array, rate: float) -> list[int] | None:
+    """The bytes that each channel of a signal takes in the first chunk, its form included; None as in `encode`."""
+    table = values.reshape(len(values), -1)
+    length = chunk_samples(len(table), rate)
+    channel_forms = _forms(table, length)
+    if channel_forms is None:
+        return None
+    records = chunks.encode(table[:length], channel_forms)
+    return [len(record) + len(forms.pack(form)) for record, form in zip(records, channel_forms, strict=True)]
+
+
+def _forms(table: Array, length: int) -> list[Form] | None:
+    """The form of each channel; None where integers would be too large. length: samples of a chunk."""
+    known: list[Form] = []
+    result: list[Form] = []
+    for column in table.T:
+        form = forms.fit(np.ascontiguousarray(column), known)
+        if form is None:
+            return None
+        result.append(form)
+        if form.kind == forms.COUNTS and form not in known:
+            known.insert(0, form)
+    return _with_palettes(table, length, result)
+
+
+def _with_palettes(table: Array, length: int, channel_forms: list[Form]) -> list[Form]:
+    """The forms, with palettes for the channels of which the first chunk is shorter with one."""
+    first = table[:length]
+    palettes: dict[int, Form] = {}
+    for i, form in enumerate(channel_forms):
+        fine_steps = form.kind == forms.COUNTS and form.step < SMALL_STEP * np.abs(first[:, i]).max()
+        if form.kind in (forms.GRID, forms.CORRECTED) or fine_steps:
+            palette = forms.palette(np.ascontiguousarray(table[:, i]))
+            palettes |= {} if palette is None else {i: palette}
+    if not palettes:
+        return channel_forms
+    trial = [palettes.get(i, form) for i, form in enumerate(channel_forms)]
+    without, with_ = (list(map(len, chunks.encode(first, tried))) for tried in (channel_forms, trial))
+    share = length / len(table)
+    shorter = {i for i, palette in palettes.items() if with_[i] + share * len(forms.pack(palette)) < without[i]}
+    return [palettes[i] if i in shorter else form for i, form in enumerate(channel_forms)]
+
+
+def chunk_samples(samples: int, rate: float) -> int:
+    """Samples of a chunk: some seconds, in chunks of equal length."""
+    longest = min(MAX_CHUNK_SAMPLES, max(MIN_CHUNK_SAMPLES, round(min(rate, 1e6) * CHUNK_SECONDS)))
+    return -(-samples // max(1, round(samples / longest)))
+
+
+def pack(head: Head) -> bytes:
+    """varint length and deflated fields: samples of a chunk, forms, bytes of each chunk."""
+    fields = (
+        varint(head.chunk_samples) + b"".join(map(forms.pack, head.forms)) + b"".join(map(varint, head.chunk_bytes))
+    )
+    return varint(len(fields)) + blob(deflate(fields))
+
+
+def unpack(cursor: Cursor, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Head:
+    """The inverse of `pack`, for a signal of this type and shape. Raises Corrupt."""
+    length = cursor.varint()
+    if not shape or 0 in shape or not forms.suits(dtype) or length > MAX_HEAD_BYTES:
+        raise cursor.corrupt("a signal's shape or type is out of range")
+    channels = math.prod(shape[1:])
+    inner = Cursor(inflate(cursor.blob(), length, cursor.what), cursor.what, ends_early=Corrupt)
+    if channels > min(MAX_CHANNELS, inner.left):
+        raise cursor.corrupt(f"a signal of {channels} channels in {inner.left} bytes")
+    chunk = inner.varint()
+    if not 0 < chunk <= max(shape[0], 1) or -(-shape[0] // chunk) > inner.left or chunk > MAX_CHUNK_SAMPLES * 2:
+        raise cursor.corrupt("the chunks of a signal are out of range")
+    channel_forms = tuple(forms.unpack(inner, dtype) for _ in range(channels))
+    sizes = tuple(inner.varint() for _ in range(-(-shape[0] // chunk)))
+    inner.done()
+    return Head(dtype, shape, chunk, channel_forms, sizes)
+
+
+def decode(
+    head: Head,
+    payload: Callable[[int], bytes],
+    start: int = 0,
+    stop: int | None = None,
+    channels: Iterable[int] | None = None,
+) -> Array:
+    """Samples [start, stop) of the channels with these numbers, (samples, channels); by default everything.
+
+    payload: the bytes of a chunk by its number; it is called for the chunks that are needed only. Raises Corrupt.
+    """
+    stop = head.samples if stop is None else stop
+    wanted = list(range(len(head.forms)) if channels is None else channels)
+    out = np.empty((max(0, stop - start), len(wanted)), head.dtype)
+    if stop <= start:
+        return out
+    for number in range(start // head.chunk_samples, -(-stop // head.chunk_samples)):
+        first = number * head.chunk_samples
+        count = min(head.chunk_samples, head.samples - first)
+        columns = chunks.decode(payload(number), head.forms, head.dtype, count, wanted)
+        low, high = max(start, first), min(stop, first + count)
+        for place, i in enumerate(wanted):
+            out[low - start : high - start, place] = columns[i][low - first : high - first]
+    return out

@@ -1,0 +1,371 @@
+"""A channel as integers, and back bit for bit.
+
+    constant     every sample has the same bits                             nothing to code
+    integers     value = k · step, an integer type
+    counts       value = offset + k · step, rounded to the channel's type   converter counts behind floats
+    corrected    as counts, then some last bits up or down                  counts that were filtered or shifted since
+    palette      k = place in the channel's distinct values, sorted         few values, without a step
+    grid         k = value / 2^exponent, truncated                          other floats; lower bits are stored raw
+
+Samples that their form does not give back (NaN, infinities, −0, tiny values beside a coarse grid) are special: their
+bits are stored as they are.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entropy import bits
+from ..entropy.compressors import deflate, inflate
+from ..entropy.varint import signed as zigzag
+from ..fields.cursor import Cursor, blob, varint
+from ..typing import Booleans, Integers
+
+Array = NDArray[Any]
+
+CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE = range(6)
+MAX_INTEGER = 1 << 29
+"""Integers of a channel are below it in size."""
+MANTISSA_BITS = {2: 10, 4: 23, 8: 52}
+LEAST_EXPONENT = {2: -24, 4: -149, 8: -1074}
+"""The exponent of the last bit of the smallest numbers, by the bytes of the type."""
+MAX_PALETTE = 1 << 14
+PALETTE_SHARE = 0.9
+"""A palette has at most this many values for each sample."""
+MOST_SPECIAL = 0.03
+"""The share of samples that may differ from their counts; zeros and gaps do not matter."""
+GRID_BITS = 28
+MAX_CORRECTION = 1 << 20
+CORRECTION_COST = 2.0
+"""Bits a sample that corrections take beyond the logarithm of their size."""
+SAMPLE = 1 << 14
+
+
+@dataclass(frozen=True)
+class Form:
+    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as
+    `_sortable` integers, ascending."""
+
+    kind: int
+    step: float = 1.0
+    offset: float = 0.0
+    exponent: int = 0
+    item: bytes = b""
+    palette: tuple[int, ...] = ()
+
+
+def pack(form: Form) -> bytes:
+    """The kind, then its numbers."""
+    head = bytes([form.kind])
+    if form.kind == CONSTANT:
+        return head + form.item
+    if form.kind == INTEGERS:
+        return head + varint(int(form.step))
+    if form.kind in (COUNTS, CORRECTED):
+        return head + struct.pack("<dd", form.step, form.offset)
+    if form.kind == PALETTE:
+        return head + _pack_palette(form.palette)
+    return head + varint(zigzag(form.exponent))
+
+
+def _pack_palette(palette: tuple[int, ...]) -> bytes:
+    """Their number, then of the differences the bits of each (deflated bytes) and all bits below the highest."""
+    steps = np.diff(np.array(palette, np.uint64), prepend=np.uint64(0))
+    lengths = np.array([int(step).bit_length() for step in steps], np.uint8)
+    below = np.maximum(lengths.astype(np.int64) - 1, 0)
+    lower = steps.astype(np.int64) & ((1 << below) - 1)
+    return varint(len(palette)) + blob(deflate(lengths.tobytes())) + np.packbits(bits.pack(lower, below)).tobytes()
+
+
+def _unpack_palette(cursor: Cursor, dtype: np.dtype[Any]) -> tuple[int, ...]:
+    """The inverse of `_pack_palette`. Raises Corrupt."""
+    count = cursor.varint()
+    if not 1 < count <= MAX_PALETTE:
+        raise cursor.corrupt("a palette is out of range")
+    lengths = np.frombuffer(inflate(cursor.blob(), count, cursor.what), np.uint8).astype(np.int64)
+    if lengths.max() > 8 * dtype.itemsize or lengths[1:].min() == 0:
+        raise cursor.corrupt("a palette is out of range")
+    below = np.maximum(lengths - 1, 0)
+    stream = np.frombuffer(cursor.take((int(below.sum()) + 7) // 8), np.uint8)
+    steps = bits.unpack(np.unpackbits(stream), below) | np.where(lengths > 0, 1 << below, 0)
+    return tuple(np.cumsum(steps.astype(np.uint64)).tolist())
+
+
+def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
+    """The inverse of `pack`. Raises Corrupt."""
+    kind = cursor.byte()
+    if kind == CONSTANT:
+        return Form(kind, item=cursor.take(dtype.itemsize))
+    if kind == INTEGERS and dtype.kind in "biu":
+        step = cursor.varint()
+        if 0 < step <= 1 << 40:
+            return Form(kind, step=step)
+    if kind in (COUNTS, CORRECTED) and dtype.kind == "f":
+        step, offset = cursor.float64(), cursor.float64()
+        if np.isfinite([step, offset]).all():
+            return Form(kind, step=step, offset=offset)
+    if kind == PALETTE:
+        return Form(kind, palette=_unpack_palette(cursor, dtype))
+    if kind == GRID and dtype.kind == "f":
+        exponent = cursor.signed()
+        if abs(exponent) <= 1200:
+            return Form(kind, exponent=exponent)
+    raise cursor.corrupt("a channel's form is out of range")
+
+
+def suits(dtype: np.dtype[Any]) -> bool:
+    """Whether channels of this type have a form."""
+    return dtype.kind in "biu" or (dtype.kind == "f" and dtype.itemsize in MANTISSA_BITS)
+
+
+def words(values: Array) -> NDArray[np.unsignedinteger[Any]]:
+    """The bits of each value, as an integer of the same size."""
+    native = values.astype(values.dtype.newbyteorder("="), copy=False)
+    return np.ascontiguousarray(native).view(f"u{values.dtype.itemsize}")
+
+
+def fit(values: Array, known: list[Form]) -> Form | None:
+    """The form of a channel (samples,): a known one that gives its values back, or the best of its own; None if its
+    integers would be too large."""
+    plain = words(values)
+    if len(values) == 0 or (plain == plain[0]).all():
+        return Form(CONSTANT, item=values[:1].tobytes() or bytes(values.dtype.itemsize))
+    if values.dtype.kind in "biu":
+        low, high = int(values.min()), int(values.max())
+        step = _common_step(values) if high < 1 << 62 else 1
+        return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
+    for form in known:
+        if _gives_back(form, values):
+            return form
+    candidates = _counts(values)
+    exact = [form for form in candidates if _gives_back(form, values)]
+    best = min(exact, key=lambda form: int(_nearest(form, values)[1].sum()), default=None)
+    return best or _corrected(values, [*known, *candidates]) or _grid(values)
+
+
+def _common_step(values: Array) -> int:
+    """The greatest common divisor of integers."""
+    step = 0
+    for part in (values[:SAMPLE], values[SAMPLE:]):
+        step = int(np.gcd(step, np.gcd.reduce(np.unique(part.astype(np.int64))))) if len(part) else step
+        if step == 1:
+            break
+    return step
+
+
+def palette(values: Array) -> Form | None:
+    """The distinct values of a channel of floats, if they are few."""
+    if values.dtype.kind != "f":
+        return None
+    most = min(MAX_PALETTE, int(PALETTE_SHARE * len(values)))
+    if len(np.unique(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
+        return None
+    distinct = np.unique(_sortable(values))
+    return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
+
+
+def forward(form: Form, values: Array) -> tuple[Integers, Booleans]:
+    """Integers of a channel (samples,), and which samples are special: their integers are 0."""
+    if form.kind == INTEGERS:
+        step = int(form.step)
+        whole = values.astype(np.int64)
+        return whole // step, np.zeros(len(values), bool)
+    if form.kind == GRID:
+        return _truncated(form, values)[:2]
+    if form.kind == PALETTE:
+        palette = np.array(form.palette, np.uint64)
+        return np.searchsorted(palette, _sortable(values)), np.zeros(len(values), bool)
+    return _nearest(form, values)
+
+
+def inverse(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any]) -> Array:
+    """The values of integers (samples,); extra: the lower bits of a grid, or corrections. Special samples are put in by
+    the caller."""
+    with np.errstate(all="ignore"):
+        if form.kind == INTEGERS:
+            return (integers * int(form.step)).astype(dtype)
+        if form.kind == COUNTS:
+            return (integers * form.step + form.offset).astype(dtype)
+        if form.kind == PALETTE:
+            palette = np.array(form.palette, np.uint64)
+            return _from_sortable(palette[np.clip(integers, 0, len(palette) - 1)], dtype)
+        if form.kind == CORRECTED:
+            return _from_rank(_rank((integers * form.step + form.offset).astype(dtype)) + extra, dtype)
+        size = np.abs(integers)
+        last, width = _last_bit(form, size, dtype)
+        mantissa = np.where(width > 0, size << width | extra, size >> np.maximum(0, last - form.exponent))
+        return np.ldexp(np.copysign(mantissa.astype(np.float64), integers), last.astype(np.int32)).astype(dtype)
+
+
+def extra_widths(form: Form, integers: Integers, dtype: np.dtype[Any]) -> Integers:
+    """The number of lower bits that are stored for each integer (samples,) of a grid."""
+    return np.where(integers == 0, 0, _last_bit(form, np.abs(integers), dtype)[1])
+
+
+def extra_bits(form: Form, values: Array) -> Integers:
+    """The lower bits (samples,) of values on a grid, or the corrections of counts."""
+    if form.kind == GRID:
+        return _truncated(form, values)[2]
+    integers, special = _nearest(form, values)
+    return np.where(special, 0, _corrections(form, integers, values))
+
+
+def _sortable(values: Array) -> NDArray[np.uint64]:
+    """Bits of floats as integers in the same order."""
+    size = 8 * values.dtype.itemsize
+    plain = words(values).astype(np.uint64)
+    sign = np.uint64(1 << (size - 1))
+    return np.where(plain & sign, plain ^ np.uint64((1 << size) - 1), plain | sign)
+
+
+def _from_sortable(sortable: NDArray[np.uint64], dtype: np.dtype[Any]) -> Array:
+    """The inverse of `_sortable`."""
+    size = 8 * dtype.itemsize
+    sign = np.uint64(1 << (size - 1))
+    plain = np.where(sortable & sign, sortable ^ sign, sortable ^ np.uint64((1 << size) - 1))
+    return plain.astype(f"u{dtype.itemsize}").view(dtype.newbyteorder("=")).astype(dtype)
+
+
+def _rank(values: Array) -> Integers:
+    """The place of each float among all of its type: neighbours differ by 1, and −0 is 0."""
+    size = 8 * values.dtype.itemsize - 1
+    plain = words(values).astype(np.int64)
+    magnitude = plain & ((1 << size) - 1)
+    return np.where(np.signbit(values), -magnitude, magnitude)
+
+
+def _from_rank(rank: Integers, dtype: np.dtype[Any]) -> Array:
+    """The inverse of `_rank`; 0 is +0."""
+    size = 8 * dtype.itemsize - 1
+    magnitude = (np.abs(rank) & ((1 << size) - 1)).astype(np.uint64)
+    plain = magnitude | (rank < 0).astype(np.uint64) << np.uint64(size)
+    return plain.astype(f"u{dtype.itemsize}").view(dtype.newbyteorder("=")).astype(dtype)
+
+
+def _corrections(form: Form, integers: Integers, values: Array) -> Integers:
+    """How many floats values are above their counts."""
+    with np.errstate(all="ignore"):
+        return _rank(values) - _rank((integers * form.step + form.offset).astype(values.dtype))
+
+
+def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integers, Integers]:
+    """The exponent of the last bit of values with integers of this size, and how far it is below the grid."""
+    leading = np.frexp(np.maximum(size, 1).astype(np.float64))[1] - 1 + form.exponent
+    last = np.maximum(leading - MANTISSA_BITS[dtype.itemsize], LEAST_EXPONENT[dtype.itemsize]).astype(np.int64)
+    return last, np.maximum(0, form.exponent - last)
+
+
+def _truncated(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
+    """Integers, special samples and lower bits of values on a grid."""
+    mantissa_bits, least = MANTISSA_BITS[values.dtype.itemsize], LEAST_EXPONENT[values.dtype.itemsize]
+    plain = words(values).astype(np.int64)
+    exponent = plain >> mantissa_bits & ((1 << (8 * values.dtype.itemsize - 1 - mantissa_bits)) - 1)
+    mantissa = (plain & ((1 << mantissa_bits) - 1)) | np.where(exponent > 0, 1 << mantissa_bits, 0)
+    below = form.exponent - (np.maximum(exponent, 1) - 1 + least)
+    size = np.where(below > 0, mantissa >> np.clip(below, 0, 63), mantissa << np.clip(-below, 0, 63 - mantissa_bits))
+    is_positive_zero = plain == 0
+    special = ((size == 0) & ~is_positive_zero) | ~np.isfinite(values) | (size >= MAX_INTEGER) | (size < 0)
+    size[special] = 0
+    extra = np.where(special, 0, mantissa & ((1 << np.clip(below, 0, 62)) - 1))
+    return np.where(np.signbit(values), -size, size), special, extra
+
+
+def _grid(values: Array) -> Form:
+    """A grid as fine as the last bit of the largest value, or coarser for integers of 28 bits."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    largest = float(np.abs(finite).max(initial=0.0)) or 1.0
+    leading = int(np.frexp(largest)[1])
+    return Form(GRID, exponent=leading - min(MANTISSA_BITS[values.dtype.itemsize] + 1, GRID_BITS))
+
+
+def _nearest(form: Form, values: Array) -> tuple[Integers, Booleans]:
+    """Counts of values, and which samples the counts do not give back."""
+    with np.errstate(all="ignore"):
+        counts = np.rint((values.astype(np.float64) - form.offset) / form.step)
+        usable = np.abs(counts) < MAX_INTEGER
+        integers = np.where(usable, counts, 0).astype(np.int64)
+    extra = integers
+    if form.kind == CORRECTED:
+        extra = _corrections(form, integers, values)
+        usable &= np.abs(extra) < MAX_CORRECTION
+    special = ~usable | (words(inverse(form, integers, extra, values.dtype)) != words(values))
+    integers[special] = 0
+    return integers, special
+
+
+def _corrected(values: Array, candidates: list[Form]) -> Form | None:
+    """The form of counts with the smallest corrections, if they are shorter than the lower bits of a grid."""
+    grid = _grid(values)
+    lower = extra_widths(grid, forward(grid, values)[0], values.dtype).mean()
+    best, best_cost = None, lower
+    for form in dict.fromkeys((candidate.step, candidate.offset) for candidate in candidates):
+        trial = Form(CORRECTED, *form)
+        integers, special = _nearest(trial, values)
+        if _are_few(special, values):
+            size = np.abs(_corrections(trial, integers, values)[~special])
+            gain = np.log2(trial.step) - grid.exponent
+            cost = (
+                float(np.log2(2.0 * size + 1).mean())
+                + CORRECTION_COST
+                - gain
+                + 40 * float((special & (values != 0) & np.isfinite(values)).mean())
+            )
+            if cost < best_cost:
+                best, best_cost = trial, cost
+    return best
+
+
+def _gives_back(form: Form, values: Array) -> bool:
+    """Whether few samples of a channel are special in this form; the first samples decide early."""
+    if form.kind != COUNTS:
+        return False
+    usual = values[np.isfinite(values) & (values != 0)]
+    return all(_are_few(_nearest(form, part)[1], part) for part in (usual[:256], values))
+
+
+def _are_few(special: Booleans, values: Array) -> bool:
+    """Whether few samples are special, but for gaps and the −0 of a plate that is switched off."""
+    usual = np.isfinite(values) & (values != 0)
+    return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
+
+
+def _counts(values: Array) -> list[Form]:
+    """Forms of counts that may give a channel of floats back: step and offset from the gaps between its values."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    if len(finite) < 2:
+        return []
+    distinct = np.unique(finite[:: max(1, len(finite) // SAMPLE)])
+    largest = np.abs(distinct).max()
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > largest * 2.0 ** (2 - MANTISSA_BITS[values.dtype.itemsize])]
+    if not len(gaps) or (distinct[-1] - distinct[0]) / gaps.min() > MAX_INTEGER:
+        return []
+    gap = float(np.median(gaps[gaps <= 1.3 * gaps.min()]))
+    forms = []
+    for offset in (0.0, float(distinct[np.abs(distinct).argmin()]), float(distinct[len(distinct) // 2])):
+        step, counts = _refined(distinct, gap, offset)
+        forms += [(step, offset), (float(np.float32(step)), offset)]
+        if offset and len(distinct) > 2 and np.ptp(counts):
+            slope, intercept = np.polyfit(counts, distinct, 1)
+            forms += [(float(slope), float(intercept)), (float(slope), float(np.float32(intercept)))]
+    return [Form(COUNTS, step, offset) for step, offset in dict.fromkeys(forms) if step > 0]
+
+
+def _refined(distinct: NDArray[np.float64], step: float, offset: float) -> tuple[float, NDArray[np.float64]]:
+    """The step of which values − offset are multiples, refined on ever larger multiples, and these multiples."""
+    from_offset = distinct - offset
+    by_size = from_offset[np.argsort(np.abs(from_offset))]
+    count = 2
+    while True:
+        part = by_size[:count]
+        multiples = np.rint(part / step)
+        if (square := float((multiples * multiples).sum())) > 0:
+            step = float((part * multiples).sum() / square) or step
+        if count >= len(by_size):
+            return step, np.rint(from_offset / step)
+        count *= 2

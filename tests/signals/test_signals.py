@@ -1,0 +1,146 @@
+"""Signals come back bit for bit, in all forms, compiled and in NumPy."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from mocodec import native
+from mocodec.errors import Corrupt, MocodecError
+from mocodec.fields.cursor import Cursor
+from mocodec.signals import codec, forms, residuals
+from mocodec.testing.signals import cases, noise, plate, slow
+
+RATE = 1000.0
+SIGNALS = cases()
+
+
+def coded(values: np.ndarray) -> tuple[codec.Head, list[bytes]]:
+    result = codec.encode(values, RATE)
+    assert result is not None
+    return result
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_comes_back_bit_for_bit(name: str) -> None:
+    values = SIGNALS[name]
+    head, chunks = coded(values)
+    cursor = Cursor(codec.pack(head), "test")
+    again = codec.unpack(cursor, values.dtype, values.shape)
+    cursor.done()
+    assert again == head
+    decoded = codec.decode(again, chunks.__getitem__).reshape(values.shape)
+    assert decoded.dtype == values.dtype
+    assert decoded.tobytes() == values.tobytes()
+    if values.size > 100:
+        assert sum(map(len, chunks)) < values.nbytes
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_numpy_gives_the_same_bits(name: str) -> None:
+    if not native.available():
+        pytest.skip("the compiled module is not built")
+    values = SIGNALS[name]
+    head, chunks = coded(values)
+    with native.without():
+        assert coded(values) == (head, chunks)
+        assert codec.decode(head, chunks.__getitem__).reshape(values.shape).tobytes() == values.tobytes()
+
+
+def test_a_slice_reads_its_chunks_and_channels_only() -> None:
+    values = np.rint(slow(30_000, 1000)[:, None] + noise(60_000, 3).reshape(-1, 2)).astype(np.int16)
+    head, chunks = coded(values)
+    assert len(chunks) > 2
+    read: list[int] = []
+
+    def payload(number: int) -> bytes:
+        read.append(number)
+        return chunks[number]
+
+    start = head.chunk_samples + 10
+    part = codec.decode(head, payload, start, start + 200, [1])
+    assert read == [1]
+    np.testing.assert_array_equal(part[:, 0], values[start : start + 200, 1])
+    assert codec.decode(head, payload, 5, 5).shape == (0, 2)
+
+
+def test_forces_that_follow_from_sensors_take_few_bits() -> None:
+    values = plate(4000)
+    together = sum(map(len, coded(values)[1]))
+    sensors, forces = (sum(map(len, coded(part)[1])) for part in (values[:, :4], values[:, 4:]))
+    assert together < sensors + forces / 2
+
+
+def test_forms_are_found_by_channel() -> None:
+    kinds = {name: coded(SIGNALS[name])[0].forms[0].kind for name in ("plate", "filtered", "few values", "counts")}
+    assert kinds == {"plate": 2, "filtered": 4, "few values": 5, "counts": 1}
+
+
+def test_numbers_that_are_too_large_are_left_to_arrays() -> None:
+    assert codec.encode(np.array([0, 1, 1 << 60]), RATE) is None
+    assert not codec.suits(np.zeros((3, 2), complex))
+    assert not codec.suits(np.zeros((0, 2)))
+
+
+def test_residuals_of_noise_take_few_bits_more_than_its_entropy() -> None:
+    values = np.rint(noise(8000, 20)).astype(np.int64)
+    share = np.unique(values, return_counts=True)[1] / len(values)
+    lane = residuals.encode([values])[0]
+    assert 8 * (2 * len(lane.words) + len(lane.raw)) < 1.01 * len(values) * -(share * np.log2(share)).sum()
+
+
+@pytest.mark.parametrize("name", ["plate", "filtered", "few values", "odd floats", "twice each"])
+def test_damage_is_corrupt_or_decodes(name: str) -> None:
+    """Random damage behind valid checksums: an error, never a crash or a large allocation."""
+    values = SIGNALS[name]
+    head, chunks = coded(values)
+    random = np.random.default_rng(5)
+    for kernel in (True, False) if native.available() else (True,):
+        for _ in range(60 if kernel else 6):
+            broken = bytearray(chunks[0])
+            broken[random.integers(len(broken))] ^= 1 << random.integers(8)
+            try:
+                if kernel:
+                    codec.decode(head, lambda _, data=bytes(broken): data)
+                else:
+                    with native.without():
+                        codec.decode(head, lambda _, data=bytes(broken): data)
+            except Corrupt:
+                pass
+    for end in range(0, len(chunks[0]), 37):
+        with pytest.raises(Corrupt):
+            codec.decode(head, lambda _, end=end: chunks[0][:end])
+
+
+def test_damaged_heads_are_corrupt() -> None:
+    values = SIGNALS["few values"]
+    data = codec.pack(coded(values)[0])
+    random = np.random.default_rng(6)
+    for _ in range(200):
+        broken = bytearray(data)
+        broken[random.integers(len(broken))] ^= 1 << random.integers(8)
+        with contextlib.suppress(MocodecError):
+            codec.unpack(Cursor(bytes(broken), "test"), values.dtype, values.shape)
+
+
+def test_circles_and_constants_are_no_references() -> None:
+    from mocodec.signals import chunks, prediction
+    from mocodec.signals.prediction import Predictor
+
+    lane = residuals.encode([np.zeros(3, np.int64)])[0]
+
+    def record(channel: int) -> bytes:
+        predictor = prediction.pack(Predictor(4, 0, (16,), ((channel, (1, 0, 0)),)))
+        return bytes([chunks.HAS_PREDICTOR]) + b"\0" + predictor + chunks._pack_lane(lane)
+
+    counts = forms.Form(forms.INTEGERS)
+    constant = forms.Form(forms.CONSTANT, item=bytes(2))
+    for payload, channel_forms in (
+        (record(1) + record(0), [counts, counts]),
+        (record(0), [counts]),
+        (record(1), [counts, constant]),
+    ):
+        with pytest.raises(Corrupt, match="refer"):
+            chunks.decode(payload, channel_forms, np.dtype(np.int16), 3, [0])
