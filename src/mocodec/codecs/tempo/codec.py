@@ -224,14 +224,13 @@ class Tempo:
 
     def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
         """By the chosen model, by the lattice engine, or each chunk by the smaller."""
-        most = most_chunk_frames(motion.points) / 2 / motion.rate
         if plan is not None and plan.alone:
-            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS, most)
-            bounds = chunk_bounds(len(motion), motion.rate, seconds)
+            bounds = chunk_bounds(len(motion), motion.rate, self._lattice_seconds(motion))
             choice = model_choice.without_model(motion)
         else:
             cuts = leaps.discontinuities(source.smooth, motion.rate)
-            bounds = chunk_bounds(len(motion), motion.rate, min(self.chunk_seconds, most), cuts)
+            seconds = min(self.chunk_seconds, _most_seconds(motion))
+            bounds = chunk_bounds(len(motion), motion.rate, seconds, cuts)
             with progress.phase(0.0, CHOICE_SHARE):
                 choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
@@ -357,8 +356,13 @@ class Tempo:
             )
             weights = weights.weights
         step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
-        found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
+        bound, frames = self.max_error or DEFAULT_MAX_ERROR, self._lattice_seconds(motion) * motion.rate
+        found = engine_choice.plan(motion, source, bound, step, weights, named, frames)
         return replace(found, alone=True) if asked else found
+
+    def _lattice_seconds(self, motion: Motion) -> float:
+        """Length of chunks where the lattice engine codes all."""
+        return min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS, _most_seconds(motion))
 
     def _to_target(
         self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None
@@ -381,6 +385,11 @@ class Tempo:
 
 def _decode(encoded: Encoded[Motion]) -> Motion:
     return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
+
+
+def _most_seconds(motion: Motion) -> float:
+    """The longest chunks that the format allows for so many points, with room for rounding."""
+    return most_chunk_frames(motion.points) / 2 / motion.rate
 
 
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:

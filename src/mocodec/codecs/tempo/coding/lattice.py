@@ -28,8 +28,8 @@ from ....typing import Booleans, Floats, Integers
 from . import lattice_chunk
 from .lattice_chunk import NEIGHBOURS
 
-STRIDES = (2, 3, 4)
-"""log₂ of the distances between the first frames that an encoder tries."""
+STRIDES, USUAL_STRIDE = range(5), 2
+"""log₂ of the distances between the first frames that an encoder tries, and the one that it begins with."""
 LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
@@ -234,13 +234,24 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
     np.add.at(flat, numbers, listed[:, 1:])
 
 
-def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
-    """The stride that makes these chunks smallest, and their bytes."""
+def best_stride(
+    samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours, halving: float = 1.0
+) -> tuple[int, int]:
+    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones.
+
+    halving: the bytes of half the distance count this many times, where the chunks are shorter than those to code: a
+    longer distance has more weights to learn.
+    """
     sizes: dict[int, int] = {}
-    for stride in STRIDES:
+
+    def size(stride: int) -> int:
         streams = [encode(s, m, known, stride) for s, m in zip(samples, missing, strict=True)]
         sizes[stride] = sum(len(found[0]) if found is not None else 1 << 40 for found in streams)
-        if len(sizes) > 1 and sizes[stride] >= sizes[stride - 1]:
-            break
-    best = min(sizes, key=lambda stride: sizes[stride])
+        return sizes[stride]
+
+    best = USUAL_STRIDE
+    size(best)
+    for step, factor in ((1, 1.0), (-1, halving)):
+        while best + step in STRIDES and best + step not in sizes and factor * size(best + step) < sizes[best]:
+            best += step
     return best, sizes[best]
