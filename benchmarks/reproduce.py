@@ -21,6 +21,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["liu2006", *output],
         ["hou2014", *output],
         ["lien2006", *output],
+        ["readers"],
         ["tempo-parts"],
         ["tempo"],
         ["unknown"],
@@ -55,7 +56,9 @@ def tables_command(folder: Path) -> None:
         click.echo(path)
     if folder == RESULTS:
         from . import tempo, unknown
+        from .readers import command as readers
 
+        readers.write_tables(folder)
         tempo.write_tables()
         unknown.write_tables()
         subprocess.run([sys.executable, "scripts/pages"], check=True)

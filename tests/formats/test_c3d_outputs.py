@@ -156,3 +156,53 @@ def test_outputs_of_field_files(tmp_path, name):
     assert len(motion.extras["model_outputs"]["columns"]) >= 26
     assert same_tree(again.extras["model_outputs"], motion.extras["model_outputs"])
     assert again.names == motion.names
+
+
+def with_labels(groups: dict[str, Any]) -> None:
+    groups["POINT"]["LABELS"] = ["A:LASI", "A:LKneeAngles", "A:RHipMoment", "A:LAnklePower"]
+
+
+def labelled_table(far: float, power: bool, frames: int = 20) -> np.ndarray:
+    """A marker near (1, 1, 1) m; angles and moments this far from it, millimetres; a power with or without zeros."""
+    rng = np.random.default_rng(5)
+    table = np.zeros((frames, 4, 4), np.float32)
+    table[:, :, :3] = 1000 + rng.normal(size=(frames, 4, 3))
+    table[:, 1:3, :3] += far
+    if power:
+        table[:, 3, :2] = 0
+    return table.reshape(frames, -1)
+
+
+@pytest.mark.parametrize(("far", "power", "unit"), [(3000, False, ""), (0, True, ""), (0, False, "Nmm")])
+def test_outputs_that_no_list_names_are_found_by_label_and_values_or_units(tmp_path, far, power, unit):
+    def change(groups: dict[str, Any]) -> None:
+        with_labels(groups)
+        if unit:
+            groups["POINT"]["MOMENT_UNITS"] = unit
+
+    table = labelled_table(far, power)
+    motion = read_bytes(tmp_path, built(20, 4, 0, 0, change=change, table=table))
+    assert motion.names == ("A:LASI",)
+    signals = motion.extras["model_outputs"]["signals"]
+    assert {kind: signal.labels for kind, signal in signals.items()} == {
+        "ANGLES": ("A:LKneeAngles",),
+        "MOMENTS": ("A:RHipMoment",),
+        "POWERS": ("A:LAnklePower",),
+    }
+    assert any(
+        "3 points named like A:LKneeAngles are taken for model outputs" in note for note in formats.notes(motion)
+    )
+    formats.write(tmp_path / "x.c3d", motion)
+    values, labels = columns_of(tmp_path / "x.c3d")
+    assert labels[1:] == ["A:LKneeAngles", "A:RHipMoment", "A:LAnklePower"]
+    assert values[:, 1:].tobytes() == table.reshape(20, 4, 4)[:, 1:].tobytes()
+    assert same_tree(formats.read(tmp_path / "x.c3d").extras["model_outputs"], motion.extras["model_outputs"])
+
+
+def test_labels_alone_are_only_noted(tmp_path):
+    motion = read_bytes(tmp_path, built(20, 4, 0, 0, change=with_labels, table=labelled_table(0, False)))
+    assert motion.points == 4
+    assert any("named like A:LKneeAngles may be model outputs" in note for note in formats.notes(motion))
+    other = read_bytes(tmp_path, built(20, 4, 0, 0, table=labelled_table(3000, True)))
+    assert other.points == 4
+    assert "model_outputs" not in other.extras

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import tracemalloc
 import zipfile
@@ -165,3 +166,33 @@ def test_control_characters_do_not_reach_the_terminal(tmp_path, capsys):
     assert "]0;title" in printed
     assert "red" in printed
     assert all(c.isprintable() or c == "\n" for c in printed)
+
+
+@pytest.mark.parametrize("saver", [np.savez, np.savez_compressed])
+def test_a_cut_archive_is_read_as_far_as_it_goes(tmp_path, saver):
+    positions = np.random.default_rng(2).normal(size=(200, 7, 3))
+    whole = {"rate": np.array(50.0), "names": np.array([f"M{i}" for i in range(7)]), "positions": positions}
+    saver(tmp_path / "x.npz", **whole, parents=np.zeros(7, int))
+    data = (tmp_path / "x.npz").read_bytes()
+    (tmp_path / "x.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(BadInput, match=r"cut off: the directory .* --salvage"):
+        formats.read(tmp_path / "x.npz")
+    motion = formats.read(tmp_path / "x.npz", salvage=True)
+    assert isinstance(motion, mc.Motion)
+    assert 50 < len(motion) < 150
+    assert np.array_equal(motion.positions, positions[: len(motion)])
+    assert (motion.rate, motion.names[6]) == (50.0, "M6")
+    assert any("of 200 rows of 'positions'" in note for note in formats.notes(motion))
+    (tmp_path / "x.npz").write_bytes(data[: data.rindex(b"PK\x03\x04")])
+    assert np.array_equal(formats.read(tmp_path / "x.npz", salvage=True).positions, positions)
+
+
+def test_every_prefix_of_an_archive_is_read_or_one_line(tmp_path):
+    np.savez(tmp_path / "x.npz", rate=np.array(50.0), poses=np.zeros((9, 156)), trans=np.zeros((9, 3)))
+    data = (tmp_path / "x.npz").read_bytes()
+    frames = set()
+    for end in range(0, len(data), 97):
+        (tmp_path / "y.npz").write_bytes(data[:end])
+        with contextlib.suppress(BadInput):
+            frames.add(len(formats.read(tmp_path / "y.npz", salvage=True)))
+    assert {1, 5, 9} <= frames

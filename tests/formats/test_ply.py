@@ -201,3 +201,19 @@ def test_digits_of_other_scripts_in_names_of_files(tmp_path):
     for name in ("²1.ply", "²3.ply", "٣2.ply", "5.ply"):
         ascii_file(tmp_path / name, "0 0 0 0 0 0\n0 0 0 0 0 0")
     assert len(ply.read(tmp_path, fps=1)) == 4
+
+
+def test_broken_frames_at_the_end_can_be_left_out(tmp_path):
+    ply.write(tmp_path / "x", clouds(4))
+    last = tmp_path / "x/frame_000003.ply"
+    last.write_bytes(last.read_bytes()[:-20])
+    with pytest.raises(Truncated):
+        formats.read(tmp_path / "x")
+    seen = formats.read(tmp_path / "x", salvage=True)
+    assert len(seen) == 3
+    assert any("1 frames at the end" in note for note in formats.notes(seen))
+    (tmp_path / "x/frame_000004.ply").write_bytes((tmp_path / "x/frame_000000.ply").read_bytes())
+    with pytest.raises(Truncated):
+        formats.read(tmp_path / "x", salvage=True)
+    with pytest.raises(Truncated):
+        formats.read(last, salvage=True)

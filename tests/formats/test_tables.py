@@ -194,10 +194,37 @@ def test_an_export_of_vicon_nexus(tmp_path):
     assert motion.positions[1, 0].tolist() == pytest.approx([0.0015, 0.002, 0.003])
     assert np.argwhere(motion.gaps).tolist() == [[1, 1]]
     assert start_s(motion.source, motion.rate) == pytest.approx(30 / 120)
-    assert any("not devices" in note for note in formats.notes(motion))
+    plate = motion.extras["sections"]["devices"]
+    assert (plate.rate, plate.values.shape, plate.units) == (1200.0, (30, 3), ("N", "N", "N"))
+    assert plate.labels == tuple(f"Force Plate - Force.{axis}" for axis in ("Fx", "Fy", "Fz"))
+    assert plate.values[:2].tolist() == [[1, 2, 3], [1, 2, 3]]
+    assert np.isnan(plate.values[2:]).all()
+    assert motion[1:].extras["sections"]["devices"].values.shape == (20, 3)
+    assert formats.dropped("x.csv", motion) == ["devices and model outputs of a Nexus export"]
     devices = read_text(tmp_path, "a.csv", NEXUS[NEXUS.index("Devices") :])
     assert (devices.points, devices.rate, len(devices)) == (0, 1200.0, 2)
     assert devices.extras["signals"].units == ("N", "N", "N")
+
+
+def test_other_sections_of_nexus(tmp_path):
+    outputs = "Model Outputs\n120\n,,S:LKneeAngles,,\nFrame,Sub Frame,X,Y,Z\n,,deg,deg,deg\n30,0,9,9,9\n32,0,4,,6\n"
+    events = "\nEvents\n120\nSubject,Context,Name,Time (s),Description\nS,Left,Foot Strike,0.3,\n"
+    motion = read_text(tmp_path, "a.csv", NEXUS + "\n" + outputs + events)
+    angles = motion.extras["sections"]["model outputs"]
+    assert (angles.rate, angles.labels[0], angles.units[0]) == (120.0, "S:LKneeAngles.X", "deg")
+    assert np.isnan(angles.values[[0, 2]]).all()
+    assert np.array_equal(angles.values[1], [4, np.nan, 6], equal_nan=True)
+    notes = formats.notes(motion)
+    assert any("1 rows of the section model outputs" in note for note in notes)
+    assert any("section events is not read" in note for note in notes)
+    again = mc.decode(mc.encode(motion, codec="lossless"), mc.Motion)
+    assert np.array_equal(again.extras["sections"]["model outputs"].values, angles.values, equal_nan=True)
+    alone = read_text(tmp_path, "a.csv", NEXUS[NEXUS.index("Devices") :] + "\n" + outputs)
+    assert (alone.rate, alone.extras["sections"]["devices"].rate) == (120.0, 1200.0)
+    odd = read_text(tmp_path, "a.csv", NEXUS + "\n" + outputs.replace("120", "130", 1))
+    assert any("130 Hz is no multiple" in note for note in formats.notes(odd))
+    with pytest.raises(BadInput, match="do not fit its rate"):
+        read_text(tmp_path, "a.csv", NEXUS.replace("31,1,1,2,3", "31,15,1,2,3"))
 
 
 MOTIVE = """Format Version,1.23,Capture Frame Rate,120.000000,Export Frame Rate,120.000000,Length Units,Meters

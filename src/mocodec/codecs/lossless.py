@@ -15,6 +15,7 @@ mark it.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -316,7 +317,7 @@ def predict_chunk(ranks: Integers, form: int, taps: Integers, scale: int) -> Int
 
 
 def decode_ranks(
-    chunks: list[Chunk], points: int, form: int, taps: Integers, scale: int
+    chunks: Sequence[Chunk], points: int, form: int, taps: Integers, scale: int
 ) -> list[tuple[Integers, bytes]]:
     """Ranks (frames, channels) and the packed gaps of each chunk. All chunks step through time together."""
     unpacked = [_unpack_payload(chunk, points) for chunk in chunks]

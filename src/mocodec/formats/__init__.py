@@ -179,6 +179,7 @@ DESCRIPTIONS = {
     "parameter_notes": "C3D parameters",
     "parameters_locked": "C3D parameters",
     "rotations": "segment poses",
+    "sections": "devices and model outputs of a Nexus export",
     "signals": "signals beside the points",
     "zero_samples": "marks of zeros",
 }

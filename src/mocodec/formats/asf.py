@@ -18,6 +18,7 @@ from ..errors import BadInput
 from ..geometry import rigid
 from ..motion import Limits, Skeleton
 from ..typing import Floats
+from .conventions import metres_in
 from .text import read_text
 
 DEGREES_OF_UNLIMITEDDOM = ("rx", "ry", "rz")
@@ -101,11 +102,22 @@ def _sections(text: str) -> dict[str, list[list[str]]]:
     return sections
 
 
+def _length_unit(text: str) -> float:
+    """ASF's units of length in an inch, as a number or by the name of a unit. Raises BadInput."""
+    unit_m = metres_in(text)
+    if unit_m is not None:
+        return 0.0254 / unit_m
+    try:
+        return float(text)
+    except ValueError:
+        raise BadInput(f"its length unit {text!r:.40} is neither a number nor the name of a unit") from None
+
+
 def _acclaim(sections: dict[str, list[list[str]]]) -> Acclaim:
     if ":bonedata" not in sections or ":hierarchy" not in sections:
         raise BadInput("not an ASF: it has no :bonedata or no :hierarchy")
     units = {words[0].lower(): words[1] for words in sections.get(":units", []) if len(words) > 1}
-    length = float(units.get("length", 1.0))
+    length = _length_unit(units.get("length", "1.0"))
     if not (math.isfinite(length) and length > 0):
         raise BadInput(f"its length unit must be positive, not {length}")
     root = {words[0].lower(): words[1:] for words in sections.get(":root", [])}

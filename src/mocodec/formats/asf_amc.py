@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ from . import replace_whole
 from .asf import Acclaim, Bone, asf_text, axis_frame, read_asf
 from .asf_memory import acclaim_of, remembered
 from .conventions import first_frame, unit_of, unit_option
-from .text import numbers, read_text
+from .text import numbers, plain, read_text
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an AMC stores beside the positions."""
@@ -37,6 +38,7 @@ MAX_RADIANS = 50.0
 """Angles of continuous rotation, eight turns."""
 MAX_OFF_DEGREES = 5.0
 """How far rotations may be on average from those that a bone's degrees of freedom can make: coding errors, not more."""
+RATE_WORD = re.compile(r":((SAMPLES|FRAMES)[-_]PER[-_]SECOND|(SAMPLE|FRAME)[-_]?(RATE|TIME)|FPS)")
 BONE_NAMES = re.compile(r"^[ \t]*([A-Za-z_]\S*)", re.MULTILINE)
 
 
@@ -61,8 +63,10 @@ def read(
     header = _header(text, path)
     is_degrees = acclaim.degrees if header.is_degrees is None else header.is_degrees
     notes: list[str] = []
-    body = _salvaged(text[header.size :], notes) if salvage else text[header.size :]
-    first, values = _channels(body, path, acclaim)
+    body = plain(text[header.size :])
+    body = _salvaged(body, notes) if salvage else body
+    numbering, values = _channels(body, path, acclaim)
+    _check_numbering(numbering, path, salvage, notes)
     _require_angles(path, acclaim, values, is_degrees)
     frames = len(values[0])
     rotations = np.empty((frames, len(acclaim.bones), 4))
@@ -74,7 +78,12 @@ def read(
         if name[0] == "t":
             translation[:, "xyz".index(name[1])] = values[0][:, channel]
     positions = kinematics.forward(acclaim.skeleton, rotations, translation * acclaim.unit_m, own_frame=True)
-    source: dict[str, Any] = {"format": "amc", "units": "ASF", "unit_m": acclaim.unit_m, "first_frame": first}
+    source: dict[str, Any] = {
+        "format": "amc",
+        "units": "ASF",
+        "unit_m": acclaim.unit_m,
+        "first_frame": int(numbering[0]),
+    }
     if rate is not None:
         source["rate_given"] = True
     elif header.rate is not None:
@@ -102,10 +111,11 @@ def _header(text: str, path: Path) -> _Header:
     head = text[: start.start()]
     words = {line.split()[0].upper(): line.split()[1:] for line in head.split("\n") if line.lstrip().startswith(":")}
     is_degrees = True if ":DEGREES" in words else False if ":RADIANS" in words else None
-    try:
-        rate = float(words[":SAMPLES-PER-SECOND"][0])
-    except (KeyError, IndexError, ValueError):
-        rate = None
+    rate = None
+    for word, values in words.items():
+        if RATE_WORD.fullmatch(word) and values:
+            with suppress(ValueError, ZeroDivisionError):
+                rate = float(values[0]) if "TIME" not in word else 1 / float(values[0])
     return _Header(start.start(), is_degrees, rate if rate is not None and 0 < rate < 1e6 else None)
 
 
@@ -147,8 +157,30 @@ def _salvaged(body: str, notes: list[str]) -> str:
     return body[: starts[-1]]
 
 
-def _channels(body: str, path: Path, acclaim: Acclaim) -> tuple[int, list[Floats]]:
-    """The number of the first frame, and for each bone its channels (frames, dof) in the file's units."""
+def _check_numbering(numbering: Floats, path: Path, salvage: bool, notes: list[str]) -> None:
+    """Note frame numbers that are not consecutive; missing frames raise BadInput unless they are salvaged.
+
+    Numbers that all step by the same amount are those of a decimated recording.
+    """
+    steps = np.diff(numbering)
+    if (steps == 1).all():
+        return
+    if not (steps >= 1).all():
+        notes.append("the frame numbers do not increase by whole numbers: frames are counted as they stand")
+    elif (steps == steps[0]).all():
+        notes.append(f"the frame numbers step by {steps[0]:g}: the rate is that of the frames that are there (--rate)")
+    else:
+        missing, last = int(steps.sum()) - len(steps), int(numbering[np.argmax(steps > 1)])
+        if not salvage:
+            raise BadInput(
+                f"{path}: {missing} frames are missing from its numbering, the first of them after frame {last}; "
+                "--salvage (salvage=True) reads the others as consecutive frames"
+            )
+        notes.append(f"{missing} frames are missing from the numbering: the others are read as consecutive frames")
+
+
+def _channels(body: str, path: Path, acclaim: Acclaim) -> tuple[Floats, list[Floats]]:
+    """The numbers of the frames, and for each bone its channels (frames, dof) in the file's units."""
     names = BONE_NAMES.findall(body)
     frames = names.count(names[0]) if names else 0
     if frames == 0:
@@ -178,7 +210,7 @@ def _channels(body: str, path: Path, acclaim: Acclaim) -> tuple[int, list[Floats
     for name, width in zip(layout, widths, strict=True):
         values[known[name]] = table[:, at : at + width]
         at += width
-    return int(table[0, 0]), values
+    return table[:, 0], values
 
 
 def _rotation(bone: Bone, channels: Floats, acclaim: Acclaim, is_degrees: bool) -> Floats:

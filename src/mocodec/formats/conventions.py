@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,13 +15,18 @@ from ..typing import Floats
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 """Metres in a unit of length."""
 UNIT_WORDS = {
-    "mm": ("millimeters", "millimetres", "millimeter", "millimetre"),
-    "cm": ("centimeters", "centimetres", "centimeter", "centimetre"),
-    "dm": ("decimeters", "decimetres", "decimeter", "decimetre"),
-    "m": ("meters", "metres", "meter", "metre"),
-    "in": ("inches", "inch"),
-    "ft": ("feet", "foot"),
+    "mm": "millimeters millimetres millimetri millimetro milimetros milimetro milimetry мм миллиметры 毫米",
+    "cm": "centimeters centimetres centimetri centimetro centimetros zentimeter centymetry см сантиметры 厘米",
+    "dm": "decimeters decimetres decimetri decimetro decimetros dezimeter decymetry дм дециметры 分米",
+    "m": "meters metres metri metro metros metry м метры 米",
+    "in": "inches inch zoll pollici pollice pouces pouce pulgadas pulgada polegadas polegada",
+    "ft": "feet foot fuss fuß piedi piede pieds pied pies",
+    "um": "micrometers micrometres microns micron",
+    "km": "kilometers kilometres",
 }
+"""Names of units, singular and plural, in the languages of the programs that write them, without accents."""
+MORE_UNITS_M = {"um": 1e-6, "km": 1e3}
+"""Metres in units that files may have, but that nobody chooses."""
 MIN_UNIT_LETTERS = 4
 """Letters that identify a spelled-out unit that a fixed-width text cuts off, as in "mete"."""
 
@@ -34,12 +40,15 @@ USUAL_RATES = (
 
 def metres_in(unit: str) -> float | None:
     """Metres in a unit by its abbreviation or its name ("mm", "Meters", "mete"); None for an unknown one."""
-    text = unit.strip().strip(".()[]").lower()
-    if text in UNITS_M:
-        return UNITS_M[text]
-    for short, words in UNIT_WORDS.items():
+    letters = unicodedata.normalize("NFKD", unit.strip().strip(".()[]'\" ").lower())
+    text = "".join(letter for letter in letters if not unicodedata.combining(letter)).replace("\u03bc", "u")
+    known = UNITS_M | MORE_UNITS_M
+    if text in known:
+        return known[text]
+    for short, names in UNIT_WORDS.items():
+        words = names.split()
         if text in words or (len(text) >= MIN_UNIT_LETTERS and any(word.startswith(text) for word in words)):
-            return UNITS_M[short]
+            return known[short]
     return None
 
 

@@ -3,7 +3,7 @@
     time,LASI.x,LASI.y,LASI.z,Fz            one row of labels; a row of units may follow
     Frame,Time,LASI,,,RASI,,                names, one every three columns,
     ,,X,Y,Z,X,Y,Z                           then axes; a row of units may follow
-    Trajectories · rate · names · axes · units      Vicon Nexus: sections, of which Trajectories has the points
+    Trajectories · rate · names · axes · units      Vicon Nexus: Trajectories has the points, other sections signals
     Format Version,1.23,… Type · Name · ID · Position · axes      OptiTrack Motive
 
 Cells are separated by commas, semicolons (with decimal points or commas) or tabs.
@@ -15,15 +15,16 @@ import csv
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import BadInput
-from ..motion import Motion
+from ..motion import Motion, Signal
 from ..typing import Floats
-from . import replace_whole
+from . import nexus, replace_whole
 from .columns import Clock, Point, cell, clock, columns_of, find_points, motion_of
 from .conventions import metres_in, start_s, unit_of, unit_option
 from .opensim import numbers
@@ -89,10 +90,14 @@ def _read(
     if not rows:
         raise BadInput("has no rows")
     kind = rows[0][0].lower() if rows[0] else ""
+    sections: dict[str, list[list[str]]] = {}
     if kind == "format version":
         columns = _motive(rows)
-    elif kind in ("trajectories", "devices", "model outputs", "joints", "segments"):
-        rows, columns = _nexus(rows, notes)
+    elif kind in nexus.TITLES and not any(rows[0][1:]):
+        sections = nexus.sections(rows)
+        title = nexus.main_title(sections)
+        rows = sections.pop(title)
+        columns = _section(title, rows)
     else:
         columns = _plain(rows)
     body = [row for row in rows[columns.first_row :] if any(row)]
@@ -112,7 +117,8 @@ def _read(
     chosen = unit_option(unit if unit is not None else declared_unit or "m")
     up = up or (comments.get("up") if comments.get("up") in ("x", "y", "z") else None)
     labels = [columns.labels[column] for column in keep]
-    return motion_of(labels, values[:, keep], points, timing, times, units, chosen, up, zeros, source, notes)
+    motion = motion_of(labels, values[:, keep], points, timing, times, units, chosen, up, zeros, source, notes)
+    return _with_sections(motion, sections) if sections else motion
 
 
 def _rows(lines: Sequence[str]) -> list[list[str]]:
@@ -189,24 +195,39 @@ def _unit_of_points(units: Sequence[str], points: Sequence[Point]) -> str | None
     return next(iter(found), None)
 
 
-def _nexus(rows: list[list[str]], notes: list[str]) -> tuple[list[list[str]], _Columns]:
-    """The section Trajectories of a Vicon Nexus export; the others are noted."""
-    titles = ("trajectories", "devices", "model outputs", "joints", "segments", "events")
-    starts = [i for i, row in enumerate(rows) if row[0].lower() in titles and not any(row[1:])]
-    sections = {rows[a][0].lower(): rows[a:b] for a, b in zip(starts, [*starts[1:], len(rows)], strict=True)}
-    chosen = "trajectories" if "trajectories" in sections else next(iter(sections))
-    others = [title for title in sections if title != chosen]
-    if others:
-        notes.append(f"only the section {chosen} is read, not {', '.join(others)}")
-    section = sections[chosen]
-    if len(section) < 5 or not _is_number(section[1][0]):
-        raise BadInput(f"its section {chosen} has no rate, names, axes and units")
-    width = max(map(len, section[:6]))
-    names, axes, units = ([*row, *[""] * (width - len(row))] for row in section[2:5])
+def _section(title: str, section: list[list[str]]) -> _Columns:
+    """The columns of a section of a Vicon Nexus export. Raises BadInput."""
+    rate = nexus.rate_of(section)
+    if math.isnan(rate):
+        raise BadInput(f"its section {title} has no rate, names, axes and units")
+    width = max(map(len, section[: nexus.HEAD_ROWS + 1]))
+    names, axes, units = ([*row, *[""] * (width - len(row))] for row in section[2 : nexus.HEAD_ROWS])
     labels, points = _two_rows(names, axes)
-    points = points if chosen == "trajectories" else []
-    rate = float(section[1][0])
-    return section, _Columns(labels, units, points, 5, rate, _unit_of_points(units, points))
+    points = points if title == "trajectories" else []
+    return _Columns(labels, units, points, nexus.HEAD_ROWS, rate, _unit_of_points(units, points))
+
+
+def _with_sections(motion: Motion, found: dict[str, list[list[str]]]) -> Motion:
+    """The motion of one section of a Vicon Nexus export with the others as signals, `extras["sections"]`."""
+    notes: list[str] = list(motion.source.get("notes", ()))
+    signals: dict[str, Signal] = {}
+    for title, section in found.items():
+        if title == "events":
+            notes.append("the section events is not read")
+            continue
+        columns = _section(title, section)
+        body = [row for row in section[columns.first_row :] if any(row)]
+        values = _values(body, len(columns.labels), False, notes)
+        if values.shape[1] < 3 or not len(values):
+            continue
+        first = 1 + round(start_s(motion.source, motion.rate) * motion.rate)
+        signal = nexus.signal(
+            title, values, columns.rate or math.nan, columns.labels[2:], columns.units[2:],
+            first, len(motion), motion.rate, notes,
+        )  # fmt: skip
+        signals |= {} if signal is None else {title: signal}
+    source = {**motion.source, "notes": notes} if notes else motion.source
+    return replace(motion, source=source, extras={**motion.extras, "sections": signals} if signals else motion.extras)
 
 
 def _motive(rows: list[list[str]]) -> _Columns:

@@ -12,7 +12,7 @@ Arrays are read without pickle, and each is checked against the size of the arch
 from __future__ import annotations
 
 import json
-import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from ..pointcloud import PointClouds
 from ..typing import Floats
 from . import amass, smpl
 from .conventions import guess_up, unit_option
+from .npz_salvage import archive_of
 from .numpy_files import Archive, reading, save
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
@@ -55,23 +56,36 @@ def read(
     unit: str | float | None = None,
     up: str | None = None,
     smplx: str | None = None,
+    salvage: bool = False,
 ) -> Motion | PointClouds:
     """Positions of an NPZ as a motion, its body model parameters as a skeletal motion, or points as point clouds.
 
     rate: hertz, by default the file's. unit: of the positions, by default the file's, else metres (millimetres for a
     `markers` array that extends over more than 100). up: the vertical axis, by default the file's, else guessed.
     smplx: a model file (.npz) of the SMPL family, for the bones of body model parameters; by default a stock body's.
-    A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. Raises BadInput.
+    A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. salvage: read the arrays and the
+    complete frames of an archive that is cut off. Raises BadInput.
     """
-    with reading(path), zipfile.ZipFile(path) as archive:
-        arrays = Archive(archive, path)
-        if {"points", "counts"} <= arrays.names.keys():
-            return _clouds(arrays, rate, unit, up)
-        if amass.is_body_motion(arrays.names) and arrays.first(POSITIONS) in (None, "markers"):
-            return amass.read(arrays, rate, unit, up, smplx)
-        if smplx is not None:
-            raise BadInput(f"{path}: smplx= is for body model parameters (poses, trans), which this file lacks")
-        return _motion(arrays, rate, unit, up)
+    notes: list[str] = []
+    with reading(path), archive_of(path, salvage, notes) as archive:
+        recording = _recording(Archive(archive, path), rate, unit, up, smplx)
+    if notes:
+        source = {**recording.source, "notes": [*recording.source.get("notes", ()), *notes]}
+        recording = replace(recording, source=source)
+    return recording
+
+
+def _recording(
+    arrays: Archive, rate: float | None, unit: str | float | None, up: str | None, smplx: str | None
+) -> Motion | PointClouds:
+    """What the arrays hold, by their names."""
+    if {"points", "counts"} <= arrays.names.keys():
+        return _clouds(arrays, rate, unit, up)
+    if amass.is_body_motion(arrays.names) and arrays.first(POSITIONS) in (None, "markers"):
+        return amass.read(arrays, rate, unit, up, smplx)
+    if smplx is not None:
+        raise BadInput(f"{arrays.path}: smplx= is for body model parameters (poses, trans), which this file lacks")
+    return _motion(arrays, rate, unit, up)
 
 
 def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:

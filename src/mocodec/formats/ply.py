@@ -61,16 +61,19 @@ def read(
     rate: float | None = None,
     unit: str | float | None = None,
     up: str | None = None,
+    salvage: bool = False,
 ) -> PointClouds:
     """Frames of points from a folder of .ply files, a glob of them, or one file; frames in natural order of names.
 
     fps or rate: hertz. unit: of the coordinates, such as "m" or "mm". up: the vertical axis, by default "y". All
     three may be comments of the files instead. Points with NaN coordinates are kept; properties other than position,
     colour and normal are listed in `source["ignored"]`; `source["missing_numbers"]` counts missing file numbers, whose
-    frames are skipped. Raises BadInput, Truncated.
+    frames are skipped. salvage: leave out frames at the end that cannot be read. Raises BadInput, Truncated.
     """
+    notes: list[str] = []
     files = frame_files(path)
-    frames = [read_frame(file) for file in files]
+    frames = _read_frames(files, salvage, notes)
+    files = files[: len(frames)]
     comments = frames[0][1].comments
     hertz = next((given for given in (fps, rate, comments.get("rate")) if given is not None), None)
     if hertz is None:
@@ -87,7 +90,6 @@ def read(
         _require_properties(file, values, colour, normal)
     positions = [columns(values, POSITION) * unit_m for values, _ in frames]
     normals = [columns(values, normal) for values, _ in frames] if normal else None
-    notes: list[str] = []
     colours = _colours([values for values, _ in frames], colour, notes) if colour else None
     for name, frames_of_vectors in (("points", positions), ("normals", normals or [])):
         if missing := sum(int(np.isnan(vectors).any(axis=1).sum()) for vectors in frames_of_vectors):
@@ -114,6 +116,30 @@ def read(
         )
     except ValueError as error:
         raise BadInput(f"{path}: {error}") from None
+
+
+def _read_frames(
+    files: list[Path], salvage: bool, notes: list[str]
+) -> list[tuple[np.ndarray[Any, np.dtype[Any]], Header]]:
+    """All frames; with salvage, those before the first of the broken ones at the end, which are noted."""
+    frames: list[tuple[np.ndarray[Any, np.dtype[Any]], Header]] = []
+    broken: list[BadInput | Truncated] = []
+    for file in files:
+        try:
+            frame = read_frame(file)
+        except (BadInput, Truncated) as error:
+            if not salvage:
+                raise
+            broken.append(error)
+            continue
+        if broken:
+            raise broken[0]  # not at the end: leaving it out would shift the frames behind it
+        frames.append(frame)
+    if broken and not frames:
+        raise broken[0]
+    if broken:
+        notes.append(f"cut off: {len(broken)} frames at the end cannot be read and are left out ({broken[0]})")
+    return frames
 
 
 def _require_properties(

@@ -9,6 +9,8 @@ Frame#  Time  LASI … names, one every three columns; then X1 Y1 Z1 …
 from __future__ import annotations
 
 import math
+import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +20,9 @@ from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats, Integers
 from . import replace_whole
-from .conventions import USUAL_RATES, first_frame, guess_up, metres_in, start_s, unit_option, with_start
-from .text import numbers, read_text
+from .c3d.labels import original_labels, unique_names
+from .conventions import UNITS_M, USUAL_RATES, first_frame, guess_up, metres_in, start_s, unit_option, with_start
+from .text import is_gap, numbers, read_text
 from .zeros import parked_at_origin, parked_of, store_parked, zeros_are_gaps
 
 HOLDS: frozenset[str] = frozenset({"zero_samples"})
@@ -28,6 +31,9 @@ HOLDS: frozenset[str] = frozenset({"zero_samples"})
 KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
+NAMES = re.compile(r"\s*Frame\s*#?\s*\t?\s*Time\b", re.IGNORECASE)
+"""The line of marker names."""
+QUOTED = re.compile(r'(?<![^\t\n])"([^"\t\n]*)"(?![^\t\n])')
 EMPTY_CELL = "-8.3e307"
 """Stands for an empty cell while all cells are parsed in one call."""
 MAX_DROPPED_SHARE = 16
@@ -37,10 +43,24 @@ RATE_TOLERANCE = 5e-4
 
 
 class _Header(NamedTuple):
-    rate: float
-    frames: int
-    markers: int
+    """The declared rate (hertz), counts and unit; None for what the header lacks."""
+
+    rate: float | None
+    frames: int | None
+    markers: int | None
     units: str | None
+
+
+class _Body(NamedTuple):
+    """names: cells of the line of marker names. axes: the line below it. rows: lines of data, without blank ones.
+
+    tabs: whether cells are separated by tabs, not spaces.
+    """
+
+    names: list[str]
+    axes: str
+    rows: list[str]
+    tabs: bool
 
 
 class _Clock(NamedTuple):
@@ -69,19 +89,22 @@ def read(
     Raises BadInput.
     """
     zeros = zeros_are_gaps(gaps)
-    lines = read_text(path).split("\n")
-    if not lines[0].startswith("PathFileType"):
-        raise BadInput(f"{path}: not a TRC: it does not begin with PathFileType")
-    names_at = next((i for i, line in enumerate(lines[:20]) if line.startswith("Frame#")), None)
-    if names_at is None or not 3 <= names_at < len(lines) - 1:
-        raise BadInput(f"{path}: cut off or not a TRC: it has no line of marker names")
     try:
+        lines = _unquoted(read_text(path)).split("\n")
+        if not lines[0].startswith("PathFileType"):
+            raise BadInput("not a TRC: it does not begin with PathFileType")
+        names_at = next((i for i, line in enumerate(lines[:20]) if NAMES.match(line)), None)
+        if names_at is None or not 3 <= names_at < len(lines) - 1:
+            raise BadInput("cut off or not a TRC: it has no line of marker names")
         header = _header(lines[1], lines[2])
-        units, unit_m = unit_option(header.units or "mm" if unit is None else unit)
+        units, unit_m = _unit(header.units, unit)
         notes: list[str] = []
+        is_cut_in_line = bool(lines[-1].strip())  # a whole line ends with a line break
+        body = _body(lines, names_at)
         if salvage:
-            header, lines = _salvaged(header, lines, names_at, notes)
-        names, table, decimals = _rows(header, lines, names_at, str(path))
+            header, body = _salvaged(header, body, is_cut_in_line, notes)
+        header = header._replace(frames=len(body.rows)) if header.frames is None else header
+        names, table, decimals = _rows(header, body, str(path), notes)
         clock = _clock(table[:, :2], decimals, header, rate, notes)
     except BadInput as error:
         raise error if str(error).startswith(str(path)) else BadInput(f"{path}: {error}") from None
@@ -104,58 +127,122 @@ def read(
         source = with_start(source, clock.rate, clock.start)
     if notes:
         source["notes"] = notes
+    names, originals = unique_names(names, len(names))
+    if originals:
+        source["labels"] = originals
     return Motion(positions, clock.rate, names, up or guess_up(positions), source=source, extras=extras)
 
 
-def _salvaged(header: _Header, lines: list[str], names_at: int, notes: list[str]) -> tuple[_Header, list[str]]:
-    """The header and lines of a truncated file, without the line that the end of the file cuts off; noted."""
-    rows = [i for i in range(names_at + 2, len(lines)) if lines[i].strip()]
-    if len(rows) >= header.frames and not lines[-1].strip():
-        return header, lines
-    if lines[-1].strip():  # a whole line ends with a line break
-        lines, rows = lines[:-1], rows[:-1]
-    if not rows or len(rows) >= header.frames:
-        return header, lines
-    notes.append(f"cut off: {len(rows)} of {header.frames} declared frames are read")
-    return header._replace(frames=len(rows)), lines
+def _unquoted(text: str) -> str:
+    """A tab-separated text without the quotes that spreadsheets put around cells."""
+    return QUOTED.sub(r"\1", text) if '"' in text else text
+
+
+def _unit(declared: str | None, unit: str | float | None) -> tuple[str, float]:
+    """The unit's name and its metres: as given, the header's, or millimetres. Raises BadInput for an unknown one."""
+    if unit is not None or declared is None:
+        return unit_option("mm" if unit is None else unit)
+    unit_m = metres_in(declared)
+    if unit_m is None:
+        raise BadInput(f"its header has the unknown unit {declared!r:.40}; use unit= (--unit): {', '.join(UNITS_M)}")
+    return declared, unit_m
 
 
 def _header(keys: str, values: str) -> _Header:
-    fields = dict(zip(keys.split(), values.split(), strict=False))
-    try:
-        counts = int(fields["NumFrames"]), int(fields["NumMarkers"])
-        return _Header(float(fields["DataRate"]), *counts, fields.get("Units"))
-    except (KeyError, ValueError) as error:
-        raise BadInput(f"its header does not give rate, frames and markers ({error})") from None
+    """The header's fields by name. Empty cells are matched by their tabs if names and values differ in number."""
+    pair = keys.split(), values.split()
+    if len(pair[0]) != len(pair[1]) and "\t" in keys and "\t" in values:
+        pair = keys.split("\t"), values.split("\t")
+    fields = {key.strip().lower(): value.strip() for key, value in zip(*pair, strict=False)}
+    if "datarate" not in fields and "numframes" not in fields:
+        raise BadInput("its header does not give rate, frames and markers")
+    rate = _number(fields, "datarate")
+    frames, markers = (_number(fields, name) for name in ("numframes", "nummarkers"))
+    frames, markers = (None if count is None else int(count) for count in (frames, markers))
+    return _Header(rate, frames, markers, fields.get("units") or None)
 
 
-def _rows(header: _Header, lines: list[str], names_at: int, path: str) -> tuple[tuple[str, ...], Floats, int]:
+def _number(fields: dict[str, str], name: str) -> float | None:
+    """A number of the header, None if it is empty or missing. Raises BadInput for other texts."""
+    text = fields.get(name, "")
+    if is_gap(text):
+        return None
+    with suppress(ValueError):
+        value = float(text.replace(",", "."))
+        if 0 <= value < 1e12:
+            return value
+    raise BadInput(f"its header does not give {name}, it has {text!r:.40}")
+
+
+def _body(lines: list[str], names_at: int) -> _Body:
+    """The lines after the header; the line of axes may be missing."""
+    rows = [line for line in lines[names_at + 1 :] if line.strip()]
+    axes = ""
+    if rows and _begins_with_axis(rows[0]):
+        axes, rows = rows[0], rows[1:]
+    tabs = any("\t" in line for line in rows) or not rows
+    names = lines[names_at].split("\t") if tabs else lines[names_at].split()
+    if any("," in row for row in rows) and not any("." in row for row in rows):
+        rows = [row.replace(",", ".") for row in rows]  # decimal commas
+    return _Body([name.strip() for name in names[2:]], axes, rows, tabs)
+
+
+def _begins_with_axis(line: str) -> bool:
+    """Whether the first word of a line is neither a number nor a gap."""
+    word = line.split()[0]
+    with suppress(ValueError):
+        float(word.replace(",", "."))
+        return False
+    return not is_gap(word)
+
+
+def _salvaged(header: _Header, body: _Body, is_cut_in_line: bool, notes: list[str]) -> tuple[_Header, _Body]:
+    """The header and rows of a truncated file, without the row that the end of the file cuts off; noted."""
+    rows, declared = body.rows, header.frames
+    if is_cut_in_line:
+        rows = rows[:-1]
+    elif declared is None or len(rows) >= declared:
+        return header, body
+    if rows and (declared is None or len(rows) < declared):
+        of = "" if declared is None else f" of {declared} declared"
+        notes.append(f"cut off: {len(rows)}{of} frames are read")
+        header = header._replace(frames=len(rows))
+    return header, body._replace(rows=rows)
+
+
+def _rows(header: _Header, body: _Body, path: str, notes: list[str]) -> tuple[tuple[str, ...], Floats, int]:
     """Names of the markers, the numbers of all rows (rows, 2 + 3 · markers), and decimals of the time column."""
-    body = [line for line in lines[names_at + 2 :] if line.strip()]
-    has_tabs = any("\t" in line for line in body) or not body
-    rows = [line.rstrip("\t ").split("\t") if has_tabs else line.split() for line in body]
-    if not has_tabs and len(set(map(len, rows))) > 1:
+    rows = [line.rstrip("\t ").split("\t") if body.tabs else line.split() for line in body.rows]
+    if not body.tabs and len(set(map(len, rows))) > 1:
         raise BadInput("its columns are separated by spaces and differ in number, so gaps cannot be located")
-    names = _marker_names(lines[names_at], has_tabs, max(map(len, rows), default=2))
-    cells = lines[names_at + 1].split("\t")[2:] if has_tabs else lines[names_at + 1].split()
+    declared = header.markers or 0
+    names = _marker_names(body, max(map(len, rows), default=2))
+    cells = body.axes.split("\t")[2:] if body.tabs else body.axes.split()
     labelled = -(-max((i + 1 for i, cell in enumerate(cells) if cell.strip()), default=0) // 3)
-    if len(names) < header.markers and labelled > len(names):  # the last columns are labelled and empty in every row
-        names += tuple(f"P{i + 1}" for i in range(len(names), min(header.markers, labelled)))
-    if not names or len(rows) * len(names) > 64 * sum(map(len, rows)) + 4096:
-        raise BadInput(f"its header declares {header.markers} markers, there are columns for {len(names)}")
-    if len(names) < header.markers and header.markers > 64 * len(names):
-        raise BadInput(f"its header declares {header.markers} markers, there are columns for {len(names)}")
+    if len(names) < declared and labelled > len(names):  # the last columns are labelled and empty in every row
+        names += tuple(f"P{i + 1}" for i in range(len(names), min(declared, labelled)))
+    columns = max(labelled, -(-(max(map(len, rows), default=2) - 2) // 3))
+    is_unsure = len(names) > max(columns, declared) and rows
+    if not names or is_unsure or len(rows) * len(names) > 64 * sum(map(len, rows)) + 4096:
+        named = f"it names {len(names)} markers and declares" if is_unsure else "its header declares"
+        raise BadInput(f"{named} {declared} markers, there are columns for {columns if is_unsure else len(names)}")
+    if declared > 64 * len(names):
+        raise BadInput(f"its header declares {declared} markers, there are columns for {len(names)}")
+    if header.markers is not None and declared != len(names):
+        notes.append(f"the header declares {declared} markers, there are columns for {len(names)}: all are read")
     decimals = max((len(row[1].strip().partition(".")[2].rstrip("0")) for row in rows if len(row) > 1), default=0)
     return names, _table(rows, 2 + 3 * len(names), path), decimals
 
 
-def _marker_names(line: str, has_tabs: bool, width: int) -> tuple[str, ...]:
+def _marker_names(body: _Body, width: int) -> tuple[str, ...]:
     """Names of the markers, every third cell after two; rows may be wider than the names, or end in gaps."""
-    cells = [cell.strip() for cell in (line.split("\t") if has_tabs else line.split())[2:]]
-    if any(cells[1::3]) or any(cells[2::3]) or not has_tabs:
-        cells = [cell for name in filter(None, cells) for cell in (name, "", "")]
+    cells = list(body.names)
     while cells and not cells[-1]:
         cells.pop()
+    if len(cells) == width - 2 and all(cells) and cells[::3] == cells[1::3] == cells[2::3]:
+        cells = [cell for name in cells[::3] for cell in (name, "", "")]  # a name above each of its columns
+    elif any(cells[1::3]) or any(cells[2::3]) or not body.tabs:
+        cells = [cell for name in filter(None, cells) for cell in (name, "", "")]
     count = max(-(-len(cells) // 3), -(-(width - 2) // 3))
     cells += [""] * (3 * count - len(cells))
     return tuple(name or f"P{i + 1}" for i, name in enumerate(cells[::3]))
@@ -166,7 +253,7 @@ def _table(rows: list[list[str]], columns: int, path: str) -> Floats:
     for row in rows:
         row.extend([""] * (columns - len(row)))
         for column, cell in enumerate(row):
-            if not cell or cell.isspace() or cell.strip().lower() == "nan":
+            if not (cell[-1:].isdecimal() and "#" not in cell) and is_gap(cell):
                 row[column] = EMPTY_CELL
     table = numbers("\t".join("\t".join(row) for row in rows), path)
     if table.size != len(rows) * columns:
@@ -180,36 +267,53 @@ def _clock(columns: Floats, decimals: int, header: _Header, rate: float | None, 
 
     columns (rows, 2): frame numbers and times.
     """
-    rows = len(columns)
+    rows, declared = len(columns), header.frames or 0
     ids, times = columns.T
     if not rows:
-        if header.frames:
-            raise BadInput(f"cut off: its header declares {header.frames} frames, the file has none")
-        return _Clock(np.empty(0, np.int64), 1, math.nan, rate or header.rate)
+        if declared:
+            raise BadInput(f"cut off: its header declares {declared} frames, the file has none")
+        return _Clock(np.empty(0, np.int64), 1, math.nan, _positive(rate or header.rate))
+    if np.isnan(ids).all():
+        ids = np.arange(1.0, rows + 1)
     if not (math.isfinite(ids[0]) and abs(ids[0]) < 2**53):
         raise BadInput(f"the number of its first frame is {ids[0]}")
     has_times = bool(np.isfinite(times).all() and (np.diff(times) > 0).all())
     digit = 0.5 * 10.0**-decimals
     index = _frame_index(ids, times if has_times else None, header, notes)
     missing = int(index[-1]) + 1 - rows
-    if rows < header.frames and int(index[-1]) + 1 < header.frames:
-        raise BadInput(
-            f"cut off: its header declares {header.frames} frames, the file has {rows}; --salvage reads these"
-        )
-    if rows > header.frames and int(index[-1]) + 1 != header.frames:
-        notes.append(f"the header declares {header.frames} frames, the file has {rows}: all are read")
+    if rows < declared and int(index[-1]) + 1 < declared:
+        raise BadInput(f"cut off: its header declares {declared} frames, the file has {rows}; --salvage reads these")
+    if rows > declared and int(index[-1]) + 1 != declared:
+        notes.append(f"the header declares {declared} frames, the file has {rows}: all are read")
     if missing:
         notes.append(f"{missing} frames are missing from the file's numbering: they are gaps")
-    if rate is None and has_times and rows > 1:
-        rate = _rate_of_times(index, times, digit, header.rate, notes)
+    if has_times and rows > 1:
+        times, digit = _seconds(times, digit, header.rate, int(index[-1]), notes)
+        rate = _rate_of_times(index, times, digit, header.rate, notes) if rate is None else rate
     start = float(times[0]) if math.isfinite(times[0]) else math.nan
     first = int(ids[0])
-    chosen = rate or header.rate
-    if not 0 < chosen < math.inf:
-        raise BadInput(f"the frame rate must be positive, not {chosen}")
+    chosen = _positive(rate or header.rate)
     if abs(start - (first - 1) / chosen) <= digit + 1e-9:
         start = (first - 1) / chosen  # its digits say no more
     return _Clock(index, first, start, chosen)
+
+
+def _positive(rate: float | None) -> float:
+    """The rate. Raises BadInput unless it is positive and finite."""
+    if rate is None or not 0 < rate < math.inf:
+        raise BadInput(f"the frame rate must be positive, not {rate}; use rate= (--rate)")
+    return rate
+
+
+def _seconds(
+    times: Floats, digit: float, declared: float | None, frames: int, notes: list[str]
+) -> tuple[Floats, float]:
+    """Times and half their last digit in seconds: times that run at a thousandth of DataRate are milliseconds."""
+    slowness = declared * float(times[-1] - times[0]) / frames if declared else 1.0
+    if abs(slowness / 1000 - 1) > 0.01:
+        return times, digit
+    notes.append("the time column is in milliseconds, by DataRate")
+    return times / 1000, digit / 1000
 
 
 def _frame_index(ids: Floats, times: Floats | None, header: _Header, notes: list[str]) -> Integers:
@@ -245,20 +349,20 @@ def _frame_index(ids: Floats, times: Floats | None, header: _Header, notes: list
     return index.astype(np.int64)
 
 
-def _rate_of_times(index: Integers, times: Floats, digit: float, declared: float, notes: list[str]) -> float | None:
+def _rate_of_times(
+    index: Integers, times: Floats, digit: float, declared: float | None, notes: list[str]
+) -> float | None:
     """The rate of the time column if it contradicts the header's, else None. digit: half the last decimal, seconds."""
     span, frames = float(times[-1] - times[0]), int(index[-1])
-    expected = frames / declared if declared > 0 else math.inf
-    if abs(span - expected) <= 2 * digit + RATE_TOLERANCE * span or not declared > 0:
+    if declared and abs(span - frames / declared) <= 2 * digit + RATE_TOLERANCE * span:
         return None
     period_error = 2 * digit / frames
     period = span / frames
     usual = min(USUAL_RATES, key=lambda rate: abs(1 / rate - period))
     rate = float(usual) if abs(1 / usual - period) <= period_error + 1e-4 * period else 1 / period
-    notes.append(
-        f"DataRate is {declared:g} Hz, the time column runs at {rate:.6g} Hz: the time column is used "
-        f"(--rate {declared:g} takes the other)"
-    )
+    other = f" (--rate {declared:g} takes the other)" if declared else ""
+    says = "DataRate is missing" if declared is None else f"DataRate is {declared:g} Hz"
+    notes.append(f"{says}, the time column runs at {rate:.6g} Hz: the time column is used{other}")
     return rate
 
 
@@ -269,7 +373,9 @@ def write(path: str | Path, motion: Motion) -> None:
     millimetres comes back within 1e-10 m. A TRC has no place for analog channels, events, parameters or a skeleton
     (docs/formats.md). Raises BadInput for names with tabs.
     """
-    if any(not name.strip() or set(name) & set("\t\r\n") or name != name.strip() for name in motion.names):
+    names = original_labels(motion.names, motion.source)
+    names = [name if label.isspace() or not label else label for name, label in zip(motion.names, names, strict=True)]
+    if any(not name.strip() or set(name) & set("\t\r\n") or name != name.strip() for name in names):
         raise BadInput("a TRC cannot hold a marker whose name is empty or has tabs or spaces around it")
     units = str(motion.source.get("units", ""))
     unit_m = metres_in(units)
@@ -281,7 +387,7 @@ def write(path: str | Path, motion: Motion) -> None:
         f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
         "\t".join(KEYS),
         "\t".join([rate, rate, str(count), str(motion.points), units, rate, str(first), str(count)]),
-        "Frame#\tTime\t" + "\t\t\t".join(motion.names) + "\t\t",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(f"{axis}{i + 1}" for i in range(motion.points) for axis in "XYZ"),
         "",
     ]

@@ -25,7 +25,7 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
 from ...stages import bounded, frozen, gaps, quantise, search
 from ...typing import Floats, Integers
-from .. import base
+from .. import base, rescue
 from . import clip_segmentation, left_transform, parameters, quantised_motion, stream
 from .quantised_motion import PreparedMotion, QuantisedMotion
 
@@ -89,7 +89,31 @@ class Hou2014:
             return base.encode_gaps(self, motion, base.settings(replace(self, transforms=())))
         moving = split(self, motion).moving
         base.require_usual_lengths(self, moving)
-        return self.encode_smoothed(motion, gaps.fill(moving)[0])
+        filled = gaps.fill(moving)[0]
+        if self.mean_error is None:
+            return self.encode_smoothed(motion, filled)
+        return self._encode_to_mean(motion, filled, self.mean_error)
+
+    def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
+        """At a mean error, or under this error as a bound where that is smaller, or the only way."""
+        encoded, failure = None, None
+        try:
+            encoded = self.encode_smoothed(motion, filled)
+        except CannotEncode as error:
+            failure = error
+        bounded = replace(self, mean_error=None, max_error=target)
+        if encoded is None or bounded.estimate(motion, filled)[0] < encoded.payload_bytes:
+            try:
+                rival = bounded.encode_smoothed(motion, filled)
+            except CannotEncode:
+                rival = None
+            if rival is not None and (encoded is None or rival.payload_bytes < encoded.payload_bytes):
+                encoded = replace(rival, settings=base.settings(replace(self, transforms=())))
+        if encoded is None:
+            assert failure is not None
+            raise failure
+        rescue.require_kept(motion, {"mean_error": target}, encoded, Hou2014.decode)
+        return encoded
 
     def encode_smoothed(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
         """`encode`, where the transform codes `smooth` in place of the motion's positions.

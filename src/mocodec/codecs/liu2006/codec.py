@@ -26,7 +26,7 @@ from ...geometry import body_frame
 from ...motion import Motion
 from ...stages import bounded, frozen, gaps, search, segment
 from ...typing import Floats
-from .. import base
+from .. import base, rescue
 from . import marker_groups, segment_model
 from .marker_groups import MarkerGroups
 from .segment_model import SegmentModel
@@ -127,7 +127,16 @@ class Liu2006:
             return encoded(steer(fit, lambda models: encoded(models).payload_bytes / allowed, grows=False))
         target = self.mean_error or (self.max_error and MEAN_PER_BOUND * self.max_error)
         if target is not None:
-            return encoded(steer(fit, lambda models: mean_error(models) / target, grows=True))
+            try:
+                steered = steer(fit, lambda models: mean_error(models) / target, grows=True)
+            except CannotEncode:
+                if self.mean_error is None or self.max_error is not None:
+                    raise
+                bounded = dataclasses.replace(self, mean_error=None, max_error=self.mean_error)
+                return dataclasses.replace(bounded.encode(motion), settings=base.settings(self))
+            result = encoded(steered)
+            rescue.require_kept(motion, {"mean_error": self.mean_error}, result, Liu2006.decode)
+            return result
         return encoded(fit(1.0))
 
     def segment_motion(self, positions: Floats, markers: MarkerGroups, up: str) -> segment.Segmentation:

@@ -55,6 +55,8 @@ MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
+FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
+"""A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -118,16 +120,18 @@ class Tempo:
             return encode_gaps(self, motion, self._stored_settings())
         stored = self._stored_settings()
         ways: list[rescue.Way] = [("with tempo's models", lambda: self._encode_any(motion))]
+        if self._keeps_rotations(motion) and self.max_rotation is None:
+            ways.append(("without its rotations", lambda: self.encode_smallest(replace(motion, rotations=None))))
         if self.model != model_choice.DIRECT:
             direct = replace(self, model=model_choice.DIRECT)
             encode = direct._encode_rotations if self._keeps_rotations(motion) else direct.encode_chunks
             ways.append(("directly", lambda: encode(motion)))
-        if self.model == model_choice.AUTO:
+        if self.model == model_choice.AUTO and self.max_rotation is None:
             ways += [
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
             ]
-        encoded = rescue.first_kept(motion, stored, ways, _decode, self.model != model_choice.AUTO)
+        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, self.model != model_choice.AUTO)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
@@ -164,7 +168,19 @@ class Tempo:
         return layer.lost_rotations(motion)
 
     def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
-        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014."""
+        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014.
+
+        With a mean error also under this error as a bound, if that may be smaller.
+        """
+        encoded = self._with_or_without_repeats(motion)
+        if self.mean_error is None or not _may_be_larger_than_bounded(encoded):
+            return encoded
+        bounded = replace(self, mean_error=None, max_error=self.mean_error)._with_or_without_repeats(motion)
+        if bounded.payload_bytes >= encoded.payload_bytes:
+            return encoded
+        return replace(bounded, settings=self._stored_settings())
+
+    def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
         distinct = repeats.distinct_frames(motion, self.chunk_seconds)
         if distinct is None:
             return self.encode_without_repeats(motion)
@@ -267,6 +283,9 @@ class Tempo:
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+        """The motion, or a slice of its frames; also of a motion that `encode` coded losslessly. Raises Corrupt."""
+        if encoded.codec == Lossless.name:
+            return Lossless.decode(encoded, frames)
         if not encoded.shared:
             return decode_gaps(encoded, frames)
         if layer.has_rotations(encoded):
@@ -383,8 +402,18 @@ class Tempo:
         return stored
 
 
-def _decode(encoded: Encoded[Motion]) -> Motion:
-    return (Tempo if encoded.codec == Tempo.name else Lossless).decode(encoded)
+def _may_be_larger_than_bounded(encoded: Encoded[Motion]) -> bool:
+    """Whether a stream at a mean error may be larger than one under this error as a bound.
+
+    A bound costs about twice as much, except where chunks are direct or full of spikes, and on short recordings.
+    """
+    header = StreamHeader.unpack(encoded.shared, encoded.about.points)
+    if len(encoded.chunks) <= FEW_CHUNKS or header.millihertz is not None:
+        return True
+    if header.fallback is not None:
+        return False
+    payloads = [Payload.unpack(c.payload) for c in encoded.chunks]
+    return sum(p.engine == DIRECT or p.step is not None for p in payloads) > UNUSUAL_SHARE * len(payloads)
 
 
 def _most_seconds(motion: Motion) -> float:

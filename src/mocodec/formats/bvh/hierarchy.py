@@ -38,6 +38,7 @@ def parse(text: str) -> list[Joint]:
     lines = text.replace("{", "\n{\n").replace("}", "\n}\n").split("\n")
     for words in filter(None, (line.split() for line in lines)):
         key = words[0].upper()
+        key = "END" if key in ("ENDSITE", "END_SITE") else key
         if key in ("ROOT", "JOINT", "END"):
             joints.append(_joint(key, " ".join(words[1:]), joints, stack))
             latest = len(joints) - 1

@@ -13,7 +13,7 @@ from ...geometry import kinematics
 from ...motion import Motion, Skeleton
 from ...typing import Floats
 from ..conventions import USUAL_RATES, guess_up, unit_option
-from ..text import numbers, read_text
+from ..text import numbers, plain, read_text
 from . import memory
 from .hierarchy import Joint, parse, unique_names
 
@@ -22,6 +22,14 @@ PLAUSIBLE_REST_M = (0.8, 2.4)
 """Extent of a skeleton at rest."""
 PLAUSIBLE_HEIGHT_M = (1.0, 2.3)
 """Height that a body reaches over the frames."""
+TIMING = re.compile(
+    r"\s*(?:Frames[ \t]*:?[ \t]*(?P<frames>\d{1,12})(?:\.0*)?|Frame[ \t]*Time[ \t]*:?[ \t]*(?P<time>\S+))(?=\s|\Z)",
+    re.IGNORECASE,
+)
+FLAGS = (re.MULTILINE, re.MULTILINE | re.IGNORECASE)
+"""The word MOTION is searched in capitals first."""
+MIN_USUAL_RATE = 1.0
+"""Hertz; slower motion is noted, since programs write frames a second or milliseconds for seconds."""
 MAX_FRAME_MISMATCH = 1
 """Frames that may be there beyond or below the declared number."""
 
@@ -39,19 +47,20 @@ def read(
     which the body is as tall as a person, else cm. rate: hertz, by default 1 / Frame Time. up: the vertical axis, by
     default y unless body and motion say z. salvage: read the complete frames of a truncated file. Raises BadInput.
     """
-    text = read_text(path)
+    text = plain(read_text(path))
     head, body = _split(text, path)
     try:
         joints = parse(head)
     except (ValueError, IndexError) as error:
         message = error if isinstance(error, BadInput) else f"its hierarchy cannot be read ({error})"
         raise BadInput(f"{path}: {message}") from None
-    timing = re.match(r"\s*Frames:\s*(\d{1,12})\s+Frame\s+Time:\s*(\S+)", body, re.IGNORECASE)
-    if timing is None:
-        raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
-    file_rate = rate_of(timing[2], path)
+    declared, time_text, samples = _timing(body, path)
+    if "," in samples and "." not in samples:
+        samples = samples.replace(",", ".")
+    file_rate = rate or rate_of(time_text, path)
     notes: list[str] = []
-    declared, samples = int(timing[1]), body[timing.end() :]
+    if file_rate < MIN_USUAL_RATE and rate is None:
+        notes.append(f"Frame Time is {time_text} seconds, which is {file_rate:g} frames a second (--rate)")
     if salvage:
         declared, samples = _salvaged(declared, samples, sum(len(joint.channels) for joint in joints), notes)
     table = _channel_table(numbers(samples, path), declared, joints, path, notes)
@@ -67,12 +76,12 @@ def read(
     source: dict[str, Any] = {"format": "bvh", "units": units, "unit_m": unit_m}
     source |= _remembered(joints, names, table, rotations, unit_m)
     source |= {"labels": originals} if originals else {}
-    time_text = memory.frame_time(timing[2], file_rate) if rate is None else None
+    time_text = memory.frame_time(time_text, file_rate) if rate is None else None
     source |= {"frame_time": time_text} if time_text else {}
     source |= {"unit_given": True} if unit is not None else {}
     source |= {"up_given": True} if up is not None else {}
     source |= {"notes": notes} if notes else {}
-    return Motion(places * unit_m, rate or file_rate, names, chosen_up, skeleton, rotations, source)
+    return Motion(places * unit_m, file_rate, names, chosen_up, skeleton, rotations, source)
 
 
 def _remembered(
@@ -87,12 +96,24 @@ def _remembered(
     return {"channels": memory.channels(joints, names)} | {name: entry for name, entry in entries.items() if entry}
 
 
+def _timing(body: str, path: str | Path) -> tuple[int, str, str]:
+    """The declared number of frames, the Frame Time as text, and the samples behind these two lines."""
+    found: dict[str, str] = {}
+    end = 0
+    while len(found) < 2 and (match := TIMING.match(body, end)):
+        found["frames" if match["frames"] else "time"] = match["frames"] or match["time"].replace(",", ".")
+        end = match.end()
+    if len(found) < 2:
+        raise BadInput(f"{path}: its MOTION does not begin with Frames: and Frame Time:")
+    return int(found["frames"]), found["time"], body[end:]
+
+
 def _split(text: str, path: str | Path) -> tuple[str, str]:
     """The text before and after the word MOTION, which may also be part of a joint's name. Raises BadInput."""
     if not text.lstrip().upper().startswith("HIERARCHY"):
         raise BadInput(f"{path}: not a BVH: it does not begin with HIERARCHY")
     patterns = (r"^[ \t]*MOTION[ \t]*$", r"\}[ \t]*MOTION\b", r"^[ \t]*MOTION\b")
-    motion = next(filter(None, (re.search(pattern, text, re.MULTILINE) for pattern in patterns)), None)
+    motion = next(filter(None, (re.search(pattern, text, flags) for flags in FLAGS for pattern in patterns)), None)
     if motion is None:
         raise BadInput(f"{path}: cut off or not a BVH: it has no MOTION")
     return text[: motion.end()].removesuffix(motion[0].lstrip("}")), text[motion.end() :]
@@ -101,7 +122,12 @@ def _split(text: str, path: str | Path) -> tuple[str, str]:
 def _salvaged(declared: int, samples: str, width: int, notes: list[str]) -> tuple[int, str]:
     """The frames and text of a truncated motion, without the frame that the end of the file cuts off; noted."""
     words = samples.split()
-    if len(words) >= declared * width or not width:
+    if not width or len(words) == declared * width:
+        return declared, samples
+    if len(words) > declared * width and len(words) % width == 0:
+        notes.append(f"the header declares {declared} frames, the file has {len(words) // width}: these are read")
+        return len(words) // width, samples
+    if len(words) > declared * width:
         return declared, samples
     is_cut_in_number = bool(samples) and not samples[-1].isspace()
     complete = (len(words) - is_cut_in_number) // width
@@ -117,10 +143,14 @@ def _channel_table(values: Floats, declared: int, joints: list[Joint], path: str
     if not width:
         raise BadInput(f"{path}: its joints have no channels, so there is no motion")
     frames, rest = divmod(values.size, width)
+    if not frames and not declared:
+        raise BadInput(f"{path}: has no frames")
     if rest or abs(frames - declared) > MAX_FRAME_MISMATCH:
         problem = "cut off: " if values.size < declared * width else ""
+        hint = "; --salvage (salvage=True) reads what is there" if frames and (problem or not rest) else ""
         raise BadInput(
-            f"{path}: {problem}{declared} frames of {width} channels need {declared * width} numbers, not {values.size}"
+            f"{path}: {problem}{declared} frames of {width} channels need {declared * width} numbers, not "
+            f"{values.size}{hint}"
         )
     if len(joints) > 4 * width + 4:
         raise BadInput(f"{path}: {len(joints)} joints share {width} channels, too few for a body")
@@ -137,16 +167,24 @@ def rate_of(frame_time: str, path: str | Path) -> float:
     except (ValueError, ZeroDivisionError):
         seconds = rate = -1.0
     if not 0 < seconds < float("inf") or rate == float("inf"):
-        raise BadInput(f"{path}: Frame Time must be a positive number of seconds, not {frame_time[:40]!r}")
+        raise BadInput(
+            f"{path}: Frame Time must be a positive number of seconds, not {frame_time[:40]!r}; use rate= (--rate)"
+        )
     digits, _, exponent = frame_time.lower().partition("e")
     half_digit = 0.5 * 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
     if not half_digit < seconds / 4:
         return rate
     whole = [float(usual) for usual in USUAL_RATES if usual == round(usual)]
-    for candidates in (whole, USUAL_RATES, [float(max(1, round(rate)))]):
+    for candidates in (whole, USUAL_RATES):
         nearest = min(candidates, key=lambda candidate: abs(candidate - rate))
         if abs(1.0 / nearest - seconds) <= 1.0001 * half_digit:
             return float(nearest)
+    cut = [usual for usual in whole if 0 <= 1.0 / usual - seconds < 2 * half_digit]
+    if cut:
+        return cut[-1]  # digits cut off, not rounded: 0.0166
+    nearest = float(max(1, round(rate)))
+    if abs(1.0 / nearest - seconds) <= 1.0001 * half_digit:
+        return nearest
     return rate
 
 

@@ -13,8 +13,8 @@ from ...typing import Floats
 from .parameters import EVENT_FIELDS, HEADER_EVENTS, Parameters, counts, encoded, floats, text
 
 
-def read_events(parameters: Parameters) -> list[dict[str, Any]]:
-    """Events of the EVENT group; `time_s` counts from frame 1.
+def read_events(parameters: Parameters, notes: list[str]) -> list[dict[str, Any]]:
+    """Events of the EVENT group; `time_s` counts from frame 1. What is not read is noted.
 
     EVENT:USED may be missing; TIMES may be a table (minutes, seconds), a list or a single number, and may continue in
     TIMES2, …, as LABELS does.
@@ -23,6 +23,10 @@ def read_events(parameters: Parameters) -> list[dict[str, Any]]:
     labels = parameters.texts("EVENT", "LABELS")
     used = parameters.count("EVENT", "USED")
     times = _times(parameters, len(labels) if used is None else used)
+    if used is not None and used < len(times) == len(labels) and used == len(times) & 0xFF:
+        used = len(times)  # counted in one byte
+    if used is not None and used < len(times):
+        notes.append(f"EVENT:USED is {used}, EVENT:TIMES has {len(times)} events: the first {used} are read")
     columns: dict[str, Any] = {}
     for name, key in EVENT_FIELDS.items():
         is_number = isinstance(group.get(name), np.ndarray)
@@ -45,17 +49,28 @@ def _times(parameters: Parameters, expected: int) -> Floats:
 
 def _table(value: Any, expected: int) -> Floats:
     """One parameter TIMES as (events, 2)."""
-    if not isinstance(value, np.ndarray) or not value.size or value.ndim > 2:
+    if not isinstance(value, np.ndarray) or not value.size:
         return np.empty((0, 2))
     numbers = value.astype(np.float64)
+    while numbers.ndim > 2 and 1 in numbers.shape:
+        numbers = numbers.squeeze(axis=numbers.shape.index(1))
+    if numbers.ndim > 2:
+        return np.empty((0, 2))
+    if numbers.shape == (2, 2) and _are_minutes(numbers[:, 0]) and not _are_minutes(numbers[0]):
+        return numbers
     if numbers.ndim == 2 and numbers.shape[0] == 2:
         return numbers.T
     if numbers.ndim == 2 and numbers.shape[1] == 2:
         return numbers
     numbers = numbers.ravel()
-    if numbers.size == 2 and expected != 2:
-        return numbers.reshape(1, 2)
+    if numbers.size == 2 * expected or (numbers.size == 2 and expected != 2):
+        return numbers.reshape(-1, 2)
     return np.stack([np.zeros(numbers.size), numbers], axis=1)
+
+
+def _are_minutes(numbers: Floats) -> bool:
+    """Whether the numbers are minutes, which are whole."""
+    return bool((numbers == np.rint(numbers)).all())
 
 
 def read_header_events(data: bytes, words: tuple[int, ...], processor: int) -> list[dict[str, Any]]:

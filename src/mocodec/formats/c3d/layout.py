@@ -12,11 +12,15 @@ import math
 import struct
 from typing import NamedTuple
 
+import numpy as np
+
 from ...errors import BadInput
 from .parameters import BLOCK, Parameters, floats
 
 MAX_COUNT = 0xFFFF
 """Where counts of 16 bits saturate."""
+MAX_TESTED_BYTES = 1 << 16
+"""Bytes of the data that are looked at to tell floats from integers."""
 
 
 class Header(NamedTuple):
@@ -25,6 +29,7 @@ class Header(NamedTuple):
     words: tuple[int, ...]
     scale: float
     rate: float
+    processor: int
 
     @property
     def points(self) -> int:
@@ -83,7 +88,42 @@ def read_header(data: bytes, order: str, processor: int) -> Header:
     """The header; order: "<" or ">"."""
     words = struct.unpack_from(f"{order}256H", data)
     scale, rate = (float(floats(data[i : i + 4], processor)[0]) for i in (12, 20))
-    return Header(words, scale, rate)
+    return Header(words, scale, rate, processor)
+
+
+def data_start(header: Header, parameters: Parameters, data: bytes, section_end: int, notes: list[str]) -> int:
+    """The byte where the data begin, by the header or POINT:DATA_START; a contradiction is settled and noted.
+
+    section_end: where the parameters end, by their own count. Raises BadInput without evidence.
+    """
+    blocks = {"the header": header.data_block, "POINT:DATA_START": parameters.count("POINT", "DATA_START") or 0}
+    named = {name: (block - 1) * BLOCK for name, block in blocks.items() if block > 1}
+    if not named:
+        raise BadInput("does not say where its data begin")
+    starts = set(named.values())
+    if len(starts) == 1:
+        return starts.pop()
+    layouts, claims = candidate_layouts(header, parameters), _claimed_frames(header, parameters)
+    sizes = {start: data_end(data, parameters, start) - start for start in starts}
+    fitting = {
+        start
+        for start, size in sizes.items()
+        if any(_exact(layout, claims, data, start, size) for layout in layouts if layout.width)
+    }
+    starts = fitting if len(fitting) == 1 else starts & {section_end}
+    if len(starts) != 1:
+        says = "; ".join(f"{name} says block {start // BLOCK + 1}" for name, start in named.items())
+        raise BadInput(f"it does not say clearly where its data begin: {says}")
+    start = starts.pop()
+    says = ", ".join(f"{name} says block {other // BLOCK + 1}" for name, other in named.items() if other != start)
+    notes.append(f"the size of the file shows that its data begin at block {start // BLOCK + 1}; {says}")
+    return start
+
+
+def data_end(data: bytes, parameters: Parameters, start: int) -> int:
+    """The byte where the points and analog samples end: the file's end, or the start of the rotations behind them."""
+    rotations = ((parameters.count("ROTATION", "DATA_START") or 0) - 1) * BLOCK
+    return rotations if parameters.count("ROTATION", "USED") and start < rotations <= len(data) else len(data)
 
 
 def settle(
@@ -124,6 +164,10 @@ def settle(
             f"the header has {header.samples_per_frame} analog samples per frame and channel; the parameters and the "
             f"size of the file give {layout.samples_per_frame}"
         )
+    counts = [count for count in dict.fromkeys(claims) if count < MAX_COUNT and (frames - count) % (MAX_COUNT + 1)]
+    if counts and frames in claims and header.last < MAX_COUNT:
+        others = ", ".join(map(str, counts))
+        notes.append(f"its counts of frames are {others} and {frames}; the size of the file gives {frames} frames")
     return layout, frames
 
 
@@ -138,7 +182,7 @@ def _fitting(
     notes: list[str],
 ) -> dict[Layout, int]:
     """Layouts with the number of frames that the size allows: exactly, beyond 16 bits, as floats, with more behind."""
-    fitting = {layout: frames for layout in layouts if (frames := _exact(layout, claims, available))}
+    fitting = {layout: frames for layout in layouts if (frames := _exact(layout, claims, data, start, available))}
     if fitting:
         return fitting
     for layout in layouts:
@@ -149,8 +193,10 @@ def _fitting(
         frames = _frames_of_size(layouts[0], data, start, available)
         notes.append(f"it does not say how many frames it has; the size of the file gives {frames}")
         return {layouts[0]: frames} if frames else {}
-    as_floats = [layout._replace(item=4) for layout in layouts if layout.item == 2]
-    fitting = {layout: frames for layout in as_floats if (frames := _exact(layout, claims, available))}
+    others = [layout._replace(item=4) for layout in layouts if layout.item == 2]
+    if not _are_floats(data[start : start + available], header.processor):
+        others += [layout._replace(item=2) for layout in layouts if layout.item == 4]
+    fitting = {layout: frames for layout in others if (frames := _exact(layout, claims, data, start, available))}
     return fitting or {layout: frames for layout in layouts if (frames := _contained(layout, claims, available))}
 
 
@@ -173,7 +219,7 @@ def candidate_layouts(header: Header, parameters: Parameters) -> list[Layout]:
     """The layouts that header and parameters, or both together, describe; the preferred one first."""
     declared = parameters.count("POINT", "USED")
     points = list(dict.fromkeys(([] if declared is None else [declared]) + [header.points]))
-    scale = parameters.number("POINT", "SCALE") or header.scale
+    scale = parameters.number("POINT", "SCALE") or 0.0
     items = list(dict.fromkeys(4 if s < 0 else 2 for s in (scale, header.scale) if s and math.isfinite(s))) or [4]
     return [Layout(p, *split, item) for item in items for split in _analog_splits(header, parameters) for p in points]
 
@@ -214,9 +260,23 @@ def _claimed_frames(header: Header, parameters: Parameters) -> list[int]:
     return [count for count in counts if count is not None and count > 0]
 
 
-def _exact(layout: Layout, claims: list[int], available: int) -> int:
-    """The largest claim that fills the data section up to padding, or 0."""
-    return max((c for c in claims if 0 <= available - c * layout.frame_bytes < 2 * BLOCK), default=0)
+def _are_floats(data: bytes, processor: int) -> bool:
+    """Whether bytes are plausible coordinates as floats; pairs of integers are mostly tiny, huge or no numbers."""
+    values = np.abs(floats(data[: min(len(data), MAX_TESTED_BYTES) & ~3], processor))
+    with np.errstate(invalid="ignore"):
+        plausible = (values == 0) | ((values > 1e-9) & (values < 1e9))
+    return bool(plausible.mean() > 0.9) if values.size else True
+
+
+def _exact(layout: Layout, claims: list[int], data: bytes, start: int, available: int) -> int:
+    """The largest claim that fills the data section up to padding, or 0; a last block of zeros is padding."""
+    size = layout.frame_bytes
+    fitting = sorted(claim for claim in claims if 0 <= available - claim * size < 2 * BLOCK)
+    for claim in fitting:
+        rest = start + claim * size
+        if start + available - rest < BLOCK and not any(data[rest : start + available]):
+            return claim
+    return fitting[-1] if fitting else 0
 
 
 def _contained(layout: Layout, claims: list[int], available: int) -> int:

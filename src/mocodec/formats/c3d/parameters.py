@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import BadInput
 from ...typing import Floats
+from ..text import legacy_text
 
 BLOCK = 512
 INTEL, DEC, MIPS = 84, 85, 86
@@ -211,10 +212,9 @@ def floats(data: bytes, processor: int) -> NDArray[np.float32]:
 
 
 def text(raw: bytes) -> str:
-    """Text without its padding: UTF-8 or Shift-JIS if it is valid, otherwise Latin-1.
+    """Text without its padding: UTF-8 if it is valid, otherwise `legacy_text`.
 
-    Latin-1 has no letters at bytes 0x80 to 0x9F, where the first bytes of Japanese characters are. A character that the
-    length of the field cuts in two is left out.
+    A character that the length of the field cuts in two is left out.
     """
     raw = raw.split(b"\0", 1)[0].rstrip()
     if raw.isascii():
@@ -227,7 +227,7 @@ def text(raw: bytes) -> str:
         for end in (len(raw), len(raw) - 1):
             with suppress(UnicodeDecodeError):
                 return raw[:end].decode("cp932")
-    return raw.decode("latin-1")
+    return legacy_text(raw)
 
 
 def pack(parameters: Parameters) -> bytes:

@@ -17,9 +17,10 @@ from ...typing import Booleans, Floats
 from ..conventions import UNITS_M, guess_up, metres_in, unit_option
 from ..zeros import parked_at_origin, store_parked, zeros_are_gaps
 from .analog import read_analog, smallest
+from .by_label import find_by_label
 from .events import read_events, read_header_events
 from .labels import unique_names
-from .layout import Header, Layout, read_header, settle
+from .layout import Header, Layout, data_end, data_start, read_header, settle
 from .model_outputs import find_columns, keep
 from .parameters import BLOCK, DEC, DERIVED, INTEL, MIPS, STANDARD, Parameters, floats, parse, same
 
@@ -69,28 +70,23 @@ def _read(data: bytes, options: _Options) -> Motion:
     source: dict[str, Any] = {"format": "c3d", "units": "", "unit_m": 1.0, "first_frame": first}
     source["units"], source["unit_m"] = _unit(parameters, options.unit, source)
     rate = _rate(header, parameters, options.rate, notes)
-    scale = parameters.number("POINT", "SCALE") or header.scale
-    if not (math.isfinite(scale) and scale):
-        raise BadInput(f"its point scale ({scale}) is not usable")
-
-    start = ((header.data_block or parameters.count("POINT", "DATA_START") or 0) - 1) * BLOCK
-    if start < BLOCK:
-        raise BadInput("does not say where its data begin")
-    available = _data_end(data, parameters, start) - start
+    start = data_start(header, parameters, data, section + BLOCK * data[section + 2], notes)
+    available = data_end(data, parameters, start) - start
     layout, frames = settle(header, parameters, data, start, available, notes, options.salvage)
     if not layout.width and not parameters.count("ROTATION", "USED"):
         raise BadInput("has no points, no analog channels and no rotations: nothing to code")
     table = _table(data, start, layout, frames, order, processor)
     columns = table[:, : 4 * layout.points].reshape(frames, layout.points, 4)
-    scale = 1.0 if layout.item == 4 else abs(scale)
+    scale = 1.0 if layout.item == 4 else _scale(header, parameters, notes)
     extras: dict[str, Any] = {}
     if layout.channels:
         extras["analog"] = read_analog(table[:, 4 * layout.points :], layout, rate, parameters)
-    has_events = _read_all_events(data, header, parameters, processor, first, rate, extras)
+    has_events = _read_all_events(data, header, parameters, processor, first, rate, extras, notes)
 
     labels = parameters.texts("POINT", "LABELS")[: layout.points]
     outputs = find_columns(parameters, labels)
     with np.errstate(invalid="ignore", over="ignore"):
+        outputs |= find_by_label(parameters, labels, outputs, columns, source["unit_m"] * scale, notes)
         keep(parameters, outputs, labels, columns, scale, rate, source, extras)
         markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
         samples = columns[:, markers] if outputs else columns
@@ -165,10 +161,14 @@ def _rate(header: Header, parameters: Parameters, rate: float | None, notes: lis
     return declared
 
 
-def _data_end(data: bytes, parameters: Parameters, start: int) -> int:
-    """The byte where the points and analog samples end: the file's end, or the start of the rotations behind them."""
-    rotations = ((parameters.count("ROTATION", "DATA_START") or 0) - 1) * BLOCK
-    return rotations if parameters.count("ROTATION", "USED") and start < rotations <= len(data) else len(data)
+def _scale(header: Header, parameters: Parameters, notes: list[str]) -> float:
+    """Units of a coordinate's integer step: POINT:SCALE, or the header's."""
+    scales = [abs(s) for s in (parameters.number("POINT", "SCALE"), header.scale) if s and math.isfinite(s)]
+    if not scales:
+        raise BadInput("its point scale is not usable")
+    if len(scales) == 2 and abs(scales[0] - scales[1]) > 1e-4 * scales[0]:
+        notes.append(f"POINT:SCALE is {scales[0]:g}, the header's scale {scales[1]:g}: POINT:SCALE is used")
+    return scales[0]
 
 
 def _table(data: bytes, start: int, layout: Layout, frames: int, order: str, processor: int) -> NDArray[Any]:
@@ -187,14 +187,18 @@ def _read_all_events(
     first: int,
     rate: float,
     extras: dict[str, Any],
+    notes: list[str],
 ) -> bool:
     """Put events into the extras, times from the first frame; False if EVENT:TIMES has numbers but no event."""
-    in_group = read_events(parameters)
+    in_group = read_events(parameters, notes)
     events = read_header_events(data, header.words, processor) + in_group
     if events:
         offset_s = (first - 1) / rate  # times in a C3D count from frame 1
         extras["events"] = [{**event, "time_s": event["time_s"] - offset_s} for event in events]
-    return bool(in_group) or not any(np.size(value) for value in parameters.chain("EVENT", "TIMES"))
+    is_read = bool(in_group) or not any(np.size(value) for value in parameters.chain("EVENT", "TIMES"))
+    if not is_read:
+        notes.append("none of its EVENT group is read as an event; it stays in the parameters")
+    return is_read
 
 
 def _keep_residuals(

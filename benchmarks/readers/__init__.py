@@ -1,0 +1,1 @@
+"""What independent readers read from the same C3D and TRC files."""

@@ -1,0 +1,60 @@
+"""Damaged containers with right checksums: the parts behind the checksums are what is tested."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from mocodec import container
+from mocodec.container.wire import checksum
+from mocodec.encoded import Chunk
+from mocodec.errors import MocodecError
+
+from . import mutations
+
+CRC = 4
+
+
+def mutate(data: bytes, random: np.random.Generator) -> bytes:
+    """A `.mocz` with damage in one of its parts: shared bytes or a payload of any length, or a part in place."""
+    if random.random() < 0.6:
+        changed = _blobs(data, random)
+        if changed is not None:
+            return changed
+    return _in_place(data, random)
+
+
+def _blobs(data: bytes, random: np.random.Generator) -> bytes | None:
+    """Shared bytes, payloads or numbers of frames changed, packed again; None where the writer refuses."""
+    with container.Reader(data) as reader:
+        encoded = reader.encoded
+        shared, chunks = list(encoded.shared), [Chunk(c.start, c.frames, c.payload) for c in encoded.chunks]
+    place = int(random.integers(len(shared) + len(chunks)))
+    if place < len(shared):
+        shared[place] = mutations.mutate(shared[place], random)
+    else:
+        number = place - len(shared)
+        one = chunks[number]
+        frames = one.frames if random.random() < 0.8 else int(2 ** random.integers(0, 18))
+        chunks[number] = Chunk(one.start, frames, mutations.mutate(one.payload, random))
+    starts = np.cumsum([0, *(c.frames for c in chunks)]).tolist()
+    chunks = [replace(c, start=start) for c, start in zip(chunks, starts, strict=False)]
+    try:
+        return container.pack(replace(encoded, shared=tuple(shared), chunks=chunks))
+    except MocodecError:
+        return None
+
+
+def _in_place(data: bytes, random: np.random.Generator) -> bytes:
+    """Bytes of the header, the extras, the signals, a chunk or the index replaced, with the checksum of that part."""
+    with container.Reader(data) as reader:
+        at = reader.layout
+        edges = [*reader.chunks.offsets]
+    edges = sorted({0, at.extras, at.signals, at.chunks, *edges, at.end})
+    parts = [*pairwise(edges)]
+    parts = [(a, b) for a, b in parts if b - a > CRC]
+    a, b = parts[random.integers(len(parts))]
+    body = mutations.same_length(data[a : b - CRC], random)
+    return data[:a] + body + checksum(body) + data[b:]
