@@ -10,7 +10,7 @@ from mocodec.codecs.tempo.chunk import LATTICE, Payload
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
 
-from .motions import error, header, named_points
+from .motions import error, header, named_points, smooth
 
 pytestmark = pytest.mark.skipif(not engine_choice.available(), reason="needs the compiled module")
 
@@ -41,5 +41,7 @@ def test_chunks_are_longer_where_the_lattice_turns_out_smaller_in_each() -> None
 
 
 def test_a_smooth_recording_takes_a_model() -> None:
-    motion = synthetic.markers(frames=600, seed=1)
-    assert header(Tempo(max_error=0.01).encode_chunks(motion)).model is not None
+    rng = np.random.default_rng(1)
+    moved = smooth(600, 3, 1) @ rng.normal(size=(3, 90))
+    motion = Motion(rng.normal(size=(30, 3)) + moved.reshape(600, 30, 3) / 10, 120.0)
+    assert header(Tempo(max_error=0.003).encode_chunks(motion)).model is not None

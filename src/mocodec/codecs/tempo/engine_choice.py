@@ -27,7 +27,7 @@ FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
-HALVING_PER_OCTAVE, MOST_OCTAVES = 0.02, 2
+HALVING_PER_OCTAVE, MOST_OCTAVES = 0.025, 2
 """A stride of half the distance must be smaller by this share in the sample for each octave of a chunk's frames over
 frames sampled, up to some: the longer a chunk, the better longer distances are learned."""
 HOPELESS = 1.25
@@ -56,7 +56,8 @@ def plan(
 ) -> LatticePlan:
     """How to use the lattice engine within a bound (metres).
 
-    step: of the transform, log₂ in 1/32 octave; chunk_frames: of the lattice's chunks; named: the prior knows the points, so that its models are cheap to fit.
+    step: of the transform, log₂ in 1/32 octave; chunk_frames: of the chunks where the lattice codes all; named: the
+    prior knows the points, so that its models are cheap to fit.
     """
     found = lattice.neighbours(source.smooth)
     frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))

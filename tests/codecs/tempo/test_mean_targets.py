@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocodec.codecs.tempo import Tempo, engine_choice, lattice_mean
+from mocodec.codecs.tempo import Tempo, engine_choice, mean_targets
 from mocodec.encoded import Encoded
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
@@ -47,7 +47,7 @@ def test_a_coarse_mean_is_not_tried() -> None:
     def encode(part: Motion, bound: float) -> Encoded[Motion]:
         raise AssertionError
 
-    assert lattice_mean.smaller(encoded, motion, 0.01, encode, Tempo.decode) is encoded
+    assert mean_targets.on_lattice(encoded, motion, 0.01, encode, Tempo.decode) is encoded
 
 
 def test_the_encoding_given_stays_where_the_lattice_is_larger() -> None:
@@ -55,7 +55,7 @@ def test_the_encoding_given_stays_where_the_lattice_is_larger() -> None:
     tiny = Tempo(ratio=60).encode_chunks(motion)
     codec = Tempo(max_error=0.001, model="lattice")
 
-    def on_lattice(part: Motion, bound: float) -> Encoded[Motion]:
+    def encode(part: Motion, bound: float) -> Encoded[Motion]:
         return replace(codec, max_error=bound).encode_chunks(part)
 
-    assert lattice_mean.smaller(tiny, motion, 1e-6, on_lattice, Tempo.decode) is tiny
+    assert mean_targets.on_lattice(tiny, motion, 1e-6, encode, Tempo.decode) is tiny
