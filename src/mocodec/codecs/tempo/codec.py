@@ -367,8 +367,7 @@ class Tempo:
             without_rows = Model.without_rows(motion.names, motion.rate)
             weights = with_weights(without_rows, pack_weights(motion.names, self.weights)).weights
         step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
-        bound, frames = self.max_error or DEFAULT_MAX_ERROR, self._seconds(motion, LATTICE_CHUNKS) * motion.rate
-        found = engine_choice.plan(motion, source, bound, step, weights, named, frames)
+        found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
         return replace(found, alone=True) if asked else found
 
     def _seconds(self, motion: Motion, times: float = 1.0) -> float:

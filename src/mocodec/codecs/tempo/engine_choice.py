@@ -27,9 +27,6 @@ FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
-HALVING_PER_OCTAVE, MOST_OCTAVES = 0.025, 2
-"""A stride of half the distance must be smaller by this share in the sample for each octave of a chunk's frames over
-frames sampled, up to some: the longer a chunk, the better longer distances are learned."""
 HOPELESS = 1.25
 """A chunk's other engine is not tried where it took more than this many times the bytes in the last chunk tried."""
 TRIED_EVERY = 5
@@ -45,19 +42,10 @@ class LatticePlan:
     alone: bool
 
 
-def plan(
-    motion: Motion,
-    source: Prepared,
-    bound: float,
-    step: int,
-    weights: Floats | None,
-    named: bool,
-    chunk_frames: float,
-) -> LatticePlan:
+def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
     """How to use the lattice engine within a bound (metres).
 
-    step: of the transform, log₂ in 1/32 octave; chunk_frames: of the chunks where the lattice codes all; named: the
-    prior knows the points, so that its models are cheap to fit.
+    step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
     """
     found = lattice.neighbours(source.smooth)
     frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))
@@ -67,9 +55,7 @@ def plan(
     if weights is not None:
         positions = positions * weights[:, None]
     size = grid_size(grid_step(lattice.half_step(bound)))
-    longer = np.log2(max(1.0, min(chunk_frames, len(motion)) / len(positions)))
-    halving = 1 + HALVING_PER_OCTAVE * min(float(longer), MOST_OCTAVES)
-    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found, halving)
+    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
     if named or weights is not None:
         return LatticePlan(found, stride, alone=False)
     share = ALONE + ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))

@@ -234,14 +234,8 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
     np.add.at(flat, numbers, listed[:, 1:])
 
 
-def best_stride(
-    samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours, halving: float = 1.0
-) -> tuple[int, int]:
-    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones.
-
-    halving: the bytes of half the distance count this many times, where the chunks are shorter than those to code: a
-    longer distance has more weights to learn.
-    """
+def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
+    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones."""
     sizes: dict[int, int] = {}
 
     def size(stride: int) -> int:
@@ -251,7 +245,7 @@ def best_stride(
 
     best = USUAL_STRIDE
     size(best)
-    for step, factor in ((1, 1.0), (-1, halving)):
-        while best + step in STRIDES and best + step not in sizes and factor * size(best + step) < sizes[best]:
+    for step in (1, -1):
+        while best + step in STRIDES and best + step not in sizes and size(best + step) < sizes[best]:
             best += step
     return best, sizes[best]
