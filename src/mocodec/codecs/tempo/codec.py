@@ -128,7 +128,8 @@ class Tempo:
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
             ]
-        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, self.model != model_choice.AUTO)
+        final = self.model != model_choice.AUTO or self._has_size
+        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, final)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
