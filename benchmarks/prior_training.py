@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from mocodec import formats
-from mocodec.codecs.tempo.codec import chunk_bounds
 from mocodec.codecs.tempo.coding import contexts, rows
 from mocodec.codecs.tempo.coding.rows import POSE
 from mocodec.codecs.tempo.models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
@@ -25,6 +24,7 @@ from mocodec.codecs.tempo.models.markers_on_bones import ARM_M
 from mocodec.codecs.tempo.models.model import BANDS, Model, Statistics, smooth_heading
 from mocodec.codecs.tempo.models.prior import BoneMotion, JointSet
 from mocodec.codecs.tempo.pose import bone_directions, heading, tree_fitting
+from mocodec.codecs.tempo.preparation import chunk_bounds
 from mocodec.entropy import lanes, symbols
 from mocodec.geometry import kinematics, rigid
 from mocodec.motion import Motion

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # From top to bottom. A part may import the parts below it, and those in its row unless the row is in APART.
 LAYERS = (
     ("cli", "__main__"),
-    ("testing", "plots"),
+    ("testing", "plots", "cloud_plots"),
     ("api", "packing"),
     ("codecs", "container"),
     ("signals",),

@@ -92,6 +92,11 @@ def encode(
     recording: PointClouds,
     codec: str | Codec[PointClouds] | None = None,
     *,
+    max_error: float | None = None,
+    mean_error: float | None = None,
+    ratio: float | None = None,
+    size: int | None = None,
+    psnr: float | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -120,7 +125,8 @@ def encode(
 
     codec: a name, or an instance such as `Hou2014(components=40)`; by default "tempo" for motion and "bodycast" for
     point clouds. Targets: `max_error` (no point of any frame is farther off, metres), `mean_error` (metres), `ratio`
-    (to float32 positions), `size` (bytes of the file). signal_error: how far samples of signals may be off, "12bit" or
+    (to float32 positions), `size` (bytes of the file); of point clouds, whose errors are distances to the nearest point
+    in both directions, also `psnr` (of the luma, dB). signal_error: how far samples of signals may be off, "12bit" or
     "0.1%" of their range or by label "Fz*=0.5N, EMG*=12bit"; None keeps them exactly. settings: other settings of the
     codec. progress: called with fractions from 0 to 1.
     Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.

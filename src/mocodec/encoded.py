@@ -18,8 +18,8 @@ from .pointcloud import PointClouds
 from .selection import frame_range
 from .typing import Floats
 
-TARGETS = ("max_error", "mean_error", "ratio", "size")
-"""Settings that are promises: errors in metres, ratio to float32 positions, bytes of the file."""
+TARGETS = ("max_error", "mean_error", "ratio", "size", "psnr")
+"""Settings that are promises: errors in metres, ratio to float32 positions, bytes of the file, dB of colours."""
 
 Recording = Motion | PointClouds
 """The two kinds of data that codecs code."""

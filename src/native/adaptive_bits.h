@@ -2,7 +2,7 @@
 //
 //     contexts ─counters─► probabilities ─stretch, weigh, squash─► one probability ─range coder─► bytes
 //
-// docs/payloads/tempo.md (lattice engine) specifies it; codecs/tempo/coding/adaptive_bits.py is the same in NumPy.
+// docs/payloads/tempo-lattice.md specifies it; entropy/adaptive_bits.py is the same in Python.
 #pragma once
 
 #include <algorithm>

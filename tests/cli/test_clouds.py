@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -46,6 +47,61 @@ def test_encode_and_decode(folder, codec, tmp_path, capsys):
     assert result["ratio"] > 5
     run("compare", folder / "frames", stored)
     assert "dB" in capsys.readouterr().out
+
+
+def test_a_bound_is_promised_and_verified(folder, tmp_path, capsys):
+    stored, first = tmp_path / "x.mocz", folder / "first.bvh"
+    rate = ("--fps", 15)
+    run("encode", folder / "frames", "-o", stored, *rate, "--skeleton", first, "--max-error", "4mm", "--psnr", "30dB")
+    said = capsys.readouterr().err
+    assert "mean error 2.6" in said
+    assert "D1" in said
+    assert "dB" in said
+    run("verify", stored, "--against", folder / "frames", *rate)
+    assert "the promise is kept" in capsys.readouterr().out
+    run("info", stored)
+    assert "4 mm" in capsys.readouterr().out
+    with mc.open(stored) as opened:
+        assert opened.encoded.promise == {"max_error": 0.004, "psnr": 30.0}
+    run("compare", folder / "frames", stored, *rate, "--plot", tmp_path / "p.png", "--poses", tmp_path / "q.svg")
+    out = capsys.readouterr().out
+    assert "Hips" in out
+    assert "floor" in out
+    assert (tmp_path / "p.png").stat().st_size > 1000
+    assert (tmp_path / "q.svg").stat().st_size > 1000
+
+
+def test_a_cut_keeps_a_promise_that_holds(folder, tmp_path, capsys):
+    stored, first = tmp_path / "x.mocz", folder / "first.bvh"
+    run("encode", folder / "frames", "-o", stored, "--fps", 15, "--skeleton", first, "--max-error", "4mm", "--psnr", 30)
+    run("cut", stored, "--from", "1f", "--to", "3f", "-o", tmp_path / "part.mocz")
+    with mc.open(tmp_path / "part.mocz") as opened:
+        assert opened.encoded.promise == {"max_error": pytest.approx(0.006)}
+    mc.write(tmp_path / "middle", mc.read(folder / "frames", mc.PointClouds, fps=15)[1:3])
+    run("verify", tmp_path / "part.mocz", "--against", tmp_path / "middle", "--fps", 15)
+    assert "the promise is kept" in capsys.readouterr().out
+
+
+def test_broken_promises_of_clouds_are_named(folder, tmp_path, capsys):
+    moved = mc.read(folder / "frames", mc.PointClouds, fps=15)
+    other = replace(moved, positions=[p + 0.05 for p in moved.positions])
+    stored = tmp_path / "x.mocz"
+    mc.write(stored, moved, max_error=0.01, skeleton=mc.read(folder / "first.bvh"))
+    mc.write(tmp_path / "other", other)
+    run("verify", stored, "--against", tmp_path / "other", "--fps", 15, code=1)
+    assert "broken: max error is" in capsys.readouterr().out
+    run("verify", stored, "--against", folder / "first.bvh", code=3)
+    mc.write(tmp_path / "few", moved[:2])
+    run("verify", stored, "--against", tmp_path / "few", "--fps", 15, code=1)
+    assert "2 frames" in capsys.readouterr().out
+
+
+def test_a_promise_that_cannot_be_kept_writes_nothing(folder, tmp_path, capsys):
+    stored, first = tmp_path / "x.mocz", folder / "first.bvh"
+    run("encode", folder / "frames", "-o", stored, "--fps", 15, "--skeleton", first, "--size", "300", code=3)
+    assert "larger file" in capsys.readouterr().err
+    assert not stored.exists()
+    run("encode", folder / "frames", "-o", stored, "--psnr", "40mm", code=2)
 
 
 def test_recordings_without_a_body_are_3(folder, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import BadInput, Motion, Signal, formats
-from mocodec.cli import run
+from mocodec.cli import run, verify
 from mocodec.formats import amass, smpl
 
 FRAMES = 24
@@ -274,3 +274,28 @@ def test_the_stock_body_is_an_adult_of_about_170_cm() -> None:
     np.testing.assert_allclose(heights[right], heights[left] * [-1, 1, 1])
     assert np.array_equal(skeleton.offsets, np.round(skeleton.offsets, 5))
     assert set(smpl.trees()) == {22, 24, 52, 55}
+
+
+@pytest.mark.parametrize("numbers", [72, 156, 165])
+def test_a_mocz_between(tmp_path: Path, numbers: int) -> None:
+    arrays = amass_arrays(numbers, gender=np.array("male", dtype=object) if numbers == 165 else np.array("male"))
+    motion = read(save(tmp_path / "a.npz", arrays))
+    decoded = mc.decode(mc.encode(motion, max_error=0.002), Motion)
+    assert dict(decoded.source) == dict(motion.source)
+    assert verify.differing(motion.extras, decoded.extras) == []
+    errors = mc.compare(motion, decoded)
+    assert errors.skeletal is not None
+    assert errors.skeletal.joints_and_shell.largest <= 0.002 * (1 + 1e-9)
+    mc.write(tmp_path / "b.npz", decoded)
+    arrays["gender"] = np.array("male")
+    if numbers == 165:
+        with np.load(tmp_path / "b.npz", allow_pickle=True) as found:
+            assert found["gender"].item() == "male"
+            np.testing.assert_allclose(found["poses"], arrays["poses"], atol=0.2)
+        return
+    same_arrays(tmp_path / "b.npz", arrays, atol=0.2)
+    cut = mc.open(mc.encode(motion, max_error=0.002))[5:11]
+    mc.write(tmp_path / "c.npz", cut)
+    with np.load(tmp_path / "c.npz") as found:
+        np.testing.assert_allclose(found["poses"], arrays["poses"][5:11], atol=0.2)
+        assert found["dmpls"].shape == (6, 8)

@@ -183,12 +183,13 @@ def test_limits_stay_with_a_part_of_a_motion_and_in_npz(tmp_path):
     assert np.array_equal(again.ranges, limits.ranges)
 
 
-def test_a_mocz_keeps_no_limits_as_it_keeps_no_rotations(tmp_path):
-    limits_of(tmp_path)
+def test_a_mocz_keeps_limits_with_the_rotations(tmp_path):
+    limits = limits_of(tmp_path)
     motion = formats.read(tmp_path / "tiny_01.amc")
     for codec in ("lossless", "tempo"):
         again = mc.decode(mc.encode(motion, codec=codec))
-        assert again.skeleton.limits is None
+        assert again.skeleton.limits.orders == limits.orders
+        np.testing.assert_allclose(again.skeleton.limits.ranges, limits.ranges, atol=1e-4)
         assert again.skeleton.names == motion.skeleton.names
 
 

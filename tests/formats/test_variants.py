@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from mocodec import BadInput, Motion, formats
+from mocodec import BadInput, Motion, PointClouds, formats
 from mocodec.formats.bvh.reading import rate_of
 from mocodec.formats.c3d.parameters import counts
 from mocodec.formats.conventions import metres_in
@@ -49,8 +49,8 @@ def amc(tmp_path, text: str, asf: str = ASF, **options) -> Motion:
     return motion
 
 
-def notes(motion: Motion) -> str:
-    return " ".join(formats.notes(motion))
+def notes(recording: Motion | PointClouds) -> str:
+    return " ".join(formats.notes(recording))
 
 
 @pytest.mark.parametrize(
@@ -330,3 +330,79 @@ def test_the_length_unit_of_an_asf_by_its_name(tmp_path):
     assert np.allclose(by_name.positions, by_number.positions)
     with pytest.raises(BadInput, match="name of a unit"):
         amc(tmp_path, AMC, ASF.replace("length 0.45", "length cubit"))
+
+
+def test_units_and_names_of_an_npz(tmp_path):
+    positions = np.random.default_rng(1).normal(size=(5, 4, 3))
+    np.savez(tmp_path / "x.npz", positions=positions, rate=60, unit=np.array(b"mm"), names=np.array(["a", "b"]))
+    motion = formats.read(tmp_path / "x.npz")
+    assert np.allclose(motion.positions, positions / 1000)
+    assert "no list of 4 names" in notes(motion)
+    np.savez(tmp_path / "x.npz", positions=positions, rate=60)
+    assert "unit m (--unit)" in notes(formats.read(tmp_path / "x.npz"))
+
+
+@pytest.mark.parametrize(("scale", "noted"), [(1, True), (257, False)])
+def test_colours_of_16_bits_in_either_range(tmp_path, scale, noted):
+    colours = [(10, 200, 255), (0, 1, 2)]
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "".join(f"property ushort {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
+    rows = [f"0 0 {i} " + " ".join(str(scale * value) for value in colour) for i, colour in enumerate(colours)]
+    (tmp_path / "1.ply").write_text(head + "\n".join(rows) + "\n")
+    clouds = formats.read(tmp_path, rate=15)
+    assert isinstance(clouds, PointClouds)
+    assert clouds.colours is not None
+    assert clouds.colours[0].tolist() == [list(colour) for colour in colours]
+    assert ("16-bit" in notes(clouds)) == noted
+
+
+TABLE = "time\tA_x\tA_y\tA_z\tB_x\tB_y\tB_z\n" + "\n".join(
+    f"{i / 100:.2f}\t{i}.5\t1.5\t2.5\t3.5\t4.5\t{i}.25" for i in range(5)
+)
+
+
+def table(tmp_path, name: str, text: str, **options) -> Motion:
+    (tmp_path / name).write_text(text)
+    motion = formats.read(tmp_path / name, **options)
+    assert isinstance(motion, Motion)
+    return motion
+
+
+@pytest.mark.parametrize("word", ["NA", "null", "-", "-nan(ind)", "1.#QNAN"])
+def test_words_for_gaps_in_tables(tmp_path, word):
+    gappy = TABLE.replace("0.5\t1.5\t2.5", f"{word}\t{word}\t{word}", 1)
+    for name, text in (("x.sto", f"x\nendheader\n{gappy}\n"), ("x.csv", gappy.replace("\t", ",") + "\n")):
+        motion = table(tmp_path, name, text)
+        assert motion.gaps.sum() == 1
+        assert motion.gaps[0, 0]
+
+
+def test_decimal_commas_in_a_sto(tmp_path):
+    right = table(tmp_path, "x.sto", f"x\nendheader\n{TABLE}\n")
+    motion = table(tmp_path, "x.sto", f"x\nendheader\n{TABLE.replace('.', ',')}\n")
+    assert np.array_equal(motion.positions, right.positions)
+
+
+def test_quaternions_of_a_sto_are_no_points(tmp_path):
+    rows = "\n".join(f"{i / 100}\t1,0,0,0\t0.6,0.8,0,0" for i in range(5))
+    motion = table(tmp_path, "x.sto", f"x\nDataType=Quaternion\nendheader\ntime\tpelvis\ttorso\n{rows}\n")
+    assert motion.points == 0
+    assert motion.extras["signals"].values.shape == (5, 8)
+    assert motion.extras["signals"].values[0].tolist() == [1, 0, 0, 0, 0.6, 0.8, 0, 0]
+    formats.write(tmp_path / "y.sto", motion)
+    assert table(tmp_path, "z.sto", (tmp_path / "y.sto").read_text()).points == 0
+
+
+def test_csv_of_spreadsheets(tmp_path):
+    right = table(tmp_path, "x.csv", TABLE.replace("\t", ",") + "\n")
+    lines = TABLE.replace("\t", ";").split("\n")
+    for text in (
+        "sep=;\n" + "\n".join(lines).replace(".", ",") + "\n",
+        "\n".join(f"{line};" for line in lines) + "\n",
+        "\n".join([";" + lines[0], *(f"{i};{line}" for i, line in enumerate(lines[1:]))]) + "\n",
+    ):
+        motion = table(tmp_path, "x.csv", text)
+        assert np.array_equal(motion.positions, right.positions)
+        formats.write(tmp_path / "y.csv", motion)
+        assert np.array_equal(formats.read(tmp_path / "y.csv").positions, right.positions)

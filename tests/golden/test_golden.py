@@ -41,6 +41,8 @@ def test_golden_file_decodes_to_its_twin(path: Path):
     if "rotations" in twin:
         assert motion.rotations is not None
         assert np.abs(motion.rotations - np.array(twin["rotations"])).max() <= 1e-9
+    if "signals" in twin:
+        assert repr(write.described_signals(motion)) == repr(twin["signals"])  # repr: NaN and −0 count
     assert (motion.rate, motion.up, list(motion.names)) == (twin["rate"], twin["up"], twin["names"])
 
 

@@ -3,9 +3,9 @@
     python tests/golden/write.py              write the missing files
     python tests/golden/write.py NAME …       write these files again, if the version in the twin is this package's
 
-`NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres; for
-point clouds, positions to a micrometre and colours. A file of an earlier version is never overwritten. lien2006-lines
-has a form that the codec no longer writes.
+`NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres
+and signals; for point clouds, positions to a micrometre and colours. A file of an earlier version is never
+overwritten. lien2006-lines has a form that the codec no longer writes.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from typing import Any
 import numpy as np
 
 import mocodec
+from mocodec import channels
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
-from mocodec.motion import Motion, Skeleton
+from mocodec.motion import Motion, Signal, Skeleton
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, hinged_figures, sequences, synthetic
+from mocodec.testing import signals as signal_cases
 
 HERE = Path(__file__).parent
 
+LABELS = ("V1", "V2", "V3", "V4", "Fz", "My", "EMG", "Sync", "Phase", "Odd")
 MARKERS = ["C7", "LSHO", "RSHO", "LFWT", "RFWT", "LKNE", "LHEE", "RTOE"]
 
 
@@ -106,6 +109,22 @@ def figure_with_translations() -> Motion:
     return hinged_figures.with_translations(48)
 
 
+def with_signals() -> Motion:
+    """`markers` with signals: a plate's sensors and forces, EMG, counts, channels of few values, and odd floats."""
+    plate = signal_cases.plate(960)
+    emg = signal_cases.filtered_counts(960)
+    still = np.full((960, 1), 0.25, np.float32)
+    few = np.random.default_rng(15).choice(signal_cases.noise(12, 40.0, 16).astype(np.float32), (960, 1))
+    odd = np.concatenate([signal_cases.odd_floats(480), signal_cases.noise(480, 1.0)[:, None].astype(np.float32)])
+    floats = np.concatenate([plate, emg, still, few, odd], axis=1)
+    counts = np.rint(signal_cases.slow(1920, 900)[:, None] + signal_cases.noise(3840, 4).reshape(1920, 2))
+    extras = {
+        "analog": Signal(floats, 1200.0, LABELS, ("V",) * 4),
+        "counts": Signal(counts.astype(np.int16), 2400.0, ("Fx", "Fy")),
+    }
+    return replace(markers(), extras=extras)
+
+
 def jumper() -> PointClouds:
     """Three frames of a jumping person, 240 points each; the middle frame has only four."""
     clouds = sequences.record(PERFORMANCE, 240, seed=14)
@@ -148,8 +167,11 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "rotations-own-frame": (own_frame_figure, "tempo", {"max_error": 0.01}),
     "rotations-translations": (figure_with_translations, "tempo", {"max_error": 0.005}),
     "rotations-lossless": (figure, "lossless", {}),
+    "signals-exact": (with_signals, "tempo", {"max_error": 0.005}),
+    "signals-12bit": (with_signals, "tempo", {"max_error": 0.005, "signal_error": "12bit"}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
+    "bodycast-jumper-bounded": (jumper, "bodycast", {"max_error": 0.004, **SKELETON}),
 }
 
 
@@ -182,12 +204,27 @@ def write(name: str, folder: Path = HERE) -> None:
     text = json.dumps(about, indent=2)[:-2]
     if isinstance(decoded, Motion) and decoded.rotations is not None:
         frames["rotations"] = decoded.rotations
+    if isinstance(decoded, Motion) and decoded.extras:
+        text += f',\n  "signals": {json.dumps(described_signals(decoded))}'
     for key, values in frames.items():
         lines = [
             json.dumps([None if np.isnan(p[0]) else [round(c, digits) for c in p] for p in f.tolist()]) for f in values
         ]
         text += f',\n  "{key}": [\n    ' + ",\n    ".join(lines) + "\n  ]"
     twin.write_text(text + "\n}\n")
+
+
+def described_signals(motion: Motion) -> dict[str, Any]:
+    """Rate, type, labels and all values of each signal; NaN and infinities as Python writes them."""
+    return {
+        path: {
+            "rate": signal.rate,
+            "dtype": np.dtype(signal.dtype).str,
+            "labels": list(signal.labels),
+            "values": np.asarray(signal.values).tolist(),
+        }
+        for path, signal in channels.signals(motion.extras)
+    }
 
 
 if __name__ == "__main__":

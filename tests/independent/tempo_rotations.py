@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from math import atan2, cos, pi, sin, sqrt
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,10 @@ FIXED, HUB, SWING, FREE, HINGE, HINGE_CODED, UNIVERSAL, UNIVERSAL_REFINED, UNIVE
 SIDE = (0, 0, 1, 4, 0, 1, 0, 1, 2)
 ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 ONE = np.array([1.0, 0, 0, 0])
+PAGE = Path(__file__).parents[2] / "docs" / "payloads" / "tempo-rotations.md"
+LISTED = re.findall(r"^    (\d.*)$", PAGE.read_text().split("### Reference rules")[1].split("###")[0], re.MULTILINE)
+REFERENCE = np.array([row.split()[1:] for row in " ".join(LISTED).split("; ")], int)
+"""(31, 8): rule, flags, form, locked, pair, usual rotation."""
 
 
 class Tree(NamedTuple):
@@ -130,15 +136,21 @@ class Layer:
     def __init__(self, data: bytes, tree: Tree) -> None:
         part = Bytes(data)
         self.tree, count = tree, len(tree.parents)
-        self.own_frame, self.reach = bool(part.take(1)[0]), part.float64()
-        part.varint()
-        sizes = [part.varint() for _ in range(3)]
+        self.own_frame, units = bool(part.take(1)[0]), part.varint()
+        self.reach = units / 10_000 if units else part.float64()
+        known = REFERENCE if part.varint() else np.zeros((count, 8), int)
+        digits, _, angle_count = (part.varint() for _ in range(3))
+        sizes = [part.varint() for _ in range(4)]
         rows, usual = (integers(part.take(size), count, width) for size, width in zip(sizes, (5, 3), strict=False))
-        constants = np.frombuffer(part.take(sizes[2]), "<f8").tolist()
+        steps = integers(part.take(sizes[2]), angle_count, 1)
+        constants = np.frombuffer(part.take(sizes[3]), "<f8").tolist()
+        self.angles = [float(np.radians(row[0] / 10**digits)) for row in steps]
         self.joints = [
-            self.joint(j, row, np.array(v) / 16, constants) for j, (row, v) in enumerate(zip(rows, usual, strict=True))
+            self.joint(j, (np.array(row) + known[j, :5]).tolist(), (np.array(v) + known[j, 5:]) / 16, constants)
+            for j, (row, v) in enumerate(zip(rows, usual, strict=True))
         ]
         assert not constants
+        assert not self.angles
         self.count = 0
         for joint in self.joints:
             joint.first = self.count
@@ -158,13 +170,18 @@ class Layer:
         size = sqrt(v @ v)
         usual = about(v / size, size) if size else ONE
         found = Joint(rule, bool(flags & 1), -1 if flags & 2 else 1, usual, divmod(pair, len(self.tree.parents)))
-        if rule == FIXED:
-            found.usual = np.array([constants.pop(0) for _ in range(4)]) if form else ONE
-        elif form == 7:
+        if form == 7:
             assert self.tree.limits is not None
             orders, frames, ranges = self.tree.limits
             found.order, found.frame = orders[j], frames[j]
             found.locked = [0.0 if (r == 0).all() else None for r in ranges[j]]
+        if rule == FIXED and form == 7:
+            found.usual = found.of_angles([self.angles.pop(0) for _ in range(found.locked.count(None))])
+            found.order = ""
+        elif rule == FIXED:
+            found.usual = np.array([constants.pop(0) for _ in range(4)]) if form else ONE
+        elif form == 7:
+            pass
         elif form:
             found.order = ORDERS[form - 1]
             kinds = [locked // 9, locked // 3 % 3, locked % 3]

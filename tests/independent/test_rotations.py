@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,9 @@ import pytest
 
 import mocodec as mc
 from mocodec.codecs.tempo import Tempo
-from mocodec.codecs.tempo.rotation_layer import encoder, payload, record
+from mocodec.codecs.tempo.rotation_layer import encoder, payload, record, reference
 from mocodec.encoded import Encoded
+from mocodec.geometry import kinematics
 from mocodec.motion import Motion
 from mocodec.testing import hinged_figures
 
@@ -77,3 +79,21 @@ def test_trees_with_every_rule() -> None:
         angles[:, 4, 1:] = 0.0
         for own_frame in (False, True):
             check(Tempo(mean_error=0.004).encode(hinged_figures.tree(parents, offsets, angles, own_frame)))
+
+
+def test_departures_from_reference_rules(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "numbers", lambda joints: [1])
+    offsets = np.random.default_rng(31).normal(0, 0.1, (31, 3))
+    angles = hinged_figures.curves(6, 93, 3, 0.3).reshape(6, 31, 3)
+    check(Tempo(mean_error=0.01).encode(hinged_figures.tree(tuple(range(-1, 30)), offsets, angles, True)))
+
+
+def test_constant_angles_that_limits_say() -> None:
+    motion = hinged_figures.figure(12, own_frame=True)
+    assert motion.rotations is not None
+    assert motion.skeleton is not None
+    rotations = motion.rotations.copy()
+    rotations[:, 2] = np.cos(np.radians(7.125) / 2), np.sin(np.radians(7.125) / 2), 0, 0
+    root = motion.positions[:, 0] - motion.skeleton.offsets[0]
+    positions = kinematics.forward(motion.skeleton, rotations, root, own_frame=True)
+    check(Tempo(mean_error=0.01).encode(replace(motion, rotations=rotations, positions=positions)))

@@ -8,7 +8,7 @@ import pytest
 import mocodec as mc
 from mocodec.errors import BadInput
 from mocodec.motion import Motion, Signal
-from mocodec.signals import bounds
+from mocodec.signals import bounds, codec, forms
 from mocodec.testing.signals import noise, plate, slow
 
 
@@ -94,3 +94,26 @@ def test_forces_that_follow_from_sensors_stay_exact() -> None:
     signal = Signal(values, 1000.0, tuple("abcdef"))
     changed = bounds.bounded({"a": signal}, "12bit")["a"].values
     assert changed.tobytes() == values.tobytes()
+
+
+def test_counts_that_differ_in_their_last_bits_become_counts() -> None:
+    counts = np.rint(slow(3000, 40) + noise(3000, 3))
+    jitter = np.float32(1) + np.arange(3000).astype(np.float32) % 3 * np.float32(2e-7)
+    values = ((counts * 0.1 - 7.3).astype(np.float32) * jitter)[:, None]
+    extras = {"a": Signal(values, 1000.0, ("Fz",), ("N",))}
+    changed = bounds.bounded(extras, "12bit")
+    assert not list(bounds.broken(extras, changed, "12bit"))
+    assert len(np.unique(changed["a"].values)) == len(np.unique(counts))
+
+
+def test_steps_are_found_again() -> None:
+    values = np.stack([slow(400, size) + noise(400, size / 50) for size in (1e-3, 0.7, 31, 4e4)], axis=1)
+    for offset in (0.0, 900.0):
+        signal = Signal((values + offset).astype(np.float32), 100.0, tuple("abcd"))
+        changed = np.asarray(bounds.bounded({"a": signal}, "0.5%")["a"].values)
+        found = codec.encode(changed, 100.0)
+        assert found is not None
+        for column, form in zip(changed.T, found[0].forms, strict=True):
+            if offset < 1000 * np.ptp(column):
+                assert form.kind == forms.COUNTS
+                assert len(np.unique(np.round(column / form.step))) == len(np.unique(column))

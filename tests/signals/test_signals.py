@@ -144,3 +144,11 @@ def test_circles_and_constants_are_no_references() -> None:
     ):
         with pytest.raises(Corrupt, match="refer"):
             chunks.decode(payload, channel_forms, np.dtype(np.int16), 3, [0])
+
+
+def test_a_coarser_step_is_preferred_to_one_of_another_channel() -> None:
+    steps = np.rint(slow(3000, 500) + noise(3000, 20))
+    values = np.stack([steps * 2.0**-20, steps[::-1] * 0.75], axis=1).astype(np.float32)
+    found = codec.encode(values, 1000.0)
+    assert found is not None
+    assert [form.step for form in found[0].forms] == [2.0**-20, 0.75]

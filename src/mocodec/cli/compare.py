@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 
-from .. import metrics, plots
+from .. import api, cloud_plots, metrics, plots
 from ..encoded import Recording
 from ..errors import BadInput
-from ..metrics import point_clouds
 from ..motion import Motion
 from ..pointcloud import PointClouds
-from . import files, quantities
-
-CLOUD_FRAMES = 12
-"""How many frames of point clouds are measured."""
+from . import clouds, files, quantities
 
 
 @click.command("compare")
@@ -60,10 +54,13 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     with files.working(f"reading {a} and {b}"):
         original, other = read_both(a, b, options)
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):
-        if plot or poses:
-            raise click.UsageError("--plot and --poses work for motions only, not for point clouds")
-        result = compare_clouds(original, other, stored_bytes(b) or stored_bytes(a))
-        files.echo(clouds_as_text(result, as_json))
+        stored = stored_bytes(b) or stored_bytes(a)
+        result = clouds.comparison(original, other, stored, tracked_body(b) or tracked_body(a))
+        files.echo(clouds.as_text(result, as_json))
+        heading = f"{Path(b).name} against {Path(a).name}: {len(original):,} frames of points"
+        for path in filter(None, (plot, poses)):
+            draw = cloud_plots.errors if path == plot else cloud_plots.side_by_side
+            plots.save(draw(original, other, heading), path)
         return
     if not isinstance(original, Motion) or not isinstance(other, Motion):
         raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")
@@ -73,6 +70,16 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         if path:
             draw = plots.errors if path == plot else plots.recording
             plots.save(draw(original, other, title(a, b, comparison)), path)
+
+
+def tracked_body(name: str) -> Motion | None:
+    """The first body that a .mocz of point clouds was coded with; None without one, and for other files."""
+    if name == "-" or not files.is_mocz(name):
+        return None
+    with api.open(files.source_of(name)) as opened:
+        if not hasattr(opened.codec, "track") or not len(opened.encoded.shared):
+            return None
+        return cast("Motion", cast(Any, opened.codec).track(opened.encoded))
 
 
 def title(a: str, b: str, result: metrics.Comparison) -> str:
@@ -106,38 +113,6 @@ def options_for(name: str, both: tuple[str, str], options: dict[str, Any]) -> di
 def kind(recording: Recording) -> str:
     """The kind of a recording, in words."""
     return "a motion" if isinstance(recording, Motion) else "point clouds"
-
-
-def compare_clouds(a: PointClouds, b: PointClouds, stored: int | None) -> dict[str, float]:
-    """Errors of point clouds against others, over at most CLOUD_FRAMES of their frames, evenly spaced.
-
-    Raises BadInput if they differ in the number of frames.
-    """
-    if len(a) != len(b):
-        raise BadInput(f"cannot compare {len(a)} frames of points with {len(b)}")
-    frames = sorted({round(i * (len(a) - 1) / (CLOUD_FRAMES - 1)) for i in range(CLOUD_FRAMES)}) if len(a) else []
-    frames = [f for f in frames if point_clouds.has_points(a, f) and point_clouds.has_points(b, f)]
-    result: dict[str, float] = {"frames": len(a), "measured_frames": len(frames)}
-    if frames:
-        result |= point_clouds.compare(a, b, frames)
-    if stored:
-        result["ratio"] = a.raw_bytes / stored
-    return result
-
-
-def clouds_as_text(result: dict[str, float], as_json: bool) -> str:
-    """The errors of point clouds, as JSON or as lines; a measure that does not apply (NaN) is null or left out."""
-    if as_json:
-        return json.dumps({name: None if math.isnan(value) else value for name, value in result.items()}, indent=2)
-    lines: list[str] = []
-    for name, value in result.items():
-        if name.endswith("_m"):
-            text = quantities.length(value)
-        else:
-            text = f"{value:.2f} dB" if name.endswith("_db") else f"{value:.6g}"
-        if not math.isnan(value):  # without colours, luma has no error
-            lines.append(f"{name.removesuffix('_m').removesuffix('_db'):16}{text}")
-    return "\n".join(lines)
 
 
 def stored_bytes(name: str) -> int | None:

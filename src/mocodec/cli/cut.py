@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import click
 import numpy as np
@@ -145,7 +145,10 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
         name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)
     }
     settings |= {name: SECOND_BOUND * bound for name, bound in errors.items()}
-    settings.pop("size", None)
+    for name in ("size", "psnr"):  # of the whole file, and of colours that were coded once
+        settings.pop(name, None)
+    if settings.pop("skeleton", None) is not None and hasattr(opened.codec, "track") and len(encoded.shared) == 1:
+        settings["skeleton"] = cast(Any, opened.codec).track(encoded, slice(start, stop))
     signal_error = settings.pop("signal_error", None)
     try:
         again = api.with_options(codecs.codec_class(encoded.codec)(), **settings).encode(part)
@@ -159,6 +162,8 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
 
 
 def _still_true(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings without an error of signals that is relative to their range: that of a part is smaller."""
-    relative = bounds.is_relative(settings.get("signal_error") or "")
-    return {name: value for name, value in settings.items() if name != "signal_error" or not relative}
+    """Settings that also hold for a part: without an error of signals that is relative to their range, which is smaller
+    in a part, and without the mean error of colours.
+    """
+    lost = {"psnr"} | ({"signal_error"} if bounds.is_relative(settings.get("signal_error") or "") else set[str]())
+    return {name: value for name, value in settings.items() if name not in lost}

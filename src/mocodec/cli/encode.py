@@ -16,7 +16,7 @@ from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS
-from . import files, many, quantities, verify
+from . import clouds, files, many, quantities, verify
 
 
 @click.command("encode")
@@ -53,6 +53,7 @@ from . import files, many, quantities, verify
     metavar="S",
     help="Length of the parts that damage spares or loses as a whole; default 4. Shorter ones lose less and cost more.",
 )
+@click.option("--psnr", type=quantities.DECIBELS, help="For point clouds: the colours have at least this PSNR: 40dB.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
 @click.option(
     "--skeleton",
@@ -158,11 +159,11 @@ def encoded(
             blob = api.pack(chosen, recording, signal_error)
         with progress.phase(0.9, 1.0), api.open(blob) as opened:
             decoded, facts = opened[:], opened.info
-    if isinstance(recording, Motion):
-        _, broken = verify.check(targets, recording, decoded, facts)
-        if broken:
-            raise CannotEncode(f"{chosen.name} did not keep its promise, so nothing was written: {'; '.join(broken)}")
-    return recording, measures(recording, decoded, facts), blob
+    found, broken = verify.check(targets, recording, decoded, facts)
+    if broken:
+        raise CannotEncode(f"{chosen.name} did not keep its promise, so nothing was written: {'; '.join(broken)}")
+    record = measures(recording, decoded, facts)
+    return recording, record if isinstance(recording, Motion) else record | found, blob
 
 
 def refuse_file(output: str) -> None:
@@ -211,7 +212,7 @@ def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any])
 
 
 def summary(output: str, record: Mapping[str, Any]) -> str:
-    """One line: bytes, ratio and, for a motion, the measured error."""
+    """One line: bytes, ratio and the measured error."""
     name = "standard output" if output == "-" else output
     stored, extras, raw = record["bytes"], record["extras"] + record["signals"], record["raw_bytes"]
     if not raw:
@@ -223,6 +224,8 @@ def summary(output: str, record: Mapping[str, Any]) -> str:
             f" ({points:.1f} : 1 without {record['signals']:,} bytes of signals and {record['extras']:,} of parameters "
             "and other extras)"
         )
-    if "mean_error" in record:
+    if "d1" in record:
+        line += f", {clouds.in_words(record)}"
+    elif "mean_error" in record:
         line += f", mean error {quantities.length(record['mean_error'])}, max {quantities.length(record['max_error'])}"
     return line

@@ -88,7 +88,21 @@ class Residual(click.ParamType):
         return number
 
 
-LENGTH, TIME, SIZE, RESIDUAL = Length(), Time(), Size(), Residual()
+class Decibels(click.ParamType):
+    """A ratio in dB, above zero."""
+
+    name = "decibels"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        number, unit = split_unit(value) or (-1.0, "")
+        if unit not in ("", "dB") or not 0 < number < float("inf"):
+            self.fail(f"{value!r} is not a number of decibels above zero; write it as 40dB", param, ctx)
+        return number
+
+
+LENGTH, TIME, SIZE, RESIDUAL, DECIBELS = Length(), Time(), Size(), Residual(), Decibels()
 
 
 def setting(codec_class: Any, text: str) -> tuple[str, Any]:

@@ -77,7 +77,7 @@ def report(command: str, records: Sequence[Record], seconds: float) -> dict[str,
     raw = sum(record.get("raw_bytes") or 0 for record in good if record.get("bytes"))
     if raw and totals.get("bytes"):
         totals["ratio"] = raw / totals["bytes"]
-    measured = [record for record in good if record.get("mean_error") is not None]
+    measured = [record for record in good if None not in (record.get("mean_error"), record.get("max_error"))]
     if samples := sum(record["samples"] for record in measured):
         totals["mean_error"] = sum(record["mean_error"] * record["samples"] for record in measured) / samples
         worst = max(measured, key=lambda record: record["max_error"])

@@ -16,8 +16,9 @@ from .. import api, formats, metrics
 from ..channels import signals
 from ..errors import BadInput
 from ..motion import Motion, Signal
+from ..pointcloud import PointClouds
 from ..signals import bounds
-from . import PROMISE_BROKEN, BrokenPromise, files, many, quantities
+from . import PROMISE_BROKEN, BrokenPromise, clouds, files, many, quantities
 
 SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the last bit of a sum
 
@@ -103,8 +104,8 @@ def checked(file: str, against: str | None, **options: Any) -> dict[str, Any]:
         with files.working(f"reading {against}"):
             source = files.read(against, **options)
         comparison, broken = check(report["promise"], source, decoded, facts, shell_of(settings))
-        samples = int((~source.gaps).sum()) if isinstance(source, Motion) else 0
-        report |= {**comparison, "samples": samples, "promise_kept": not broken, "broken": broken}
+        samples = {"samples": int((~source.gaps).sum())} if isinstance(source, Motion) else {}
+        report |= {**comparison, **samples, "promise_kept": not broken, "broken": broken}
     return report
 
 
@@ -115,13 +116,17 @@ def check(
     facts: Mapping[str, Any],
     shell: float = metrics.SHELL_M,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Measure a decoded motion against its source: the measures, and every broken promise in words.
+    """Measure a decoded recording against its source: the measures, and every broken promise in words.
 
     facts: the `info` of the file. A promised ratio is that of the file without its extras. shell: distance of the
     shell points from their joints, metres.
     """
+    if isinstance(source, PointClouds) and isinstance(decoded, PointClouds):
+        return clouds.check(promise, source, decoded, facts)
     if not (isinstance(source, Motion) and isinstance(decoded, Motion)):
-        raise BadInput("--against works for motions only; `mocodec compare` measures point clouds")
+        raise BadInput(
+            "a motion cannot be checked against point clouds: --against names what the file was encoded from"
+        )
     if source.positions.shape != decoded.positions.shape:
         return {}, [
             f"the source has {len(source)} frames of {source.points} points, "
@@ -217,7 +222,9 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
     text = [f"{report['file']}: undamaged, all {report['frames']:,} frames decode; promise: {promise or 'no bound'}"]
     if against is None:
         return text
-    if "max_error" in report:
+    if "d1" in report:
+        text.append(f"against {against}: {clouds.in_words(report)}")
+    elif "max_error" in report:
         mean, largest = quantities.length(report["mean_error"]), quantities.length(report["max_error"])
         text.append(f"against {against}: mean error {mean}, max {largest}")
         if (pose := report["skeletal"]) is not None:
@@ -227,9 +234,8 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
                 f"shell points {quantities.bound(pose['shell_m'])} off: mean error {mean}, max {largest}; "
                 f"rotations: max {angle}"
             )
-    kept = (
-        "the promise is kept" if report["promise"] else "no bound was promised; names, rate, gaps and extras are equal"
-    )
+    equal = "frames and rate" if "d1" in report else "names, rate, gaps and extras"
+    kept = "the promise is kept" if report["promise"] else f"no bound was promised; {equal} are equal"
     return text + ([f"broken: {what}" for what in report["broken"]] or [kept])
 
 
@@ -241,4 +247,6 @@ def promise_as_text(name: str, value: Any) -> str:
         return quantities.bound(value)
     if name == "max_rotation":
         return f"{value:g}°"
+    if name == "psnr":
+        return f"{value:g} dB"
     return quantities.size(int(value)) if name == "size" else f"{value:g}"

@@ -144,6 +144,30 @@ REFERENCE_OFFSETS: dict[int, tuple[tuple[int, int, int], ...]] = {1: CMU_OFFSETS
 """A typical body for a tree, in steps of 10 µm: offsets are stored as departures from it. CMU: rounded mean of "
 "nine subjects."""
 
+CMU_RANGES = (
+    ((-60, 70), (-70, 70), (-160, 20)), ((0, 0), (0, 0), (-10, 170)), ((-70, 20), (0, 0), (-45, 90)),
+    ((0, 0), (0, 0), (-90, 20)), ((-70, 60), (-70, 70), (-160, 20)), ((-20, 70), (0, 0), (-45, 90)),
+    ((-30, 30), (-30, 30), (-20, 45)), ((0, 20), (-20, 10), (0, 0)), ((-90, 90), (-90, 90), (-60, 90)),
+    ((0, 0), (-180, 0), (0, 0)), ((-45, 45), (0, 0), (-90, 90)), ((0, 0), (0, 0), (0, 90)),
+    ((-45, 45), (0, 0), (-45, 45)), ((-20, 0), (-10, 20), (0, 0)), ((-90, 90), (-90, 90), (-90, 60)),
+    ((0, 0), (0, 0), (0, 0)),
+)  # fmt: skip
+CMU_FRAMES = (
+    (0, 0, 0), (20, 0, 0), (20, 0, -90), (-20, 0, 0), (-20, 0, -90), (-90, -30, 180), (90, 90, 0), (0, 45, -90),
+    (90, 30, 180), (-90, -90, 0), (0, -45, -90),
+)  # fmt: skip
+REFERENCE_LIMITS: dict[int, tuple[tuple[int, int, int], ...]] = {
+    1: (
+        (5, 15, 0), (5, 15, 0), (5, 0, 1), (5, 1, 1), (5, 2, 2), (5, 3, 2), (5, 15, 0), (5, 4, 3), (5, 1, 3), (5, 5, 4),
+        (5, 3, 4), (5, 6, 0), (5, 6, 0), (5, 6, 0), (5, 6, 0), (5, 6, 0), (5, 6, 0), (5, 7, 0), (5, 8, 5), (5, 1, 5),
+        (5, 9, 6), (5, 10, 6), (5, 11, 6), (5, 12, 7), (5, 13, 0), (5, 14, 8), (5, 1, 8), (5, 9, 9), (5, 10, 9),
+        (5, 11, 9), (5, 12, 10),
+    ),
+}  # fmt: skip
+"""Joint limits by number, which others are stored as departures from: of each joint the number of its order, its entry
+in `CMU_RANGES` and its entry in `CMU_FRAMES`, both in degrees; the first joint's axes are unlimited. 1 = Carnegie
+Mellon, ASF, 31 joints. 0 = none."""
+
 WORDS: tuple[str, ...] = (
     "max_error", "mean_error", "ratio", "size", "components", "clip_frames", "quality", "tolerance", "step",
     "frequencies", "format", "units", "unit_m", "first_frame", "file", "axes", "up", "rotation_order", "order",

@@ -98,7 +98,7 @@ def read(
     if not 0 < rate < np.inf:
         raise BadInput(f"{arrays.path}: the frame rate must be positive, not {rate}")
     if up is None and "up" in arrays.names:
-        up = str(arrays.single("up"))
+        up = arrays.word("up")
     vectors = poses.reshape(frames, -1, 3)
     rest, objects = {}, list[str]()
     for name in arrays.names:

@@ -44,7 +44,8 @@ class Point(NamedTuple):
 def find_points(labels: Sequence[str]) -> list[Point]:
     """The points of a table by the labels of its columns; their columns may be in any order and place.
 
-    NAME_px belongs to a force plate, and is no point, where NAME_vx is there too.
+    NAME_px belongs to a force plate, and is no point, where NAME_vx is there too; nor is NAME_1, … where NAME_4 is
+    there, a quaternion.
     """
     found: dict[tuple[str, str], dict[str, int]] = {}
     for column, label in enumerate(labels):
@@ -56,7 +57,12 @@ def find_points(labels: Sequence[str]) -> list[Point]:
     taken = {label.strip() for label in labels}
     points = []
     for (name, kind), columns in found.items():
-        if len(columns) == 3 and not (kind.startswith(("_p", ".p")) and f"{name}{kind[0]}vx" in taken):
+        is_quaternion = kind.endswith("n") and f"{name}_4" in taken
+        if (
+            len(columns) == 3
+            and not is_quaternion
+            and not (kind.startswith(("_p", ".p")) and f"{name}{kind[0]}vx" in taken)
+        ):
             points.append(Point(name, (columns["x"], columns["y"], columns["z"])))
     return points
 

@@ -82,7 +82,8 @@ def guess_up(positions: Floats) -> str:
     if not len(sample):
         return "z"
     lowest, highest = np.nanmin(sample, axis=1), np.nanmax(sample, axis=1)
-    scores = (lowest.std(axis=0) + 0.02) / (np.median(highest - lowest, axis=0) + 1e-6)
+    with np.errstate(invalid="ignore", over="ignore"):  # of infinite positions, which `Motion` refuses
+        scores = (lowest.std(axis=0) + 0.02) / (np.median(highest - lowest, axis=0) + 1e-6)
     return "y" if scores[1] < scores[2] else "z"
 
 

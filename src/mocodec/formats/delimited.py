@@ -28,7 +28,7 @@ from . import nexus, replace_whole
 from .columns import Clock, Point, cell, clock, columns_of, find_points, motion_of
 from .conventions import metres_in, start_s, unit_of, unit_option
 from .opensim import numbers
-from .text import read_text
+from .text import is_gap, read_text
 from .zeros import parked_of, zeros_are_gaps
 
 HOLDS = frozenset({"signals", "columns", "times", "zero_samples"})
@@ -41,6 +41,8 @@ UNIT_WORDS = re.compile(
 )
 COMMENT = re.compile(r"^#(?!\s*[,;\t])")
 """A line that begins with # and is no header whose first label is #."""
+SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\s*\n", re.IGNORECASE)
+"""A first line that tells spreadsheets the separator."""
 HEADER_ROWS = 30
 
 
@@ -80,7 +82,7 @@ def _read(
     text: str, up: str | None, unit: str | float | None, rate: float | None, zeros: bool, salvage: bool
 ) -> Motion:
     notes: list[str] = []
-    lines = text.split("\n")
+    lines = SEPARATOR_LINE.sub("", text).split("\n")
     comments: dict[str, str] = {}
     for line in lines[:HEADER_ROWS]:
         if COMMENT.match(line):
@@ -104,6 +106,8 @@ def _read(
     values = _values(body, len(columns.labels), salvage, notes)
     declared = float(comments["rate"]) if _is_number(comments.get("rate", "")) else columns.rate
     timing, times, drop = _timing(columns, values, declared, rate, notes)
+    unnamed = {column for column, label in enumerate(columns.labels) if not label}
+    drop |= {column for column in unnamed if np.isnan(values[:, column]).all()}
     keep = [column for column in range(len(columns.labels)) if column not in drop]
     place = {column: at for at, column in enumerate(keep)}
     points = [
@@ -116,7 +120,7 @@ def _read(
         source["unit_guessed"] = True
     chosen = unit_option(unit if unit is not None else declared_unit or "m")
     up = up or (comments.get("up") if comments.get("up") in ("x", "y", "z") else None)
-    labels = [columns.labels[column] for column in keep]
+    labels = [columns.labels[column] or f"column {column + 1}" for column in keep]
     motion = motion_of(labels, values[:, keep], points, timing, times, units, chosen, up, zeros, source, notes)
     return _with_sections(motion, sections) if sections else motion
 
@@ -170,7 +174,7 @@ def _plain(rows: list[list[str]]) -> _Columns:
 def _is_data(row: Sequence[str]) -> bool:
     """Whether a row has numbers and nothing else."""
     texts = [text for text in row if text]
-    return bool(texts) and all(map(_is_number, texts))
+    return any(map(_is_number, texts)) and all(_is_number(text) or is_gap(text) for text in texts)
 
 
 def _two_rows(names: list[str], axes: list[str]) -> tuple[list[str], list[Point]]:

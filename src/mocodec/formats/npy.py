@@ -63,6 +63,7 @@ def read(path: str | Path, rate: float | None = None, unit: str | float | None =
         raise BadInput(f"{path}: an NPY has no frame rate; give it with rate= (--rate)")
     units, unit_m = unit_option("m" if unit is None else unit)
     positions[np.isnan(positions).any(axis=2)] = np.nan
+    source |= {"unit_guessed": True} if unit is None else {}
     positions *= unit_m
     source |= {"units": units, "unit_m": unit_m}
     tree = smpl.tree_of(positions)

@@ -105,12 +105,15 @@ def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: s
         if rate_key is None:
             raise BadInput(f"{path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
         rate = float(arrays.single(rate_key))
+    notes: list[str] = []
     names: tuple[str, ...] = ()
     names_key = arrays.first(NAMES)
     if names_key is not None:
         texts = arrays.load(names_key).reshape(-1)
         if texts.dtype.kind in "US" and len(texts) == positions.shape[1]:
             names = tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in texts.tolist())
+        else:
+            notes.append(f"{names_key!r} is no list of {positions.shape[1]} names: it is left out")
     gaps = np.isnan(positions).any(axis=2)
     if key == "markers":
         gaps |= (positions == 0).all(axis=2)
@@ -118,10 +121,11 @@ def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: s
     units, unit_m = _unit(arrays, key, positions, unit)
     positions *= unit_m
     source: dict[str, Any] = {"format": "npz", "units": units, "unit_m": unit_m}
+    source |= {"unit_guessed": True} if unit is None and "unit" not in arrays.names else {}
     if amass.is_body_motion(arrays.names):
-        source["notes"] = [f"positions are those of {key!r}; body model parameters beside them are left out"]
+        notes.append(f"positions are those of {key!r}; body model parameters beside them are left out")
     if up is None and "up" in arrays.names:
-        up = str(arrays.single("up"))
+        up = arrays.word("up")
     if up is None:
         up = guess_up(positions)
         source["up_guessed"] = True
@@ -139,6 +143,8 @@ def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: s
         if not isinstance(source, dict):
             raise BadInput(f"{path}: its 'source' is not a JSON object")
         source = _checked_source(source)
+    elif notes:
+        source["notes"] = notes
     return Motion(positions, rate, names, up, skeleton, rotations, source)
 
 
@@ -194,7 +200,7 @@ def _clouds(arrays: Archive, rate: float | None, unit: str | float | None, up: s
 
 def _unit(arrays: Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
     if unit is None and "unit" in arrays.names:
-        unit = str(arrays.single("unit"))
+        unit = arrays.word("unit")
     if unit is None:
         finite = positions[~np.isnan(positions[:, :, 0])]
         unit = "mm" if key == "markers" and finite.size and np.ptp(finite, axis=0).max() > 100 else "m"

@@ -91,6 +91,11 @@ class Archive:
             raise BadInput(f"{self.path}: array {name!r} is empty")
         return values[0]
 
+    def word(self, name: str) -> str:
+        """The first value of an array as text."""
+        value = self.single(name)
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
 
 def header_of(data: bytes) -> Header:
     """The header of an array's bytes. Raises ValueError where there is none."""

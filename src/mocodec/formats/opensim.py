@@ -25,7 +25,7 @@ from ..typing import Floats
 from . import replace_whole
 from .columns import Point, cell, clock, columns_of, find_points, motion_of
 from .conventions import start_s, unit_of, unit_option
-from .text import read_text
+from .text import is_gap, read_text
 from .zeros import parked_of, zeros_are_gaps
 
 HOLDS = frozenset({"signals", "columns", "times", "zero_samples"})
@@ -72,12 +72,14 @@ def _read(
         raise BadInput("cut off: it has no line of labels")
     notes: list[str] = []
     parts = PARTS.get(keys.get("datatype", "double").lower(), 1)
+    if parts == 1 and any("," in line for line in body[1:]) and not any("." in line for line in body[1:]):
+        body[1:] = [line.replace(",", ".") for line in body[1:]]
     labels, values = _table(body, parts, salvage, notes)
     if not labels or labels[0].lower() not in ("time", "t"):
         raise BadInput(f"its first column is {labels[0] if labels else ''!r:.40}, not time")
     _check_counts(keys, labels, values, parts, salvage, notes)
     times, labels, values = values[:, 0], labels[1:], values[:, 1:]
-    points = find_points(labels)
+    points = find_points(labels) if parts == 1 else []
     if parts == 3:
         points = [Point(labels[i].removesuffix("_1"), (i, i + 1, i + 2)) for i in range(0, len(labels), 3)]
     source: dict[str, Any] = {"format": "sto", "header": [line.rstrip() for line in header]}
@@ -117,8 +119,8 @@ def _parts(text: str, parts: int) -> list[str]:
 
 
 def numbers(rows: Sequence[Sequence[str]], columns: int) -> Floats:
-    """Cells as numbers (rows, columns); empty cells are NaN. Raises BadInput."""
-    flat = [text or "nan" for row in rows for text in row]
+    """Cells as numbers (rows, columns); empty cells and words for gaps are NaN. Raises BadInput."""
+    flat = ["nan" if is_gap(text) else text for row in rows for text in row]
     try:
         return np.array(list(map(float, flat)), np.float64).reshape(len(rows), columns)
     except ValueError:

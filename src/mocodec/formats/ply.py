@@ -154,14 +154,22 @@ def _require_properties(
 
 
 def _colours(frames: list[np.ndarray[Any, np.dtype[Any]]], names: tuple[str, ...], notes: list[str]) -> list[Bytes]:
-    """Colours of all frames as bytes. Floats are 0 … 1 by custom; if any is larger, all are taken as 0 … 255."""
+    """Colours of all frames as bytes.
+
+    Floats are 0 … 1 by custom; if any is larger, all are taken as 0 … 255. So are 16-bit integers if none is larger.
+    """
     floats = (frame[name] for frame in frames for name in names if frame.dtype[name].kind == "f")
     largest = max((float(values.max(initial=0)) for values in floats), default=0.0)
     full_scale = 255.0
     if largest > MAX_UNIT_COLOUR:
         full_scale = 1.0
         notes.append(f"its colours are floats up to {largest:g}: they are taken as 0 to 255, not as 0 to 1")
-    return [as_bytes(columns(frame, names, full_scale)) for frame in frames]
+    shorts = [frame[name] for frame in frames for name in names if frame.dtype[name].str[1:] == "u2"]
+    short_step = 257.0
+    if shorts and 0 < max(int(values.max(initial=0)) for values in shorts) <= 255:
+        short_step = 1.0
+        notes.append("its colours are 16-bit numbers up to 255: they are taken as 0 to 255, not as 0 to 65535")
+    return [as_bytes(columns(frame, names, full_scale, short_step)) for frame in frames]
 
 
 def write(
@@ -333,10 +341,12 @@ def record(element: Element, order: str) -> np.dtype[Any]:
     return np.dtype([(name, order + kind) for name, kind in element.fields])
 
 
-def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...], full_scale: float = 255.0) -> Floats:
+def columns(
+    values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...], full_scale: float = 255.0, short_step: float = 257.0
+) -> Floats:
     """(n, 3) float64 of three named fields; colours are scaled from the range of their type to 0 … 255.
 
-    full_scale: what a colour of 1.0 becomes.
+    full_scale: what a colour of 1.0 becomes. short_step: what becomes 1 of a colour of 16 bits.
     """
     result = np.empty((len(values), len(names)))
     for i, name in enumerate(names):
@@ -345,7 +355,7 @@ def columns(values: np.ndarray[Any, np.dtype[Any]], names: tuple[str, ...], full
         if values.dtype[name].kind == "f" and name not in POSITION + NORMAL:
             result[:, i] *= full_scale
         elif values.dtype[name].kind == "u" and values.dtype[name].itemsize == 2:
-            result[:, i] /= 257.0
+            result[:, i] /= short_step
     return result
 
 

@@ -35,6 +35,8 @@ def plain(text: str) -> str:
 
 def is_gap(cell: str) -> bool:
     """Whether a cell of a table stands for a missing number."""
+    if cell[-1:].isdecimal() and "#" not in cell:
+        return False
     return not cell or cell.isspace() or GAP_WORD.fullmatch(cell.strip()) is not None
 
 

@@ -253,7 +253,7 @@ def _table(rows: list[list[str]], columns: int, path: str) -> Floats:
     for row in rows:
         row.extend([""] * (columns - len(row)))
         for column, cell in enumerate(row):
-            if not (cell[-1:].isdecimal() and "#" not in cell) and is_gap(cell):
+            if is_gap(cell):
                 row[column] = EMPTY_CELL
     table = numbers("\t".join("\t".join(row) for row in rows), path)
     if table.size != len(rows) * columns:

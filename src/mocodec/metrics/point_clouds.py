@@ -8,11 +8,15 @@ judge it, measure a second perfect sample of the same surface as well: its error
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import BadInput
 from ..geometry.normals import estimate
+from ..motion import Motion
 from ..pointcloud import PointClouds
+from ..selection import counted
 from ..typing import AnyInteger, Bytes, Floats
 from . import splats
 
@@ -49,6 +53,24 @@ def y_psnr(a: PointClouds, b: PointClouds, frame: int) -> float:
     return min(psnr(float(np.mean(error**2))) for error in errors)
 
 
+def luma_squares(a: tuple[Floats, Bytes | None], b: tuple[Floats, Bytes | None]) -> Floats:
+    """(2, 2): for a frame (points, colours) of two clouds, from a to b and from b to a: the sum of squared differences
+    of the luma between nearest points, and their number. 0 where either has no points or colours.
+    """
+    (p, c), (q, d) = a, b
+    if c is None or d is None or not len(p) or not len(q):
+        return np.zeros((2, 2))
+    errors = (luma(c) - luma(d)[_nearest(p, q)[1]], luma(d) - luma(c)[_nearest(q, p)[1]])
+    return np.array([[float(np.sum(error**2)), len(error)] for error in errors])
+
+
+def pooled_psnr(squares: Floats) -> float:
+    """PSNR, dB, of sums of `luma_squares` over frames: the lower of both directions; NaN where nothing was compared."""
+    if not squares[:, 1].all():
+        return float("nan")
+    return min(psnr(total / count) for total, count in squares.tolist())
+
+
 def views_psnr(a: PointClouds, b: PointClouds, frame: int, size: int = 256) -> float:
     """Mean PSNR of six rendered views, dB (Lien and Bajcsy 2006, table 1). size: pixels of a view, each side.
 
@@ -81,6 +103,85 @@ def compare(a: PointClouds, b: PointClouds, frames: Iterable[int]) -> dict[str, 
     for name in ("d1", "d2"):
         result[f"{name}_db"] = psnr(result[f"{name}_m"] ** 2, PEAK_M)
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class CloudErrors:
+    """Distances between nearest points of two point clouds, metres, over all frames in which both have points.
+
+    mean_error: the larger of the two means, from a to b and from b to a. max_error: the largest of all distances; ∞ if
+    a frame has points in only one of the two. d1: the mean of the frames' D1. psnr: of luma between nearest points, dB;
+    NaN without colours. frames: numbers of the compared frames. d1_of_frame, max_of_frame (frames,): by frame.
+    """
+
+    mean_error: float
+    max_error: float
+    d1: float
+    psnr: float
+    points: int
+    frames: list[int]
+    d1_of_frame: Floats
+    max_of_frame: Floats
+
+
+def errors(a: PointClouds, b: PointClouds) -> CloudErrors:
+    """The errors of b against a, which has as many frames. Raises BadInput for other numbers of frames."""
+    if len(a) != len(b):
+        raise BadInput(f"the first has {counted(len(a), 'frame')}, the second {len(b):,}")
+    sums, squares = np.zeros((2, 2)), np.zeros((2, 2))
+    frames, d1s, largest, alone = list[int](), list[float](), list[float](), False
+    for frame in range(len(a)):
+        (p, c), (q, d) = splats.finite_points(a, frame), splats.finite_points(b, frame)
+        alone |= (len(p) > 0) != (len(q) > 0)
+        if not len(p) or not len(q):
+            continue
+        (there, to_q), (back, to_p) = _nearest(p, q), _nearest(q, p)
+        sums += [[float(there.sum()), len(there)], [float(back.sum()), len(back)]]
+        if c is not None and d is not None:
+            for k, difference in enumerate((luma(c) - luma(d)[to_q], luma(d) - luma(c)[to_p])):
+                squares[k] += [float(np.sum(difference**2)), len(difference)]
+        frames.append(frame)
+        d1s.append(max(float(np.sqrt(np.mean(gap**2))) for gap in (there, back)))
+        largest.append(max(float(there.max()), float(back.max())))
+    means = sums[:, 0] / np.maximum(sums[:, 1], 1)
+    return CloudErrors(
+        float(means.max()), float("inf") if alone else max(largest, default=0.0), float(np.mean(d1s)) if d1s else 0.0,
+        pooled_psnr(squares), int(sums[0, 1]), frames, np.array(d1s), np.array(largest),
+    )  # fmt: skip
+
+
+def errors_by_joint(a: PointClouds, b: PointClouds, body: Motion, frames: Iterable[int]) -> dict[str, float]:
+    """Mean distance, metres, from points of a to the nearest of b, for the points nearest to each joint of a body.
+
+    body: as many frames as a. Joints that no point is nearest to are left out.
+    """
+    sums, counts = np.zeros(body.points), np.zeros(body.points, np.int64)
+    for frame in frames:
+        (p, _), (q, _) = splats.finite_points(a, frame), splats.finite_points(b, frame)
+        known = np.flatnonzero(np.isfinite(body.positions[frame]).all(axis=1))
+        if not len(p) or not len(q) or not len(known):
+            continue
+        joint = known[_nearest(p, body.positions[frame][known])[1]]
+        sums += np.bincount(joint, _nearest(p, q)[0], body.points)
+        counts += np.bincount(joint, minlength=body.points)
+    return {body.names[j]: float(sums[j] / counts[j]) for j in np.flatnonzero(counts).tolist()}
+
+
+def resampling_floor(clouds: PointClouds, frames: Iterable[int]) -> float:
+    """About the D1, metres, that a second perfect sample of the same surface scores, with as many points.
+
+    Measured between two random halves of each frame; distances fall with the root of the number of points. Of a noisy
+    recording the floor contains the noise. NaN without frames of two points.
+    """
+    rng, found = np.random.default_rng(0), list[float]()
+    for frame in frames:
+        points = splats.finite_points(clouds, frame)[0]
+        if len(points) < 2:
+            continue
+        half = rng.permutation(len(points))
+        p, q = points[half[: len(points) // 2]], points[half[len(points) // 2 :]]
+        found.append(max(float(np.sqrt(np.mean(gap**2))) for gap in (_nearest(p, q)[0], _nearest(q, p)[0])))
+    return float(np.mean(found) / np.sqrt(2)) if found else float("nan")
 
 
 def has_points(clouds: PointClouds, frame: int) -> bool:

@@ -24,6 +24,7 @@ from ..formats.c3d.analog import scales
 from ..motion import Signal
 from ..typing import Floats
 from . import codec, forms
+from .forms import Form
 
 Array = NDArray[Any]
 
@@ -32,6 +33,12 @@ PREFIXES = {"k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "n": 1e-9}
 BASES = ("N", "V", "m", "Nm", "g", "W", "Pa", "Hz", "s", "A")
 UNITS = {"Nmm": ("Nm", 1e-3), "deg": ("deg", 1.0), "rad": ("rad", 1.0), "cm": ("m", 1e-2)}
 MOST_BITS = 24
+STEP_BITS = 6
+"""Bits of a step for floats."""
+MOST_OWN_STEPS = 8
+"""A bound of more steps of the channel's own does not follow them: it gains little."""
+MIX_ROUNDS = 3
+"""How often a mix of exact and bounded channels is measured and mended."""
 
 
 @dataclass(frozen=True)
@@ -155,11 +162,36 @@ def _on_steps(signal: Signal, allowed: list[float | None]) -> Signal:
             steps = _integers_on_steps if table.dtype.kind in "iu" else _floats_on_steps
             table[:, number] = steps(np.ascontiguousarray(table[:, number]), bound)
     if codec.suits(exact):
-        sizes = [codec.channel_sizes(values, float(signal.rate)) for values in (exact, table)]
-        if None not in sizes:
-            shorter = np.array(sizes[0]) <= np.array(sizes[1])
-            table[:, shorter] = exact[:, shorter]
+        table = _shortest_mix(exact, table, float(signal.rate))
     return replace(signal, values=table.reshape(signal.shape))
+
+
+def _shortest_mix(exact: Array, bounded: Array, rate: float) -> Array:
+    """Channels (samples, channels) of `exact` where they are shorter, otherwise of `bounded`.
+
+    A channel may be short only beside others that are exact, so the mix is measured again and mended.
+    """
+    sizes = [codec.channel_sizes(values, rate) for values in (exact, bounded)]
+    if sizes[0] is None or sizes[1] is None:
+        return bounded
+    of_exact, of_bounded = (np.array(size) for size in sizes)
+    best, least = (exact, of_exact.sum()) if of_exact.sum() <= of_bounded.sum() else (bounded, of_bounded.sum())
+    keep = of_exact <= of_bounded
+    for _ in range(MIX_ROUNDS):
+        if keep.all() or not keep.any():
+            break
+        mix = np.where(keep, exact, bounded)
+        found = codec.channel_sizes(mix, rate)
+        if found is None:
+            break
+        of_mix = np.array(found)
+        if of_mix.sum() < least:
+            best, least = mix, of_mix.sum()
+        longer = keep & (of_mix > of_bounded)
+        if not longer.any():
+            break
+        keep &= ~longer
+    return best
 
 
 def _integers_on_steps(values: Array, bound: float) -> Array:
@@ -178,16 +210,46 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     exact = values.astype(np.float64)
     finite = exact[np.isfinite(exact)]
     rounding = float(np.spacing(np.abs(finite).max(initial=0.0).astype(values.dtype)))
-    form = forms.fit(values, [])
-    own = form.step if form is not None and form.kind == forms.COUNTS and not form.offset else 0.0
-    step = 2 * bound - 2 * rounding
-    if own:
-        step = own * (2 * int(max(0.0, bound - 2 * rounding) / own) + 1)
-    if not step > max(rounding, own):
+    step = _few_bits(2 * bound - 2 * rounding, rounding)
+    own = _own_steps(values, bound, rounding)
+    if own is not None and own.step > step:
+        on_own = _within(forms.rounded(own, values), values, bound)
+        if np.array_equal(on_own, values, equal_nan=True):
+            return values
+        found = forms.fit(on_own, [])
+        if found is not None and found.kind == forms.COUNTS:
+            return on_own
+    if not step > rounding:
         return values
+    return _within(forms.rounded(Form(forms.COUNTS, step), values), values, bound)
+
+
+def _few_bits(step: float, rounding: float) -> float:
+    """The next lower number of up to STEP_BITS bits, so few that its multiples are exact in the type of the values:
+    then the step can be found from them. rounding: the last bit of the largest value."""
+    mantissa, exponent = np.frexp(step)
+    bits = int(np.clip(exponent - np.frexp(rounding)[1], 1, STEP_BITS))
+    return float(np.ldexp(np.floor(np.ldexp(mantissa, bits)), int(exponent) - bits))
+
+
+def _own_steps(values: Array, bound: float, rounding: float) -> Form | None:
+    """Counts, or odd multiples of them, that are within the bound everywhere; None if the values are no counts."""
+    usual = values[np.isfinite(values) & (values != 0)]
+    best, least = None, np.inf
+    for form in forms.count_forms(values):
+        deviation = float(np.abs(forms.rounded(form, usual).astype(np.float64) - usual).max(initial=0.0))
+        spare = bound - deviation - rounding
+        are_counts = spare >= 0 and deviation < form.step / 8 and bound < MOST_OWN_STEPS * form.step
+        if are_counts and deviation < least:
+            least = deviation
+            best = Form(forms.COUNTS, form.step * (2 * int(spare / form.step) + 1), form.offset)
+    return best
+
+
+def _within(rounded: Array, values: Array, bound: float) -> Array:
+    """Rounded values where they are within the bound, otherwise the values."""
     with np.errstate(all="ignore"):
-        rounded = (np.rint(exact / step) * step + 0.0).astype(values.dtype)
-        within = np.abs(rounded.astype(np.float64) - exact) <= bound
+        within = np.abs(rounded.astype(np.float64) - values.astype(np.float64)) <= bound
     return np.where(within, rounded, values)
 
 

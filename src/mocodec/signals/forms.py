@@ -25,6 +25,7 @@ from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Booleans, Integers
+from . import steps
 
 Array = NDArray[Any]
 
@@ -43,7 +44,6 @@ GRID_BITS = 28
 MAX_CORRECTION = 1 << 20
 CORRECTION_COST = 2.0
 """Bits a sample that corrections take beyond the logarithm of their size."""
-SAMPLE = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -139,19 +139,27 @@ def fit(values: Array, known: list[Form]) -> Form | None:
         low, high = int(values.min()), int(values.max())
         step = _common_step(values) if high < 1 << 62 else 1
         return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
+    binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
     for form in known:
-        if _gives_back(form, values):
+        if form.step > 0.9 * binary and _gives_back(form, values):
             return form
-    candidates = _counts(values)
-    exact = [form for form in candidates if _gives_back(form, values)]
-    best = min(exact, key=lambda form: int(_nearest(form, values)[1].sum()), default=None)
+    candidates = count_forms(values)
+    best = _largest_step([form for form in candidates if _gives_back(form, values)], values)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
+
+
+def _largest_step(exact: list[Form], values: Array) -> Form | None:
+    """The form with the fewest special samples; among equal ones the first of about the largest step."""
+    special = [int(_nearest(form, values)[1].sum()) for form in exact]
+    fewest = [form for form, count in zip(exact, special, strict=True) if count == min(special)]
+    largest = max((form.step for form in fewest), default=0.0)
+    return next((form for form in fewest if form.step > 0.99 * largest), None)
 
 
 def _common_step(values: Array) -> int:
     """The greatest common divisor of integers."""
     step = 0
-    for part in (values[:SAMPLE], values[SAMPLE:]):
+    for part in (values[: steps.SAMPLE], values[steps.SAMPLE :]):
         step = int(np.gcd(step, np.gcd.reduce(np.unique(part.astype(np.int64))))) if len(part) else step
         if step == 1:
             break
@@ -200,6 +208,14 @@ def inverse(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any
         last, width = _last_bit(form, size, dtype)
         mantissa = np.where(width > 0, size << width | extra, size >> np.maximum(0, last - form.exponent))
         return np.ldexp(np.copysign(mantissa.astype(np.float64), integers), last.astype(np.int32)).astype(dtype)
+
+
+def rounded(form: Form, values: Array) -> Array:
+    """The nearest values of counts to values (samples,), of the same type."""
+    with np.errstate(all="ignore"):
+        return (np.rint((values.astype(np.float64) - form.offset) / form.step) * form.step + form.offset + 0.0).astype(
+            values.dtype
+        )
 
 
 def extra_widths(form: Form, integers: Integers, dtype: np.dtype[Any]) -> Integers:
@@ -334,38 +350,7 @@ def _are_few(special: Booleans, values: Array) -> bool:
     return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
 
 
-def _counts(values: Array) -> list[Form]:
-    """Forms of counts that may give a channel of floats back: step and offset from the gaps between its values."""
-    finite = values[np.isfinite(values)].astype(np.float64)
-    if len(finite) < 2:
-        return []
-    distinct = np.unique(finite[:: max(1, len(finite) // SAMPLE)])
-    largest = np.abs(distinct).max()
-    gaps = np.diff(distinct)
-    gaps = gaps[gaps > largest * 2.0 ** (2 - MANTISSA_BITS[values.dtype.itemsize])]
-    if not len(gaps) or (distinct[-1] - distinct[0]) / gaps.min() > MAX_INTEGER:
-        return []
-    gap = float(np.median(gaps[gaps <= 1.3 * gaps.min()]))
-    forms = []
-    for offset in (0.0, float(distinct[np.abs(distinct).argmin()]), float(distinct[len(distinct) // 2])):
-        step, counts = _refined(distinct, gap, offset)
-        forms += [(step, offset), (float(np.float32(step)), offset)]
-        if offset and len(distinct) > 2 and np.ptp(counts):
-            slope, intercept = np.polyfit(counts, distinct, 1)
-            forms += [(float(slope), float(intercept)), (float(slope), float(np.float32(intercept)))]
-    return [Form(COUNTS, step, offset) for step, offset in dict.fromkeys(forms) if step > 0]
-
-
-def _refined(distinct: NDArray[np.float64], step: float, offset: float) -> tuple[float, NDArray[np.float64]]:
-    """The step of which values − offset are multiples, refined on ever larger multiples, and these multiples."""
-    from_offset = distinct - offset
-    by_size = from_offset[np.argsort(np.abs(from_offset))]
-    count = 2
-    while True:
-        part = by_size[:count]
-        multiples = np.rint(part / step)
-        if (square := float((multiples * multiples).sum())) > 0:
-            step = float((part * multiples).sum() / square) or step
-        if count >= len(by_size):
-            return step, np.rint(from_offset / step)
-        count *= 2
+def count_forms(values: Array) -> list[Form]:
+    """Forms of counts that may give a channel of floats back."""
+    usable = steps.candidates(values, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
+    return [Form(COUNTS, step, offset) for step, offset in usable]

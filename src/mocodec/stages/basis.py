@@ -56,16 +56,7 @@ def completed(basis: Floats, components: int | None = None, excluded: Floats | N
     ones leave. They depend on sums of floats, so no entropy coder may depend on them.
     """
     known = basis if excluded is None else np.concatenate([basis, excluded], axis=1)
-    rest, mirrors = known.copy(), list[Floats]()
-    for i in range(known.shape[1]):
-        mirror = rest[i:, i].copy()
-        mirror[0] += 1.0 if mirror[0] >= 0 else -1.0
-        mirror /= np.sqrt(mirror @ mirror)
-        _reflect(rest[i:], mirror)
-        mirrors.append(mirror)
-    missing = np.eye(len(known))[:, known.shape[1] :]
-    for i, mirror in reversed(list(enumerate(mirrors))):
-        _reflect(missing[i:], mirror)
+    missing = np.linalg.qr(known, mode="complete")[0][:, known.shape[1] :]
     return np.concatenate([basis, missing], axis=1)[:, :components]
 
 

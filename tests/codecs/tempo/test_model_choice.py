@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mocodec.codecs.tempo import Tempo, model_choice
-from mocodec.codecs.tempo.codec import chunk_bounds
-from mocodec.codecs.tempo.models import Recording
+from mocodec.codecs.tempo.models import Recording, marker_fitting
+from mocodec.codecs.tempo.preparation import chunk_bounds
 from mocodec.motion import Motion
+from mocodec.testing import synthetic
 
 from .motions import header, named_points
 
@@ -37,3 +38,18 @@ def test_a_stream_that_has_not_begun_takes_directions_if_it_has_a_skeleton() -> 
     motion = named_points(10)
     assert model_choice.choose(Recording([], motion, -200)).header.model == "points-prior"
     assert model_choice.choose(Recording([], Motion(motion.positions, 120.0), -200)).header.model is None
+
+
+def test_markers_are_placed_on_bones_only_where_a_stored_basis_takes_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    def fit(positions: list[np.ndarray], *_: object) -> None:
+        tried.append(sum(map(len, positions)))
+
+    monkeypatch.setattr(marker_fitting, "fit", fit)
+    for frames, sigma in ((60, 1e-5), (3000, 1e-3)):
+        motion = synthetic.markers(frames=frames, seed=1)
+        noise = np.random.default_rng(1).normal(0, sigma, motion.positions.shape)
+        chunks = [c + noise[: len(c)] for c in np.array_split(motion.positions, -(-frames // 480))]
+        model_choice.choose(Recording(chunks, motion, Tempo(max_error=0.001).first_step(motion)))
+    assert tried == [60]

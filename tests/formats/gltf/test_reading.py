@@ -270,7 +270,7 @@ def armature() -> Build:
     [
         (lambda m: m.turned("z"), True),
         (lambda m: m.turned("x"), True),
-        (lambda m: mc.decode(mc.encode(m, codec="lossless"), mc.Motion), False),
+        (lambda m: mc.decode(mc.encode(m, codec="lossless"), mc.Motion), True),
         (lambda m: m[7:19], True),
         (lambda m: m[::3], True),
         (lambda m: m.resample(24), True),

@@ -59,8 +59,5 @@ def unpack_model(data: bytes) -> BodyModel:
 
 
 def unpack_models(shared: Sequence[bytes]) -> list[BodyModel]:
-    """The models of all bodies of a recording. Raises Corrupt."""
-    models = [unpack_model(data) for data in shared]
-    if not models:
-        raise Corrupt("bodycast: the file has no body's model")
-    return models
+    """The models of all bodies of a recording, none where no body was found. Raises Corrupt."""
+    return [unpack_model(data) for data in shared]

@@ -4,7 +4,7 @@ encode   first frame ─► people ─► trackers: all joints at once ─► po
                                       │
          points of all frames, moved back into the canonical pose ─► atlas: the mean surface, stored once
                                       │                                └─ its changes from frame to frame ─► H.265
-         outliers ─► centimetre cells in an octree; or all points, exactly
+         outliers ─► centimetre cells in an octree; or all points, within a bound or exactly
 decode   atlas ─► points on the surface ──poses, skinning──► points in the world + outliers
 """
 
@@ -25,7 +25,7 @@ from ...motion import Motion
 from ...pointcloud import PointClouds
 from ...typing import Booleans, Bytes, Floats
 from .. import base
-from ..clouds.raw_frames import Cloud, pack_raw_frames, usable_points
+from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable_points
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
 from .body_model import MAX_POINTS, pack_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
@@ -34,6 +34,8 @@ from .encoder import BodyEncoder, CodingParameters
 from .exact_points import pack_exact
 from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
+from .point_encoder import PointEncoder, PointTarget
+from .point_layer import SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
 from .tracking import MIN_BODY_POINTS
 
@@ -41,11 +43,19 @@ STATIC_PERCENT = 25  # residual up to which the surface does not change over tim
 STATIC_CRF_GAIN, MOVING_CRF_LOSS, MAX_CRF = 8, 14, 51  # x265's rate factors
 MIN_OUTLIER_SHARE = 0.01  # of a single body's points, below which a frame has no outliers
 EXACT = "exact"
+EXCLUSIVE = ("max_error", "mean_error", "size", "ratio")  # targets of which a file meets one
+MAX_EXTENT_M = 100  # of a frame without a body, unless an error is asked for: larger ones have a wrong unit
+FILE_BYTES, CHUNK_BYTES = 600, 48  # about what a container needs besides its chunks, and for each
 
 
 @dataclass(frozen=True)
 class Bodycast:
     """Settings.
+
+    Targets, at most one of the first four: max_error: no point is farther from the nearest decoded point than this, and
+    no decoded point from the nearest point, metres; mean_error: neither mean of these distances is larger; size: bytes
+    of the file; ratio: to float32 positions and 8-bit colours. psnr: of the luma between nearest points, dB. With a
+    target all points are coded; a smaller error always takes more bytes.
 
     residual: how closely surface and poses follow the data, in percent. From 0 to 25 the poses and the static surface
     become finer; above 25 the surface also changes over time, in better and more frequent pictures the higher it is;
@@ -59,6 +69,11 @@ class Bodycast:
     """
 
     name: ClassVar[str] = "bodycast"
+    max_error: float | None = None
+    mean_error: float | None = None
+    size: int | None = None
+    ratio: float | None = None
+    psnr: float | None = None
     residual: float | str = 0
     skeleton: Any = None
     people: int = 4
@@ -72,38 +87,38 @@ class Bodycast:
     chunk_frames: int = 150
 
     def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
-        """Raises CannotEncode where no frame shows a body, BadInput for settings or a skeleton that cannot be used."""
+        """Frames without a body are coded as points within a bound, by default of 5 mm.
+
+        Raises CannotEncode for a target that cannot be met, BadInput for settings or a skeleton that cannot be used.
+        """
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
         self._require_settings()
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
-        first = next((i for i, (points, _) in enumerate(frames) if len(points) >= MIN_FIRST_POINTS), None)
-        if first is None:
-            raise CannotEncode(f"no frame has {MIN_FIRST_POINTS} points or more: there is no body to code")
-        with progress.phase(0.0, 0.6):
-            bodies = self._track(frames, first, clouds.up)
         coloured = clouds.colours is not None
-        points_per_frame = int(np.mean([len(p) for p, _ in frames[first:] if len(p) >= MIN_BODY_POINTS]))
-        for body in bodies:
-            body.build_model(self.parameters, points_per_frame, coloured, is_only_body=len(bodies) == 1)
-        if self.residual == EXACT:
-            limit_m = float(np.finfo(np.float32).max)
-            frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
+        with progress.phase(0.0, 0.6):
+            bodies = self._bodies(frames, clouds.up, coloured)
         starts = range(0, len(frames), self.chunk_frames)
         spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in starts]
-        with progress.phase(0.7, 1.0):
-            chunks = [
-                Chunk(s.start, s.stop - s.start, self._chunk(bodies, frames, s, coloured)) for s in progress.over(spans)
-            ]
+        shared = tuple(pack_model(body.model) for body in bodies)
+        if self._has_target or self.residual == EXACT:  # every point counts, however far away
+            limit_m = float(np.finfo(np.float32).max)
+            frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
+        with progress.phase(0.6, 1.0):
+            if self._codes_points(bodies):
+                payloads = self._point_chunks(bodies, frames, spans, coloured, clouds.raw_bytes, sum(map(len, shared)))
+            else:
+                payloads = [self._chunk(bodies, frames, span, coloured) for span in progress.over(spans)]
+        chunks = [Chunk(s.start, s.stop - s.start, payload) for s, payload in zip(spans, payloads, strict=True)]
         colours = [] if coloured else None
         about = PointClouds([], clouds.rate, colours, None, clouds.up, clouds.source, clouds.extras)
-        shared = tuple(pack_model(body.model) for body in bodies)
         return Encoded(self.name, about, chunks, shared, settings=self._stored_settings())
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
         """The point clouds, or a slice of their frames. Raises Corrupt."""
-        scene = SceneDecoder(unpack_models(encoded.shared))
+        like = encoded.about
+        scene = SceneDecoder(unpack_models(encoded.shared), like.colours is not None)
         positions, colours = list[Floats](), list[Bytes]()
         start, stop = encoded.range(frames)
         for chunk in progress.over(encoded.covering(start, stop)):
@@ -111,8 +126,9 @@ class Bodycast:
             for points, colour in scene.decode_chunk(chunk, *wanted):
                 positions.append(points)
                 colours.append(np.zeros((len(points), 3), np.uint8) if colour is None else colour)
-        like, coloured = encoded.about, scene.coloured
-        return PointClouds(positions, like.rate, colours if coloured else None, None, like.up, like.source, like.extras)
+        return PointClouds(
+            positions, like.rate, colours if scene.coloured else None, None, like.up, like.source, like.extras
+        )
 
     @staticmethod
     def track(encoded: Encoded[PointClouds], frames: slice | None = None, body: int = 0) -> Motion:
@@ -132,7 +148,10 @@ class Bodycast:
     @staticmethod
     def surface(encoded: Encoded[PointClouds], body: int = 0) -> Surface:
         """The static surface of a body, skinned to the joints of `track`: what a GLB shows. Raises Corrupt."""
-        decoder = BodyDecoder(unpack_models(encoded.shared)[body])
+        models = unpack_models(encoded.shared)
+        if not 0 <= body < len(models):
+            raise BadInput(f"there are {len(models)} bodies, counted from 0, and no number {body}")
+        decoder = BodyDecoder(models[body])
         joints, rest = joints_of_links(decoder.body)
         weights = np.stack([decoder.skin.weights, 1 - decoder.skin.weights], axis=1)
         colours = decoder.colours if decoder.model.coloured else None
@@ -142,6 +161,8 @@ class Bodycast:
     def parameters(self) -> CodingParameters:
         """What the residual asks for. Exact points need neither fine poses nor pictures."""
         percent = 0.0 if isinstance(self.residual, str) else self.residual
+        if self._has_target:  # a surface as close as a static one can be: every point is coded from it
+            percent = STATIC_PERCENT
         static = min(percent / STATIC_PERCENT, 1.0)
         moving = max(percent - STATIC_PERCENT, 0.0) / (100 - STATIC_PERCENT)
         pose_step = self.pose_step * 4.0**-static
@@ -166,6 +187,80 @@ class Bodycast:
             raise BadInput(
                 "pose_step is 0.1 mm to a metre, precision at most a metre; people, chunk_frames at least one"
             )
+
+        targets = [name for name in EXCLUSIVE if getattr(self, name) is not None]
+        if len(targets) > 1:
+            raise BadInput(f"bodycast meets one target at a time, not {' and '.join(targets)}; psnr goes with any")
+        if self._has_target and self.residual == EXACT:
+            raise BadInput("residual exact keeps every bit of every point: leave out the targets")
+        for name in (*EXCLUSIVE, "psnr"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise BadInput(f"{name} must be above zero, not {value}")
+
+    @property
+    def _has_target(self) -> bool:
+        """Whether all points are coded, within a bound."""
+        return any(getattr(self, name) is not None for name in (*EXCLUSIVE, "psnr"))
+
+    def _codes_points(self, bodies: Sequence[BodyEncoder]) -> bool:
+        return self._has_target or (not bodies and self.residual != EXACT)
+
+    def _bodies(self, frames: Sequence[Cloud], up: str, coloured: bool) -> list[BodyEncoder]:
+        """The bodies of a recording with their models; none where no frame shows one. Raises BadInput."""
+        if not any(len(points) for points, _ in frames):
+            raise CannotEncode(
+                f"no frame has points within {MAX_COORDINATE_M:g} m of the origin: there is no body to code"
+            )
+        first = next((i for i, (points, _) in enumerate(frames) if len(points) >= MIN_FIRST_POINTS), None)
+        if first is None:
+            return []
+        try:
+            bodies = self._track(frames, first, up)
+            if self.skeleton is None:
+                bodies = [body for body in bodies if body.is_explained]
+            counts = [len(p) for p, _ in frames[first:] if len(p) >= MIN_BODY_POINTS]
+            for body in bodies:
+                body.build_model(self.parameters, int(np.mean(counts)), coloured, is_only_body=len(bodies) == 1)
+        except (CannotEncode, BadInput):
+            extent_m = float(np.ptp(frames[first][0], axis=0).max())
+            if self.skeleton is not None or (extent_m > MAX_EXTENT_M and not self._has_target):
+                raise  # a skeleton that does not fit, or a wrong unit
+            return []
+        return bodies
+
+    def _point_chunks(
+        self,
+        bodies: Sequence[BodyEncoder],
+        frames: Sequence[Cloud],
+        spans: Sequence[slice],
+        coloured: bool,
+        raw_bytes: int,
+        shared_bytes: int,
+    ) -> list[bytes]:
+        """The payload of each chunk with all its points. Raises CannotEncode."""
+        coded = [[body.encode_chunk(span, self.parameters) for body in bodies] for span in spans]
+        absent = [self._absences(bodies, span) for span in spans]
+        empty = [
+            ChunkStreams(a, b"", b"", b"", tuple(stream for stream, _ in own))
+            for a, own in zip(absent, coded, strict=True)
+        ]
+        beside = (
+            shared_bytes + sum(len(pack_chunk(streams)) for streams in empty) + FILE_BYTES + CHUNK_BYTES * len(spans)
+        )
+        file_bytes = self.size if self.ratio is None else raw_bytes / self.ratio
+        size = None if file_bytes is None else file_bytes - beside
+        textures = [SurfaceTexture(body.model) for body in bodies]
+        poses = [[sequence for _, sequence in own] for own in coded]
+        encoder = PointEncoder(frames, spans, textures, poses, absent, coloured)
+        parts = encoder.encode(PointTarget(self.max_error, self.mean_error, size, self.psnr, beside))
+        return [pack_chunk(streams._replace(exact_points=part)) for streams, part in zip(empty, parts, strict=True)]
+
+    @staticmethod
+    def _absences(bodies: Sequence[BodyEncoder], span: slice) -> Booleans:
+        """(frames, bodies): True where a body is not in a frame."""
+        rows = [[not b.is_present[i] for b in bodies] for i in range(span.start, span.stop)]
+        return np.array(rows, bool).reshape(span.stop - span.start, len(bodies))
 
     @property
     def _skeletons(self) -> list[Any]:
@@ -193,7 +288,7 @@ class Bodycast:
 
     def _chunk(self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool) -> bytes:
         """The payload of a run of frames."""
-        is_absent = np.array([[not b.is_present[i] for b in bodies] for i in range(span.start, span.stop)], bool)
+        is_absent = self._absences(bodies, span)
         coded = [body.encode_chunk(span, self.parameters) for body in bodies]
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:

@@ -7,6 +7,7 @@ poses ──────────────────────► tran
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -19,9 +20,10 @@ from ...typing import Floats
 from ..clouds.raw_frames import Cloud, unpack_raw_frames
 from . import video
 from .body_model import BodyModel
-from .chunk_payload import BodyStreams, unpack_chunk
+from .chunk_payload import BodyStreams, ChunkStreams, unpack_chunk
 from .exact_points import unpack_exact
 from .outliers import unpack_outliers
+from .point_layer import LATTICE, SurfaceTexture, unpack_points
 from .pose_stream import PoseSequence, unpack_poses
 from .surface_sampling import sample_surface
 
@@ -80,13 +82,25 @@ class BodyDecoder:
 class SceneDecoder:
     """All bodies of a recording."""
 
-    def __init__(self, models: Sequence[BodyModel]) -> None:
-        self.bodies = [BodyDecoder(model) for model in models]
-        self.coloured = models[0].coloured
+    def __init__(self, models: Sequence[BodyModel], coloured: bool) -> None:
+        self.models, self.coloured = models, coloured
+
+    @cached_property
+    def bodies(self) -> list[BodyDecoder]:
+        """The decoded surfaces."""
+        return [BodyDecoder(model) for model in self.models]
+
+    @cached_property
+    def textures(self) -> list[SurfaceTexture]:
+        """The surfaces that the points of lattices are coded from."""
+        return [SurfaceTexture(model) for model in self.models]
 
     def decode_chunk(self, chunk: Chunk, start: int, stop: int) -> Iterator[Cloud]:
         """Frames [start, stop) of a chunk, counted from its first. Raises Corrupt."""
-        streams = unpack_chunk(chunk, len(self.bodies))
+        streams = unpack_chunk(chunk, len(self.models))
+        if streams.exact_points[:1] == bytes([LATTICE]):
+            yield from islice(self._lattice_points(streams, chunk.frames), start, stop)
+            return
         if streams.exact_points:
             yield from unpack_exact(streams.exact_points, chunk.frames, self.coloured)[start:stop]
             return
@@ -103,6 +117,13 @@ class SceneDecoder:
             present = [cloud for cloud, absent in zip(clouds, streams.is_absent[frame], strict=True) if not absent]
             raw = raw_frames[frame]
             yield joined([*present, outliers[frame]], self.coloured) if raw is None else raw
+
+    def _lattice_points(self, streams: ChunkStreams, frames: int) -> Iterator[Cloud]:
+        poses = [
+            unpack_poses(model.atlas.body, own.poses, frames, model.pose_steps)
+            for model, own in zip(self.models, streams.bodies, strict=True)
+        ]
+        return unpack_points(streams.exact_points, frames, self.textures, poses, streams.is_absent, self.coloured)
 
 
 def joined(clouds: Sequence[Cloud], coloured: bool) -> Cloud:

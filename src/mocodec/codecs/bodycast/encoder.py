@@ -28,6 +28,7 @@ MAX_PLAN_POINTS = 60_000  # from which tiles are planned
 KEEP = 0.7  # factor on the old sums of a cell when new points fall into it
 FIRST_WEIGHT = 3.0  # points that the key picture counts for in each cell
 OUTLIER_DISTANCE_M = 0.08
+MAX_OUTLIER_SHARE = 0.3  # of a person's points, in the median over frames
 
 
 class CodingParameters(NamedTuple):
@@ -72,6 +73,12 @@ class BodyEncoder:
         self.clouds.append(cloud)
         self.poses.append(self.person.tracker.pose)
         self.is_present.append(is_present)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the poses explain most points of most frames: otherwise the points are no person's."""
+        shares = [share for share, present in zip(self.outlier_share, self.is_present, strict=True) if present]
+        return bool(shares) and float(np.median(shares)) <= MAX_OUTLIER_SHARE
 
     def build_model(
         self, parameters: CodingParameters, points_per_frame: int, coloured: bool, is_only_body: bool

@@ -21,6 +21,7 @@ from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import octree
 from .binary_coder import BinaryDecoder, BinaryEncoder
+from .point_colours import rgb_from_ycocg, ycocg_from_rgb
 
 FLOATS, BINARY_STEP, DECIMAL_STEP = range(3)  # kinds
 NANOMETRE = 1e-9
@@ -96,7 +97,7 @@ def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> b
             bits.append((magnitudes[order].astype(np.int64) - start).reshape(-1))
             bit_widths.append(width.reshape(-1))
         if coloured and colours is not None:
-            ycocg = _ycocg_from_rgb(colours[order].astype(np.int64))
+            ycocg = ycocg_from_rgb(colours[order].astype(np.int64))
             colour_differences.append(np.diff(ycocg, axis=0, prepend=0))
     octrees = encoder.finish(np.concatenate(rests), np.concatenate(rest_widths)) if filled else b""
     float_bits = BinaryEncoder().finish(np.concatenate(bits), np.concatenate(bit_widths)) if bits else b""
@@ -125,7 +126,7 @@ def unpack_exact(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
     if coloured:
         differences = coder.unpack(data[at + float_bytes :], (sum(counts), 3))
         ends = np.cumsum([0, *layout.filled])
-        colours = [_rgb_from_ycocg(np.cumsum(differences[i:j], axis=0)) for i, j in pairwise(ends)]
+        colours = [rgb_from_ycocg(np.cumsum(differences[i:j], axis=0)) for i, j in pairwise(ends)]
     filled = iter(zip(points, colours, strict=True))
     return [next(filled) if count else no_points(coloured) for count in counts]
 
@@ -234,22 +235,3 @@ def _floats(data: bytes, cells: Sequence[Integers], exponent: int) -> list[Float
     values = (start + within).clip(0, MAX_FLOAT_BITS).astype(np.uint32).view(np.float32).astype(np.float64)
     values = np.where(every < 0, -values, values)
     return np.split(values, np.cumsum([len(c) for c in cells])[:-1])
-
-
-# --- colours --------------------------------------------------------------------------------------------------------
-
-
-def _ycocg_from_rgb(colours: Integers) -> Integers:
-    """(n, 3): Y, Co, Cg of YCoCg-R, which integers invert exactly."""
-    red, green, blue = colours.T
-    co = red - blue
-    half = blue + (co >> 1)
-    cg = green - half
-    return np.stack([half + (cg >> 1), co, cg], axis=1)
-
-
-def _rgb_from_ycocg(values: Integers) -> Bytes:
-    y, co, cg = values.T
-    half = y - (cg >> 1)
-    blue = half - (co >> 1)
-    return np.clip(np.stack([blue + co, cg + half, blue], axis=1), 0, 255).astype(np.uint8)

@@ -81,7 +81,7 @@ def encode_octree(encoder: BinaryEncoder, contexts: OctreeContexts, code: Intege
         occupied = np.zeros((len(cubes) + 1, 8), np.int64)
         occupied[np.searchsorted(cubes, children >> 3), children & 7] = 1
         known = np.zeros_like(occupied)
-        neighbours = _neighbour_rows(cubes, level)
+        neighbours = neighbour_rows(cubes, level)
         for octant in range(8):
             context = _occupancy_contexts(known, neighbours, octant)
             encoder.encode(contexts.occupancy, context, occupied[:-1, octant])
@@ -99,7 +99,7 @@ def decode_octree(decoder: BinaryDecoder, contexts: OctreeContexts, points: int,
     cubes = np.zeros(1, np.int64)
     for level in range(stop):
         known = np.zeros((len(cubes) + 1, 8), np.int64)
-        neighbours = _neighbour_rows(cubes, level)
+        neighbours = neighbour_rows(cubes, level)
         for octant in range(8):
             known[:-1, octant] = decoder.decode(contexts.occupancy, _occupancy_contexts(known, neighbours, octant))
         parent, octant = np.nonzero(known[:-1])
@@ -119,7 +119,7 @@ def decode_octree(decoder: BinaryDecoder, contexts: OctreeContexts, points: int,
     return np.repeat(cubes, count)
 
 
-def _neighbour_rows(cubes: Integers, level: int) -> Integers:
+def neighbour_rows(cubes: Integers, level: int) -> Integers:
     """(6, n): the row in `cubes` of each cube's neighbours, before and behind along every axis; n where it is empty."""
     result = np.full((6, len(cubes)), len(cubes))
     inside = (1 << 3 * level) - 1

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,7 +26,7 @@ from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk, engine_choice, fallback, model_choice, repeats, target
+from . import chunk, engine_choice, fallback, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
@@ -35,7 +34,7 @@ from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .models.model import Model
 from .pose import heading, leaps
-from .preparation import Prepared, prepare
+from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
 from .rotation_layer.encoder import Encoder as RotationEncoder
 from .rotation_layer.encoder import Promise
@@ -49,14 +48,12 @@ MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
-CHUNKS_SHARE, CHOICE_SHARE = 0.7, 0.2
-"""Shares of the progress: the chunks (the rest is the fallback); within the chunks, the choice of the model."""
+CHUNKS_SHARE, FALLBACK_SHARE, CHOICE_SHARE = 0.7, 0.9, 0.2
+"""Of the progress: where the chunks end, and the fallback; within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
-FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
-"""A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
@@ -131,7 +128,8 @@ class Tempo:
                 ("losslessly", lambda: Lossless(self.chunk_seconds).encode(motion)),
                 ("losslessly in float64", lambda: Lossless(self.chunk_seconds, float64=True).encode(motion)),
             ]
-        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, self.model != model_choice.AUTO)
+        final = self.model != model_choice.AUTO or self._has_size
+        encoded = rescue.first_kept(motion, stored, ways, Tempo.decode, final)
         targets = {name: value for name, value in stored.items() if name in TARGETS}
         return encoded if encoded.codec == self.name else replace(encoded, settings={**encoded.settings, **targets})
 
@@ -149,7 +147,9 @@ class Tempo:
         turn = None if self.max_rotation is None else np.radians(self.max_rotation)
         encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
         positions = replace(motion, rotations=None)
-        bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None)
+        # Errors of a lattice are uniform up to a bound: rotations then break their own bound too often.
+        model = model_choice.TRANSFORM if self.model == model_choice.AUTO and not self._has_size else self.model
+        bare = replace(self, max_rotation=None, max_error=None, mean_error=None, ratio=None, size=None, model=model)
 
         def inner(kind: str) -> Callable[[Any], Encoded[Motion]]:
             return lambda value: replace(bare, **{kind: value}).encode_smallest(positions)
@@ -173,7 +173,7 @@ class Tempo:
         With a mean error also under this error as a bound, if that may be smaller.
         """
         encoded = self._with_or_without_repeats(motion)
-        if self.mean_error is None or not _may_be_larger_than_bounded(encoded):
+        if self.mean_error is None or not mean_targets.may_exceed_bounded(encoded):
             return encoded
         bounded = replace(self, mean_error=None, max_error=self.mean_error)._with_or_without_repeats(motion)
         if bounded.payload_bytes >= encoded.payload_bytes:
@@ -200,8 +200,20 @@ class Tempo:
             return self.encode_chunks(motion)
         with progress.phase(0.0, CHUNKS_SHARE):
             encoded = self.encode_chunks(motion)
-        with progress.phase(CHUNKS_SHARE, 1.0):
-            return self._or_fallback(encoded, motion)
+        with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
+            encoded = self._or_fallback(encoded, motion)
+        with progress.phase(FALLBACK_SHARE, 1.0):
+            return self._or_lattice(encoded, motion)
+
+    def _or_lattice(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
+        if self.mean_error is None or not engine_choice.available():
+            return encoded
+
+        def encode(part: Motion, bound: float) -> Encoded[Motion]:
+            return replace(self, mean_error=None, max_error=bound, model=LATTICE_MODEL).encode_chunks(part)
+
+        found = mean_targets.on_lattice(encoded, motion, self.mean_error, encode, Tempo.decode)
+        return replace(found, settings=encoded.settings)
 
     def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
         if self._has_size:
@@ -217,32 +229,38 @@ class Tempo:
             motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
         )
         require_usual_lengths(self, source.positions)
-        most = most_chunk_frames(motion.points) / 2 / motion.rate
         plan = self._lattice_plan(motion, source)
+        encoded = self._encode_planned(motion, source, plan)
+        if plan is None or plan.alone or any(Payload.unpack(c.payload).engine != LATTICE for c in encoded.chunks):
+            return encoded
+        with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
+        return min(encoded, with_longer_chunks, key=lambda e: e.payload_bytes)
+
+    def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
+        """By the chosen model, by the lattice engine, or each chunk by the smaller."""
         if plan is not None and plan.alone:
-            seconds = min(LATTICE_CHUNKS * self.chunk_seconds, MOST_CHUNK_SECONDS, most)
-            bounds = chunk_bounds(len(motion), motion.rate, seconds)
+            bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
+            choice = model_choice.without_model(motion)
         else:
             cuts = leaps.discontinuities(source.smooth, motion.rate)
-            bounds = chunk_bounds(len(motion), motion.rate, min(self.chunk_seconds, most), cuts)
-        with progress.phase(0.0, CHOICE_SHARE):
-            if plan is not None and plan.alone:
-                choice = model_choice.without_model(motion)
-            else:
+            bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion), cuts)
+            with progress.phase(0.0, CHOICE_SHARE):
                 choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
+        model_bytes = len(header.pack())
         if plan is not None:
             header = replace(header, neighbours=plan.neighbours.pack())
             model = replace(model, neighbours=plan.neighbours)
+            model_bytes = max(0, 2 * model_bytes - len(header.pack()))  # either the model or the neighbours
         encoders = [
             ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
             for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
-            payloads = self._to_target(encoders, motion, len(header.pack()), plan and plan.stride)
+            payloads = self._to_target(encoders, motion, model_bytes, plan and plan.stride)
         engines = [Payload.unpack(p).engine for p in payloads]
         failures = [e.failure for e, n in zip(encoders, engines, strict=True) if e.failure is not None and n == DIRECT]
         header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
@@ -349,13 +367,15 @@ class Tempo:
             return None
         weights = None
         if self.weights:
-            weights = with_weights(
-                Model.without_rows(motion.names, motion.rate), pack_weights(motion.names, self.weights)
-            )
-            weights = weights.weights
+            without_rows = Model.without_rows(motion.names, motion.rate)
+            weights = with_weights(without_rows, pack_weights(motion.names, self.weights)).weights
         step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
         found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
         return replace(found, alone=True) if asked else found
+
+    def _seconds(self, motion: Motion, times: float = 1.0) -> float:
+        """Length of chunks, some times longer than asked for, with room for rounding within the format's limit."""
+        return min(times * self.chunk_seconds, MOST_CHUNK_SECONDS, most_chunk_frames(motion.points) / 2 / motion.rate)
 
     def _to_target(
         self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None
@@ -376,30 +396,6 @@ class Tempo:
         return stored
 
 
-def _may_be_larger_than_bounded(encoded: Encoded[Motion]) -> bool:
-    """Whether a stream at a mean error may be larger than one under this error as a bound.
-
-    A bound costs about twice as much, except where chunks are direct or full of spikes, and on short recordings.
-    """
-    header = StreamHeader.unpack(encoded.shared, encoded.about.points)
-    if len(encoded.chunks) <= FEW_CHUNKS or header.millihertz is not None:
-        return True
-    if header.fallback is not None:
-        return False
-    payloads = [Payload.unpack(c.payload) for c in encoded.chunks]
-    return sum(p.engine == DIRECT or p.step is not None for p in payloads) > UNUSUAL_SHARE * len(payloads)
-
-
 def decoded_mean_error(encoded: Encoded[Motion], motion: Motion) -> float:
     """Mean distance, metres, between a motion and what a stream of it decodes to."""
     return metrics.mean_distance(motion.positions, Tempo.decode(encoded).positions)
-
-
-def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
-    """Start and stop of chunks: equal ones of about `seconds` between the cuts (frames, rising)."""
-    edges = [0]
-    for stop in (*(cuts or ()), frames):
-        start = edges[-1]
-        count = min(max(1, round((stop - start) / (rate * seconds))), stop - start)
-        edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
-    return list(pairwise(edges))

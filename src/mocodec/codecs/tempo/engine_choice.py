@@ -24,8 +24,9 @@ from .preparation import Prepared
 SAMPLED = 30_000
 """Samples of the recording that are coded on trial, at least and at most so many frames:"""
 FEWEST_FRAMES, MOST_FRAMES = 64, 240
-ALONE = 0.9
-"""The lattice is used alone where it takes less than this share of a transform fitted to the sample."""
+ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
+"""The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
+with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
 HOPELESS = 1.25
 """A chunk's other engine is not tried where it took more than this many times the bytes in the last chunk tried."""
 TRIED_EVERY = 5
@@ -55,8 +56,10 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
         positions = positions * weights[:, None]
     size = grid_size(grid_step(lattice.half_step(bound)))
     stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
-    alone = not named and weights is None and cost < ALONE * _transform_bytes(motion, source, some, bound, step)
-    return LatticePlan(found, stride, alone)
+    if named or weights is not None:
+        return LatticePlan(found, stride, alone=False)
+    share = ALONE + ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
+    return LatticePlan(found, stride, bool(cost < share * _transform_bytes(motion, source, some, bound, step)))
 
 
 def available() -> bool:

@@ -5,7 +5,7 @@ recording ─fit─► models of each type ─price on a few chunks─► the ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
+WORTH_PRIOR = 0.45
+"""Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 ERROR_SLOPE = 0.85
@@ -51,15 +53,11 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
     if model in (AUTO, TRANSFORM) and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
-    candidates = list(_candidates(recording, model))
-    if not candidates:
-        if model not in (AUTO, TRANSFORM):
-            raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
-        return without_model(recording.like)
-    if len(candidates) == 1 or not recording.chunks:
-        return candidates[0]
-    numbers = range(0, len(recording.chunks), -(-len(recording.chunks) // PRICED_CHUNKS))
-    return min((_priced(c, recording, numbers) for c in candidates), key=lambda priced: priced[0])[1]
+    if (found := _cheapest(recording, model)) is not None:
+        return found
+    if model not in (AUTO, TRANSFORM):
+        raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
+    return without_model(recording.like)
 
 
 def known_by_name(recording: Recording) -> bool:
@@ -67,19 +65,37 @@ def known_by_name(recording: Recording) -> bool:
     return prior.for_points().joints.columns(recording.like.names) is not None
 
 
-def _candidates(recording: Recording, model: str) -> list[Choice]:
-    """Models of directions first: of a stream that has not begun, the first is taken."""
-    names = (
-        [model] if model not in (AUTO, TRANSFORM) else KNOWN_NAME_MODELS if known_by_name(recording) else list(MODELS)
-    )
-    out = []
+def _cheapest(recording: Recording, model: str) -> Choice | None:
+    """The cheapest of the models tried, None where none fits. Of a stream that has not begun, the first that fits.
+
+    Models of directions are tried first, and markers on the prior's bones last: fitting these takes longest, and they
+    save hardly more than the bytes of a stored basis.
+    """
+    named, every = known_by_name(recording), model in (AUTO, TRANSFORM)
+    names = [model] if not every else KNOWN_NAME_MODELS if named else list(MODELS)
+    numbers = range(0, len(recording.chunks), max(1, -(-len(recording.chunks) // PRICED_CHUNKS)))
+    best: Choice | None = None
+    least = np.inf
     for name in sorted(names, key=lambda n: -MODELS[n].number):
-        for fitted in MODELS[name].fit(recording):
-            try:
-                out.append(Choice(StreamHeader.of_model(name, fitted), fitted.model(recording.like)))
-            except Corrupt:  # numbers that a decoder would refuse
-                continue
-    return out
+        if best and not named and name == "points-prior" and len(best.header.pack()) < WORTH_PRIOR * least:
+            continue
+        for candidate in _fitted(name, recording):
+            if not recording.chunks:
+                return candidate
+            price, candidate = _priced(candidate, recording, numbers)
+            if price >= least:
+                break  # the others of this type differ little
+            best, least = candidate, price
+    return best
+
+
+def _fitted(name: str, recording: Recording) -> Iterator[Choice]:
+    """The models of a type."""
+    for fitted in MODELS[name].fit(recording):
+        try:
+            yield Choice(StreamHeader.of_model(name, fitted), fitted.model(recording.like))
+        except Corrupt:  # numbers that a decoder would refuse
+            continue
 
 
 def without_model(like: Motion) -> Choice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from ...stages import frozen, gaps
 from ...typing import Booleans, Floats
@@ -30,3 +31,13 @@ def prepare(
     filled, mask = gaps.fill(apart.moving)
     spikes = leaps.spikes(filled) & ~mask
     return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes)
+
+
+def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
+    """Start and stop of chunks: equal ones of about `seconds` between the cuts (frames, rising)."""
+    edges = [0]
+    for stop in (*(cuts or ()), frames):
+        start = edges[-1]
+        count = min(max(1, round((stop - start) / (rate * seconds))), stop - start)
+        edges += [start + (stop - start) * i // count for i in range(1, count + 1)]
+    return list(pairwise(edges))

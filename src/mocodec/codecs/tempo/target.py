@@ -19,7 +19,7 @@ from ...stages import search
 from ...typing import Floats
 from . import chunk
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_step
-from .coding import coefficients, direct, quantise
+from .coding import coefficients, direct, lattice, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
 from .engine_choice import EngineTrials
@@ -79,13 +79,15 @@ def to_bound(
 ) -> list[bytes]:
     """Payloads that decode to within the bound (metres) at every sample.
 
-    stride: of the lattice engine, None to leave it out. model_bytes: what the transform's model takes beside the
-    chunks; each that the transform codes is charged with its share. All are decoded and checked; one that exceeds the
-    bound is replaced by the direct engine's, which never does.
+    stride: of the lattice engine as a sample says, None to leave it out. model_bytes: what the transform needs beside
+    the chunks, more than the lattice; each chunk that the transform codes is charged with its share. All are decoded
+    and checked; one that exceeds the bound is replaced by the direct engine's, which never does.
     """
     payloads: list[bytes] = []
     offset = FIRST_OFFSET
     share = model_bytes / len(encoders)
+    if stride is not None and stride < lattice.USUAL_STRIDE:
+        stride = _longer_stride(encoders[len(encoders) // 2], bound, stride)
     trials = EngineTrials(encoders[0].spectrum is not None, stride is not None)
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
@@ -115,6 +117,20 @@ def to_bound(
                 coded[i] = encoder.directly(grid_step(direct.cell(bound)))
         payloads += coded
     return payloads
+
+
+def _longer_stride(encoder: ChunkEncoder, bound: float, stride: int) -> int:
+    """The stride, or a longer one where it is smaller: a short one was chosen by a sample, and longer ones have more
+    weights to learn, which pays in a whole chunk."""
+
+    def size(at: int) -> float:
+        payload = encoder.on_lattice(bound, at)
+        return np.inf if payload is None else len(payload)
+
+    least = size(stride)
+    while stride < lattice.USUAL_STRIDE and (longer := size(stride + 1)) < least:
+        least, stride = longer, stride + 1
+    return stride
 
 
 def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:

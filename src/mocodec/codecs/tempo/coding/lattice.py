@@ -28,8 +28,8 @@ from ....typing import Booleans, Floats, Integers
 from . import lattice_chunk
 from .lattice_chunk import NEIGHBOURS
 
-STRIDES = (2, 3, 4)
-"""log₂ of the distances between the first frames that an encoder tries."""
+STRIDES, USUAL_STRIDE = range(5), 2
+"""log₂ of the distances between the first frames that an encoder tries, and the one that it begins with."""
 LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
@@ -111,26 +111,26 @@ def neighbours(positions: Floats) -> Neighbours:
 def _candidates(some: Floats) -> Integers:
     """(points, k): the points nearest to each on the whole, itself left out."""
     points = some.shape[1]
-    few = some[:: max(1, len(some) // 8)]
     count = min(CANDIDATES, points - 1)
-    near = np.empty((points, count), np.int64)
-    for p in range(points):
-        distance = ((few - few[:, p : p + 1]) ** 2).sum(axis=(0, 2))
-        distance[p] = np.inf
-        near[p] = np.sort(np.argpartition(distance, count - 1)[:count])
-    return near
+    flat = np.ascontiguousarray(some[:: max(1, len(some) // 8)].swapaxes(0, 1)).reshape(points, -1)
+    squares = (flat**2).sum(axis=1)
+    distance = squares[:, None] + squares - 2 * flat @ flat.T
+    np.fill_diagonal(distance, np.inf)
+    return np.sort(np.argpartition(distance, count - 1, axis=1)[:, :count], axis=1)
 
 
 def _pairs(some: Floats, near: Integers) -> tuple[Floats, Floats]:
     """(points, k) each: standard deviation of the distance to each candidate; root mean square of the difference of
     their steps."""
     rigidity, likeness = np.empty(near.shape), np.empty(near.shape)
+    axes = np.ascontiguousarray(some.transpose(2, 1, 0))  # the frames of a point next to each other
     for p, others in enumerate(near):
-        apart = some[:, others] - some[:, p : p + 1]
-        distance = np.sqrt((apart**2).sum(axis=2))
-        mean = distance.mean(axis=0)
-        rigidity[p] = distance.std(axis=0) + np.where(mean < LEAST_DISTANCE_M, 1e6, 1e-6 * mean)
-        likeness[p] = np.sqrt((np.diff(apart, axis=0) ** 2).sum(axis=2).mean(axis=0)) if len(some) > 1 else mean
+        apart = axes[:, others] - axes[:, p : p + 1]
+        distance = np.sqrt(np.einsum("aqt,aqt->qt", apart, apart))
+        mean = distance.mean(axis=1)
+        rigidity[p] = distance.std(axis=1) + np.where(mean < LEAST_DISTANCE_M, 1e6, 1e-6 * mean)
+        moved = apart[..., 1:] - apart[..., :-1]
+        likeness[p] = np.sqrt(np.einsum("aqt,aqt->q", moved, moved) / max(1, len(some) - 1)) if len(some) > 1 else mean
     return rigidity, likeness
 
 
@@ -235,12 +235,17 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
 
 
 def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
-    """The stride that makes these chunks smallest, and their bytes."""
+    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones."""
     sizes: dict[int, int] = {}
-    for stride in STRIDES:
+
+    def size(stride: int) -> int:
         streams = [encode(s, m, known, stride) for s, m in zip(samples, missing, strict=True)]
         sizes[stride] = sum(len(found[0]) if found is not None else 1 << 40 for found in streams)
-        if len(sizes) > 1 and sizes[stride] >= sizes[stride - 1]:
-            break
-    best = min(sizes, key=lambda stride: sizes[stride])
+        return sizes[stride]
+
+    best = USUAL_STRIDE
+    size(best)
+    for step in (1, -1):
+        while best + step in STRIDES and best + step not in sizes and size(best + step) < sizes[best]:
+            best += step
     return best, sizes[best]

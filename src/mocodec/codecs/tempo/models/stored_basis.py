@@ -125,18 +125,28 @@ def fit_spectra(
     """`fit` to spectra (frames, dimensions), one a chunk."""
     frames = sum(map(len, spectra))
     noise = noise_step(step, frames)
-    vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+    vectors, variances = _principal(spectra, frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
     shapes = _shapes(prior.joints.statistics, count + 1)
     gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shapes, strict=False)]
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors[:, :count], precision, similar)
-    completed = basis.completed(basis.unpack(packed, len(vectors), precision, similar))
-    rest = [s @ completed[:, count:] for s in spectra]
-    has_rest = rest[0].shape[1] > 0
-    last = _gain([np.sqrt((part**2).mean(axis=1)) for part in rest], rate, shapes[-1]) if has_rest else gains[-1]
+    last = gains[-1]
+    if others := len(vectors) - count:
+        stored = basis.unpack(packed, len(vectors), precision, similar)
+        rest = [s - (s @ stored) @ stored.T for s in spectra]
+        last = _gain([np.sqrt((part**2).sum(axis=1) / others) for part in rest], rate, shapes[-1])
     return StoredBasis(np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64), precision, packed)
+
+
+def _principal(spectra: Sequence[Floats], frames: int) -> tuple[Floats, Floats]:
+    """Components (dimensions, k) of the recording, strongest first, and the variance of each."""
+    if frames < spectra[0].shape[1]:
+        vectors, variances = basis.fit_rows(np.concatenate(spectra) / np.sqrt(frames))
+        if len(variances):
+            return vectors, variances
+    return basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
 
 
 def identity_model(coordinates: Coordinates, prior: Prior, rate: float) -> Model:

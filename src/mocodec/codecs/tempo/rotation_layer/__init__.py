@@ -6,6 +6,7 @@ solve       rotations from positions and side values
 shell       shell points, and errors at them
 side        side values as coefficients
 record      the stored form of rules and statistics
+reference   rules that recordings of a known skeleton share
 payload     a chunk's part, both ways
 encoder     coding to a target
 layer       decoding, and what a motion needs

@@ -16,7 +16,17 @@ from ....motion import Skeleton
 from ....typing import Floats, Integers
 from . import rules as r
 from . import shell, solve
-from .rules import Carried, Form, JointRule, Rules, carried_vectors, form_angles, limits_form
+from .rules import (
+    Carried,
+    Form,
+    JointRule,
+    Rules,
+    angle_steps,
+    angles_of_steps,
+    carried_vectors,
+    form_angles,
+    limits_form,
+)
 
 SAMPLED_FRAMES = 128
 """At most this many frames decide a rule; constant and locked angles are checked in all frames."""
@@ -34,6 +44,8 @@ FARTHEST_SWING = 0.03
 """Swings whose 1 + cosine is smaller are coded whole: the shortest rotation is not defined for opposite directions."""
 USUAL_UNIT = 16
 """Usual rotations are stored as rotation vectors in 1/16 rad."""
+USUAL_MOST = 64
+"""The largest component of one that a stream may have."""
 
 
 def choose(skeleton: Skeleton, own_frame: bool, positions: Floats, rotations: Floats) -> Rules:
@@ -48,7 +60,7 @@ def choose(skeleton: Skeleton, own_frame: bool, positions: Floats, rotations: Fl
     for joint, rule in enumerate(joints):
         q = rotations[:, joint]
         if np.abs(_aligned(q, q[:1]) - q[0]).max() < SAME:
-            joints[joint] = replace(rule, rule=r.FIXED, usual=_tidy(q[0]), form=None)
+            joints[joint] = replace(rule, rule=r.FIXED, usual=_constant(q[0], limits_form(skeleton, joint)), form=None)
     carried = carried_vectors(skeleton, own_frame, joints)
     some = slice(None, None, max(1, len(positions) // SAMPLED_FRAMES))
     for joint, rule in enumerate(joints):
@@ -143,6 +155,15 @@ def _placed(skeleton: Skeleton, own_frame: bool, positions: Floats, world: Float
 def _aligned(q: Floats, like: Floats) -> Floats:
     """Quaternions with the sign that brings them near others."""
     return q * np.where((q * like).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+
+
+def _constant(q: Floats, form: Form | None) -> Floats:
+    """A constant rotation (4,), in decimal degrees where that is within the tolerance; form: of the joint limits."""
+    q = _tidy(q)
+    if form is None or np.array_equal(q, r.IDENTITY):
+        return q
+    made = form.rotation(angles_of_steps(angle_steps(form, q)))
+    return made if np.abs(_aligned(made, q) - q).max() < 2 * SAME else q
 
 
 def _tidy(q: Floats) -> Floats:

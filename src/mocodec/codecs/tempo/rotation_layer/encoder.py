@@ -42,13 +42,13 @@ MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
 """The first step of side values: times the mean error, times the bound, and times the ratio in metres."""
 COARSEST, FINEST = 8 * OCTAVE, -40 * OCTAVE
 TIGHTER = (0, 16, 40, 72, 112)
-"""A chunk beyond a bound is tried with steps that are so much finer, 1/32 octave, and corrections;"""
-ROUNDS = 4
-"""corrections are added so often; then it is coded directly,"""
+"""A chunk beyond a bound is tried with steps that are so much finer, 1/32 octave, and corrections."""
 GRIDS = 60
-"""on a grid that is halved at most so often."""
-CORRECTION_SHARE = 0.2
-"""Corrections bring targets within this share of the bound."""
+"""Direct coding is on a grid that is halved at most so often."""
+CORRECTIONS = ((0.2, 2), (0.2, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
+"""Round after round: corrections bring targets within this share of the bound, and correct what moves the joint itself
+and so many joints in all up its chain. Angles that targets show badly need these more exactly; a joint whose angles are
+coded keeps the errors of those above it. A chunk that all rounds leave beyond the bound is coded directly."""
 
 
 class Promise(NamedTuple):
@@ -152,7 +152,6 @@ class ChunkLayer:
     def _corrected(self, draft: Draft, promise: Promise) -> Draft | None:
         """The draft with the corrections that it needs, or None where they do not suffice."""
         bound = promise.max_error if promise.max_error is not None else self.layer.reach_m * (promise.max_rotation or 1)
-        grid = grid_step(direct.cell(CORRECTION_SHARE * bound))
         truth = payload.together(self.layer, self.original.positions, self.values + self.layer.rules.nominal)
         off = truth - payload.together(self.layer, self.targets, draft.side)
         wrong = np.zeros(off.shape[:2], bool)
@@ -160,12 +159,13 @@ class ChunkLayer:
         if numbers is None:
             empty = np.zeros((0, self.layer.model.rows), np.int64)
             numbers = coefficients.ChunkNumbers(self.frames, empty, 0, 0)
-        for _ in range(ROUNDS):
+        for share, levels in CORRECTIONS:
             broken = self.broken(*self.solved(draft), promise)
             if not broken.any():
                 return draft
-            wrong |= _causes(self.layer, broken)
-            found = corrections.find(np.where(wrong[..., None], off, 0.0), CORRECTION_SHARE * bound, grid_size(grid))
+            wrong |= _causes(self.layer, broken, levels)
+            grid = grid_step(direct.cell(share * bound))
+            found = corrections.find(np.where(wrong[..., None], off, 0.0), share * bound, grid_size(grid))
             draft = Draft(numbers._replace(lists=corrections.numbers(found)), draft.side, grid)
         return None if self.broken(*self.solved(draft), promise).any() else draft
 
@@ -181,23 +181,24 @@ class ChunkLayer:
         raise CannotEncode("the positions of this motion do not follow from its skeleton and rotations so exactly")
 
 
-def _causes(of: Layer, broken: Booleans) -> Booleans:
+def _causes(of: Layer, broken: Booleans, levels: int) -> Booleans:
     """What may have moved joints or their frames too far, as corrections name it: (frames, corrected_points).
 
-    The targets of the joint, of its parent and of the vectors that both carry; the side values of it and all above it.
+    The targets of the joint, of its parent and so on (joints in all: `levels`), of the vectors that they carry and of
+    hinges that their twists turn; the side values of the joint and of all above it.
     """
     rules = of.rules
     wrong = np.zeros((len(broken), of.corrected_points), bool)
     for joint in np.flatnonzero(broken.any(axis=0)).tolist():
-        at, parent = broken[:, joint], rules.skeleton.parents[joint]
-        for one in {joint, parent} - {-1}:
-            for point in {one, rules.carried[one].anchor, *rules.carried[one].targets}:
-                wrong[:, point] |= at
-        above = joint
-        while above >= 0:
-            for value in range(rules.starts[above], rules.starts[above + 1]):
+        at, one, level = broken[:, joint], joint, 0
+        while one >= 0:
+            if level < levels:
+                turned = [t for hinge in rules.hinges[one] for t in rules.carried[hinge.child].targets]
+                for point in {one, rules.carried[one].anchor, *rules.carried[one].targets, *turned}:
+                    wrong[:, point] |= at
+            for value in range(rules.starts[one], rules.starts[one + 1]):
                 wrong[:, of.joints + value // 3] |= at
-            above = rules.skeleton.parents[above]
+            one, level = rules.skeleton.parents[one], level + 1
     return wrong
 
 

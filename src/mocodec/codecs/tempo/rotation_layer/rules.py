@@ -30,7 +30,7 @@ import numpy as np
 
 from ....geometry import rigid
 from ....motion import Skeleton
-from ....typing import Floats
+from ....typing import Floats, Integers
 
 FIXED, HUB, SWING, FREE, HINGE, HINGE_CODED, UNIVERSAL, UNIVERSAL_REFINED, UNIVERSAL_CODED = range(9)
 """Rules, as stored. Never change them."""
@@ -42,6 +42,8 @@ ORDERS = tuple("".join(order) for order in permutations("xyz"))
 """Orders of Euler angles by number, as stored. Never change them."""
 SHORTEST_M = 1e-4
 """Shorter vectors show no direction: they are not carried."""
+ANGLE_DIGITS = 6
+"""Constant angles of forms that the joint limits say are multiples of 10⁻⁶ degrees."""
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -213,6 +215,16 @@ def limits_form(skeleton: Skeleton, joint: int) -> Form | None:
     locked = np.where((skeleton.limits.ranges[joint] == 0).all(axis=1), 0.0, np.nan)
     some = 0 < int(np.isnan(locked).sum()) < 3
     return Form(skeleton.limits.orders[joint], skeleton.limits.axes[joint], locked) if some else None
+
+
+def angle_steps(form: Form, rotation: Floats) -> Integers:
+    """The free angles of a rotation (4,) that has this form, in steps of 10⁻⁶ degrees."""
+    return np.rint(np.degrees(form_angles(form, rotation)) * 10.0**ANGLE_DIGITS).astype(np.int64)
+
+
+def angles_of_steps(steps: Integers) -> Floats:
+    """Angles, radians, of steps of 10⁻⁶ degrees."""
+    return np.radians(steps / 10.0**ANGLE_DIGITS)
 
 
 def form_angles(form: Form, rotations: Floats) -> Floats:

@@ -1,0 +1,130 @@
+"""Colours of lattice points: relative to the texture of the body, interpolated along the octree's order, quantised.
+
+    colours, texture ─► YCoCg-R ─► difference / step ─► every 64th point, every 32nd, … every one ─► adaptive bits
+                                                        └─ each from the points before and behind it
+
+A step of 1 is lossless. Encoder and decoder run the same function.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...entropy.bit_arrays import BitCoder
+from ...errors import Corrupt
+from ...typing import Booleans, Bytes, Integers
+
+FIRST_STRIDE = 64
+UNARY = 24  # magnitudes below are coded bit by bit, larger ones with WIDE_BITS more
+WIDE_BITS = 11
+MAX_STEP = 64
+GREY = np.array([128, 0, 0])  # YCoCg of the prediction without a texture
+ZERO_FLAG, SIGN, FIRST_MAGNITUDE = 0, 1, 2  # kinds of bits; then WIDE_KIND for the bits of large magnitudes
+WIDE_KIND = FIRST_MAGNITUDE + UNARY
+KINDS = WIDE_KIND + WIDE_BITS
+CLASS_EDGES = (1, 2, 4, 8, 16)  # of magnitudes
+CLASSES = len(CLASS_EDGES) + 1
+LEVELS = 7  # strides from 64 to 1
+
+
+def ycocg_from_rgb(colours: Integers) -> Integers:
+    """(n, 3): Y, Co, Cg of YCoCg-R, which integers invert exactly."""
+    red, green, blue = colours.T
+    co = red - blue
+    half = blue + (co >> 1)
+    cg = green - half
+    return np.stack([half + (cg >> 1), co, cg], axis=1)
+
+
+def rgb_from_ycocg(values: Integers) -> Bytes:
+    """The inverse of `ycocg_from_rgb`, clipped to bytes."""
+    y, co, cg = values.T
+    half = y - (cg >> 1)
+    blue = half - (co >> 1)
+    return np.clip(np.stack([blue + co, cg + half, blue], axis=1), 0, 255).astype(np.uint8)
+
+
+def quantise(colours: Bytes, predicted: Integers, step: int) -> Integers:
+    """(n, 3): differences of colours from predicted YCoCg (n, 3), in steps, rounded to the nearest."""
+    difference = ycocg_from_rgb(colours.astype(np.int64)) - predicted
+    return np.floor_divide(2 * difference + step, 2 * step)
+
+
+def dequantise(values: Integers, predicted: Integers, step: int) -> Bytes:
+    """The inverse of `quantise`."""
+    return rgb_from_ycocg(predicted + values * step)
+
+
+def code_colours(coder: BitCoder, values: Integers | None, count: int) -> Integers:
+    """Code the quantised differences (count, 3) and return them; values: None in the decoder. Raises Corrupt."""
+    known = np.zeros((count, 3), np.int64)
+    stride, level = FIRST_STRIDE, 0
+    while stride:
+        rows = np.arange(0, count, stride) if level == 0 else np.arange(stride, count, 2 * stride)
+        if len(rows):
+            _code_rows(coder, values, known, rows, 0 if level == 0 else stride, level)
+        stride //= 2
+        level += 1
+    return known
+
+
+def _code_rows(
+    coder: BitCoder, values: Integers | None, known: Integers, rows: Integers, reach: int, level: int
+) -> None:
+    """Code the rows from those at a distance of `reach` before and behind; 0 for no prediction. Changes `known`."""
+    before, behind = known[rows - reach], known[np.where(rows + reach < len(known), rows + reach, rows - reach)]
+    if not reach:
+        before = behind = np.zeros_like(before)
+    predicted = (before + behind) >> 1
+    apart = _classes(np.abs(before - behind))
+    large = _classes(np.abs(before) + np.abs(behind))
+    coded = np.zeros(len(rows), np.int64)
+    for channel in range(3):
+        wanted = None if values is None else values[rows, channel] - predicted[:, channel]
+        place = np.stack([np.full(len(rows), channel), apart[:, channel], large[:, channel], coded], axis=1)
+        difference = code_integers(coder, wanted, place, level)
+        known[rows, channel] = predicted[:, channel] + difference
+        coded = np.maximum(coded, _classes(np.abs(difference)))
+
+
+def _classes(magnitudes: Integers) -> Integers:
+    return np.searchsorted(CLASS_EDGES, magnitudes, side="right")
+
+
+def code_integers(coder: BitCoder, wanted: Integers | None, place: Integers, level: int) -> Integers:
+    """Code integers (n,) and return them; wanted: None in the decoder. Raises Corrupt.
+
+    place (n, 4): channel, how far the neighbours are apart, how large they are, how large the channels before were.
+    """
+    magnitude = None if wanted is None else np.abs(wanted)
+
+    def code(kind: int, rows: Integers, bits: Booleans | None) -> Booleans:
+        channel, apart, large, coded = place[rows].T
+        base = channel * KINDS + kind
+        contexts = (
+            base * CLASSES + apart,
+            base * CLASSES + coded,
+            base * LEVELS + level,
+            (base * CLASSES + apart) * CLASSES + coded,
+            (base * CLASSES + large) * CLASSES + coded,
+        )
+        return coder.code(np.stack(contexts, axis=1), base, bits)
+
+    rows = np.arange(len(place))
+    found = np.zeros(len(place), np.int64)
+    rows = rows[code(ZERO_FLAG, rows, None if magnitude is None else magnitude > 0)]
+    negative = code(SIGN, rows, None if wanted is None else wanted[rows] < 0)
+    signs = np.ones(len(place), np.int64)
+    signs[rows[negative]] = -1
+    found[rows] = 1
+    for size in range(UNARY):
+        if not len(rows):
+            return found * signs
+        rows = rows[code(FIRST_MAGNITUDE + size, rows, None if magnitude is None else magnitude[rows] > size + 1)]
+        found[rows] += 1
+    for digit in range(WIDE_BITS if len(rows) else 0):
+        rest = None if magnitude is None else (magnitude[rows] - (UNARY + 1) >> digit & 1).astype(bool)
+        found[rows] += code(WIDE_KIND + digit, rows, rest).astype(np.int64) << digit
+    if (found >= 1 << WIDE_BITS).any():
+        raise Corrupt("bodycast: the colour of a point is out of range")
+    return found * signs

@@ -1,0 +1,103 @@
+"""Lattices that meet a target: a bound on the error, its mean, the bytes, and the PSNR of the colours.
+
+max_error, mean_error ─► bound of the lattice, before anything is coded
+size ─► bounds between the finest and the coarsest, each coded ─► the finest that fits
+psnr ─► colour step; colours are decoded and measured, and the step halved until they meet it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ...errors import CannotEncode
+from ...typing import Floats
+from ..clouds.raw_frames import Cloud
+from . import lattice, octree, point_colours
+
+DEFAULT_BOUND_M = 0.005  # without a target, of frames without a body
+COLOUR_BOUND_M = 0.002  # of frames with a target for their colours alone
+FINEST_BOUND_M, COARSEST_BOUND_M = 2e-5, 0.04  # that a size is met with
+SIZE_ATTEMPTS = 9  # codings of the points to meet a size
+TIGHTENING = 0.98  # factor on a bound whose mean error is too large
+MEAN_PER_BOUND = 0.66  # mean distance over the bound, of points spread evenly over a cell
+
+
+def usual_colour_step(bound_m: float) -> int:
+    """A step of colours that suits a bound: coarse points show coarse colours."""
+    return int(np.clip(round(4 * math.sqrt(bound_m / 0.001)), 1, 16))
+
+
+def own_distances(frames: Sequence[Cloud], bound_m: float) -> Floats:
+    """Distances of all points from their own lattice points, at least those from the nearest."""
+    step = lattice.step_of_bound(bound_m)
+    parts = [np.linalg.norm(p - lattice.positions(lattice.nearest(p, step), step), axis=1) for p, _ in frames]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def bound_of_mean(frames: Sequence[Cloud], mean_m: float) -> float:
+    """The bound of a lattice whose mean error is at most `mean_m`, from points and from decoded points."""
+    bound = mean_m / MEAN_PER_BOUND
+    while True:
+        if mean_errors(frames, bound) <= mean_m:
+            return bound
+        bound *= TIGHTENING
+
+
+def mean_errors(frames: Sequence[Cloud], bound_m: float) -> float:
+    """The larger of the mean distances from points to their lattice points and back, an upper bound of the mean error.
+
+    A lattice point counts with the nearest of its points.
+    """
+    distance = own_distances(frames, bound_m)
+    if not len(distance):
+        return 0.0
+    step, back = lattice.step_of_bound(bound_m), list[Floats]()
+    starts = np.cumsum([0, *(len(p) for p, _ in frames)])
+    for (points, _), start in zip(frames, starts[:-1], strict=True):
+        if not len(points):
+            continue
+        whole = lattice.nearest(points, step)
+        code = octree.morton_codes(np.clip(whole - whole.min(axis=0), 0, (1 << octree.MAX_DEPTH) - 1))
+        order = np.lexsort((distance[start : start + len(points)], code))
+        first = np.flatnonzero(np.diff(code[order], prepend=-1))
+        back.append(distance[start : start + len(points)][order[first]])
+    return max(float(distance.mean()), float(np.concatenate(back).mean()))
+
+
+def finest_that_fits(size: float, coded_bytes: Callable[[float], float], beside: float) -> float:
+    """The smallest bound whose bytes fit into `size`: bisection in the logarithm. Raises CannotEncode.
+
+    beside: bytes of the file besides the points, for the message.
+    """
+    low, high = math.log(FINEST_BOUND_M), math.log(COARSEST_BOUND_M)
+    smallest = coded_bytes(COARSEST_BOUND_M)
+    if smallest > size:
+        raise CannotEncode(
+            f"bodycast cannot encode this to a file of {size + beside:,.0f} bytes, only of about "
+            f"{smallest + beside:,.0f}, with points within {COARSEST_BOUND_M * 1000:g} mm; ask for a larger file, or "
+            "for a surface without a bound on its points (residual)"
+        )
+    for _ in range(SIZE_ATTEMPTS):
+        middle = (low + high) / 2
+        if coded_bytes(math.exp(middle)) <= size:
+            high = middle
+        else:
+            low = middle
+    return math.exp(high)
+
+
+def coarser_steps(start: int) -> list[int]:
+    """Colour steps to try, from coarse to lossless."""
+    steps = [start]
+    while steps[-1] > 1:
+        steps.append(max(1, steps[-1] * 2 // 3))
+    return steps
+
+
+def step_of_psnr(psnr_db: float) -> int:
+    """The first step to try for a PSNR: that of errors spread evenly over a step, a little coarser."""
+    step = 1.5 * math.sqrt(12) * 255 / 10 ** (psnr_db / 20)
+    return int(np.clip(round(step), 1, point_colours.MAX_STEP))

@@ -1,0 +1,92 @@
+"""Arrays of bits through the adaptive binary coder of `adaptive_bits`, one array after the other.
+
+    bits (n,), contexts (n, 5) ──BitEncoder.code──► bytes ──BitDecoder.code──► the same bits
+
+Both classes have the same method `code`, which returns the bits: a function that codes something runs unchanged in the
+encoder, where it knows the bits, and in the decoder, where it does not.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from .. import native
+from ..errors import Corrupt
+from ..typing import AnyInteger, Booleans
+from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
+
+
+class BitCoder(Protocol):
+    """What `BitEncoder` and `BitDecoder` have in common."""
+
+    def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
+        """Code one array of bits (n,) and return it.
+
+        contexts (n, INPUTS): what each bit's probability is learned from, numbers below 2^24. sets (n,): the weights
+        that mix the probabilities, numbers below MIXERS. bits: None in the decoder.
+        """
+        ...
+
+
+class BitEncoder:
+    """Arrays of bits to bytes."""
+
+    def __init__(self) -> None:
+        kernel = native.kernel("BitArrayEncoder")
+        self._kernel: Any = kernel(*tables()) if kernel else None
+        self._mixer, self._encoder = (None, None) if kernel else (Mixer(), Encoder())
+
+    def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
+        """As `BitCoder.code`; bits: needed."""
+        if bits is None:
+            raise ValueError("an encoder needs the bits")
+        if self._mixer is None or self._encoder is None:
+            self._kernel.encode(*_arrays(contexts, sets), np.ascontiguousarray(bits, np.uint8))
+            return bits
+        for row, which, bit in zip(contexts.tolist(), sets.tolist(), bits.tolist(), strict=True):
+            self._mixer.contexts(row)
+            self._encoder.bit(int(bit), self._mixer.mix(0, which))
+            self._mixer.learn(int(bit))
+        return bits
+
+    def finish(self) -> bytes:
+        """The bytes of all arrays."""
+        return bytes(self._kernel.finish()) if self._encoder is None else self._encoder.finish()
+
+
+class BitDecoder:
+    """The inverse of `BitEncoder`, call for call."""
+
+    def __init__(self, data: bytes) -> None:
+        kernel = native.kernel("BitArrayDecoder")
+        self._kernel: Any = kernel(bytes(data), *tables()) if kernel else None
+        self._mixer, self._decoder = (None, None) if kernel else (Mixer(), Decoder(bytes(data)))
+
+    def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None = None) -> Booleans:
+        """As `BitCoder.code`; bits are not used. Raises Corrupt where the bytes end too early."""
+        if self._mixer is None or self._decoder is None:
+            decoded = np.asarray(self._kernel.decode(*_arrays(contexts, sets))) != 0
+            exhausted = self._kernel.exhausted()
+        else:
+            decoded = np.zeros(len(sets), bool)
+            for i, (row, which) in enumerate(zip(contexts.tolist(), sets.tolist(), strict=True)):
+                self._mixer.contexts(row)
+                bit = self._decoder.bit(self._mixer.mix(0, which))
+                self._mixer.learn(bit)
+                decoded[i] = bit
+            exhausted = self._decoder.exhausted
+        if exhausted:
+            raise Corrupt("a stream of adaptive bits is cut off or damaged")
+        return decoded
+
+    def finish(self) -> None:
+        """Raises Corrupt if bytes are left."""
+        if not (self._kernel.at_end() if self._decoder is None else self._decoder.at_end):
+            raise Corrupt("a stream of adaptive bits does not end where its bytes end")
+
+
+def _arrays(contexts: AnyInteger, sets: AnyInteger) -> tuple[Any, Any]:
+    """Contexts and sets as the compiled coder takes them."""
+    return np.ascontiguousarray(contexts, np.uint32).reshape(-1, INPUTS), np.ascontiguousarray(sets, np.uint32)

@@ -1,0 +1,245 @@
+"""All points within a bound: the lattice, its octree, colours, targets, frames without a body, damage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+import mocodec as mc
+from mocodec import container, native
+from mocodec.codecs.bodycast import (
+    Bodycast,
+    integer_surface,
+    lattice,
+    octree,
+    point_colours,
+    point_layer,
+    point_octree,
+    point_targets,
+)
+from mocodec.encoded import Chunk, Encoded
+from mocodec.entropy.bit_arrays import BitDecoder, BitEncoder
+from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
+from mocodec.metrics import point_clouds as measures
+from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, corruption, sequences
+
+pytest.importorskip("av")
+
+
+@pytest.fixture(scope="module")
+def performance() -> sequences.Performance:
+    return sequences.jumping_jacks(actors.capsules(), 4)
+
+
+@pytest.fixture(scope="module")
+def clouds(performance) -> PointClouds:
+    return replace(sequences.record(performance, 1500, seed=1), normals=None)
+
+
+@pytest.fixture(scope="module")
+def encoded(performance, clouds) -> Encoded[PointClouds]:
+    return Bodycast(max_error=0.002, skeleton=performance.skeleton(), chunk_frames=3).encode(clouds)
+
+
+def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Nearest distances in both directions, by SciPy alone."""
+    return np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
+
+
+def things(frames: int = 3, points: int = 300) -> PointClouds:
+    """Points that are no person: a thing 10 cm high."""
+    rng = np.random.default_rng(5)
+    return PointClouds([rng.uniform(-1, 1, (points, 3)) * [0.4, 0.05, 0.2] for _ in range(frames)], 15.0)
+
+
+@pytest.mark.parametrize("bound", [1e-5, 0.003, 2.0])
+def test_no_place_is_farther_from_the_lattice_than_the_bound(bound):
+    points = np.random.default_rng(0).uniform(-50 * bound, 50 * bound, (20_000, 3))
+    step = lattice.step_of_bound(bound)
+    whole = lattice.nearest(points, step)
+    assert ((whole % 2).sum(axis=1) % 3 == 0).all()  # all even or all odd
+    distance = np.linalg.norm(points - lattice.positions(whole, step), axis=1)
+    assert 0.9 * bound < distance.max() <= bound
+    assert np.sqrt(np.mean(distance**2)) == pytest.approx(lattice.RMS_PER_BOUND * bound, rel=0.01)
+
+
+@pytest.mark.parametrize("codes", [[0], [7], [0, 7], [0, 7, 56, 63, 448, 511]])
+def test_octrees_of_few_points(codes):
+    codes = np.array(codes)
+    encoder = BitEncoder()
+    point_octree.code_octree(encoder, codes, 3, len(codes), None)
+    decoder = BitDecoder(encoder.finish())
+    back, _ = point_octree.code_octree(decoder, None, 3, len(codes), None)
+    decoder.finish()
+    np.testing.assert_array_equal(back, codes)
+
+
+@pytest.mark.parametrize("step", [1, 3, 16])
+def test_colours_are_within_half_a_step(step):
+    rng = np.random.default_rng(2)
+    colours = rng.integers(0, 256, (333, 3)).astype(np.uint8)
+    predicted = np.tile(point_colours.GREY, (333, 1))
+    wanted = point_colours.quantise(colours, predicted, step)
+    encoder = BitEncoder()
+    point_colours.code_colours(encoder, wanted, len(wanted))
+    back = point_colours.code_colours(BitDecoder(encoder.finish()), None, len(wanted))
+    np.testing.assert_array_equal(back, wanted)
+    decoded = point_colours.dequantise(back, predicted, step).astype(int)
+    assert np.abs(decoded - colours).max() <= (0 if step == 1 else 1.5 * step)
+
+
+def test_rounding_shifts_keep_values_from_the_border():
+    values = np.array([3.0, 3.5, -2.25 + 1e-12, 7.999_999_999])
+    shift = integer_surface.rounding_shift(values)
+    whole = integer_surface.rounded(values, shift)
+    for change in (-1e-8, 1e-8):
+        np.testing.assert_array_equal(integer_surface.rounded(values + change, shift), whole)
+
+
+def test_nearest_samples_do_not_depend_on_the_order_of_a_tree():
+    grid = np.stack(np.meshgrid(*[np.arange(6)] * 3), -1).reshape(-1, 3) * 100
+    normals = np.tile([0, 0, 1024], (len(grid), 1))
+    found = integer_surface.nearest_samples(grid, normals)
+    for row in (0, 100, 215):
+        every = ((grid - grid[row]) ** 2).sum(axis=1)
+        expected = np.lexsort((np.arange(len(grid)), every))[: integer_surface.NEIGHBOURS + 1]
+        assert found[row].tolist() == [r for r in expected.tolist() if r != row][: integer_surface.NEIGHBOURS]
+
+
+def test_every_point_has_a_decoded_one_within_the_bound_and_back(clouds, encoded):
+    decoded = Bodycast.decode(encoded)
+    assert encoded.promise == {"max_error": 0.002}
+    for original, points in zip(clouds.positions, decoded.positions, strict=True):
+        assert 0.0015 < distances(np.asarray(original), points).max() <= 0.002
+    found = measures.errors(clouds, decoded)
+    assert found.max_error <= 0.002
+    assert found.psnr > 35
+
+
+def test_the_surface_saves_bytes(clouds, encoded):
+    alone = Bodycast(max_error=0.002, chunk_frames=3)._point_chunks([], _frames(clouds), _spans(encoded), True, 0, 0)
+    assert sum(len(c.payload) for c in encoded.chunks) < 0.97 * sum(map(len, alone))
+
+
+def _frames(clouds):
+    return list(zip(clouds.positions, clouds.colours, strict=True))
+
+
+def _spans(encoded):
+    return [slice(c.start, c.stop) for c in encoded.chunks]
+
+
+@pytest.mark.parametrize("frames", [slice(0, 2), slice(2, 4), slice(3, 4), slice(4, 4)])
+def test_slice_of_decode_is_decode_of_slice(encoded, frames):
+    whole, part = Bodycast.decode(encoded), Bodycast.decode(encoded, frames)
+    for i, frame in enumerate(range(frames.start, frames.stop)):
+        np.testing.assert_array_equal(part.positions[i], whole.positions[frame])
+
+
+def test_python_and_compiled_coders_agree():
+    clouds = things(2, 60)
+    with native.without():
+        pure = Bodycast(max_error=0.01).encode(clouds)
+    compiled = Bodycast(max_error=0.01).encode(clouds)
+    assert pure.chunks[0].payload == compiled.chunks[0].payload
+    with native.without():
+        decoded = Bodycast.decode(compiled)
+    np.testing.assert_array_equal(decoded.positions[1], Bodycast.decode(compiled).positions[1])
+
+
+def test_less_error_takes_more_bytes():
+    clouds = things()
+    sizes = [Bodycast(max_error=bound).encode(clouds).payload_bytes for bound in (0.02, 0.005, 0.001, 0.0002)]
+    assert sizes == sorted(sizes)
+
+
+@pytest.mark.parametrize("mean", [0.0005, 0.01])
+def test_a_mean_error_is_met_closely(mean):
+    clouds = things()
+    found = measures.errors(clouds, Bodycast.decode(Bodycast(mean_error=mean).encode(clouds)))
+    assert 0.8 * mean < found.mean_error <= mean
+
+
+@pytest.mark.parametrize("target", [{"size": 3000}, {"ratio": 4.0}])
+def test_a_size_is_met(target):
+    clouds = things()
+    blob = mc.encode(clouds, **target)
+    limit = target.get("size") or clouds.raw_bytes / target["ratio"]
+    assert 0.5 * limit < len(blob) <= limit
+    with pytest.raises(CannotEncode, match="larger file"):
+        mc.encode(clouds, size=200)
+
+
+def test_psnr_of_colours_is_met(performance, clouds):
+    codec = Bodycast(max_error=0.0005, psnr=48, skeleton=performance.skeleton())
+    one = clouds[:1]
+    assert measures.errors(one, codec.decode(codec.encode(one))).psnr >= 48
+    with pytest.raises(CannotEncode, match="colours"):
+        replace(codec, max_error=0.05, psnr=60).encode(one)
+
+
+def test_frames_without_a_body_fall_back_to_points():
+    clouds = things()
+    blob = np.random.default_rng(3).normal(size=(300, 3)) * 0.4  # as high as a person
+    for positions in ([p[:50] for p in clouds.positions], [*clouds.positions[:2], np.zeros((0, 3))], [blob]):
+        plain = PointClouds(positions, 15.0)
+        decoded = mc.decode(mc.encode(plain), PointClouds)
+        assert measures.errors(plain, decoded).max_error <= point_targets.DEFAULT_BOUND_M
+    with pytest.raises(BadInput, match="0 bodies"):
+        Bodycast.track(Bodycast().encode(clouds))
+
+
+def test_a_body_that_is_absent_in_a_frame(performance, clouds):
+    positions, colours = list(clouds.positions), list(clouds.colours or ())
+    positions[2], colours[2] = positions[2][:5], colours[2][:5]
+    holes = PointClouds(positions, 15.0, colours)
+    codec = Bodycast(max_error=0.003, skeleton=performance.skeleton())
+    assert measures.errors(holes, codec.decode(codec.encode(holes))).max_error <= 0.003
+
+
+def test_points_that_cannot_be_bounded_are_refused():
+    far = PointClouds([np.array([[0.0, 0, 0], [1e6, 0, 0]])], 15.0)
+    with pytest.raises(CannotEncode, match="too far"):
+        Bodycast(max_error=0.001).encode(far)
+    with pytest.raises(BadInput, match="one target"):
+        Bodycast(max_error=0.001, size=1000).encode(things())
+    with pytest.raises(BadInput, match="exact"):
+        Bodycast(max_error=0.001, residual="exact").encode(things())
+    with pytest.raises(BadInput, match="above zero"):
+        Bodycast(max_error=-1.0).encode(things())
+
+
+def test_duplicates_become_one_point_with_their_mean_colour():
+    points = np.tile([[0.1, 0.2, 0.3]], (4, 1))
+    colours = np.array([[0, 0, 0], [10, 0, 0], [20, 0, 0], [30, 0, 0]], np.uint8)
+    grid, [frame] = point_layer.to_lattice([(points, colours)], 0.001, True)
+    assert len(frame.codes) == 1
+    assert frame.colours.tolist() == [[15, 0, 0]]
+    assert distances(points, grid.positions(frame.codes)).max() <= 0.001
+    assert octree.cells_of_codes(frame.codes).shape == (1, 3)
+
+
+def test_every_flipped_byte_and_prefix_of_a_file_is_an_error():
+    blob = container.pack(Bodycast(max_error=0.01).encode(things(2, 80)))
+    for cut in corruption.prefixes(blob, every=7):
+        with pytest.raises(MocodecError):
+            mc.decode(cut)
+    for _, broken in corruption.flips(blob, every=7):
+        with pytest.raises(MocodecError):
+            mc.decode(broken)
+
+
+def test_damaged_payloads_raise_corrupt_or_decode(encoded):
+    rng = np.random.default_rng(4)
+    for _ in range(25):
+        payload = bytearray(encoded.chunks[0].payload)
+        payload[int(rng.integers(0, len(payload)))] ^= int(rng.integers(1, 256))
+        broken = Encoded("bodycast", encoded.about, [Chunk(0, 3, bytes(payload))], encoded.shared)
+        try:
+            Bodycast.decode(broken)
+        except Corrupt:
+            continue
