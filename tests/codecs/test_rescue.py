@@ -10,8 +10,8 @@ import pytest
 import mocodec as mc
 from mocodec import metrics
 from mocodec.codecs.lossless import Lossless
-from mocodec.codecs.tempo import Tempo, chunk, fallback, model_choice, repeats
-from mocodec.codecs.tempo.coding import coefficients, direct
+from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice, repeats
+from mocodec.codecs.tempo.coding import coefficients, direct, lattice, lattice_chunk
 from mocodec.codecs.tempo.models.model import Model
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
@@ -31,6 +31,12 @@ def check(motion: Motion, **target: float) -> mc.Motion:
 
 
 def break_(monkeypatch: pytest.MonkeyPatch, where: Any, name: str, times: int = 10**9) -> None:
+    """Make a function raise an IndexError at its first calls; the lattice engine, which needs no model, is off."""
+    monkeypatch.setattr(engine_choice, "available", lambda: False)
+    fail(monkeypatch, where, name, times)
+
+
+def fail(monkeypatch: pytest.MonkeyPatch, where: Any, name: str, times: int = 10**9) -> None:
     """Make a function raise an IndexError at its first calls."""
     works, left = getattr(where, name), times
 
@@ -65,7 +71,20 @@ def test_a_broken_part_of_tempo(
     assert "IndexError: injected" in decoded.source["notes"][-1]
 
 
+@pytest.mark.skipif(not engine_choice.available(), reason="the lattice engine needs the compiled module")
+@pytest.mark.parametrize(
+    ("where", "name"), [(engine_choice, "plan"), (lattice, "neighbours"), (lattice_chunk, "encode")]
+)
+@pytest.mark.parametrize("target", [{"max_error": 0.0005}, {"mean_error": 0.0005}])
+def test_a_broken_lattice_engine(
+    monkeypatch: pytest.MonkeyPatch, where: Any, name: str, target: dict[str, float]
+) -> None:
+    fail(monkeypatch, where, name)
+    check(WALK, **target)
+
+
 def test_one_broken_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_choice, "available", lambda: False)
     plain = mc.encode(WALK, chunk_seconds=0.5, model="points-stored")
     break_(monkeypatch, chunk.ChunkEncoder, "_transform_within", times=1)
     blob = mc.encode(WALK, chunk_seconds=0.5, model="points-stored")
@@ -90,6 +109,7 @@ def test_interrupts_pass_through(monkeypatch: pytest.MonkeyPatch, error: type[Ba
 
     for where, name in ((model_choice, "choose"), (Model, "analyse"), (coefficients, "pack")):
         with monkeypatch.context() as patch:
+            patch.setattr(engine_choice, "available", lambda: False)
             patch.setattr(where, name, interrupted)
             with pytest.raises(error):
                 Tempo().encode(WALK)
