@@ -88,7 +88,8 @@ BASES: tuple[Callable[[Random, int, int], Floats], ...] = (
 
 def _samples(p: Floats, random: Random, most: float) -> tuple[Any, Any]:
     """Frames and points of a random share of the samples."""
-    return np.nonzero(random.random(p.shape[:2]) < most * random.random())
+    frames, points = np.nonzero(random.random(p.shape[:2]) < most * random.random())
+    return frames, points
 
 
 def _run(p: Floats, random: Random) -> slice:
