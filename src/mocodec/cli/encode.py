@@ -162,6 +162,7 @@ def encoded(
     found, broken = verify.check(targets, recording, decoded, facts)
     if broken:
         raise CannotEncode(f"{chosen.name} did not keep its promise, so nothing was written: {'; '.join(broken)}")
+    files.with_notes(source, decoded)
     record = measures(recording, decoded, facts)
     return recording, record if isinstance(recording, Motion) else record | found, blob
 

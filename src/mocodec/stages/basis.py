@@ -89,8 +89,9 @@ def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> b
     leading = int(saved.argmax()) if alike is not None else 0
     values = np.concatenate([differences[:, :leading], entries[:, leading:]], axis=1)
     packed = varint.write([leading]) + coder.pack(values)
-    if not _is_affordable(*basis.shape, len(packed)):
-        raise CannotEncode(f"a basis of {basis.shape[1]} components for {len(basis)} dimensions is too large to decode")
+    n, k = basis.shape
+    if not _is_affordable(n, k, len(packed)):
+        raise CannotEncode(f"a basis of {k} components for {n} dimensions is too large to decode")
     return packed
 
 
