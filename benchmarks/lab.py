@@ -15,6 +15,7 @@ import statistics
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,12 @@ def measure_lab(data: Path) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for name, path, motion in recordings(data):
         raw = path.read_bytes()
-        row = {"bytes": len(raw), "frames": len(motion), "points": motion.points, "zip": len(zlib.compress(raw, 6))}
+        row: dict[str, Any] = {
+            "bytes": len(raw),
+            "frames": len(motion),
+            "points": motion.points,
+            "zip": len(zlib.compress(raw, 6)),
+        }
         try:
             row |= {"exact": encoded(motion, None), "12bit": encoded(motion, "12bit")}
         except MocodecError as error:
@@ -124,10 +130,10 @@ def as_channels(values: Array) -> list[Array]:
 
 def pcodec(values: Array) -> int | None:
     try:
-        from pcodec import ChunkConfig, standalone
+        standalone, config = import_module("pcodec.standalone"), import_module("pcodec").ChunkConfig
     except ImportError:
         return None
-    level = ChunkConfig(compression_level=12)
+    level = config(compression_level=12)
     return sum(len(standalone.simple_compress(channel, level)) for channel in as_channels(values))
 
 
@@ -139,7 +145,7 @@ def xz(values: Array) -> int:
 def flac(values: Array) -> int | None:
     """16-bit channels, one after the other; None for others."""
     try:
-        import soundfile
+        soundfile = import_module("soundfile")
     except ImportError:
         return None
     if values.dtype != np.int16:

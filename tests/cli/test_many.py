@@ -217,6 +217,11 @@ def test_a_killed_run_is_gone_on_with(folder: Path, walk: mc.Motion) -> None:
 MOCODEC = [sys.executable, "-m", "mocodec"]
 
 
+def restore_sigint() -> None:
+    """Tests that run in the background of a shell inherit that SIGINT is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stopped_run_leaves_whole_files_only(folder: Path, number: int) -> None:
@@ -225,7 +230,7 @@ def test_a_stopped_run_leaves_whole_files_only(folder: Path, number: int) -> Non
         mc.write(f"in/{name}.npz", mc.Motion(steps, 120))
     process = subprocess.Popen(
         [*MOCODEC, "encode", "in", "-o", "out", "-j", "2"], stderr=subprocess.PIPE, stdout=subprocess.PIPE,
-        start_new_session=True,
+        start_new_session=True, preexec_fn=restore_sigint,
     )  # fmt: skip
     while not Path("out", NAME).exists() and process.poll() is None:
         time.sleep(0.02)
