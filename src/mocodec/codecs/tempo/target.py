@@ -18,7 +18,7 @@ from ...errors import CannotEncode
 from ...stages import search
 from ...typing import Floats
 from . import chunk
-from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_step
+from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_size, grid_step
 from .coding import coefficients, direct, lattice, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
@@ -46,6 +46,8 @@ OTHER_SLOPES = tuple((change, share) for share in (0.8, 1.25, 0.6, 1.6, 0.4, 2.0
 """Changes of the step, and shares of λ, that are tried then."""
 CUBE_MEAN = 0.4803
 """Mean distance of the points of a cube from its centre, in sides."""
+FINER_GRIDS = 64
+"""A grid for a mean error is tried at most so much finer, 1/256 octave."""
 USUAL_SLOPE, SLOPES = 0.75, (0.4, 1.0)
 """Rise of the logarithm of the error per logarithm of the step: at first, and its range."""
 LARGEST_INTEGER = 2.0**40
@@ -173,7 +175,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
     best, over, drafts = int(found.setting), found.value + AIM, found.result
     if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
-        return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
+        return _directly_to_mean(encoders, target)
     for lower in range(1, LOWER_STEPS + 1):
         if over <= 0:
             break
@@ -185,8 +187,21 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
         if over < other <= 0 or (over > 0 and other < over):
             over, drafts = other, other_drafts
     if over > 0:
-        return [e.directly(grid_step(target / CUBE_MEAN)) for e in encoders]
+        return _directly_to_mean(encoders, target)
     return chunk.pack(encoders, drafts)
+
+
+def _directly_to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
+    """Payloads of the direct engine in the coarsest grid tried whose mean error is at most the target (metres)."""
+    samples = sum(e.samples for e in encoders)
+    apart = sum(e.apart.rounding_error for e in encoders)
+    grid = grid_step(target / CUBE_MEAN)
+    for finer in range(FINER_GRIDS):
+        size = grid_size(grid - finer)
+        errors = (e.errors(np.asarray(direct.quantise(e.positions, size) * size, np.float64)) for e in encoders)
+        if sum(float(each.sum()) for each in errors) + apart <= target * samples:
+            return [e.directly(grid - finer) for e in encoders]
+    return [e.directly(grid - FINER_GRIDS) for e in encoders]
 
 
 def _nearest(
