@@ -22,7 +22,7 @@ from .models import Recording, points
 from .preparation import Prepared
 
 SAMPLED = 30_000
-"""Samples of the recording that are coded on trial, at least and at most so many frames:"""
+"""Number of samples that are coded on trial; the limits below are in frames."""
 FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises

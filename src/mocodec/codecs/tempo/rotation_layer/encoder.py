@@ -35,7 +35,7 @@ INNER_TRIES = 5
 WORTH_SHARING, LESS = 0.2, 0.85
 """Where rotations take more than this part of the positions' bytes, positions get so much less of the error as well."""
 SEARCHED_FRAMES, FULL_TRIES = 1000, 6
-"""The search for a step looks at about so many frames; then the step is made finer until all frames keep the mean."""
+"""The search for a step measures about 1,000 frames; then the step is made finer until all frames keep the mean."""
 NEAR = 0.97
 """A mean error from this share of the target on ends the search for a step."""
 MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
@@ -119,7 +119,7 @@ class ChunkLayer:
         return shell.errors(self.original.positions, self.original.world, positions, world, self.layer.reach_m)
 
     def sampled_errors(self, draft: Draft, every: int) -> shell.Errors:
-        """Errors of every so many frames of a draft without corrections."""
+        """Errors of a draft without corrections, in one frame of `every`."""
         local, positions = solve.solve(self.layer.rules, self.targets[::every], draft.side[::every])
         world = shell.world_rotations(self.layer.rules.skeleton, local)
         true = self.original
