@@ -172,7 +172,7 @@ private:
 
     bool level(double &distance, double &distances, bool first) {
         const ptrdiff_t frames = ptrdiff_t(of.frames);
-        const ptrdiff_t half = level_ ? ptrdiff_t(1) << (of.stride_log - level_) : ptrdiff_t(1) << of.stride_log;
+        const ptrdiff_t half = ptrdiff_t(1) << (of.stride_log - level_);
         const ptrdiff_t step = level_ ? 2 * half : half;
         Predictor predictor;
         predictor.start(mean_weights_[level_]);
@@ -249,8 +249,7 @@ private:
         }
         level_activity_[level_] = (level_activity_[level_] * 7 + slow * 3) / 10;
         for (int i = 0; i < FEATURES; ++i)
-            mean_weights_[level_][i] =
-                (mean_weights_[level_][i] + predictor.weights[i]) / 2;
+            mean_weights_[level_][i] = (mean_weights_[level_][i] + predictor.weights[i]) / 2;
         return true;
     }
 

@@ -19,7 +19,7 @@ from mocodec import cli
 from mocodec.cli import many, summary
 from mocodec.cli.journal import NAME
 
-from .conftest import Command
+from .conftest import Command, restore_sigint
 
 FAST = ("--codec", "lossless")
 
@@ -215,11 +215,6 @@ def test_a_killed_run_is_gone_on_with(folder: Path, walk: mc.Motion) -> None:
 
 
 MOCODEC = [sys.executable, "-m", "mocodec"]
-
-
-def restore_sigint() -> None:
-    """Tests that run in the background of a shell inherit that SIGINT is ignored."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

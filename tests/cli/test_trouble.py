@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ import mocodec as mc
 from mocodec import cli
 from mocodec.cli import compare, files
 
-from .conftest import LOSSY, Command, Result
+from .conftest import LOSSY, Command, Result, restore_sigint
 
 
 def assert_one_line(result: Result, code: int) -> None:
@@ -209,7 +208,6 @@ def test_a_broken_pipe_is_quiet(walk_trc: Path) -> None:
 
 
 def test_interrupt_is_quiet(walk_trc: Path) -> None:
-    restore_sigint = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # processes in the background ignore SIGINT
     process = start("info", "-", stdin=subprocess.PIPE, stdout=subprocess.PIPE, preexec_fn=restore_sigint)
     time.sleep(1.5)  # it waits for standard input
     process.send_signal(signal.SIGINT)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Neighbours:
 
     table: NDArray[np.int32]
 
-    @property
+    @cached_property
     def sequence(self) -> NDArray[np.int32]:
         """The points (points,), each after its neighbours. Raises Corrupt where there is no such order."""
         found: list[int] = []

@@ -164,7 +164,7 @@ class _Chunk:
         return np.array(self.decoded, np.float64).reshape(self.points, self.frames, 3)
 
     def _level(self) -> None:
-        half = 1 << (self.stride - self.level) if self.level else 1 << self.stride
+        half = 1 << (self.stride - self.level)
         step = 2 * half if self.level else half
         self.half, self.step = half, step
         self.predictor = _Predictor(self.mean_weights[self.level])
