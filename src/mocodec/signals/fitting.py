@@ -53,8 +53,11 @@ class Channel:
     is_counts: bool = True
 
 
-def choose(channels: Sequence[Channel | None]) -> list[Predictor | None]:
-    """A predictor for each channel; None for the first sample of the chunk in place of a prediction."""
+def choose(channels: Sequence[Channel | None], alone: bool = False) -> list[Predictor | None]:
+    """A predictor for each channel; None for the first sample of the chunk in place of a prediction.
+
+    alone: predictors refer to no other channel.
+    """
     present = [i for i, channel in enumerate(channels) if channel is not None and channel.kept.sum() >= MIN_SAMPLES]
     result: list[Predictor | None] = [None] * len(channels)
     if not present:
@@ -68,7 +71,7 @@ def choose(channels: Sequence[Channel | None]) -> list[Predictor | None]:
         earlier = [
             place
             for place, j in enumerate(present)
-            if ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
+            if not alone and ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
         ]
         named = _pursuit(samples, present.index(i), earlier, channel.kept)
         predictor = _fit(channel, [present[place] for place in named], samples[named])
@@ -278,7 +281,7 @@ def _best_size(lower: Floats, fixed: int, order: int, count: int) -> int:
     for size in range(fixed + order + 1):
         p = size - fixed
         if p in (0, *ORDERS):
-            bits = count / 2 * float(_log2(np.float64(max(error, 1e-12)))) + TAP_BITS * p
+            bits = count / 2 * float(_log2(np.array([max(error, 1e-12)]))[0]) + TAP_BITS * p
             if bits < least:
                 best, least = size, bits
         if size < fixed + order:
