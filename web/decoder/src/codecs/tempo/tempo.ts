@@ -22,6 +22,15 @@ const NEIGHBOURS = 64;
 
 /** Reads the shared bytes, and loads the prior that they name. */
 export async function openTempo(facts: Facts, priors: PriorLoader): Promise<ChunkDecoder> {
+  check(facts.shared.length === (facts.rotations ? 2 : 1), "tempo: another number of shared blobs");
+  const { decoder, millihertz } = await openPositions(facts, priors);
+  if (!facts.rotations) return decoder;
+  const [{ readLayer }, { WithRotations }] = await Promise.all([import("./rotations/layer.js"), import("./rotations/payload.js")]);
+  const layer = await readLayer(facts.shared[1]!, facts.skeleton, (id) => loadPrior(id, priors));
+  return new WithRotations(layer, decoder, millihertz);
+}
+
+async function openPositions(facts: Facts, priors: PriorLoader): Promise<{ decoder: ChunkDecoder; millihertz: number }> {
   const part = new Bytes(facts.shared[0]!, "tempo");
   const flags = part.byte();
   const [direct, fallback] = [(flags & DIRECT) !== 0, (flags & FALLBACK) !== 0];
@@ -37,7 +46,7 @@ export async function openTempo(facts: Facts, priors: PriorLoader): Promise<Chun
     const shared = [part.rest()];
     const { Hou2014 } = await import("../hou2014.js");
     const inner = new Hou2014({ points: facts.points, parents: facts.skeleton?.parents, shared });
-    return new Tempo(facts, { repeats, millihertz, weights, model: undefined, fallback: inner, lattice });
+    return { decoder: new Tempo(facts, { repeats, millihertz, weights, model: undefined, fallback: inner, lattice }), millihertz };
   }
   let model: Model | undefined;
   if (!direct) {
@@ -45,7 +54,7 @@ export async function openTempo(facts: Facts, priors: PriorLoader): Promise<Chun
     model = await readModel(flags & MODEL, part, await loadPrior(id, priors), facts);
   }
   part.end();
-  return new Tempo(facts, { repeats, millihertz, weights, model, fallback: undefined, lattice });
+  return { decoder: new Tempo(facts, { repeats, millihertz, weights, model, fallback: undefined, lattice }), millihertz };
 }
 
 /** 0.5 rounds to 0, 1.5 to 2. */
