@@ -36,8 +36,12 @@ def decode(
     numbers: of the payload. step_m: step of the corrections. axes: the axis of `out` that x, y and z of positions with
     y up go to.
     """
-    chunks = _of_length(model, frames)
-    return chunks is not None and chunks.decode(numbers, step_m, out, first, axes)
+    return _of_length(model, frames).decode(numbers, step_m, out, first, axes)
+
+
+def decodes(model: Model, frames: int) -> bool:
+    """Whether `decode` may be asked for chunks of this length."""
+    return _of_length(model, frames) is not None
 
 
 def _of_length(model: Model, frames: int) -> Any:
