@@ -29,6 +29,8 @@ ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
 CERTAIN = 0.72
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
+MANY_POINTS = 256
+"""Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit."""
 LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
@@ -66,8 +68,9 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
         return LatticePlan(found, stride, alone=False)
     transform = _transform_bytes(motion, source, some, bound, step)
     rise = ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
-    certain = len(positions) >= FEWEST_FRAMES and cost < (CERTAIN + rise) * transform
-    return LatticePlan(found, stride, bool(cost < (ALONE + rise) * transform), bool(certain))
+    alone = bool(cost < (ALONE + rise) * transform)
+    certain = len(positions) >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
+    return LatticePlan(found, stride, alone, certain or (alone and motion.points > MANY_POINTS))
 
 
 def available() -> bool:
