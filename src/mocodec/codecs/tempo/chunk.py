@@ -121,6 +121,13 @@ class Draft(NamedTuple):
         return self.numbers.step * GRID_OCTAVE // OCTAVE
 
 
+class OnLattice(NamedTuple):
+    """A chunk by the lattice engine: its payload, and the positions (frames, points, 3), metres, that it decodes to."""
+
+    payload: bytes
+    positions: Floats
+
+
 class ChunkEncoder:
     """A chunk while it is encoded: its samples and, computed once, their coefficients."""
 
@@ -265,15 +272,18 @@ class ChunkEncoder:
             return payload
         return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
 
-    def on_lattice(self, bound: float, stride: int) -> bytes | None:
-        """The payload of the lattice engine within the bound (metres), None where samples are too large for it."""
+    def on_lattice(self, bound: float, stride: int) -> OnLattice | None:
+        """By the lattice engine within the bound (metres), None where samples are too large for it."""
         assert self.model.neighbours is not None
         step = grid_step(lattice.half_step(bound))
         samples = self._weighted() / grid_size(step)
         without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
         spiked = None if without is samples else samples
         found = lattice.encode(without, self.gap_mask, self.model.neighbours, stride, spiked)
-        return None if found is None else Payload(LATTICE, found[0], step, self.gaps).pack()
+        if found is None:
+            return None
+        positions = in_metres(self.model, found[1], grid_size(step))
+        return OnLattice(Payload(LATTICE, found[0], step, self.gaps).pack(), frozen.restore(positions, self.gaps))
 
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
@@ -354,3 +364,9 @@ def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | N
         listed[0][0].failure = None
     alone = [e.attempt(lambda n=n: coefficients.pack(model, [n])) for e, n in listed]
     return [None if one is None else one[0] for one in alone]
+
+
+def in_metres(model: Model, values: Floats | Integers, size: float) -> Floats:
+    """Positions of the numbers (frames, points, 3) of the direct and lattice engines; size: their unit, metres."""
+    positions = np.asarray(values * size, np.float64)
+    return positions if model.weights is None else positions / model.weights[:, None]

@@ -15,7 +15,7 @@ from ...errors import Corrupt
 from ...stages import frozen
 from ...typing import Floats
 from . import compiled_chunks
-from .chunk import BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size
+from .chunk import BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
 from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .models.model import Model
 from .pose import heading
@@ -113,9 +113,7 @@ def _decode_by_numpy(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
                 raise Corrupt("tempo: a chunk of the lattice engine in a stream without neighbours")
             else:
                 values = lattice.decode(payload.numbers, frozen.apart(payload.gaps, shape), model.neighbours)
-            positions = np.asarray(values * size, np.float64)
-            if model.weights is not None:
-                positions /= model.weights[:, None]
+            positions = in_metres(model, values, size)
         out.append(frozen.restore(positions, payload.gaps))
     return out
 
