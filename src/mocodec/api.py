@@ -23,6 +23,7 @@ from .codecs import base
 from .codecs.base import Codec
 from .encoded import TARGETS, Encoded, Recording, RecordingT
 from .errors import BadInput, Corrupt, MocodecError
+from .file_range import FileRange
 from .metrics import compare
 from .motion import Deferred, Motion, with_signals
 from .packing import default_codec, pack, with_options
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
-Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
+Source = bytes | bytearray | memoryview | AnyPath | BinaryIO | FileRange
 
 
 @overload
@@ -206,7 +207,9 @@ class File(Generic[RecordingT]):
     opens the path, URL or bytes again.
     """
 
-    def __init__(self, reader: Reader, reopen_from: str | bytes | None = None, salvage: bool = False) -> None:
+    def __init__(
+        self, reader: Reader, reopen_from: str | bytes | FileRange | None = None, salvage: bool = False
+    ) -> None:
         self._reader = reader
         self._reopen_from = reopen_from
         self._salvage = salvage
@@ -361,16 +364,18 @@ def _of_kind(recording: Recording, kind: type[Recording] | None, path: object) -
 IN_WORDS: dict[type, str] = {Motion: "a motion", PointClouds: "point clouds"}
 
 
-def _reopenable(source: Source) -> str | bytes | None:
+def _reopenable(source: Source) -> str | bytes | FileRange | None:
     """What opens the same file again, in another folder too; None for a file object."""
     if isinstance(source, (bytes, bytearray, memoryview)):
         return bytes(source)
+    if isinstance(source, FileRange):
+        return dataclasses.replace(source, path=os.path.abspath(source.path))
     if isinstance(source, (str, PathLike)):
         path = os.fspath(source)
         return path if "://" in path else os.path.abspath(path)
     return None
 
 
-def _open_again(source: str | bytes, salvage: bool) -> File[Any]:
+def _open_again(source: str | bytes | FileRange, salvage: bool) -> File[Any]:
     """Unpickle a File."""
     return open(source, salvage=salvage)
