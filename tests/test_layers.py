@@ -19,7 +19,7 @@ LAYERS = (
     ("testing", "plots", "cloud_plots"),
     ("torch", "learning"),
     ("archive",),
-    ("api", "packing"),
+    ("api", "packing", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
