@@ -19,11 +19,24 @@ LAYERS = (
     ("testing", "plots", "cloud_plots"),
     ("torch", "learning"),
     ("archive",),
-    ("api", "packing", "decoded_chunks"),
+    ("api", "opened", "packing", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing", "channels", "file_range"),
+    (
+        "motion",
+        "pointcloud",
+        "encoded",
+        "errors",
+        "data",
+        "native",
+        "parallel",
+        "progress",
+        "selection",
+        "typing",
+        "channels",
+        "file_range",
+    ),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
 
