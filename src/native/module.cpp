@@ -7,7 +7,8 @@
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
-//   signals.cpp     residuals and linear prediction, for signals/
+//   signals.cpp     residuals and linear prediction, for signals/; signal_fitting.cpp chooses the predictors
+//   varints.cpp     many varints at once, for fields/cursor.py
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
@@ -22,7 +23,7 @@ namespace nb = nanobind;
 
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
-    PART(joint_rotations) PART(signals) PART(point_octree)
+    PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(point_octree)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

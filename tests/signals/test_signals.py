@@ -10,7 +10,7 @@ import pytest
 from mocodec import native
 from mocodec.errors import Corrupt, MocodecError
 from mocodec.fields.cursor import Cursor
-from mocodec.signals import codec, forms, residuals
+from mocodec.signals import codec, fitting, forms, residuals
 from mocodec.testing.signals import cases, noise, plate, slow
 
 RATE = 1000.0
@@ -152,3 +152,18 @@ def test_a_coarser_step_is_preferred_to_one_of_another_channel() -> None:
     found = codec.encode(values, 1000.0)
     assert found is not None
     assert [form.step for form in found[0].forms] == [2.0**-20, 0.75]
+
+
+@pytest.mark.parametrize("samples", [24, 33, 1100, 4000])
+def test_predictors_have_the_same_bits_in_numpy(samples: int) -> None:
+    if not native.available():
+        pytest.skip("the compiled module is not built")
+    integers = np.rint(plate(samples).T.astype(np.float64) * 1000).astype(np.int64)
+    kept = noise(samples, 1.0) > -1.5
+    channels = [fitting.Channel(row, kept | (i == 0), i) for i, row in enumerate(integers)]
+    chosen = fitting.choose(channels)
+    with native.without():
+        assert fitting.choose(channels) == chosen
+        sizes = [fitting.code_bits(row) for row in integers]
+    assert [fitting.code_bits(row) for row in integers] == sizes
+    assert samples < 100 or any(predictor is not None and predictor.references for predictor in chosen)

@@ -36,8 +36,8 @@ from .models.model import Model
 from .pose import heading, leaps
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
+from .rotation_layer.chunk_layer import Promise
 from .rotation_layer.encoder import Encoder as RotationEncoder
-from .rotation_layer.encoder import Promise
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -69,7 +69,8 @@ class Tempo:
     hard bound), "direct" (a grid without a model) and "hou2014".
 
     Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
-    of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
+    of joints and of three shell points, `shell` metres off each joint along the axes of its frame; none exceeds twelve
+    times a mean error.
     max_rotation: degrees, beside any target; no rotation of a joint, against the world or its parent, is farther off.
     """
 
@@ -142,8 +143,7 @@ class Tempo:
 
     def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
         weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
-        has_bound = not (self._has_size or self.mean_error)
-        bound = (self.max_error or DEFAULT_MAX_ERROR) if has_bound else None
+        bound = None if self._has_size or self.mean_error else self.max_error or DEFAULT_MAX_ERROR
         turn = None if self.max_rotation is None else np.radians(self.max_rotation)
         encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
         positions = replace(motion, rotations=None)
@@ -181,8 +181,7 @@ class Tempo:
         return replace(bounded, settings=self._stored_settings())
 
     def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
-        distinct = repeats.distinct_frames(motion, self.chunk_seconds)
-        if distinct is None:
+        if (distinct := repeats.distinct_frames(motion, self.chunk_seconds)) is None:
             return self.encode_without_repeats(motion)
         with progress.attempt(0):
             encoded = self._encode_distinct(motion, distinct)
