@@ -45,6 +45,12 @@ public:
             code(contexts.data() + i * bits::INPUTS, sets.data()[i], values.data()[i] != 0);
     }
 
+    // Fetches what a bit with these contexts will need.
+    void prefetch(const uint32_t *contexts) {
+        mixer_.contexts(contexts);
+        mixer_.prefetch(0);
+    }
+
     // Codes one bit with these INPUTS contexts and this weight set; returns it.
     int code(const uint32_t *contexts, uint32_t set, int bit) {
         bits::Mixed mixed;
@@ -77,6 +83,12 @@ public:
         for (size_t i = 0; i < n; ++i)
             out.data[i] = uint8_t(code(contexts.data() + i * bits::INPUTS, sets.data()[i], 0));
         return out.give({n});
+    }
+
+    // Fetches what a bit with these contexts will need.
+    void prefetch(const uint32_t *contexts) {
+        mixer_.contexts(contexts);
+        mixer_.prefetch(0);
     }
 
     // As BitArrayEncoder::code; the bit that is given has no meaning.

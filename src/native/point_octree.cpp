@@ -34,11 +34,17 @@ struct Level {
     size_t size() const { return codes.size(); }
 };
 
-int bits_of(unsigned mask) {
-    int count = 0;
-    for (; mask; mask &= mask - 1) ++count;
-    return count;
-}
+// Bits of the numbers from 0 to 255.
+struct BitCounts {
+    uint8_t of[256] = {};
+    BitCounts() {
+        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
+    }
+};
+
+const BitCounts BITS;
+
+int bits_of(unsigned mask) { return BITS.of[mask & 255]; }
 
 // The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
@@ -151,24 +157,35 @@ private:
             filled_[i] = uint8_t(std::min(filled / 2, 3));
         }
         if (surface_) sum_weights(octants, count);
-        uint32_t contexts[bits::INPUTS];
-        for (int place = 0; place < count; ++place) {
-            const int octant = octants[place], left = count - place - 1;
-            for (size_t i = 0; i < cubes; ++i) {
-                const int found = bits_of(level_.known[i]), few = std::min(found, 3);
+        for (int place = 0; place < count; ++place) code_octant(coder, octants[place], count - place - 1, height, occupied);
+    }
+
+    // Codes one octant of all cubes; `left` octants follow. The contexts depend on octants before it alone, so those of a
+    // batch of cubes come before its bits, and their counters are in the cache in time.
+    template <class Coder>
+    void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
+        constexpr size_t BATCH = 32;
+        uint32_t contexts[BATCH][bits::INPUTS], sets[BATCH];
+        const int tall = std::min(height, 15), set = std::min(height, 20) * 4;
+        for (size_t start = 0; start < level_.size(); start += BATCH) {
+            const size_t stop = std::min(start + BATCH, level_.size());
+            for (size_t i = start; i < stop; ++i) {
+                const int few = std::min(bits_of(level_.known[i]), 3);
+                set_contexts(contexts[i - start], i, octant, few, tall, left);
+                sets[i - start] = uint32_t((set + few) * 3 + (surface_ ? 1 + hints_[i].usable : 0));
+                coder.prefetch(contexts[i - start]);
+            }
+            for (size_t i = start; i < stop; ++i) {
                 int bit = 1;
-                if (left || found) {
-                    set_contexts(contexts, i, octant, few, std::min(height, 15), left);
-                    const int hint = surface_ ? 1 + hints_[i].usable : 0;
-                    bit = coder.code(contexts, uint32_t((std::min(height, 20) * 4 + few) * 3 + hint),
-                                     occupied ? occupied[i] >> octant & 1 : 0);
-                }
-                if (surface_ && hints_[i].usable) {
-                    hints_[i].narrow_left -= hints_[i].narrow[octant];
-                    hints_[i].wide_left -= hints_[i].wide[octant];
-                }
+                if (left || level_.known[i])
+                    bit = coder.code(contexts[i - start], sets[i - start], occupied ? occupied[i] >> octant & 1 : 0);
                 level_.known[i] = uint8_t(level_.known[i] | bit << octant);
             }
+        }
+        if (!surface_) return;
+        for (Hints &hints : hints_) {
+            hints.narrow_left -= hints.narrow[octant];
+            hints.wide_left -= hints.wide[octant];
         }
     }
 
