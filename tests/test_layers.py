@@ -17,11 +17,11 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     ("cli", "__main__"),
     ("testing", "plots", "cloud_plots"),
-    ("api", "packing", "decoded_chunks"),
+    ("api", "opened", "packing", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing", "channels"),
+    ("motion", "pointcloud", "encoded", "errors", "data", "native", "parallel", "progress", "selection", "typing", "channels"),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
 
