@@ -249,6 +249,11 @@ class File(Generic[RecordingT]):
         """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
         return self._reader.info()
 
+    @property
+    def chunk_bytes(self) -> list[int]:
+        """The size of each chunk's payload, bytes, from the index."""
+        return list(self._reader.chunks.lengths)
+
     def __len__(self) -> int:
         """The number of frames."""
         return self.encoded.frames

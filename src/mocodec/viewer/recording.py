@@ -1,0 +1,101 @@
+"""A recording that a page shows: one in memory, or an open .mocz of which only the shown frames are decoded."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from .. import api
+from ..encoded import Recording
+from ..errors import Corrupt, Truncated
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from ..typing import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A recording and its name. `positions` and `clouds` decode frames; damaged frames are gaps, or have no points.
+
+    columns: the order in which points are shown, as numbers of the recording's points; None for its own order.
+    bytes, codec, promise, chunks (first frame, bytes): of a compressed file; None and empty for others.
+    """
+
+    name: str
+    recording: Recording | api.File[Any]
+    columns: Sequence[int] | None = None
+    bytes: int | None = None
+    notes: Sequence[str] = ()
+    codec: str | None = None
+    promise: Mapping[str, float] = field(default_factory=dict[str, float])
+    chunks: Sequence[tuple[int, int]] = ()
+
+    @cached_property
+    def about(self) -> Recording:
+        """The recording, or its description without frames; points in the shown order."""
+        about = self.recording.encoded.about if isinstance(self.recording, api.File) else self.recording
+        if not isinstance(about, Motion) or self.columns is None:
+            return cast("Recording", about)
+        return replace(about, rotations=None).select([about.names[c] for c in self.columns])
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return len(self.recording)
+
+    @property
+    def in_memory(self) -> Recording:
+        """The whole recording."""
+        return self.recording[:] if isinstance(self.recording, api.File) else self.recording
+
+    @cached_property
+    def damage(self) -> list[tuple[int, int]]:
+        """Runs of frames (start, stop) that do not decode."""
+        if not isinstance(self.recording, api.File):
+            return []
+        runs, at = list[tuple[int, int]](), 0
+        for start, stop in [*self.recording.whole(), (self.frames, self.frames)]:
+            if start > at:
+                runs.append((at, start))
+            at = stop
+        return runs
+
+    def part(self, a: int, b: int) -> Recording:
+        """Frames [a, b). Raises Corrupt or Truncated for damaged ones."""
+        return self.recording[a:b]
+
+    def positions(self, a: int, b: int) -> Floats:
+        """Positions (b − a, points, 3) of a motion, metres; NaN in gaps and in damaged frames."""
+        try:
+            return self._ordered(a, b)
+        except (Corrupt, Truncated):
+            result = np.full((b - a, cast("Motion", self.about).points, 3), np.nan)
+        at = a
+        for start, stop in [*self.damage, (b, b)]:
+            if at < min(start, b):
+                with contextlib.suppress(Corrupt, Truncated):
+                    result[at - a : min(start, b) - a] = self._ordered(at, min(start, b))
+            at = max(at, stop)
+        return result
+
+    def _ordered(self, a: int, b: int) -> Floats:
+        positions = cast("Motion", self.part(a, b)).positions
+        return positions if self.columns is None else positions[:, list(self.columns)]
+
+    def clouds(self, a: int, b: int) -> PointClouds:
+        """Frames [a, b) of point clouds. Raises Corrupt or Truncated for damaged ones."""
+        return cast("PointClouds", self.part(a, b))
+
+
+def of_file(name: str, opened: api.File[Any]) -> Shown:
+    """An open .mocz."""
+    info = opened.info
+    chunks = [(chunk.start, size) for chunk, size in zip(opened.encoded.chunks, opened.chunk_bytes, strict=True)]
+    return Shown(
+        name, opened, bytes=info["bytes"], codec=info["codec"], promise=opened.encoded.promise, chunks=chunks
+    )
