@@ -21,7 +21,7 @@ from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from . import page, session
-from .recording import Shown, of_file
+from .recording import Shown, of_file, of_path
 from .server import Server
 from .session import Limit, Pair, matched
 
@@ -44,8 +44,7 @@ def shown(source: Viewable, opened: ExitStack, name: str | None = None, **option
     name = name or path.rstrip("/").rpartition("/")[2]
     if path.partition("?")[0].lower().endswith(".mocz"):
         return of_file(name, opened.enter_context(api.open(path, salvage=True)))
-    recording = api.read(path, **options)
-    return Shown(name, recording, notes=[str(note) for note in formats.notes(recording)])
+    return of_path(path, name, api.read(path, **options))
 
 
 def pairs_of(sources: Sequence[Viewable], against: Viewable | None, opened: ExitStack, **options: Any) -> list[Pair]:

@@ -44,6 +44,7 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
         "links": motion_links(shown, about) if is_motion else [],
         "codec": shown.codec,
         "bytes": shown.bytes,
+        "originalBytes": None if original is None else original.file_bytes,
         "ratio": ratio(shown, original),
         "promise": dict(shown.promise),
         "chunks": chunks(shown),

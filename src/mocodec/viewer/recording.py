@@ -6,11 +6,12 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from .. import api
+from .. import api, formats
 from ..encoded import Recording
 from ..errors import Corrupt, Truncated
 from ..motion import Motion
@@ -23,7 +24,8 @@ class Shown:
     """A recording and its name. `positions` and `clouds` decode frames; damaged frames are gaps, or have no points.
 
     columns: the order in which points are shown, as numbers of the recording's points; None for its own order.
-    bytes, codec, promise, chunks (first frame, bytes): of a compressed file; None and empty for others.
+    bytes, codec, promise, chunks (first frame, bytes): of a compressed file; None and empty for others. file_bytes: size
+    of the file that it was read from, if it is one file.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Shown:
     codec: str | None = None
     promise: Mapping[str, float] = field(default_factory=dict[str, float])
     chunks: Sequence[tuple[int, int]] = ()
+    file_bytes: int | None = None
 
     @cached_property
     def about(self) -> Recording:
@@ -96,6 +99,12 @@ def of_file(name: str, opened: api.File[Any]) -> Shown:
     """An open .mocz."""
     info = opened.info
     chunks = [(chunk.start, size) for chunk, size in zip(opened.encoded.chunks, opened.chunk_bytes, strict=True)]
-    return Shown(
-        name, opened, bytes=info["bytes"], codec=info["codec"], promise=opened.encoded.promise, chunks=chunks
-    )
+    size: int = info["bytes"]
+    promise = opened.encoded.promise
+    return Shown(name, opened, bytes=size, codec=info["codec"], promise=promise, chunks=chunks, file_bytes=size)
+
+
+def of_path(path: str, name: str, recording: Recording) -> Shown:
+    """A recording that was read from a file."""
+    size = Path(path).stat().st_size if Path(path).is_file() else None
+    return Shown(name, recording, notes=[str(note) for note in formats.notes(recording)], file_bytes=size)

@@ -237,7 +237,8 @@ class Page {
     const view = this.view!;
     const middle = view.middle();
     if (this.isBeside) middle.add(view.sideways(0.375 * view.extent).applyQuaternion(this.stage.world.quaternion));
-    middle.y = this.stage.controls.target.y;
+    const still = 0.12 * view.extent; // small movements up and down stay visible as such
+    middle.y = Math.max(middle.y - still, Math.min(middle.y + still, this.stage.controls.target.y));
     this.stage.follow(middle);
   }
 

@@ -16,6 +16,7 @@ export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElem
   if (facts.bytes !== null) rows.push(["size", bytes(facts.bytes)]);
   if (facts.codec !== null) rows.push(["codec", facts.codec]);
   if (facts.codec !== null) rows.push(["promise", promise(facts.promise)]);
+  if (facts.originalBytes !== null) rows.splice(1, 0, ["original", bytes(facts.originalBytes)]);
   const errors = facts.errors;
   if (errors) {
     const bound = facts.promise.max_error;
@@ -25,7 +26,12 @@ export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElem
   }
   rows.push(["", `${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`]);
   target.replaceChildren();
-  if (facts.ratio !== null) target.append(element("div", ratio(facts.ratio), "big"));
+  const ofFile = facts.signals.length && facts.bytes && facts.originalBytes ? facts.originalBytes / facts.bytes : null;
+  if (facts.ratio !== null) {
+    const big = element("div", ratio(ofFile ?? facts.ratio), "big");
+    big.append(element("small", ofFile ? " to the whole file" : " to float32"));
+    target.append(big);
+  }
   for (const [name, value, broken] of rows) target.append(element("dt", name), element("dd", value, broken ? "broken" : ""));
   if (!errors && !facts.original) return null;
   const mean = element("dd", "–");

@@ -23,6 +23,8 @@ export interface Facts {
   codec: string | null;
   /** Size of the compressed file, and size as float32 positions over it. */
   bytes: number | null;
+  /** Size of the file that it is compared with, if that is one file. */
+  originalBytes: number | null;
   ratio: number | null;
   promise: Record<string, number>;
   /** First frame and bytes of chunks, or of runs of chunks in a long file. */

@@ -9,6 +9,15 @@ const browser = await chromium.launch({
   executablePath: process.env.MOCODEC_CHROMIUM ?? "/usr/bin/chromium",
   args: ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
 });
+/** Waits for an expression to be true; the page's policy forbids waitForFunction. */
+async function until(page, expression, seconds) {
+  for (const end = Date.now() + 1000 * seconds; Date.now() < end; ) {
+    if (await page.evaluate(expression)) return;
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+  throw new Error(`${expression} was not true within ${seconds} s`);
+}
+
 const problems = [];
 let page = null;
 const answers = [];
@@ -23,7 +32,7 @@ try {
       page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
       page.on("pageerror", (error) => problems.push(String(error)));
       await page.goto(command.url);
-    } else if (command.do === "wait") await page.waitForFunction(command.for, null, { timeout: command.timeout ?? 30000 });
+    } else if (command.do === "wait") await until(page, command.for, command.seconds ?? 60);
     else if (command.do === "eval") answer = await page.evaluate(command.code);
     else if (command.do === "press") await page.keyboard.press(command.key);
     else if (command.do === "click") await page.click(command.selector);
