@@ -10,13 +10,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
-from . import codecs, formats
+from . import codecs, decoded_chunks, formats
 from . import progress as progress_
 from .channels import Channel, channels
 from .codecs import base
@@ -166,7 +167,7 @@ def decode(source: Source, kind: type[Recording] | None = None, *, progress: Cal
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
     with progress_.listening(progress), open(source, kind) as f:
-        recording = f[:]
+        recording = f.decode(slice(0, len(f)))
         if isinstance(recording.extras, Deferred):
             recording = dataclasses.replace(
                 recording, extras=with_signals(recording.extras, lambda signal: signal.loaded())
@@ -201,7 +202,8 @@ class File(Generic[RecordingT]):
     """An open .mocz.
 
     `f[1200:1320]`, `f[100]`, `f[-1]` and `f[::4]` decode these frames, to a Motion or PointClouds;
-    `f[1200:1320, ["LKNE"]]` some points of them; `f.at(seconds=slice(10.0, 11.0))` the frames of this time.
+    `f[1200:1320, ["LKNE"]]` some points of them; `f.at(seconds=slice(10.0, 11.0))` the frames of this time. Chunks that
+    windows of a few frames are cut from stay in memory, 64 MB of them in a process (`decoded_chunks`).
     `for part in f` decodes chunk by chunk. A file can be pickled, unless it was opened from a file object: unpickling
     opens the path, URL or bytes again.
     """
@@ -211,6 +213,8 @@ class File(Generic[RecordingT]):
         self._reopen_from = reopen_from
         self._salvage = salvage
         self.encoded: Encoded[RecordingT] = reader.encoded
+        self._number = decoded_chunks.next_file()
+        self._forget = weakref.finalize(self, decoded_chunks.CACHE.drop, self._number)
 
     @property
     def codec(self) -> type[Codec[RecordingT]]:
@@ -275,13 +279,21 @@ class File(Generic[RecordingT]):
         start, stop, step = frame_steps(frames, len(self))
         if names is not None:
             point_columns(self.names, names)
-        codec = self.codec
-        with self._reader.errors_name_file():
-            _require_memory(stop - start, len(self.names))
-            recording = codec.decode(self.encoded, slice(start, stop))
+        recording = self.decode(slice(start, stop), keep_chunks=True)
         if step > 1:
             recording = cast("RecordingT", recording[::step])
         return recording if names is None else cast("RecordingT", cast(Motion, recording).select(names))
+
+    def decode(self, frames: slice, *, keep_chunks: bool = False) -> RecordingT:
+        """Frames [start, stop), decoded from the file, or cut from the decoded chunks in memory."""
+        decode = self.codec.decode
+        with self._reader.errors_name_file():
+            _require_memory(frames.stop - frames.start, len(self.names))
+            if not keep_chunks or not isinstance(self.encoded.about, Motion):
+                return decode(self.encoded, frames)
+            encoded, starts = cast("Encoded[Motion]", self.encoded), self._reader.chunks.starts
+            of_motion = cast("decoded_chunks.Decode", decode)
+            return cast("RecordingT", decoded_chunks.window(self._number, of_motion, encoded, starts, frames))
 
     def at(self, seconds: slice) -> RecordingT:
         """The frames whose time (frame / rate) is in [start, stop) seconds. Raises BadInput for a step or below 0."""
@@ -312,7 +324,7 @@ class File(Generic[RecordingT]):
     def __iter__(self) -> Iterator[RecordingT]:
         """The recording chunk by chunk."""
         for chunk in self.encoded.chunks:
-            yield self[chunk.start : chunk.stop]
+            yield self.decode(slice(chunk.start, chunk.stop))
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._reopen_from is None:
@@ -323,6 +335,7 @@ class File(Generic[RecordingT]):
 
     def close(self) -> None:
         """Close the file; extras of slices can still be read."""
+        self._forget()
         self._reader.close()
 
     def __enter__(self) -> Self:

@@ -41,42 +41,67 @@ struct Mixed {
 class Mixer {
 public:
     explicit Mixer(const Tables &tables)
-        : t(tables), counters_(size_t(INPUTS) * SLOTS), weights_(size_t(INPUTS) * MIXERS, FIRST_WEIGHT) {}
+        : cost(tables.cost), counters_(size_t(INPUTS) * SLOTS), weights_(size_t(INPUTS) * MIXERS, FIRST_WEIGHT) {
+        std::copy(tables.squash, tables.squash + 4096, squash_);
+        std::copy(tables.stretch, tables.stretch + 4096, stretch_);
+        std::copy(tables.rate, tables.rate + SLOWEST + 1, rate_);
+    }
 
     // The contexts of the bits that follow.
-    void contexts(const uint32_t *c) { std::copy(c, c + INPUTS, context_); }
+    void contexts(const uint32_t *c) {
+        for (int i = 0; i < INPUTS; ++i) hashed_[i] = c[i] * 257u * HASH;
+    }
+
+    // Fetches the counters of a bit that is likely to follow.
+    void prefetch(uint32_t kind) const {
+#if defined(__GNUC__)
+        for (int i = 0; i < INPUTS; ++i) __builtin_prefetch(&counters_[slot(i, kind * HASH)], 1);
+#else
+        (void)kind;
+#endif
+    }
 
     // kind: what the bit says; set: of weights.
     int32_t mix(Mixed &m, uint32_t kind, uint32_t set) {
         int64_t sum = 0;
         m.weights = &weights_[(set % MIXERS) * INPUTS];
+        const uint32_t hashed = kind * HASH;
         for (int i = 0; i < INPUTS; ++i) {
-            const uint32_t at = (context_[i] * 257u + kind) * 2654435761u >> 17;
-            m.from[i] = &counters_[size_t(i) * SLOTS + at];
-            m.stretched[i] = t.stretch[m.from[i]->p >> 4];
+            m.from[i] = &counters_[slot(i, hashed)];
+            m.stretched[i] = stretch_[m.from[i]->p >> 4];
             sum += int64_t(m.weights[i]) * m.stretched[i];
         }
-        m.p = t.squash[std::clamp<int64_t>(sum >> 16, -2048, 2047) + 2048];
+        m.p = squash_[std::clamp<int64_t>(sum >> 16, -2048, 2047) + 2048];
         return m.p;
     }
 
     void learn(Mixed &m, int bit) {
-        const int32_t error = (bit << 16) - m.p;
+        const int32_t error = (bit << 16) - m.p, target = bit ? 65535 : 0;
         for (int i = 0; i < INPUTS; ++i) {
-            const int32_t moved = m.weights[i] + int32_t(int64_t(m.stretched[i]) * error * LEARNING >> 16);
+            const int32_t moved = m.weights[i] + (m.stretched[i] * error * LEARNING >> 16);  // below 2^31
             m.weights[i] = std::clamp(moved, -LARGEST_WEIGHT, LARGEST_WEIGHT);
-            Counter &c = *m.from[i];
-            c.p = uint16_t(c.p + (((bit ? 65535 : 0) - int32_t(c.p)) * t.rate[c.seen] >> 16));
-            if (c.seen < SLOWEST) ++c.seen;
+            Counter c = *m.from[i];
+            c.p = uint16_t(c.p + ((target - int32_t(c.p)) * rate_[c.seen] >> 16));
+            c.seen = uint16_t(c.seen + (c.seen < SLOWEST));
+            *m.from[i] = c;
         }
     }
 
-    const Tables t;
+    const int32_t *const cost;
 
 private:
+    static constexpr uint32_t HASH = 2654435761u;
+
+    size_t slot(int input, uint32_t hashed_kind) const {
+        return size_t(input) * SLOTS + ((hashed_[input] + hashed_kind) >> 17);
+    }
+
     std::vector<Counter> counters_;
     std::vector<int32_t> weights_;
-    uint32_t context_[INPUTS];
+    uint32_t hashed_[INPUTS] = {};
+    // Narrow copies: they share the processor's nearest cache with the counters.
+    uint16_t squash_[4096], rate_[SLOWEST + 1];
+    int16_t stretch_[4096];
 };
 
 // Binary range coder of 32 bits without carry.

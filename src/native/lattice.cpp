@@ -36,9 +36,10 @@ lattice::Layout layout_of(const Input<uint8_t, 2> &missing, const Table &sequenc
     return {missing.shape(0), points, missing.data(), sequence.data(), neighbours.data(), stride_log};
 }
 
-Output<double> give(const std::vector<double> &values, const lattice::Layout &of) {
-    Fresh<double> out(values.size());
-    std::copy(values.begin(), values.end(), out.data.get());
+Output<double> give(const std::vector<lattice::Vec> &values, const lattice::Layout &of) {
+    Fresh<double> out(values.size() * 3);
+    double *to = out.data.get();
+    for (const lattice::Vec &value : values) to = std::copy(value.v, value.v + 3, to);
     return out.give({of.points, of.frames, 3});
 }
 
@@ -51,7 +52,7 @@ nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missi
         throw std::invalid_argument("lattice: shapes differ");
     const bits::Tables tables = tables_of(squash, stretch, rate, cost);
     std::vector<uint8_t> stream;
-    std::vector<double> decoded;
+    std::vector<lattice::Vec> decoded;
     bool coded;
     {
         nb::gil_scoped_release release;
@@ -72,7 +73,7 @@ nb::object tempo_lattice_decode(nb::bytes stream, Input<uint8_t, 2> missing, Tab
     const bits::Tables tables = tables_of(squash, stretch, rate, cost);
     const uint8_t *data = reinterpret_cast<const uint8_t *>(stream.c_str());
     const size_t size = stream.size();
-    std::vector<double> decoded;
+    std::vector<lattice::Vec> decoded;
     bool whole;
     {
         nb::gil_scoped_release release;

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.entropy import coder, varint
 from mocodec.errors import Corrupt, Truncated
 from mocodec.fields import (
@@ -161,3 +162,17 @@ def test_any_bytes_are_a_record_or_corrupt(data: bytes):
     except Corrupt:
         return
     assert len(values["lengths"]) <= 256
+
+
+@given(st.lists(st.integers(0, 1 << 40), max_size=40), st.binary(max_size=6), st.integers(0, 50))
+def test_many_varints_are_read_as_one_by_one(values: list[int], tail: bytes, most: int):
+    data = varint.write(values) + tail
+    found, ends = Cursor(data, "a list").plain(most)
+    with native.without():
+        again, ends_again = Cursor(data, "a list").plain(most)
+    np.testing.assert_array_equal(found, again)
+    np.testing.assert_array_equal(ends, ends_again)
+    assert found.dtype == again.dtype == ends.dtype == ends_again.dtype == np.int64
+    cursor = Cursor(data, "a list")
+    assert cursor.varint_array(len(values)).tolist() == values
+    assert cursor.at == len(data) - len(tail)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ..entropy.varint import MAX_BYTES as MAX_VARINT_BYTES
 from ..errors import BadInput, Corrupt, TooNew, Truncated
+from ..typing import Integers
 from . import records
 from .byte_sources import BLOCK_BYTES, ByteSource
 from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
@@ -93,7 +96,7 @@ def _index_bytes(room: int) -> int:
     return next((room - n for n in range(1, MAX_VARINT_BYTES + 1) if room > n and len(varint(room - n)) == n), 0)
 
 
-def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[list[int], list[int]]:
+def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[Integers, Integers]:
     """Frames and payload bytes of every chunk, from the index. Raises Corrupt."""
     data = file.read(index, _index_bytes(end - index - len(END_MAGIC)))
     body = data[:-CHECKSUM_BYTES]
@@ -106,19 +109,19 @@ def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[
         else:
             frame = Cursor(file.read(chunks_at, min(MAX_CHUNK_HEAD_BYTES, index - chunks_at)), "the only chunk")
             chunk = CHUNK.read(frame)
-            record = {"frames": [chunk["frames"]], "lengths": [chunk["length"]]}
+            record = {"frames": np.array([chunk["frames"]]), "lengths": np.array([chunk["length"]])}
         cursor.done()
     except Truncated as error:
         raise Corrupt(f"the index contradicts itself: {error}") from None
     frames, lengths = record["frames"], record["lengths"]
-    if min(frames, default=1) < 1 or sum(frames) > records.MAX_FRAMES:
+    if frames.min(initial=1) < 1 or frames.sum() > records.MAX_FRAMES:
         raise Corrupt("the number of frames is out of range")
-    if max(lengths, default=0) > index or chunks_at + int(chunk_bytes(frames, lengths).sum()) != index:
+    if lengths.max(initial=0) > index or chunks_at + chunk_bytes(frames, lengths).sum() != index:
         raise Corrupt("the index does not match the chunks; they can be salvaged")
     return frames, lengths
 
 
-def walk_chunks(file: ByteSource, chunks_at: int) -> tuple[list[int], list[int], int]:
+def walk_chunks(file: ByteSource, chunks_at: int) -> tuple[Integers, Integers, int]:
     """Scan the chunks from the front, without the index.
 
     Returns frames and payload bytes of each complete chunk, and the byte offset where the last one ends.
@@ -138,4 +141,4 @@ def walk_chunks(file: ByteSource, chunks_at: int) -> tuple[list[int], list[int],
         frames.append(chunk["frames"])
         lengths.append(chunk["length"])
         at += size
-    return frames, lengths, min(at, file.size)
+    return np.array(frames, np.int64), np.array(lengths, np.int64), min(at, file.size)

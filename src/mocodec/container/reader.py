@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
-from itertools import accumulate
 from typing import Any, NamedTuple, Self, cast, overload
 
 import numpy as np
@@ -19,6 +18,7 @@ from ..errors import BadInput, Corrupt, MocodecError, Truncated
 from ..geometry import joint_tree
 from ..motion import Deferred, Motion, require_events
 from ..pointcloud import PointClouds
+from ..typing import Integers
 from . import values
 from .byte_sources import ByteSource, byte_source
 from .locate import find_index, read_header, read_index, walk_chunks
@@ -65,8 +65,8 @@ class StoredChunk(Chunk):
     """A chunk whose payload is read and checked at first use. Raises Corrupt, Truncated."""
 
     def __init__(self, chunks: StoredChunks, number: int) -> None:
-        object.__setattr__(self, "start", chunks.starts[number])
-        object.__setattr__(self, "frames", chunks.frames[number])
+        object.__setattr__(self, "start", int(chunks.starts[number]))
+        object.__setattr__(self, "frames", int(chunks.frames[number]))
         object.__setattr__(self, "_where", (chunks, number))
 
     @cached_property
@@ -76,14 +76,18 @@ class StoredChunk(Chunk):
 
 
 class StoredChunks(Sequence[Chunk]):
-    """The chunks of a file; a chunk is read when its payload is used."""
+    """The chunks of a file; a chunk is read when its payload is used.
 
-    def __init__(self, file: ByteSource, offset: int, frames: Sequence[int], lengths: Sequence[int]) -> None:
+    frames, lengths (chunks,): frames of each, and bytes of its payload. starts, offsets (chunks + 1,): the first frame
+    of each, and where it begins in the file; then those behind the last chunk.
+    """
+
+    def __init__(self, file: ByteSource, offset: int, frames: Integers, lengths: Integers) -> None:
         self.source = file
         self.frames = frames
         self.lengths = lengths
-        self.starts = list(accumulate(frames, initial=0))
-        self.offsets = list(accumulate(chunk_bytes(frames, lengths).tolist(), initial=offset))
+        self.starts = np.concatenate([[0], np.cumsum(frames)])
+        self.offsets = offset + np.concatenate([[0], np.cumsum(chunk_bytes(frames, lengths))])
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -104,8 +108,9 @@ class StoredChunks(Sequence[Chunk]):
 
     def checked_payload(self, number: int) -> bytes:
         """As `payload`, but errors do not name the file."""
-        data = self.source.read(self.offsets[number], self.offsets[number + 1] - self.offsets[number])
-        head = CHUNK.pack({"frames": self.frames[number], "length": self.lengths[number]})
+        offset, end = self.offsets[number : number + 2].tolist()
+        data = self.source.read(offset, end - offset)
+        head = CHUNK.pack({"frames": int(self.frames[number]), "length": int(self.lengths[number])})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
         if checksum(body) != crc or not body.startswith(head):
             start = self.starts[number]
@@ -115,6 +120,11 @@ class StoredChunks(Sequence[Chunk]):
                 "salvage it"
             )
         return body[len(head) :]
+
+
+def _range(numbers: Integers) -> list[int]:
+    """The smallest and the largest; 0 and 0 of none."""
+    return [int(numbers.min()), int(numbers.max())] if len(numbers) else [0, 0]
 
 
 class Reader:
@@ -152,8 +162,8 @@ class Reader:
             frames, lengths, index = walk_chunks(self.source, chunks_at)
             end = self.source.size
         most = most_frames(len(self.header["names"]) if self.header["kind"] == "motion" else None)
-        if max(frames, default=0) > most:
-            raise Corrupt(f"a chunk of {max(frames)} frames; with so many points, a chunk has at most {most}")
+        if frames.max(initial=0) > most:
+            raise Corrupt(f"a chunk of {frames.max()} frames; with so many points, a chunk has at most {most}")
         self.layout = Layout(header_end, signals_at, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
         self.encoded: Encoded[Any] = Encoded(
@@ -248,30 +258,32 @@ class Reader:
         damaged = {number for number, _ in self.damage() if number is not None}
         is_truncated = bool(self.problems)
         runs: list[tuple[int, int]] = []
-        for number, start in enumerate(self.chunks.starts[:-1]):
+        starts = self.chunks.starts.tolist()
+        for number, start in enumerate(starts[:-1]):
             needs = range(max(0, number - margin), number + margin + 1)
             is_past_end = is_truncated and needs.stop > len(self.chunks)
             if is_past_end or not damaged.isdisjoint(needs):
                 continue
             if runs and runs[-1][1] == start:
                 start = runs.pop()[0]
-            runs.append((start, self.chunks.starts[number + 1]))
+            runs.append((start, starts[number + 1]))
         return runs
 
     def info(self) -> dict[str, Any]:
         """Facts about the file, as JSON values; reads no chunk."""
         header, layout = self.header, self.layout
         about = self.encoded.about
-        frames = self.chunks.starts[-1]
+        chunks = self.chunks
+        frames, payloads = int(chunks.starts[-1]), int(chunks.lengths.sum())
         points = about.points if isinstance(about, Motion) else None
         fields = {part["field"]: part["bytes"] for part in self.fields()}
-        chunk_overhead = layout.index_at - layout.chunks - sum(self.chunks.lengths)
+        chunk_overhead = layout.index_at - layout.chunks - payloads
         sizes = {
             "header": layout.extras - sum(fields.get(name, 0) for name in SEPARATE),
             **{name: fields.get(name, 0) for name in SEPARATE},
             "extras": layout.signals - layout.extras,
             "signals": layout.chunks - layout.signals,
-            "chunks": sum(self.chunks.lengths),
+            "chunks": payloads,
             "framing": chunk_overhead,
             "index": layout.end - layout.index_at,
         }
@@ -297,9 +309,9 @@ class Reader:
             "ratio": None if raw is None or not layout.end else raw / layout.end,
             **(joint_tree.described(about) if isinstance(about, Motion) else {}),
             "chunks": {
-                "count": len(self.chunks),
-                "frames": [min(self.chunks.frames, default=0), max(self.chunks.frames, default=0)],
-                "bytes": [min(self.chunks.lengths, default=0), max(self.chunks.lengths, default=0)],
+                "count": len(chunks),
+                "frames": _range(chunks.frames),
+                "bytes": _range(chunks.lengths),
                 "margin": self.encoded.margin,
             },
         }

@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..encoded import CLOUD_SAMPLES, MAX_CHUNK_SAMPLES, most_chunk_frames
 from ..errors import UnknownCodec
 from ..fields import Field, Record, Values, unsigned
 from ..motion import UP_AXES, Skeleton
+from ..typing import Integers
 from . import names, skeletons, values
 from .tables import CODEC_IDS, RATES
 from .wire import Cursor, text, varint
@@ -220,7 +220,7 @@ def _write_runs(frames: list[int], _: Mapping[str, Any]) -> bytes:
     return out
 
 
-def _read_runs(cursor: Cursor, _: Mapping[str, Any]) -> list[int]:
+def _read_runs(cursor: Cursor, _: Mapping[str, Any]) -> Integers:
     count = cursor.count()  # each chunk's length, at least a byte, follows
     plain, ends = cursor.plain(2 * count)
     frames: list[int] = []
@@ -230,18 +230,18 @@ def _read_runs(cursor: Cursor, _: Mapping[str, Any]) -> list[int]:
         within = sizes[:needed].min() > 0 and sizes[:needed].max() <= MAX_CHUNK_FRAMES
         if within and runs[:needed].min() > 0 and runs[:needed].sum() == count:
             cursor.at = int(ends[2 * needed - 1])
-            return np.repeat(sizes[:needed], runs[:needed]).tolist()
+            return np.repeat(sizes[:needed], runs[:needed])
     while len(frames) < count:
         run, each = cursor.varint(), cursor.varint()
         if not 0 < run <= count - len(frames) or not 0 < each <= MAX_CHUNK_FRAMES:
             raise cursor.corrupt("a run of chunks is out of range")
         frames += [each] * run
-    return frames
+    return np.array(frames, np.int64)
 
 
-def _read_lengths(cursor: Cursor, record: Mapping[str, Any]) -> list[int]:
-    lengths = cursor.varints(len(record["frames"]))
-    if max(lengths, default=0) > MAX_PAYLOAD_BYTES:
+def _read_lengths(cursor: Cursor, record: Mapping[str, Any]) -> Integers:
+    lengths = cursor.varint_array(len(record["frames"]))
+    if lengths.max(initial=0) > MAX_PAYLOAD_BYTES:
         raise cursor.corrupt("a payload is out of range")
     return lengths
 
@@ -258,12 +258,15 @@ def most_frames(points: int | None) -> int:
     return most_chunk_frames(CLOUD_SAMPLES if points is None else points)
 
 
-def chunk_bytes(frames: Sequence[int], lengths: Sequence[int]) -> NDArray[np.int64]:
+def chunk_bytes(frames: Sequence[int] | Integers, lengths: Sequence[int] | Integers) -> Integers:
     """What each chunk takes in the file, its frame and checksum included; frames and payload lengths of each."""
     counts, sizes = np.asarray(frames, np.int64), np.asarray(lengths, np.int64)
     return varint_bytes(counts) + varint_bytes(sizes) + sizes + CHECKSUM_BYTES
 
 
-def varint_bytes(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def varint_bytes(numbers: Integers) -> Integers:
     """How many bytes each number takes."""
-    return 1 + np.searchsorted(1 << np.arange(7, 63, 7), numbers, "right")
+    size = np.ones(numbers.shape, np.int64)
+    for bits in range(7, int(numbers.max(initial=0)).bit_length(), 7):
+        size += numbers >= 1 << bits
+    return size

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -127,7 +128,8 @@ Predictor = tuple[int, int] | Vector
 """(index of the partner joint, axis to mirror), or a fixed offset."""
 
 
-def _predictors(joint_names: Sequence[str], tree: int, axis: int) -> list[Predictor]:
+@lru_cache(maxsize=64)
+def _predictors(joint_names: tuple[str, ...], tree: int, axis: int) -> list[Predictor]:
     """How each joint's offset is predicted; axis: 0 without mirroring, else 1 + the mirror axis."""
     index_of: dict[str, int] = {}
     predictors: list[Predictor] = []
@@ -175,7 +177,8 @@ def _times(vector: Vector, ratio: tuple[int, int]) -> Vector:
 
 def _main(vector: Vector) -> int:
     """The axis of the largest coordinate."""
-    return max(range(3), key=lambda axis: abs(vector[axis]))
+    x, y, z = map(abs, vector)
+    return 0 if x >= y and x >= z else 1 if y >= z else 2
 
 
 def _ratio(offset: Sequence[int], vector: Vector) -> tuple[int, int]:

@@ -26,6 +26,10 @@ def checksum(*parts: bytes | memoryview) -> bytes:
     return crc.to_bytes(4, "little")
 
 
+READ_AHEAD_BYTES = 16
+"""Bytes that a BitReader takes at a time, since each shift of an integer costs the same up to this size."""
+
+
 class BitWriter:
     """Bits, first bit lowest."""
 
@@ -49,7 +53,7 @@ class BitWriter:
 
 
 class BitReader:
-    """The inverse of BitWriter, over the rest of a cursor's bytes."""
+    """The inverse of BitWriter, over the rest of a cursor's bytes; `done` moves the cursor behind the bits."""
 
     def __init__(self, cursor: Cursor) -> None:
         self.cursor = cursor
@@ -57,9 +61,8 @@ class BitReader:
         self.width = 0
 
     def get(self, width: int) -> int:
-        while self.width < width:
-            self.held |= self.cursor.byte() << self.width
-            self.width += 8
+        if self.width < width:
+            self._fill(width)
         value = self.held & ((1 << width) - 1)
         self.held >>= width
         self.width -= width
@@ -67,12 +70,30 @@ class BitReader:
 
     def golomb(self, k: int) -> int:
         extra = 0
-        while not self.get(1):
-            extra += 1
-            if extra > 40:
-                raise self.cursor.corrupt("a number is badly written")
+        while not self.held:
+            extra += self.width
+            self._require_usual(extra)
+            self.width = 0
+            self._fill(1)
+        zeros = (self.held & -self.held).bit_length() - 1
+        extra += zeros
+        self._require_usual(extra)
+        self.held >>= zeros + 1
+        self.width -= zeros + 1
         return (1 << (extra + k)) + self.get(extra + k) - (1 << k)
 
+    def _fill(self, width: int) -> None:
+        """Hold at least `width` bits."""
+        needed = (width - self.width + 7) // 8
+        data = self.cursor.take(max(needed, min(READ_AHEAD_BYTES, self.cursor.left)))
+        self.held |= int.from_bytes(data, "little") << self.width
+        self.width += 8 * len(data)
+
+    def _require_usual(self, extra: int) -> None:
+        if extra > 40:
+            raise self.cursor.corrupt("a number is badly written")
+
     def done(self) -> None:
-        if self.held:
+        self.cursor.at -= self.width // 8
+        if self.held & ((1 << self.width % 8) - 1):
             raise self.cursor.corrupt("padding bits are set")

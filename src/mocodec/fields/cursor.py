@@ -10,6 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from .. import native
 from ..entropy.varint import read_one, unsigned, write
 from ..errors import Corrupt, MocodecError, Truncated
 from ..typing import Integers
@@ -97,6 +98,9 @@ class Cursor:
         """Values and ends of the next varints, without moving: at most `most`, up to the first that takes more than
         four bytes or is badly written."""
         window = np.frombuffer(self.data, np.uint8, min(4 * most, self.left), self.at)
+        if (kernel := native.kernel("plain_varints")) is not None:
+            value, ends = kernel(window, most)
+            return value, self.at + ends
         last = np.flatnonzero(window < 0x80)[:most]
         first = np.concatenate([[0], last[:-1] + 1]) if len(last) else last
         size = last - first + 1
@@ -109,11 +113,16 @@ class Cursor:
         return value, self.at + last[:count] + 1
 
     def varints(self, count: int) -> list[int]:
-        """The next `count` varints; fast enough for the thousands of an index."""
+        """The next `count` varints."""
+        return self.varint_array(count).tolist()
+
+    def varint_array(self, count: int) -> Integers:
+        """The next `count` varints, (count,); fast enough for the thousands of an index."""
         plain, ends = self.plain(count)
         if len(plain):
             self.at = int(ends[-1])
-        return plain.tolist() + [self.varint() for _ in range(count - len(plain))]
+        rest = [self.varint() for _ in range(count - len(plain))]
+        return np.append(plain, np.array(rest, np.int64)) if rest else plain
 
     def count(self, at_least_bytes: int = 1) -> int:
         """A number of items that take at least `at_least_bytes` each: never more than the bytes left can hold."""

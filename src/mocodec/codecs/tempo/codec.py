@@ -36,8 +36,8 @@ from .models.model import Model
 from .pose import heading, leaps
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
+from .rotation_layer.chunk_layer import Promise
 from .rotation_layer.encoder import Encoder as RotationEncoder
-from .rotation_layer.encoder import Promise
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
@@ -69,7 +69,8 @@ class Tempo:
     hard bound), "direct" (a grid without a model) and "hou2014".
 
     Rotations of a skeleton's joints are kept too, unless the motion has gaps (`lost_rotations`). Errors are then those
-    of joints and of shell points: three points `shell` metres off each joint, along the axes of its frame.
+    of joints and of three shell points, `shell` metres off each joint along the axes of its frame; none exceeds twelve
+    times a mean error.
     max_rotation: degrees, beside any target; no rotation of a joint, against the world or its parent, is farther off.
     """
 
@@ -181,8 +182,7 @@ class Tempo:
         return replace(bounded, settings=self._stored_settings())
 
     def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
-        distinct = repeats.distinct_frames(motion, self.chunk_seconds)
-        if distinct is None:
+        if (distinct := repeats.distinct_frames(motion, self.chunk_seconds)) is None:
             return self.encode_without_repeats(motion)
         with progress.attempt(0):
             encoded = self._encode_distinct(motion, distinct)

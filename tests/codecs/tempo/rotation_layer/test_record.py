@@ -11,7 +11,7 @@ import pytest
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.rotation_layer import choose, record, reference
 from mocodec.codecs.tempo.rotation_layer import rules as r
-from mocodec.codecs.tempo.rotation_layer.encoder import _causes  # pyright: ignore[reportPrivateUsage]
+from mocodec.codecs.tempo.rotation_layer.chunk_layer import _causes  # pyright: ignore[reportPrivateUsage]
 from mocodec.codecs.tempo.rotation_layer.payload import Layer
 from mocodec.codecs.tempo.rotation_layer.rules import Rules
 from mocodec.codecs.tempo.rotation_layer.side import SideModel

@@ -65,6 +65,23 @@ def test_the_mean_of_joints_and_shell_points_is_near_the_target(target: float) -
     assert 0.9 * target <= errors(motion, decoded).joints_and_shell.mean <= target
 
 
+@pytest.mark.parametrize("own_frame", [False, True])
+def test_a_mean_error_bounds_single_frames(own_frame: bool) -> None:
+    """Frames whose rotations jump for an instant are no farther off than twelve times the mean."""
+    motion = hinged_figures.figure(480, own_frame=own_frame)
+    rotations = rotations_of(motion).copy()
+    jump = np.array([np.cos(1.0), 0.0, np.sin(1.0), 0.0])
+    for frame, joint in ((100, 2), (101, 2), (250, 4), (400, 1)):
+        rotations[frame, joint] = rigid.multiply(rotations[frame, joint], jump)
+    tree = skeleton_of(motion)
+    positions = kinematics.forward(tree, rotations, motion.positions[:, 0] - tree.offsets[0], own_frame=own_frame)
+    glitched = replace(motion, positions=positions, rotations=rotations)
+    decoded = mocodec.decode(mocodec.encode(glitched, mean_error=0.002), Motion)
+    found = errors(glitched, decoded).joints_and_shell
+    assert found.mean <= 0.002
+    assert found.largest <= 12 * 0.002
+
+
 def test_a_size_and_a_ratio_are_met() -> None:
     motion = hinged_figures.figure(600)
     assert len(mocodec.encode(motion, size=3000)) <= 3000

@@ -10,7 +10,8 @@ half steps of a lattice point. The prediction is by recursive least squares, so 
 points are neighbours. The transform wins where motion is smooth against the bound or a prior fits; this engine where
 markers are noisy and the bound is fine.
 
-`_Chunk` defines the result; the compiled module has the same in `lattice.h`, the same floats in the same order.
+`lattice_chunk` and `lattice_points` define the result; the compiled module has the same in
+`lattice.h`, the same floats in the same order.
 """
 
 from __future__ import annotations

@@ -4,69 +4,32 @@
         prediction (recursive least squares) ─► along the direction to the partner: kept at their mean distance
         ─► residual in axes along and across that direction ─► lattice point ─► bits in contexts of activities nearby
 
-Encoder and decoder run the same code; only `_Coder.bit` differs. Floats are computed in the same order everywhere.
+Encoder and decoder run the same code; `lattice_points` turns lattice points into bits. Floats are computed in the
+same order everywhere.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....entropy import adaptive_bits
 from ....typing import Floats
+from .lattice_points import PointCoder, TooLarge, Vector, coarse_log, square
 
 NEIGHBOURS, OWN = 3, 4
 FEATURES = OWN + 2 * NEIGHBOURS
 FORGETTING, FIRST_COVARIANCE = 0.999, 1 / 128
 DISTANCE_MEMORY, RADIAL_MEMORY = 0.995, 0.98
-DISTORTION = 384.0
-"""Cost of an error at the bound, 1/256 bit: what it does to predictions."""
-BUCKETS, COMMON = 96, 30
-"""Of magnitudes; those beyond the second share a context."""
-LARGEST_WIDTH = 42
 NEAR = 8.0
 """Partners nearer than this, half steps, have no direction."""
 LIMIT = 2.0**40
-RADIUS_2 = 1.25
-"""Squared covering radius of the lattice, half steps."""
-WIDE = 12.0
-"""Residuals with a coordinate beyond are not optimised."""
 EDGE, ORIGIN = 7, 6
 """Classes of samples beside gaps and ends, and of the first sample."""
 LARGEST_ACTIVITY = 4000
-
-Vector = list[float]
-
-
-@cache
-def _buckets() -> list[tuple[int, int]]:
-    """(first magnitude, bits within): 0 … 4, then two buckets an octave."""
-    found, first = [], 0
-    for number in range(BUCKETS):
-        width = 0 if number < 5 else (number - 5) // 2 + 1
-        found.append((first, width))
-        first += 1 << width
-    return found
-
-
-def _bucket_of(magnitude: int) -> int:
-    table, b = _buckets(), min(magnitude, 5)
-    while b + 1 < BUCKETS and magnitude >= table[b + 1][0]:
-        b += 1
-    return b
-
-
-def _coarse_log(value: int) -> int:
-    """About twice the logarithm of a number of sixteenths, 0 … 23."""
-    if value <= 0:
-        return 0
-    octave = value.bit_length() - 1
-    half = value >> (octave - 1) & 1 if octave else 0
-    return min(23, 2 * octave + half + 1)
 
 
 class _Predictor:
@@ -100,31 +63,6 @@ class _Predictor:
         self._covariance = (self._covariance - scaled[:, None] * gain) * (1 / forgetting)
 
 
-class _Coder:
-    """A bit each way, and the mixed probabilities."""
-
-    def __init__(self, encoder: adaptive_bits.Encoder | None, decoder: adaptive_bits.Decoder | None) -> None:
-        self.mixer = adaptive_bits.Mixer()
-        self.encoder, self.decoder = encoder, decoder
-
-    def bit(self, wanted: int, kind: int, weights: int) -> int:
-        """A bit in contexts: the one wanted, or the one decoded."""
-        bit = self.plain(wanted, self.mixer.mix(kind, weights))
-        self.mixer.learn(bit)
-        return bit
-
-    def plain(self, wanted: int, probability: int = adaptive_bits.HALF) -> int:
-        if self.encoder is not None:
-            self.encoder.bit(wanted, probability)
-            return wanted
-        assert self.decoder is not None
-        return self.decoder.bit(probability)
-
-
-class _TooLarge(Exception):
-    """A sample that the engine does not code."""
-
-
 class _Chunk:
     """wanted (points, frames, 3) in half steps, None for a decoder; missing (frames, points); the first neighbour of
     each point in (points, 3) is its partner."""
@@ -136,7 +74,7 @@ class _Chunk:
         sequence: NDArray[np.int32],
         neighbours: NDArray[np.int32],
         stride: int,
-        coder: _Coder,
+        coder: PointCoder,
     ) -> None:
         self.frames, self.points = missing.shape
         self.wanted = None if wanted is None else wanted.tolist()
@@ -195,7 +133,7 @@ class _Chunk:
         linear = _limited(guess, base)
         axes, guess, away = self._towards_partner(t, linear, inside)
         kinds = self._contexts(t, inside, axes is not None)
-        z = self._code(t, guess, axes, *kinds)
+        z = self.coder.code(self._residual(t, guess, axes), *kinds)
         x, y, w = map(float, z)
         u, v, n = axes or _STRAIGHT
         value = [guess[k] + (u[k] * x + v[k] * y + n[k] * w) for k in range(3)]
@@ -281,7 +219,7 @@ class _Chunk:
         if self.partner is None or not inside or not self.distances > 0:
             return None, linear, 0.0
         direction = [g - p for g, p in zip(linear, self.partner[t], strict=True)]
-        length = math.sqrt(_square(direction))
+        length = math.sqrt(square(direction))
         if not length > NEAR:
             return None, linear, 0.0
         u = [d / length for d in direction]
@@ -293,7 +231,7 @@ class _Chunk:
         """Mean distance to the partner, and how much of a distance that was off to put right."""
         if self.partner is None:
             return
-        length = math.sqrt(_square([v - p for v, p in zip(value, self.partner[t], strict=True)]))
+        length = math.sqrt(square([v - p for v, p in zip(value, self.partner[t], strict=True)]))
         self.distance = self.distance * DISTANCE_MEMORY + length
         self.distances = self.distances * DISTANCE_MEMORY + 1
         if axes is not None:
@@ -317,11 +255,11 @@ class _Chunk:
             around = own[t - half] + own[t + half if t + half < self.frames else t - half]
         first = self.p == self.sequence[0] and t == 0 and self.level == 0
         c = ORIGIN if first else min(self.level, 5) if inside else EDGE
-        mean, mine = _coarse_log(self.slow // 16), _coarse_log(8 * (2 * before + before2))
-        near = _coarse_log(8 * (beside[0] + beside[1]) + 4 * (beside[2] + after))
-        outer = _coarse_log(8 * around)
+        mean, mine = coarse_log(self.slow // 16), coarse_log(8 * (2 * before + before2))
+        near = coarse_log(8 * (beside[0] + beside[1]) + 4 * (beside[2] + after))
+        outer = coarse_log(8 * around)
         nearby = 8 * (2 * beside[0] + beside[1] + beside[2])
-        every = _coarse_log((self.slow // 16 * 2 + 10 * (2 * before + before2) + nearby) // 4)
+        every = coarse_log((self.slow // 16 * 2 + 10 * (2 * before + before2) + nearby) // 4)
         self.coder.mixer.contexts(
             [
                 c * 24 + mean,
@@ -335,109 +273,24 @@ class _Chunk:
             return c, 0
         radial = self.radial[self.p]
         r1, r2 = radial[t - step] if t >= step else 0, radial[t - 2 * step] if t >= 2 * step else 0
-        return c, 1 + _coarse_log(16 * (r1 + r2))
+        return c, 1 + coarse_log(16 * (r1 + r2))
 
-    def _code(self, t: int, guess: Vector, axes: list[Vector] | None, c: int, radial: int) -> list[int]:
-        """The residual's lattice point: which parity, then each coordinate's bucket, place in it and sign."""
-        z = [0, 0, 0]
-        if self.wanted is not None:
-            off = [w - g for w, g in zip(self.wanted[self.p][t], guess, strict=True)]
-            residual = [a[0] * off[0] + a[1] * off[1] + a[2] * off[2] for a in axes or _STRAIGHT]
-            if not all(abs(r) < LIMIT for r in residual):
-                raise _TooLarge
-            z = self._chosen(residual, c, radial)
-        bit = self.coder.bit
-        odd = bit(z[0] & 1, 0, c)
-        for k in range(3):
-            along = radial > 0 and k == 0
-            magnitude = abs(z[k]) >> 1
-            wanted, b = _bucket_of(magnitude), 0
-            while b < BUCKETS - 1 and bit(wanted > b, *_kind(odd, along, b, c, radial)):
-                b += 1
-            first, width = _buckets()[b]
-            if width > LARGEST_WIDTH:
-                raise _TooLarge
-            rest = magnitude - first if self.wanted is not None else 0
-            found = 0
-            for place in range(width - 1, -1, -1):
-                this = rest >> place & 1
-                this = bit(this, 140 + b, 320 + c) if place == width - 1 else self.coder.plain(this)
-                found |= this << place
-            value = 2 * (first + found) + odd
-            if value and self.coder.plain(int(z[k] < 0)):
-                value = -value
-            z[k] = value
-        if self.coder.decoder is not None and self.coder.decoder.exhausted:
-            raise _TooLarge
-        return z
-
-    def _chosen(self, residual: Vector, c: int, radial: int) -> list[int]:
-        """The nearest lattice point; of a small residual, the one within the bound that costs least."""
-        even = [math.floor(r / 2 + 0.5) * 2 for r in residual]
-        odd = [math.floor(r / 2) * 2 + 1 for r in residual]
-        distances = [_square([r - z for r, z in zip(residual, point, strict=True)]) for point in (even, odd)]
-        best = even if distances[0] <= distances[1] else odd
-        if max(map(abs, residual)) > WIDE:
-            return best
-        cost_of = self.coder.mixer.cost
-        p = self.coder.mixer.mix(0, c)
-        parity = (cost_of[(65536 - p) >> 4], cost_of[p >> 4])
-        costs = self._costs(residual, c, radial)
-        least = math.inf
-        for o in (0, 1):
-            low = [math.floor((r - o) / 2) * 2 + o for r in residual]
-            for corner in range(8):
-                y = [low[0] + 2 * (corner & 1), low[1] + (corner & 2), low[2] + (corner >> 1 & 2)]
-                square = _square([r - float(v) for r, v in zip(residual, y, strict=True)])
-                if square > RADIUS_2:
-                    continue
-                cost = parity[o] + DISTORTION * square / RADIUS_2
-                for k in range(3):
-                    cost += costs[radial > 0 and k == 0][o][_bucket_of(abs(y[k]) >> 1)]
-                if cost < least:
-                    least, best = cost, y
-        return best
-
-    def _costs(self, residual: Vector, c: int, radial: int) -> list[list[list[int]]]:
-        """Costs of buckets, 1/256 bit: of coordinates across and along, even and odd."""
-        most = [0, 0]
-        for k, r in enumerate(residual):
-            along = radial > 0 and k == 0
-            most[along] = max(most[along], _bucket_of(int(abs(r) + 1.2) >> 1))
-        cost_of, mix = self.coder.mixer.cost, self.coder.mixer.mix
-        found: list[list[list[int]]] = []
-        for along in range(2 if radial else 1):
-            found.append([])
-            for o in (0, 1):
-                total, listed = 0, list[int]()
-                for b in range(most[along] + 1):
-                    p = mix(*_kind(o, bool(along), b, c, radial))
-                    sign = 256 if o or b else 0
-                    listed.append(total + cost_of[(65536 - p) >> 4] + sign + 256 * _buckets()[b][1])
-                    total += cost_of[p >> 4]
-                found[-1].append(listed)
-        return found
+    def _residual(self, t: int, guess: Vector, axes: list[Vector] | None) -> Vector | None:
+        """What the sample wanted is off the guess, along the axes; None for a decoder."""
+        if self.wanted is None:
+            return None
+        off = [w - g for w, g in zip(self.wanted[self.p][t], guess, strict=True)]
+        residual = [a[0] * off[0] + a[1] * off[1] + a[2] * off[2] for a in axes or _STRAIGHT]
+        if not all(abs(r) < LIMIT for r in residual):
+            raise TooLarge
+        return residual
 
 
 _STRAIGHT: list[Vector] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
-def _kind(odd: int, along: bool, b: int, c: int, radial: int) -> tuple[int, int]:
-    """What "the magnitude is beyond bucket b" is called, and the weights that mix it."""
-    which = 2 * along + odd
-    kind = 1 + which * 32 + min(b, COMMON) + (radial * 256 * 257 if along else 0)
-    return kind, (1 + which * 8 + min(b, 7)) * 8 + c
-
-
 def _bend(points: list[Vector], t: int, half: int, k: int) -> float:
     return points[t][k] - 2 * points[t - half][k] + points[t - 2 * half][k]
-
-
-def _square(vector: Vector) -> float:
-    total = 0.0
-    for value in vector:
-        total += value * value
-    return total
 
 
 def _frame(u: Vector) -> list[Vector]:
@@ -445,7 +298,7 @@ def _frame(u: Vector) -> list[Vector]:
     a, b, c = (abs(x) for x in u)
     least = (0 if a < c else 2) if a < b else (1 if b < c else 2)
     v = [(1.0 if k == least else 0.0) - u[least] * u[k] for k in range(3)]
-    length = math.sqrt(_square(v))
+    length = math.sqrt(square(v))
     v = [x / length for x in v]
     return [u, v, [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]]
 
@@ -466,8 +319,8 @@ def encode(
     """The stream of samples (points, frames, 3) in half steps, and what it decodes to; None where one is too large."""
     encoder = adaptive_bits.Encoder()
     try:
-        decoded = _Chunk(wanted, missing, sequence, neighbours, stride, _Coder(encoder, None)).run()
-    except _TooLarge:
+        decoded = _Chunk(wanted, missing, sequence, neighbours, stride, PointCoder(encoder, None)).run()
+    except TooLarge:
         return None
     return encoder.finish(), decoded
 
@@ -482,7 +335,7 @@ def decode(
     """The samples (points, frames, 3) of a stream; None for one that no encoder writes."""
     decoder = adaptive_bits.Decoder(stream)
     try:
-        decoded = _Chunk(None, missing, sequence, neighbours, stride, _Coder(None, decoder)).run()
-    except _TooLarge:
+        decoded = _Chunk(None, missing, sequence, neighbours, stride, PointCoder(None, decoder)).run()
+    except TooLarge:
         return None
     return decoded if decoder.at_end else None

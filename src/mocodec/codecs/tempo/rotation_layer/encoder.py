@@ -1,6 +1,7 @@
 """Coding a motion with rotations to a target: how exact positions and side values are, and what is mended.
 
-mean_error      positions at a share of it, then the coarsest side values that keep the mean of joints and shell points
+mean_error      positions at a share of it, then the coarsest side values that keep the mean of joints and shell points;
+                corrections where one of them is farther off than WORST times the mean
 max_error       positions at a share of it, then side values per chunk; corrections, finer steps or direct coding for
                 what is beyond the bound
 ratio, size     positions in a share of the bytes, then the finest side values that fit
@@ -9,7 +10,7 @@ ratio, size     positions in a share of the bytes, then the finest side values t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +20,12 @@ from ....encoded import Chunk, Encoded, about
 from ....errors import CannotEncode
 from ....motion import Motion
 from ....stages import search
-from ....typing import Booleans, Floats
-from ..chunk import BOUND_SLOPE, grid_size, grid_step
-from ..coding import coefficients, corrections, direct, quantise
+from ....typing import Floats
+from ..chunk import BOUND_SLOPE, grid_step
 from ..coding.contexts import OCTAVE
 from ..models import prior
-from . import choose, layer, payload, record, shell, side, solve
+from . import choose, layer, payload, record, shell, side
+from .chunk_layer import GRIDS, ChunkLayer, Draft, Original, Promise
 from .payload import Layer
 
 MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.7, 0.9
@@ -41,165 +42,8 @@ NEAR = 0.97
 MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
 """The first step of side values: times the mean error, times the bound, and times the ratio in metres."""
 COARSEST, FINEST = 8 * OCTAVE, -40 * OCTAVE
-TIGHTER = (0, 16, 40, 72, 112)
-"""A chunk beyond a bound is tried with steps that are so much finer, 1/32 octave, and corrections."""
-GRIDS = 60
-"""Direct coding is on a grid that is halved at most so often."""
-CORRECTIONS = ((0.2, 2), (0.2, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
-"""Round after round: corrections bring targets within this share of the bound, and correct what moves the joint itself
-and so many joints in all up its chain. Angles that targets show badly need these more exactly; a joint whose angles are
-coded keeps the errors of those above it. A chunk that all rounds leave beyond the bound is coded directly."""
-
-
-class Promise(NamedTuple):
-    """max_error: metres, None without; max_rotation: radians, None without; weights (joints,): of the bound."""
-
-    max_error: float | None
-    max_rotation: float | None
-    weights: Floats | None
-
-    @property
-    def is_hard(self) -> bool:
-        return self.max_error is not None or self.max_rotation is not None
-
-
-@dataclass(frozen=True, eq=False)
-class Original:
-    """positions (frames, joints, 3), local and world rotations (frames, joints, 4) of the motion."""
-
-    positions: Floats
-    local: Floats
-    world: Floats
-
-    def between(self, start: int, stop: int) -> Original:
-        return Original(self.positions[start:stop], self.local[start:stop], self.world[start:stop])
-
-
-class Draft(NamedTuple):
-    """A chunk in one step: its numbers, decoded side values (frames, n), and the grid of corrections."""
-
-    numbers: coefficients.ChunkNumbers | None
-    side: Floats
-    grid: int | None = None
-
-
-class ChunkLayer:
-    """The rotations of a chunk while they are encoded."""
-
-    def __init__(self, of: Layer, original: Original, values: Floats, targets: Floats) -> None:
-        """values (frames, n): side values less the nominal ones; targets: decoded positions of the inner stream."""
-        self.layer, self.original, self.values = of, original, values
-        self.targets = np.ascontiguousarray(targets)
-        self.spectrum = of.model.analyse(values)
-
-    @property
-    def frames(self) -> int:
-        return len(self.targets)
-
-    def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
-        if not self.layer.rules.side_values:
-            return Draft(None, np.zeros((self.frames, 0)))
-        found = self.layer.model.quantised(self.spectrum, step, slope)
-        numbers = coefficients.ChunkNumbers(self.frames, found.values, step, found.threshold)
-        return Draft(numbers, self.layer.model.dequantised(found.values, step, self.frames))
-
-    def exact(self) -> Draft:
-        """Side values as they are, for a lower limit of the error."""
-        return Draft(None, self.values + self.layer.rules.nominal)
-
-    def solved(self, draft: Draft) -> tuple[Floats, Floats]:
-        """Local rotations and positions that a draft decodes to."""
-        targets, values = self.targets, draft.side
-        if draft.grid is not None and draft.numbers is not None and draft.numbers.lists is not None:
-            targets, values = payload.corrected(self.layer, targets, values, draft.numbers.lists, draft.grid)
-        return solve.solve(self.layer.rules, targets, values)
-
-    def errors(self, local: Floats, positions: Floats) -> shell.Errors:
-        world = shell.world_rotations(self.layer.rules.skeleton, local)
-        return shell.errors(self.original.positions, self.original.world, positions, world, self.layer.reach_m)
-
-    def sampled_errors(self, draft: Draft, every: int) -> shell.Errors:
-        """Errors of a draft without corrections, in one frame of `every`."""
-        local, positions = solve.solve(self.layer.rules, self.targets[::every], draft.side[::every])
-        world = shell.world_rotations(self.layer.rules.skeleton, local)
-        true = self.original
-        return shell.errors(true.positions[::every], true.world[::every], positions, world, self.layer.reach_m)
-
-    def broken(self, local: Floats, positions: Floats, promise: Promise) -> Booleans:
-        """(frames, joints): where a joint, its shell points or its rotation are beyond the promise."""
-        beyond = np.zeros(positions.shape[:2], bool)
-        if promise.max_error is not None:
-            found = self.errors(local, positions)
-            bound = promise.max_error * (1 - 1e-9)
-            beyond |= found.beyond(bound) if promise.weights is None else found.beyond(bound / promise.weights)
-        if promise.max_rotation is not None:
-            world = shell.world_rotations(self.layer.rules.skeleton, local)
-            beyond |= shell.angles(world, self.original.world) > promise.max_rotation * (1 - 1e-9)
-            beyond |= shell.angles(local, self.original.local) > promise.max_rotation * (1 - 1e-9)
-        return beyond
-
-    def mended(self, step: int, promise: Promise) -> bytes:
-        """The part of a chunk that keeps the promise. Raises CannotEncode."""
-        parts: list[bytes] = []
-        for finer in TIGHTER:
-            draft = self._corrected(self.draft(step - finer, BOUND_SLOPE), promise)
-            if draft is not None:
-                parts.append(payload.pack_transforms(self.layer, [(draft.numbers, draft.grid)])[0])
-                if len(parts) > 1 and len(parts[-1]) > len(parts[-2]):
-                    break
-        return min(parts, key=len) if parts else self.directly(promise)
-
-    def _corrected(self, draft: Draft, promise: Promise) -> Draft | None:
-        """The draft with the corrections that it needs, or None where they do not suffice."""
-        bound = promise.max_error if promise.max_error is not None else self.layer.reach_m * (promise.max_rotation or 1)
-        truth = payload.together(self.layer, self.original.positions, self.values + self.layer.rules.nominal)
-        off = truth - payload.together(self.layer, self.targets, draft.side)
-        wrong = np.zeros(off.shape[:2], bool)
-        numbers = draft.numbers
-        if numbers is None:
-            empty = np.zeros((0, self.layer.model.rows), np.int64)
-            numbers = coefficients.ChunkNumbers(self.frames, empty, 0, 0)
-        for share, levels in CORRECTIONS:
-            broken = self.broken(*self.solved(draft), promise)
-            if not broken.any():
-                return draft
-            wrong |= _causes(self.layer, broken, levels)
-            grid = grid_step(direct.cell(share * bound))
-            found = corrections.find(np.where(wrong[..., None], off, 0.0), share * bound, grid_size(grid))
-            draft = Draft(numbers._replace(lists=corrections.numbers(found)), draft.side, grid)
-        return None if self.broken(*self.solved(draft), promise).any() else draft
-
-    def directly(self, promise: Promise) -> bytes:
-        """The chunk with every rotation on a grid that keeps the promise. Raises CannotEncode."""
-        bound = promise.max_error or self.layer.reach_m * (promise.max_rotation or 1)
-        for finer in range(GRIDS):
-            grid = grid_step(bound / 2.0**finer)
-            part = payload.pack_direct(self.layer, self.original.local, self.original.positions, grid)
-            decoded = payload.unpack_direct(self.layer, Chunk(0, self.frames, part))
-            if not self.broken(*decoded, promise).any():
-                return part
-        raise CannotEncode("the positions of this motion do not follow from its skeleton and rotations so exactly")
-
-
-def _causes(of: Layer, broken: Booleans, levels: int) -> Booleans:
-    """What may have moved joints or their frames too far, as corrections name it: (frames, corrected_points).
-
-    The targets of the joint, of its parent and so on (joints in all: `levels`), of the vectors that they carry and of
-    hinges that their twists turn; the side values of the joint and of all above it.
-    """
-    rules = of.rules
-    wrong = np.zeros((len(broken), of.corrected_points), bool)
-    for joint in np.flatnonzero(broken.any(axis=0)).tolist():
-        at, one, level = broken[:, joint], joint, 0
-        while one >= 0:
-            if level < levels:
-                turned = [t for hinge in rules.hinges[one] for t in rules.carried[hinge.child].targets]
-                for point in {one, rules.carried[one].anchor, *rules.carried[one].targets, *turned}:
-                    wrong[:, point] |= at
-            for value in range(rules.starts[one], rules.starts[one + 1]):
-                wrong[:, of.joints + value // 3] |= at
-            one, level = rules.skeleton.parents[one], level + 1
-    return wrong
+WORST = 12.0
+"""Under a mean error, no joint or shell point of any frame is farther off than so many times the mean."""
 
 
 class Encoder:
@@ -231,7 +75,7 @@ class Encoder:
                 continue
             drafts = self._step_for_mean(coded, target)
             if drafts is not None:
-                made = self._finished(encoded, coded, drafts)
+                made = self._capped(encoded, coded, drafts, target)
                 if best is not None and made.payload_bytes >= best.payload_bytes:
                     return best
                 best = made
@@ -338,6 +182,17 @@ class Encoder:
                     parts[i] = chunk.mended(step, self.promise)
         return _joined(self.motion, encoded, coded, parts)
 
+    def _capped(
+        self, encoded: Encoded[Motion], coded: Coded, drafts: Sequence[Draft], target: float
+    ) -> Encoded[Motion]:
+        """The stream of drafts that have a mean error, with chunks mended where single samples are far off."""
+        promise = self.promise._replace(max_error=WORST * target)
+        parts = payload.pack_transforms(coded.layer, [(d.numbers, d.grid) for d in drafts])
+        for i, (chunk, draft) in enumerate(zip(coded.chunks, drafts, strict=True)):
+            if chunk.broken(*chunk.solved(draft), promise).any():
+                parts[i] = chunk.capped(draft, promise)
+        return _joined(self.motion, encoded, coded, parts)
+
     def _directly_to_mean(self, encoded: Encoded[Motion], coded: Coded, target: float) -> Encoded[Motion]:
         """Every rotation on a grid, so fine that the mean error is kept. Raises CannotEncode."""
         for finer in range(GRIDS):
@@ -350,9 +205,8 @@ class Encoder:
                 for c, p in zip(coded.chunks, parts, strict=True)
             ]
             total = sum(c.errors(*d).total for c, d in zip(coded.chunks, decoded, strict=True))
-            broken = self.promise.is_hard and any(
-                c.broken(*d, self.promise).any() for c, d in zip(coded.chunks, decoded, strict=True)
-            )
+            promise = self.promise._replace(max_error=WORST * target)
+            broken = any(c.broken(*d, promise).any() for c, d in zip(coded.chunks, decoded, strict=True))
             if total <= target * 4 * self.motion.positions[..., 0].size and not broken:
                 return _joined(self.motion, encoded, coded, parts)
         raise CannotEncode("the positions of this motion do not follow from its skeleton and rotations so exactly")

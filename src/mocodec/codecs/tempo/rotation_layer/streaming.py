@@ -9,7 +9,8 @@ from ....typing import Floats
 from ..chunk import BOUND_SLOPE
 from ..coding.contexts import OCTAVE
 from . import choose, payload, shell
-from .encoder import BOUND_STEP, ChunkLayer, Encoder, Original, Promise
+from .chunk_layer import ChunkLayer, Original, Promise
+from .encoder import BOUND_STEP, Encoder
 
 
 class StreamEncoder:

@@ -1,0 +1,222 @@
+/** An open file: what it says about itself, and its frames. */
+
+import { chunkDecoder } from "./codecs/index.js";
+import type { ChunkDecoder, Decoded, StoredChunk } from "./codecs/codec.js";
+import { type PriorLoader, bundledPriors } from "./codecs/tempo/prior.js";
+import { type ChunkPlace, type Header, chunksStart, payloadOf, readHeader, readIndex, walkChunks } from "./container/header.js";
+import type { Skeleton } from "./container/skeleton.js";
+import type { Tree } from "./container/values.js";
+import { BadInput, FrameOutOfRange, MocodecError, Unsupported } from "./errors.js";
+import type { Extras } from "./extras.js";
+import { type ByteSource, type Source, byteSource } from "./sources.js";
+
+export interface OpenOptions {
+  /** Finds priors by their identifier (8 hexadecimal digits); the default loads those of the package. */
+  priors?: PriorLoader;
+  /** Passed to fetch: headers, credentials, signal. */
+  request?: RequestInit;
+  /** Without a usable index, scan the chunks; damaged chunks become gaps, listed in `damage`. */
+  salvage?: boolean;
+}
+
+/** What a file says about itself; reading it decodes nothing. */
+export interface Info {
+  kind: "motion" | "clouds";
+  codec: string;
+  /** Bytes of the whole file. */
+  bytes: number;
+  frames: number;
+  /** Frames a second. */
+  rate: number;
+  /** Seconds: frames / rate. */
+  duration: number;
+  /** The vertical axis. Positions are in metres, in the axes of the source. */
+  up: "x" | "y" | "z";
+  /** Names of the points. */
+  names: string[];
+  /** Point clouds only. */
+  colours: boolean;
+  normals: boolean;
+  skeleton: Skeleton | undefined;
+  /** Whether the file has rotations of the joints. */
+  rotations: boolean;
+  /** Settings of the encoder that differ from its defaults. */
+  settings: Tree;
+  /** The greatest error that the file promises, metres; undefined if it promises none. */
+  maxError: number | undefined;
+  /** How the original file was: format, units, metres in a unit, … */
+  source: Tree;
+  chunks: ChunkPlace[];
+  /** Neighbouring chunks on each side that a chunk needs. */
+  margin: number;
+  /** Bytes: of the extras section, of what it unpacks to, of the coded signals. */
+  extras: { section: number; unpacked: number; signals: number };
+}
+
+/** A run of frames that could not be decoded. */
+export interface Damage {
+  start: number;
+  frames: number;
+  error: MocodecError;
+}
+
+/** Decoded chunks that a file keeps, so that short reads in sequence decode each chunk once. */
+const KEPT_CHUNKS = 4;
+/** Numbers that one call returns at most: 2 GiB. */
+const MOST_VALUES = 2 ** 28;
+
+/** Opens a `.mocz` file: a URL (read by range requests), a Blob or File, or bytes. */
+export async function open(source: Source, options: OpenOptions = {}): Promise<MoczFile> {
+  const bytes = await byteSource(source, options.request);
+  const { header, end } = await readHeader(bytes);
+  const first = chunksStart(header, end);
+  let chunks: ChunkPlace[];
+  try {
+    chunks = await readIndex(bytes, header, first);
+  } catch (error) {
+    if (!options.salvage || !(error instanceof MocodecError)) throw error;
+    chunks = await walkChunks(bytes, header, first);
+  }
+  return new MoczFile(bytes, header, end, chunks, options.priors ?? bundledPriors, options.salvage ?? false);
+}
+
+export class MoczFile {
+  readonly info: Info;
+  /** Frames that were decoded as gaps, because their chunks are damaged; filled only with `salvage`. */
+  readonly damage: Damage[] = [];
+  private decoder: Promise<ChunkDecoder> | undefined;
+  private readonly decoded = new Map<number, Decoded>();
+
+  constructor(
+    private readonly source: ByteSource,
+    private readonly header: Header,
+    private readonly headerEnd: number,
+    private readonly chunks: ChunkPlace[],
+    private readonly priors: PriorLoader,
+    private readonly salvage: boolean,
+  ) {
+    const last = chunks.at(-1);
+    const frames = last ? last.start + last.frames : 0;
+    const { codec, rate, names, channels, skeleton, rotations, settings, margin, extras } = header;
+    const maxError = settings["max_error"];
+    this.info = {
+      kind: header.kind,
+      codec,
+      bytes: source.size,
+      frames,
+      rate,
+      duration: frames / rate,
+      up: (["x", "y", "z"] as const)[header.up]!,
+      names,
+      colours: (channels & 1) === 1,
+      normals: (channels & 2) === 2,
+      skeleton,
+      rotations,
+      settings,
+      maxError: typeof maxError === "number" ? maxError : undefined,
+      source: header.source,
+      chunks,
+      margin,
+      extras,
+    };
+  }
+
+  /** Positions of frames a … b − 1: (b − a, points, 3) in metres, row by row; NaN in gaps. Throws FrameOutOfRange. */
+  async frames(a = 0, b = this.info.frames): Promise<Float64Array> {
+    return this.joined(a, b, 3 * this.info.names.length, (decoded) => decoded.positions);
+  }
+
+  /** Local rotations of frames a … b − 1: (b − a, joints, 4), quaternions, w first. Throws BadInput without rotations. */
+  async rotations(a = 0, b = this.info.frames): Promise<Float64Array> {
+    if (!this.info.rotations) throw new BadInput("the file has no rotations");
+    return this.joined(a, b, 4 * this.info.names.length, (decoded) => decoded.rotations);
+  }
+
+  /** Everything beside the points: parameters, events, arrays and signals. */
+  async extras(): Promise<Extras> {
+    const { readExtras } = await import("./extras.js");
+    return readExtras(this.source, this.header, this.headerEnd);
+  }
+
+  private async joined(a: number, b: number, lanes: number, part: (decoded: Decoded) => Float64Array | undefined): Promise<Float64Array> {
+    const { frames } = this.info;
+    if (!(Number.isInteger(a) && Number.isInteger(b) && a >= 0 && a <= b && b <= frames)) {
+      throw new FrameOutOfRange(`frames ${a} to ${b} of a file of ${frames} frames`);
+    }
+    if (this.header.kind === "clouds") throw new Unsupported("point clouds have no frames of points; see poses()");
+    const result = new Float64Array((b - a) * lanes).fill(NaN);
+    if ((b - a) * lanes > MOST_VALUES) throw new BadInput(`${b - a} frames at once are too many: ask for fewer`);
+    const first = this.chunkOf(a);
+    const window = await this.window(first, b);
+    for (let i = first; i < this.chunks.length && this.chunks[i]!.start < b; i++) {
+      const { start, frames: count } = this.chunks[i]!;
+      const values = part(await this.decode(i, window));
+      if (!values) continue;
+      const from = Math.max(a, start);
+      const to = Math.min(b, start + count);
+      result.set(values.subarray((from - start) * lanes, (to - start) * lanes), (from - a) * lanes);
+    }
+    return result;
+  }
+
+  /** The number of the chunk of a frame. */
+  private chunkOf(frame: number): number {
+    let low = 0;
+    let high = this.chunks.length - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (this.chunks[middle]!.start <= frame) low = middle;
+      else high = middle - 1;
+    }
+    return low;
+  }
+
+  /** Bytes of the chunks that frames up to `end` need, from chunk `first` on, read at once; those kept are not read. */
+  private async window(first: number, end: number): Promise<Window> {
+    const kept = new Map(this.decoded);
+    const needed: number[] = [];
+    for (let i = first; i < this.chunks.length && this.chunks[i]!.start < end; i++) if (!kept.has(i)) needed.push(i);
+    if (needed.length === 0) return { kept, offset: 0, bytes: new Uint8Array(0) };
+    const from = Math.max(0, needed[0]! - this.info.margin);
+    const to = Math.min(this.chunks.length - 1, needed.at(-1)! + this.info.margin);
+    const { offset } = this.chunks[from]!;
+    const { offset: lastOffset, size } = this.chunks[to]!;
+    return { kept, offset, bytes: await this.source.read(offset, lastOffset + size - offset) };
+  }
+
+  private async decode(number: number, window: Window): Promise<Decoded> {
+    const kept = window.kept.get(number);
+    if (kept) return kept;
+    this.decoder ??= chunkDecoder(this.header.codec, { ...this.header, points: this.header.names.length }, this.priors);
+    const decoder = await this.decoder;
+    const from = Math.max(0, number - this.info.margin);
+    const to = Math.min(this.chunks.length - 1, number + this.info.margin);
+    const { frames, start } = this.chunks[number]!;
+    let decoded: Decoded;
+    try {
+      const stored: StoredChunk[] = [];
+      for (let i = from; i <= to; i++) stored.push({ frames: this.chunks[i]!.frames, payload: this.payload(i, window) });
+      decoded = decoder.decode(stored, number - from);
+    } catch (error) {
+      if (!this.salvage || !(error instanceof MocodecError)) throw error;
+      this.damage.push({ start, frames, error });
+      decoded = { positions: new Float64Array(3 * frames * this.info.names.length).fill(NaN) };
+    }
+    this.decoded.set(number, decoded);
+    if (this.decoded.size > KEPT_CHUNKS) this.decoded.delete(this.decoded.keys().next().value!);
+    return decoded;
+  }
+
+  private payload(number: number, window: Window): Uint8Array {
+    const place = this.chunks[number]!;
+    const at = place.offset - window.offset;
+    return payloadOf(window.bytes.subarray(at, at + place.size), place, number);
+  }
+}
+
+/** Bytes of consecutive chunks, and the chunks that are decoded already. */
+interface Window {
+  kept: Map<number, Decoded>;
+  offset: number;
+  bytes: Uint8Array;
+}

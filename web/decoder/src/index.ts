@@ -1,0 +1,12 @@
+/** Reads `.mocz` files of mocodec: compressed human motion. */
+
+export { open, MoczFile } from "./file.js";
+export type { Damage, Info, OpenOptions } from "./file.js";
+export type { Event, Extras } from "./extras.js";
+export type { Source } from "./sources.js";
+export type { ChunkPlace } from "./container/header.js";
+export type { Skeleton } from "./container/skeleton.js";
+export { ORDERS, type Limits } from "./container/limits.js";
+export { StoredArray, StoredSignal, type Tree, type Value } from "./container/values.js";
+export type { PriorLoader } from "./codecs/tempo/prior.js";
+export * from "./errors.js";
