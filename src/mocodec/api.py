@@ -14,6 +14,7 @@ import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
+from importlib import import_module
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
 
@@ -269,6 +270,10 @@ class File(Generic[RecordingT]):
         facts += [f"{self.seconds:.4g} s"]
         facts += [f"{name}={value:g}" for name, value in self.encoded.promise.items()]
         return f"<File{f' {name!r}' if name else ''}: {', '.join(facts)}>"
+
+    def _repr_html_(self) -> str:
+        """The recording as a page that plays it, for notebooks; long ones are thinned out (`viewer.for_notebook`)."""
+        return cast(str, import_module("mocodec.viewer").for_notebook(self))
 
     def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> RecordingT:
         """Decode a frame or a slice of frames, all points or those of these names.

@@ -15,6 +15,8 @@ const script = await build({
   format: "iife",
   target: "es2022",
   legalComments: "eof",
+  define: { "import.meta.url": "document.baseURI" },
+  external: ["node:fs/promises"],
   write: false,
 });
 const style = await transform(readFileSync(join(here, "src/style.css"), "utf8"), { loader: "css", minify: true });

@@ -12,6 +12,7 @@ from __future__ import annotations
 import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
+from html import escape
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ Viewable = Motion | PointClouds | api.File[Any] | str | PathLike[str]
 
 NOTEBOOK_BYTES = 1_000_000
 """The most that a recording in a notebook takes."""
+NOTEBOOK_SAMPLES = 400_000
+"""Samples (frames × points) to begin with: about what fits."""
 
 
 def shown(source: Viewable, opened: ExitStack, name: str | None = None, **options: Any) -> Shown:
@@ -66,7 +69,9 @@ def html(*sources: Viewable, against: Viewable | None = None, title: str | None 
         return page.with_session(session.of_page(pairs, title or pairs[0][0].name))
 
 
-def view(*sources: Viewable, against: Viewable | None = None, port: int = 0, browser: bool = True, **options: Any) -> None:
+def view(
+    *sources: Viewable, against: Viewable | None = None, port: int = 0, browser: bool = True, **options: Any
+) -> None:
     """Serve a page for these recordings on 127.0.0.1 and open the browser; returns when interrupted (Ctrl-C).
 
     sources, against, options: as for `html`. port: 0 for any free one. browser: False only prints the address.
@@ -82,10 +87,12 @@ def view(*sources: Viewable, against: Viewable | None = None, port: int = 0, bro
 
 
 def for_notebook(source: Motion | PointClouds | api.File[Any], name: str = "recording") -> str:
-    """A recording as HTML for a notebook, at most NOTEBOOK_BYTES: longer ones are thinned out."""
+    """A recording as HTML for a notebook, at most NOTEBOOK_BYTES: long ones are thinned out; of an empty one, its repr."""
+    if not len(source):
+        return f"<code>{escape(repr(source))}</code>"
     with ExitStack() as opened:
         pair = (shown(source, opened, name), None)
-        samples = 400_000
+        samples = NOTEBOOK_SAMPLES
         while True:
             made = page.in_frame(session.of_page([pair], name, Limit(samples, 2e-4)))
             if len(made) <= NOTEBOOK_BYTES or samples <= 1000:

@@ -182,7 +182,7 @@ def motion_errors(shown: Shown, original: Shown) -> dict[str, Any]:
 
 
 def cloud_errors(original: PointClouds, decoded: PointClouds) -> dict[str, Any]:
-    """Distances to the nearest point, in both directions; the mean of a frame is its D1, p99 that of the frames' maxima."""
+    """Distances to the nearest point, in both directions. Mean of a frame: its D1; p99: of the frames' maxima."""
     measured = point_clouds.errors(original, decoded)
     curve, worst = np.zeros(len(original)), np.zeros(len(original))
     curve[measured.frames], worst[measured.frames] = measured.d1_of_frame, measured.max_of_frame
@@ -198,7 +198,7 @@ def cloud_errors(original: PointClouds, decoded: PointClouds) -> dict[str, Any]:
 
 
 def binned(total: Floats, count: Floats, worst: Floats, per_bin: int) -> dict[str, Any]:
-    """Mean, largest and frame of the largest error in runs of `per_bin` frames, of sums, counts and maxima (frames,)."""
+    """Mean, largest and frame of the largest error in runs of `per_bin` frames, from sums, counts, maxima (frames,)."""
     starts = np.arange(0, len(total), per_bin)
     if not len(starts):
         return {"binFrames": 1, "binMean": [], "binMax": [], "binWorst": []}

@@ -48,7 +48,9 @@ def write(path: str | PathLike[str], shown: Shown, original: Shown | None = None
     except ImportError as error:
         raise MissingExtra("a film", "cloud") from error
     step = max(1, round(shown.about.rate / MOST_RATE))
-    pictures = motion_pictures(shown, original, step) if isinstance(shown.about, Motion) else cloud_pictures(shown, step)
+    pictures = (
+        motion_pictures(shown, original, step) if isinstance(shown.about, Motion) else cloud_pictures(shown, step)
+    )
     made = BytesIO()
     with av.open(made, "w", format="mp4") as film:
         stream: Any = film.add_stream("libx264", rate=round(max(1.0, shown.about.rate / step)))
@@ -72,7 +74,9 @@ def seen(points: Floats, up: str) -> Floats:
     """Points (…, 3) as the camera sees them: right, up, depth (…, 3), metres."""
     right, back, height = np.moveaxis(points[..., axes_of(up)], -1, 0)
     along, away = np.cos(TURN) * right + np.sin(TURN) * back, np.cos(TURN) * back - np.sin(TURN) * right
-    return np.stack([along, np.cos(TILT) * height + np.sin(TILT) * away, np.cos(TILT) * away - np.sin(TILT) * height], -1)
+    return np.stack(
+        [along, np.cos(TILT) * height + np.sin(TILT) * away, np.cos(TILT) * away - np.sin(TILT) * height], -1
+    )
 
 
 class Camera:
@@ -118,7 +122,9 @@ def camera_for(sample: Floats, up: str) -> Camera:
     present = sample[~np.isnan(sample[..., 0])]
     if not len(present):
         return Camera(up, 2.0, 0.0, 0.0)
-    middle = np.nanmean(np.where(np.isnan(sample), np.nan, sample), axis=1, keepdims=True) if sample.shape[1] else sample
+    middle = (
+        np.nanmean(np.where(np.isnan(sample), np.nan, sample), axis=1, keepdims=True) if sample.shape[1] else sample
+    )
     level = np.delete(sample - middle, axis, axis=-1)
     low, high = np.percentile(present[:, axis], [0.5, 99.5])
     extent = max(high - low, np.nanpercentile(np.abs(level), 99), 1e-3)

@@ -48,7 +48,7 @@ def quantise(positions: Floats, origin: Floats, step: float) -> Numbers:
 
 def pack_motion(positions: Floats, origin: Floats, step: float) -> dict[str, Any]:
     """Positions (frames, points, 3), metres, as the session's "packed" media."""
-    frames = quantise(positions, origin, step).reshape(len(positions), -1)
+    frames = quantise(positions, origin, step).reshape(len(positions), 3 * positions.shape[1])
     differences = np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1]))
     return _media(differences, origin, step, relative=False)
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import base64
 import gzip
+import hashlib
 import html
 import json
 from functools import cache
 from importlib import resources
 from typing import Any
+
+from ..codecs.tempo.models import prior as priors
 
 PLACE = '<script type="application/json" id="session">null</script>'
 
@@ -17,6 +20,15 @@ PLACE = '<script type="application/json" id="session">null</script>'
 def viewer() -> str:
     """The built page without data: index.html of web/viewer with its style and script inside."""
     return resources.files(__package__).joinpath("static/viewer.html").read_text("utf-8")
+
+
+def prior(identifier: str) -> bytes:
+    """The file of a prior of tempo in the package, by its identifier. Raises KeyError if there is none."""
+    for file in (priors.POINTS_FILE, priors.DIRECTIONS_FILE):
+        data = priors.packaged_bytes(file)
+        if hashlib.blake2b(data, digest_size=priors.ID_BYTES).hexdigest() == identifier:
+            return data
+    raise KeyError(identifier)
 
 
 def with_session(session: dict[str, Any]) -> str:

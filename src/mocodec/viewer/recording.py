@@ -21,11 +21,11 @@ from ..typing import Floats
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A recording and its name. `positions` and `clouds` decode frames; damaged frames are gaps, or have no points.
+    """A recording and its name. `positions` and `clouds` decode frames; damaged frames of a motion are gaps.
 
     columns: the order in which points are shown, as numbers of the recording's points; None for its own order.
-    bytes, codec, promise, chunks (first frame, bytes): of a compressed file; None and empty for others. file_bytes: size
-    of the file that it was read from, if it is one file.
+    bytes, codec, promise, chunks (first frame, bytes): of a compressed file; None and empty for others. file_bytes:
+    size of the file that it was read from, if it is one file.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Shown:
             if start > at:
                 runs.append((at, start))
             at = stop
-        return runs
+        return [(int(start), int(stop)) for start, stop in runs]
 
     def part(self, a: int, b: int) -> Recording:
         """Frames [a, b). Raises Corrupt or Truncated for damaged ones."""
@@ -98,7 +98,9 @@ class Shown:
 def of_file(name: str, opened: api.File[Any]) -> Shown:
     """An open .mocz."""
     info = opened.info
-    chunks = [(chunk.start, size) for chunk, size in zip(opened.encoded.chunks, opened.chunk_bytes, strict=True)]
+    chunks = [
+        (int(chunk.start), int(size)) for chunk, size in zip(opened.encoded.chunks, opened.chunk_bytes, strict=True)
+    ]
     size: int = info["bytes"]
     promise = opened.encoded.promise
     return Shown(name, opened, bytes=size, codec=info["codec"], promise=promise, chunks=chunks, file_bytes=size)

@@ -3,6 +3,7 @@
     GET /TOKEN/                             the page
     GET /TOKEN/session.json                 the session
     GET /TOKEN/r/N/decoded?from=a&to=b      frames [a, b) of recording N, and of its original: …/original
+    GET /TOKEN/priors/ID.npz                a prior of tempo, for .mocz files that are dropped on the page
 
 It listens on 127.0.0.1. The token is random, so that other pages in the browser cannot guess the address; requests
 for another host name are refused, so that a foreign name that resolves to this computer reaches nothing.
@@ -31,6 +32,7 @@ from .recording import Shown
 MOST_BYTES = 64 << 20
 """The largest answer; the page asks for about 8 MB at a time."""
 
+PRIOR = re.compile(r"priors/([0-9a-f]{8})\.npz")
 PLACE = re.compile(r"r/(\d{1,4})/(decoded|original)")
 
 
@@ -118,6 +120,8 @@ class Handler(BaseHTTPRequestHandler):
             return HTTPStatus.OK, "text/html", page.viewer().encode()
         if rest == "session.json":
             return HTTPStatus.OK, "application/json", server.session
+        if named := PRIOR.fullmatch(rest):
+            return HTTPStatus.OK, "application/octet-stream", page.prior(named[1])
         place = PLACE.fullmatch(rest)
         if place is None:
             raise KeyError(rest)

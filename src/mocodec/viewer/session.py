@@ -1,7 +1,7 @@
 """The session of a page: facts about each recording, and where its frames come from.
 
-    recordings ─► facts ─► + frames inside ("packed", a file to mail)
-                           + frames of a server ("frames", `mocodec view`)
+recordings ─► facts ─► + frames inside ("packed", a file to mail)
+                       + frames of a server ("frames", `mocodec view`)
 """
 
 from __future__ import annotations
@@ -84,7 +84,9 @@ def inside(pair: Pair, samples: int, finest_m: float) -> dict[str, Any]:
         return {
             **described,
             "decoded": packed.pack_clouds(whole.positions, whole.colours),
-            "original": packed.pack_clouds(before.positions, before.colours) if isinstance(before, PointClouds) else None,
+            "original": packed.pack_clouds(before.positions, before.colours)
+            if isinstance(before, PointClouds)
+            else None,
         }
     columns = list(shown.columns) if shown.columns is not None else slice(None)
     positions = whole.positions[:, columns]
@@ -112,7 +114,7 @@ def thinned(described: dict[str, Any], step: int) -> dict[str, Any]:
         "chunks": [[start // step, size] for start, size in described["chunks"]],
         "damage": [[a // step, -(-b // step)] for a, b in described["damage"]],
         "errors": errors,
-        "notes": [*described["notes"], f"every {step}th frame is shown; all numbers are of all frames"],
+        "notes": [*described["notes"], f"one of {step} frames is shown; all numbers are of all frames"],
     }
 
 

@@ -2,7 +2,7 @@
 
 import { type Cloud, unpackClouds, unpackMotion } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
-import { openMocz } from "./mocz.ts";
+import { fileOf } from "./mocz.ts";
 
 /** One frame: positions (points · 3) in metres, NaN for a gap; colours 0 to 255 of point clouds. */
 export interface Frame {
@@ -118,8 +118,8 @@ function split(positions: Float32Array, points: number): Frame[] {
 }
 
 async function moczLoader(media: Extract<Media, { type: "mocz" }>, points: number): Promise<Loader> {
-  const file = await openMocz(media);
-  return async (a, b) => split(await file.positions(a, b), points);
+  const file = await fileOf(media);
+  return async (a, b) => split(new Float32Array(await file.frames(a, b)), points);
 }
 
 async function fetchRange(url: string, a: number, b: number): Promise<ArrayBuffer> {

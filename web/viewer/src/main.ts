@@ -2,7 +2,7 @@
 
 import { Vector3 } from "three";
 import { summary } from "./errors.ts";
-import { dropped } from "./dropped.ts";
+import { addressed, dropped } from "./dropped.ts";
 import { PointList, showKeys, showLegend, showNumbers, showSignals, showTabs } from "./panel.ts";
 import { Stage } from "./scene.ts";
 import { load, type Session } from "./session.ts";
@@ -55,7 +55,9 @@ class Page {
     showKeys($("keys"), KEYS);
     if (innerWidth <= 720) this.togglePoints(false);
     try {
-      const session = await load();
+      const query = new URLSearchParams(location.search);
+      const measuring = (share: number) => this.notice(`measuring… ${Math.round(100 * share)} %`);
+      const session = query.has("file") ? await addressed(query, measuring) : await load();
       if (session) await this.open(session);
       else $("welcome").hidden = false;
     } catch (error) {
