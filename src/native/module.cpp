@@ -6,7 +6,7 @@
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
-//   signals.cpp     residuals and linear prediction, for signals/
+//   signals.cpp     residuals and linear prediction, for signals/; signal_fitting.cpp chooses the predictors
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
@@ -22,7 +22,7 @@ namespace nb = nanobind;
 
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
-    PART(joint_rotations) PART(signals) PART(varints)
+    PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -181,15 +181,25 @@ struct BitReader {
     }
 };
 
-// residuals.decode for one lane. Returns whether everything was used up exactly.
-bool decode_lane(int64_t *out, size_t count, Model &model, uint32_t state, const uint16_t *words, size_t word_count,
-                 BitReader bits) {
-    size_t used = 0;
-    auto pull = [&](const int16_t *starts, int symbol, uint32_t f) {
-        state = f * (state >> 15) + (state & (TOTAL - 1)) - uint32_t(starts[symbol]);
-        if (state < LOWEST) state = state << 16 | (used < word_count ? words[used] : 0), ++used;
-    };
-    for (size_t t = 0; t < count; ++t) {
+// residuals.decode for one lane, a residual at a time.
+struct LaneDecoder {
+    Model model;
+    int64_t *out;
+    uint32_t state;
+    const uint16_t *words;
+    size_t word_count, used = 0;
+    BitReader bits;
+    bool is_lane = true;
+
+    void pull(const int16_t *starts, int symbol, uint32_t f) {
+        const uint32_t x = f * (state >> 15) + (state & (TOTAL - 1)) - uint32_t(starts[symbol]);
+        const bool is_short = x < LOWEST;
+        const uint32_t word = words[used < word_count ? used : 0];  // there is one word at least, see signals_decode
+        state = is_short ? x << 16 | word : x;
+        used += is_short;
+    }
+
+    void step() {
         int shift, c;
         model.context(shift, c);
         int16_t *starts = model.high[c];
@@ -200,7 +210,7 @@ bool decode_lane(int64_t *out, size_t count, Model &model, uint32_t state, const
         if (high == 0 || high == HIGH - 1) {
             int zeros = 0;
             while (zeros < 31 && !bits.get(1)) ++zeros;
-            if (zeros == 31) return false;
+            if (zeros == 31) is_lane = false, zeros = 0;
             const int64_t beyond = int64_t(1) << zeros | bits.get(zeros);
             value = high ? beyond - 1 + HALF - LOW : LOW - HALF - beyond;
         } else {
@@ -210,22 +220,50 @@ bool decode_lane(int64_t *out, size_t count, Model &model, uint32_t state, const
             adapt<LOW>(starts, low, model.seen_low[c][high], LOW_TARGETS);
             value = (high << 2 | low) - HALF;
         }
-        out[t] = value * (int64_t(1) << shift) + (shift ? bits.get(shift) : 0);
-        model.observe(out[t]);
+        const int64_t residual = value * (int64_t(1) << shift) + (shift ? bits.get(shift) : 0);
+        *out++ = residual;
+        model.observe(residual);
     }
-    return state == LOWEST && used == word_count && (bits.at + 7) / 8 == bits.size;
-}
 
-// residuals.decode: the residuals, or nothing if the bytes are no lane of this many.
-nb::object signals_decode(size_t count, int64_t start, uint32_t state, Input<uint16_t, 1> words, Input<uint8_t, 1> bits,
-                          Input<int16_t, 2> high, Input<int16_t, 3> low) {
+    // Whether everything was used up exactly.
+    bool is_done() const {
+        return is_lane && state == LOWEST && used == word_count && (bits.at + 7) / 8 == bits.size;
+    }
+};
+
+// residuals.decode: the residuals of each lane, or nothing if the bytes of one are no lane of this many. Two lanes
+// advance in turn, since the processor computes what does not depend on each other at the same time.
+nb::object signals_decode(nb::list lanes, Input<int16_t, 2> high, Input<int16_t, 3> low) {
     check_tables(high, low);
-    Model model(high.data(), low.data(), start);
-    Fresh<int64_t> out(count);
-    if (!decode_lane(out.data.get(), count, model, state, words.data(), words.shape(0),
-                     BitReader{bits.data(), bits.shape(0)}))
-        return nb::none();
-    return nb::cast(out.give({count}));
+    nb::list result;
+    std::vector<LaneDecoder> decoders;
+    std::vector<size_t> counts;
+    std::vector<Input<uint16_t, 1>> all_words;  // hold the arrays while their memory is read
+    std::vector<Input<uint8_t, 1>> all_bits;
+    static const uint16_t no_word = 0;
+    for (nb::handle lane : lanes) {
+        const nb::tuple fields = nb::cast<nb::tuple>(lane);
+        const auto count = nb::cast<size_t>(fields[0]);
+        const auto &words = all_words.emplace_back(nb::cast<Input<uint16_t, 1>>(fields[3]));
+        const auto &bits = all_bits.emplace_back(nb::cast<Input<uint8_t, 1>>(fields[4]));
+        Fresh<int64_t> out(count);
+        decoders.push_back({Model(high.data(), low.data(), nb::cast<int64_t>(fields[1])), out.data.get(),
+                            nb::cast<uint32_t>(fields[2]), words.shape(0) ? words.data() : &no_word, words.shape(0), 0,
+                            BitReader{bits.data(), bits.shape(0)}});
+        counts.push_back(count);
+        result.append(out.give({count}));
+    }
+    for (size_t i = 0; i < decoders.size(); i += 2) {
+        LaneDecoder &one = decoders[i], &other = decoders[std::min(i + 1, decoders.size() - 1)];
+        const size_t both = i + 1 < decoders.size() ? std::min(counts[i], counts[i + 1]) : 0;
+        for (size_t t = 0; t < both; ++t) one.step(), other.step();
+        for (size_t t = both; t < counts[i]; ++t) one.step();
+        if (i + 1 < decoders.size())
+            for (size_t t = both; t < counts[i + 1]; ++t) other.step();
+    }
+    for (const LaneDecoder &decoder : decoders)
+        if (!decoder.is_done()) return nb::none();
+    return result;
 }
 
 int64_t clamp_prediction(uint64_t sum, int64_t shift) {

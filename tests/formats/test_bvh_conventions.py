@@ -279,6 +279,11 @@ def test_damaged_digits_do_no_harm(tmp_path, digits):
     assert np.allclose(again.positions, motion.positions, atol=1e-8)
 
 
+def test_offsets_of_more_digits_than_doubles_hold(tmp_path):
+    motion = read(tmp_path, BVH.replace("OFFSET 60.0", "OFFSET 1e-320", 1), unit="cm")
+    assert "offset_digits" not in motion.source
+
+
 @pytest.mark.parametrize("channels", ["CHANNELS 3 Xrotation Yrotation Zrotation", "CHANNELS 0", ""])
 def test_a_joint_that_is_named_as_an_end_site(tmp_path, channels):
     text = BVH.replace("End Site", "JOINT Left Arm_end", 1).replace("OFFSET 60.0 0.0 0.0", f"OFFSET 60 0 0\n{channels}")

@@ -5,7 +5,7 @@
 
 `NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres
 and signals; for point clouds, positions to a micrometre and colours. A file of an earlier version is never
-overwritten. lien2006-lines has a form that the codec no longer writes.
+overwritten. lien2006-lines and bodycast-jumper-bounded have forms that the codecs no longer write.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "signals-12bit": (with_signals, "tempo", {"max_error": 0.005, "signal_error": "12bit"}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
-    "bodycast-jumper-bounded": (jumper, "bodycast", {"max_error": 0.004, **SKELETON}),
+    "bodycast-jumper-learned": (jumper, "bodycast", {"max_error": 0.003, "psnr": 38, **SKELETON}),
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import mocodec as mc
 from mocodec.codecs.tempo import Tempo
-from mocodec.codecs.tempo.rotation_layer import encoder, payload, record, reference
+from mocodec.codecs.tempo.rotation_layer import chunk_layer, payload, record, reference
 from mocodec.encoded import Encoded
 from mocodec.geometry import kinematics
 from mocodec.motion import Motion
@@ -65,7 +65,7 @@ def test_every_convention(motion: Motion, options: dict[str, Any]) -> None:
 
 
 def test_direct_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(encoder, "TIGHTER", ())
+    monkeypatch.setattr(chunk_layer, "TIGHTER", ())
     for own_frame in (False, True):
         assert 1 in check(Tempo(max_error=1e-4).encode(hinged_figures.figure(24, own_frame=own_frame)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from mocodec import native
 from mocodec.errors import Corrupt, MocodecError
 from mocodec.fields.cursor import Cursor
-from mocodec.signals import codec, forms, residuals
+from mocodec.signals import codec, fitting, forms, residuals
 from mocodec.testing.signals import cases, noise, plate, slow
 
 RATE = 1000.0
@@ -152,3 +153,30 @@ def test_a_coarser_step_is_preferred_to_one_of_another_channel() -> None:
     found = codec.encode(values, 1000.0)
     assert found is not None
     assert [form.step for form in found[0].forms] == [2.0**-20, 0.75]
+
+
+@pytest.mark.parametrize("samples", [24, 33, 1100, 4000])
+def test_predictors_have_the_same_bits_in_numpy(samples: int) -> None:
+    if not native.available():
+        pytest.skip("the compiled module is not built")
+    integers = np.rint(plate(samples).T.astype(np.float64) * 1000).astype(np.int64)
+    kept = noise(samples, 1.0) > -1.5
+    channels = [fitting.Channel(row, kept | (i == 0), i) for i, row in enumerate(integers)]
+    chosen = fitting.choose(channels)
+    with native.without():
+        assert fitting.choose(channels) == chosen
+        sizes = [fitting.code_bits(row) for row in integers]
+    assert [fitting.code_bits(row) for row in integers] == sizes
+    assert samples < 100 or any(predictor is not None and predictor.references for predictor in chosen)
+
+
+def test_a_channel_that_repeats_another_takes_no_bytes() -> None:
+    head, chunks = coded(SIGNALS["copies"])
+    assert [(form.kind, form.channel) for form in head.forms[2:]] == [(forms.COPY, 0), (forms.COPY, 1), (forms.COPY, 1)]
+    assert sum(map(len, chunks)) == sum(map(len, coded(SIGNALS["copies"][:, :2])[1]))
+    part = codec.decode(head, chunks.__getitem__, 5, 9, [4, 2])
+    np.testing.assert_array_equal(part, SIGNALS["copies"][5:9, [4, 2]])
+    for bad in (2, 4, 9):
+        broken = replace(head, forms=(*head.forms[:2], *[forms.Form(forms.COPY, channel=bad)] * 3))
+        with pytest.raises(Corrupt, match="copies"):
+            codec.unpack(Cursor(codec.pack(broken), "test"), head.dtype, head.shape)

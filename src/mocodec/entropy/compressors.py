@@ -27,20 +27,24 @@ def inflate(data: bytes, size: int, what: str, dictionary: bytes = b"") -> bytes
 
 
 LZMA_DICTIONARY = 1 << 22
+"""The decoder's. The encoder takes a smaller one for short data, since to set up tables for a large one takes longer than
+to compress them. A larger dictionary decodes them too."""
+LEAST_LZMA_DICTIONARY = 1 << 12
 
 
 def lzma2(data: bytes, preset: int = 2, **options: int) -> bytes:
     """Raw LZMA2 with a dictionary of 2²² bytes; options: those of the filter, as `lc`."""
     import lzma
 
-    return lzma.compress(data, lzma.FORMAT_RAW, filters=_filters(preset=preset, **options))
+    size = min(LZMA_DICTIONARY, max(LEAST_LZMA_DICTIONARY, 1 << (len(data) - 1).bit_length()))
+    return lzma.compress(data, lzma.FORMAT_RAW, filters=_filters(size, preset=preset, **options))
 
 
 def unlzma2(data: bytes, size: int, what: str) -> bytes:
     """Exactly `size` bytes from raw LZMA2; never allocates more. Raises Corrupt."""
     import lzma
 
-    unpacker = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_filters(preset=2))
+    unpacker = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_filters(LZMA_DICTIONARY, preset=2))
     try:
         out = unpacker.decompress(data, size)
         rest = b"" if unpacker.eof else unpacker.decompress(b"", 1)
@@ -51,7 +55,7 @@ def unlzma2(data: bytes, size: int, what: str) -> bytes:
     return out
 
 
-def _filters(**options: int) -> list[dict[str, int]]:
+def _filters(dictionary_size: int, **options: int) -> list[dict[str, int]]:
     import lzma
 
-    return [{"id": lzma.FILTER_LZMA2, **options, "dict_size": LZMA_DICTIONARY}]
+    return [{"id": lzma.FILTER_LZMA2, **options, "dict_size": dictionary_size}]

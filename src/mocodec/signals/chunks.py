@@ -8,6 +8,7 @@ and special ones.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,7 @@ from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Bytes, Integers
 from . import fitting, forms, prediction, residuals
-from .forms import CONSTANT, CORRECTED, COUNTS, GRID, INTEGERS, Form
+from .forms import CONSTANT, COPY, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
 from .residuals import Lane
 
@@ -30,9 +31,10 @@ Array = NDArray[Any]
 
 KEPT, REPEATS, SPECIAL = 0, 1, 2
 HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
-ITEMS_SHARE = 0.9
-"""A channel is tried as plain items if it has at most this many distinct ones for each sample."""
+ITEMS_GAIN = 1.3
+"""LZMA2 is not expected to save more than this against zlib's fastest level."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
+WITHOUT_RECORD = (CONSTANT, COPY)
 REPEATS_SHARE = 0.3
 REPEAT_BITS = 2.0
 """Repeats are removed where their places take less than this for each of them."""
@@ -53,11 +55,14 @@ class _Source:
         return _held(self.integers, self.codes)
 
 
-def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
-    """The record of each channel in a chunk (samples, channels), nothing for a constant one; joined, the chunk."""
+def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) -> list[bytes]:
+    """The record of each channel in a chunk (samples, channels), nothing for constants and copies; joined, the chunk.
+
+    alone: no channel refers to another.
+    """
     columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
     sources = [
-        None if form.kind == CONSTANT else _source(column, form)
+        None if form.kind in WITHOUT_RECORD else _source(column, form)
         for column, form in zip(columns, channel_forms, strict=True)
     ]
     ranks = _ranks(channel_forms)
@@ -67,7 +72,7 @@ def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
         else fitting.Channel(source.held, source.codes == KEPT, ranks[i], source.form.kind in EXACT_COUNTS)
         for i, source in enumerate(sources)
     ]
-    predictors = fitting.choose(channels)
+    predictors = fitting.choose(channels, alone)
     held = {i: channel.samples for i, channel in enumerate(channels) if channel is not None}
     streams: list[Integers] = []
     for source, predictor in zip(sources, predictors, strict=True):
@@ -79,7 +84,8 @@ def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
     out, before = [], b""
     for i, (source, predictor) in enumerate(zip(sources, predictors, strict=True)):
         record = b"" if source is None else _pack(source, predictor, lanes, before)
-        items = _items(columns[i], channel_forms[i]) if source is not None and i not in referred else None
+        is_free = source is not None and i not in referred
+        items = _items(columns[i], channel_forms[i], len(record)) if is_free else None
         if items is not None and len(items) < len(record):
             record = items
         elif source is not None and source.codes.any():
@@ -88,11 +94,15 @@ def encode(values: Array, channel_forms: Sequence[Form]) -> list[bytes]:
     return out
 
 
-def _items(values: Array, form: Form) -> bytes | None:
-    """The record of a channel as plain items, for floats of which many occur more than once."""
-    if form.kind in EXACT_COUNTS or len(np.unique(forms.words(values))) > ITEMS_SHARE * len(values):
+def _items(values: Array, form: Form, record_bytes: int) -> bytes | None:
+    """The record of a channel as plain items, for floats of which many occur more than once; None if a fast compressor
+    shows that it is longer than the record that there is."""
+    if form.kind in EXACT_COUNTS:
         return None
-    return bytes([ITEMS]) + blob(lzma2(values.tobytes(), 6, lc=0, lp=2, pb=2))
+    data = values.tobytes()
+    if len(zlib.compress(data, 1)) > ITEMS_GAIN * record_bytes:
+        return None
+    return bytes([ITEMS]) + blob(lzma2(data, 6, lc=0, lp=2, pb=2))
 
 
 def _ranks(channel_forms: Sequence[Form]) -> list[int]:
@@ -192,15 +202,15 @@ def decode(
     records: dict[int, _Record] = {}
     before = np.zeros(samples, np.uint8)
     for i, form in enumerate(channel_forms):
-        if form.kind != CONSTANT:
+        if form.kind not in WITHOUT_RECORD:
             records[i] = record = _read(cursor, form, dtype, before, len(channel_forms))
             before = record.codes if record.items is None and record.codes.any() else before
     cursor.done()
-    wanted = list(wanted)
-    levels = _levels(records, [i for i in wanted if i in records and records[i].items is None])
+    origin = {i: channel_forms[i].channel if channel_forms[i].kind == COPY else i for i in wanted}
+    levels = _levels(records, [i for i in {*origin.values()} if i in records and records[i].items is None])
     integers = _integers(records, levels)
-    result = {}
-    for i in wanted:
+    result: dict[int, Array] = {}
+    for i in {*origin.values()}:
         form = channel_forms[i]
         if form.kind == CONSTANT:
             result[i] = np.frombuffer(form.item * samples, dtype)
@@ -208,7 +218,7 @@ def decode(
             result[i] = np.frombuffer(unlzma2(items, samples * dtype.itemsize, "a chunk of signals"), dtype)
         else:
             result[i] = _values(records[i], form, integers[i], dtype)
-    return result
+    return {i: result[origin[i]] for i in origin}
 
 
 def _read(cursor: Cursor, form: Form, dtype: np.dtype[Any], before: Bytes, channels: int) -> _Record:

@@ -53,41 +53,50 @@ def encode(values: Array, rate: float) -> tuple[Head, list[bytes]] | None:
     """
     table = values.reshape(len(values), -1)
     length = chunk_samples(len(table), rate)
-    channel_forms = _forms(table, length)
-    if channel_forms is None:
+    found = _first_chunk(table, length)
+    if found is None:
         return None
-    starts = range(0, len(table), length)
-    payloads = [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
+    channel_forms, records = found
+    starts = range(length, len(table), length)
+    payloads = [b"".join(records)]
+    payloads += [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
     return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
 
 
 def channel_sizes(values: Array, rate: float) -> list[int] | None:
     """The bytes that each channel of a signal takes in the first chunk, its form included; None as in `encode`."""
     table = values.reshape(len(values), -1)
-    length = chunk_samples(len(table), rate)
-    channel_forms = _forms(table, length)
-    if channel_forms is None:
-        return None
-    records = chunks.encode(table[:length], channel_forms)
-    return [len(record) + len(forms.pack(form)) for record, form in zip(records, channel_forms, strict=True)]
+    found = _first_chunk(table, chunk_samples(len(table), rate))
+    return None if found is None else [len(record) + len(forms.pack(form)) for form, record in zip(*found, strict=True)]
 
 
-def _forms(table: Array, length: int) -> list[Form] | None:
-    """The form of each channel; None where integers would be too large. length: samples of a chunk."""
+def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | None:
+    """The form of each channel, and the records of the first chunk; None where integers would be too large.
+
+    length: samples of a chunk.
+    """
     known: list[Form] = []
     result: list[Form] = []
+    places: dict[bytes, int] = {}
     for column in table.T:
-        form = forms.fit(np.ascontiguousarray(column), known)
+        place = places.setdefault(column.tobytes(), len(result))
+        is_copy = place < len(result) and result[place].kind != forms.CONSTANT
+        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(np.ascontiguousarray(column), known)
         if form is None:
             return None
         result.append(form)
         if form.kind == forms.COUNTS and form not in known:
             known.insert(0, form)
-    return _with_palettes(table, length, result)
+    records = chunks.encode(table[:length], result)
+    palettes = _palettes(table, length, result, list(map(len, records)))
+    if not palettes:
+        return result, records
+    result = [palettes.get(i, form) for i, form in enumerate(result)]
+    return result, chunks.encode(table[:length], result)
 
 
-def _with_palettes(table: Array, length: int, channel_forms: list[Form]) -> list[Form]:
-    """The forms, with palettes for the channels of which the first chunk is shorter with one."""
+def _palettes(table: Array, length: int, channel_forms: list[Form], sizes: list[int]) -> dict[int, Form]:
+    """Palettes of the channels that are shorter with one, coded alone, than their records of these sizes."""
     first = table[:length]
     palettes: dict[int, Form] = {}
     for i, form in enumerate(channel_forms):
@@ -95,13 +104,11 @@ def _with_palettes(table: Array, length: int, channel_forms: list[Form]) -> list
         if form.kind in (forms.GRID, forms.CORRECTED) or fine_steps:
             palette = forms.palette(np.ascontiguousarray(table[:, i]))
             palettes |= {} if palette is None else {i: palette}
-    if not palettes:
-        return channel_forms
-    trial = [palettes.get(i, form) for i, form in enumerate(channel_forms)]
-    without, with_ = (list(map(len, chunks.encode(first, tried))) for tried in (channel_forms, trial))
     share = length / len(table)
-    shorter = {i for i, palette in palettes.items() if with_[i] + share * len(forms.pack(palette)) < without[i]}
-    return [palettes[i] if i in shorter else form for i, form in enumerate(channel_forms)]
+    spare = {i: sizes[i] - share * len(deflate(forms.pack(palette))) for i, palette in palettes.items()}
+    tried = [i for i in palettes if spare[i] > 0]
+    records = chunks.encode(first[:, tried], [palettes[i] for i in tried], alone=True) if tried else []
+    return {i: palettes[i] for i, record in zip(tried, records, strict=True) if len(record) < spare[i]}
 
 
 def chunk_samples(samples: int, rate: float) -> int:
@@ -130,10 +137,17 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Head
     chunk = inner.varint()
     if not 0 < chunk <= max(shape[0], 1) or -(-shape[0] // chunk) > inner.left or chunk > MAX_CHUNK_SAMPLES * 2:
         raise cursor.corrupt("the chunks of a signal are out of range")
-    channel_forms = tuple(forms.unpack(inner, dtype) for _ in range(channels))
+    channel_forms: list[Form] = []
+    for _ in range(channels):
+        form = forms.unpack(inner, dtype)
+        if form.kind == forms.COPY and (
+            form.channel >= len(channel_forms) or channel_forms[form.channel].kind == form.kind
+        ):
+            raise cursor.corrupt("a channel copies one that does not come before it")
+        channel_forms.append(form)
     sizes = tuple(inner.varint() for _ in range(-(-shape[0] // chunk)))
     inner.done()
-    return Head(dtype, shape, chunk, channel_forms, sizes)
+    return Head(dtype, shape, chunk, tuple(channel_forms), sizes)
 
 
 def decode(

@@ -3,15 +3,19 @@
 short fit of each channel ─► local size of its residuals ─► weights
 differences of all channels ─► for each, the earlier channels that explain it best (orthogonal matching pursuit)
 own past, other channels ─► nested fits ─► the one of the shortest code
+
+The compiled module gives the same bits: sums run from the first row to the last (`_sum`), logarithms are `_log2`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from .. import native
 from ..typing import Booleans, Floats, Integers
 from . import prediction
 from .prediction import REFERENCE_TAPS, Predictor
@@ -27,7 +31,13 @@ TAP_BITS = 12.0
 MIN_SAMPLES = 24
 FIT_SAMPLES = 3072
 """Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
+PURSUIT_SAMPLES = 1024
+"""Other channels are chosen from about so many samples, likewise."""
 RIDGE = 1e-13
+LEAST_PIVOT = 1e-14
+LOG2_CUBIC = (1.2556887796, -4.1961258395, 6.0966363124, -3.1560362794)
+"""log₂ of mantissas from 0.5 to 1."""
+GRAM_ROWS = 128
 MOST_SUM_BITS = 58
 """Samples times taps stay below 2 to this power, so that sums do not wrap around."""
 
@@ -43,13 +53,16 @@ class Channel:
     is_counts: bool = True
 
 
-def choose(channels: Sequence[Channel | None]) -> list[Predictor | None]:
-    """A predictor for each channel; None for the first sample of the chunk in place of a prediction."""
+def choose(channels: Sequence[Channel | None], alone: bool = False) -> list[Predictor | None]:
+    """A predictor for each channel; None for the first sample of the chunk in place of a prediction.
+
+    alone: predictors refer to no other channel.
+    """
     present = [i for i, channel in enumerate(channels) if channel is not None and channel.kept.sum() >= MIN_SAMPLES]
     result: list[Predictor | None] = [None] * len(channels)
     if not present:
         return result
-    differences = np.array([np.diff(c.samples, prepend=c.samples[:1]) for i in present if (c := channels[i])], float)
+    samples = np.array([c.samples for i in present if (c := channels[i])])
     depth = dict.fromkeys(present, 0)
     ranks = {i: channel.rank for i in present if (channel := channels[i])}
     for i in sorted(present, key=ranks.__getitem__):
@@ -58,171 +71,246 @@ def choose(channels: Sequence[Channel | None]) -> list[Predictor | None]:
         earlier = [
             place
             for place, j in enumerate(present)
-            if ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
+            if not alone and ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
         ]
-        named = [present[place] for place in _pursuit(differences, present.index(i), earlier, channel.kept)]
-        predictor = _fit(channel, [(j, other.samples) for j in named if (other := channels[j])])
+        named = _pursuit(samples, present.index(i), earlier, channel.kept)
+        predictor = _fit(channel, [present[place] for place in named], samples[named])
         result[i] = predictor
         if predictor is not None and predictor.references:
             depth[i] = 1 + max(depth[j] for j, _ in predictor.references)
     return result
 
 
-def code_bits(residuals: Integers | Floats) -> float:
-    """About how many bits residuals take: their size varies slowly."""
+def code_bits(residuals: Integers) -> float:
+    """About how many bits residuals (n,) take: their size varies slowly."""
     if not len(residuals):
         return 0.0
-    starts = np.arange(0, len(residuals), BLOCK)
-    means = np.add.reduceat(np.abs(residuals).astype(np.float64), starts)
-    counts = np.diff(np.append(starts, len(residuals)))
-    return float((counts * np.log2(means / counts + 0.3)).sum())
+    if (kernel := native.kernel("signals_code_bits")) is not None:
+        return kernel(residuals)
+    return _code_bits(np.abs(residuals).astype(np.float64))
 
 
-def _rows(count: int) -> Integers:
-    """Samples to fit to: all, or blocks at equal distances."""
+def _code_bits(sizes: Floats) -> float:
+    """Of residuals of these sizes (n,)."""
+    counts, sums = _blocks(sizes)
+    return float(_sum(counts * _log2(sums / counts + 0.3)))
+
+
+def _blocks(values: Floats) -> tuple[Floats, Floats]:
+    """How many values (n,) each block has, and their sums."""
+    blocks = -(-len(values) // BLOCK)
+    padded = np.zeros(blocks * BLOCK)
+    padded[: len(values)] = values
+    counts = np.full(blocks, float(BLOCK))
+    counts[-1] -= blocks * BLOCK - len(values)
+    return counts, _sum(padded.reshape(blocks, BLOCK).T)
+
+
+def _sum(terms: Floats) -> Any:
+    """The sum over the first axis, from its first to its last."""
+    return np.add.accumulate(terms, axis=0)[-1]
+
+
+def _log2(values: Floats) -> Floats:
+    """Logarithms of positive numbers, within 0.002: a cubic of the mantissa."""
+    mantissa, exponent = np.frexp(values)
+    return ((LOG2_CUBIC[0] * mantissa + LOG2_CUBIC[1]) * mantissa + LOG2_CUBIC[2]) * mantissa + LOG2_CUBIC[3] + exponent
+
+
+def _rows(count: int, most: int) -> Integers:
+    """At most about so many samples: all, or blocks at equal distances."""
     blocks = -(-count // BLOCK)
-    step = -(-blocks * BLOCK // FIT_SAMPLES)
+    step = -(-blocks * BLOCK // most)
     rows = (np.arange(0, blocks, step)[:, None] * BLOCK + np.arange(BLOCK)).ravel()
     return rows[rows < count]
 
 
-def _pursuit(differences: Floats, target: int, candidates: list[int], kept: Booleans) -> list[int]:
-    """The candidates (rows of differences) that explain the target best, one after the other, while each pays for its
-    taps: linear relations between channels hold between their differences too."""
+def _pursuit(samples: Integers, target: int, candidates: list[int], kept: Booleans) -> list[int]:
+    """The candidates (rows of samples) whose differences explain those of the target best, one after the other, while
+    each pays for its taps: linear relations between channels hold between their differences too."""
     usable = kept.copy()
     usable[1:] &= kept[:-1]
     rows = np.flatnonzero(usable)
-    rows = rows[_rows(len(rows))]
+    rows = rows[_rows(len(rows), PURSUIT_SAMPLES)]
     if not candidates or len(rows) < MIN_SAMPLES:
         return []
-    weights = _weights(differences[target, rows])
-    left = differences[target, rows] * weights
-    others = differences[candidates][:, rows] * weights
-    sizes = (others * others).sum(axis=1)
-    start, floor = sizes.copy(), 1e-13 * float(left @ left)
+    least = TAP_BITS * REFERENCE_TAPS / (len(kept) / 2)
+    most = min(MOST_REFERENCES, len(candidates))
+    if (kernel := native.kernel("signals_pursuit")) is not None:
+        return kernel(samples, target, np.array(candidates), rows, least, most)
+    return _pursuit_in_numpy(samples, target, candidates, rows, least, most)
+
+
+def _pursuit_in_numpy(
+    samples: Integers, target: int, candidates: list[int], rows: Integers, least: float, most: int
+) -> list[int]:
+    """`_pursuit` at these samples. least: by how many bits a sample a channel must shorten the target."""
+    before = np.maximum(rows - 1, 0)
+    left = (samples[target, rows] - samples[target, before]).astype(np.float64)
+    others = (samples[candidates][:, rows] - samples[candidates][:, before]).T.astype(np.float64)
+    weights = _weights(left)
+    left, others = left * weights, others * weights[:, None]
+    sizes = start = _sum(others * others)
+    floor = 1e-13 * _sum(left * left)
     chosen: list[int] = []
-    while len(chosen) < min(MOST_REFERENCES, len(candidates)):
-        energy = float(left @ left)
-        gains = np.where(sizes > 1e-9 * start, (others @ left) ** 2 / np.maximum(sizes, 1e-300), 0.0)
+    while len(chosen) < most:
+        energy, products = _sum(left * left), _sum(others * left[:, None])
+        gains = np.where(sizes > 1e-9 * start, products * products / np.maximum(sizes, 1e-300), 0.0)
         best = int(gains.argmax())
         after = max(energy - gains[best], floor, 1e-300)
-        if energy <= floor or len(kept) / 2 * np.log2(energy / after) < TAP_BITS * REFERENCE_TAPS:
+        if energy <= floor or _log2(energy / after) < least:
             break
         chosen.append(candidates[best])
-        direction = others[best] / np.sqrt(sizes[best])
-        left = left - (left @ direction) * direction
-        others -= np.outer(others @ direction, direction)
-        sizes = (others * others).sum(axis=1)
+        direction = others[:, best] / np.sqrt(sizes[best])
+        left = left - _sum(left * direction) * direction
+        others = others - _sum(others * direction[:, None]) * direction[:, None]
+        sizes = _sum(others * others)
     return chosen
 
 
-def _fit(channel: Channel, others: Sequence[tuple[int, Integers]]) -> Predictor | None:
-    """The predictor of the shortest code, None if the first sample predicts as well."""
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Taps of least squares: the bias, those of other channels or none, those of the own past.
+
+    size_log2: of its residuals, bits a sample. largest: the largest number that a tap multiplies.
+    """
+
+    taps: Floats
+    size_log2: float
+    largest: float
+
+
+def _fit(channel: Channel, numbers: Sequence[int], others: Integers) -> Predictor | None:
+    """The predictor of the shortest code, None if the first sample predicts as well. others (channels, n)."""
     kept = channel.kept
     own = channel.samples if kept.all() else channel.samples[kept]
-    first = own[0]
-    count = len(own)
-    rows = _rows(count)
-    order = max(p for p in ORDERS if p <= max(1, count // 8))
-    shifted = np.concatenate([np.zeros(order, np.int64), own - first])
-    columns = [shifted[rows + order - i] for i in range(1, order + 1)]
-    places = np.flatnonzero(kept)[rows]
-    for _, samples in others:
-        columns += [samples[np.maximum(places - j, 0)] - samples[0] for j in range(REFERENCE_TAPS)]
-    matrix = np.empty((len(rows), len(columns) + 2))
-    matrix[:, 0], matrix[:, -1] = 1, shifted[rows + order]
-    for place, column in enumerate(columns, 1):
-        matrix[:, place] = column
-    start = [*range(min(FIRST_ORDER, order) + 1), matrix.shape[1] - 1]
-    residuals = _residuals(matrix, start, _solve(_gram(matrix[:, start])))
-    gram = _gram(matrix * _weights(residuals)[:, None])
+    first = int(own[0])
+    rows = _rows(len(own), FIT_SAMPLES)
+    places = np.flatnonzero(kept)
+    order = max(p for p in ORDERS if p <= max(1, len(own) // 8))
+    fit = native.kernel("signals_fit") or _fits_in_numpy
     best, best_bits = None, code_bits(own - first)
-    for subset in _subsets(order, len(others), count, gram):
-        taken = [*subset, len(gram) - 1]
-        taps = _solve(gram[np.ix_(taken, taken)])
-        log_residual = code_bits(_residuals(matrix, taken, taps)) / len(rows)
-        predictor = _rounded(taps, subset, order, others, int(first), log_residual, matrix)
-        sums = prediction.known_sums(predictor, dict(others), kept)
+    for i, fitted in enumerate(fit(own, places, others, rows, order)):
+        named = list(zip(numbers, others, strict=True)) if i == 0 else []
+        predictor = _rounded(_Fit(*fitted), named, first)
+        sums = prediction.known_sums(predictor, dict(named), kept)
         bits = code_bits(prediction.forward(own, predictor, sums)) + 8 * len(prediction.pack(predictor))
         if bits < best_bits:
             best, best_bits = predictor, bits
     return best
 
 
+def _fits_in_numpy(
+    own: Integers, places: Integers, others: Integers, rows: Integers, order: int
+) -> list[tuple[Floats, float, float]]:
+    """A fit of these rows, and if there are other channels one without them, each with the best order, as in `_Fit`.
+
+    own (n,): samples of the channel that are kept, their places in others (channels, m).
+    """
+    first, count = own[0], len(own)
+    shifted = np.concatenate([np.zeros(order, np.int64), own - first])
+    columns = [np.ones(len(rows), np.int64)]
+    for samples in others:
+        columns += [samples[np.maximum(places[rows] - j, 0)] - samples[0] for j in range(REFERENCE_TAPS)]
+    columns += [shifted[rows + order - i] for i in range(order + 1) if i] + [shifted[rows + order]]
+    matrix = np.array(columns).T.astype(np.float64)
+    past = matrix[:, 1 + REFERENCE_TAPS * len(others) :]
+    alone = np.concatenate([matrix[:, :1], past], axis=1)
+    short = np.concatenate([alone[:, : 1 + min(FIRST_ORDER, order)], alone[:, -1:]], axis=1)
+    taps = _taps(*_cholesky(_gram(short)), short.shape[1] - 1)
+    weights = _weights(_left(short, taps))[:, None]
+    gram = _gram(matrix * weights)
+    inside = np.r_[0, 1 + REFERENCE_TAPS * len(others) : len(gram)]
+    result = []
+    for columns_of, sums in ((matrix, gram), (alone, gram[np.ix_(inside, inside)]))[: 2 if len(others) else 1]:
+        fixed = len(sums) - 1 - order
+        lower, scale = _cholesky(sums)
+        size = _best_size(lower, fixed, order, count)
+        taps = _taps(lower, scale, size)
+        used = np.concatenate([columns_of[:, :size], columns_of[:, -1:]], axis=1)
+        largest = float(np.abs(used[:, 1:]).max(initial=1.0))
+        result.append((taps, _code_bits(np.abs(_left(used, taps))) / len(rows), largest))
+    return result
+
+
 def _weights(residuals: Floats) -> Floats:
-    """The inverse of the local size of residuals."""
-    starts = np.arange(0, len(residuals), BLOCK)
-    counts = np.diff(np.append(starts, len(residuals)))
-    means = np.add.reduceat(np.abs(residuals), starts) / counts
+    """The inverse of the local size of residuals (n,)."""
+    counts, sums = _blocks(np.abs(residuals))
+    means = sums / counts
     smooth = (np.concatenate([means[:1], means[:-1]]) + means + np.concatenate([means[1:], means[-1:]])) / 3
-    return np.repeat(1.0 / (smooth + 0.3 + 1e-3 * means.mean()), counts)
+    usual = _sum(means) / len(means)
+    return np.repeat(1.0 / (smooth + 0.3 + 1e-3 * usual), BLOCK)[: len(residuals)]
 
 
 def _gram(matrix: Floats) -> Floats:
-    return matrix.T @ matrix
+    """Sums of products of columns."""
+    size = matrix.shape[1]
+    result = np.zeros((1, size * size))
+    for start in range(0, len(matrix), GRAM_ROWS):
+        rows = matrix[start : start + GRAM_ROWS]
+        products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
+        result = _sum(np.concatenate([result, products]))[None]
+    return result.reshape(size, size)
 
 
-def _solve(gram: Floats) -> Floats:
-    """Weights of all columns but the last, which they sum up to in least squares."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    normal = gram * scale[:, None] * scale
-    size = len(normal) - 1
-    weights = np.linalg.solve(normal[:-1, :-1] + RIDGE * np.eye(size), normal[:-1, -1])
-    return weights * scale[:-1] / scale[-1]
+def _cholesky(gram: Floats) -> tuple[Floats, Floats]:
+    """The lower triangle of a Gram matrix of columns scaled to size 1, with a ridge, and the scale of each column."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    left = gram * scale[:, None] * scale
+    left[np.arange(len(left) - 1), np.arange(len(left) - 1)] += RIDGE
+    lower = np.zeros_like(left)
+    for k in range(len(left) - 1):
+        lower[k:, k] = left[k:, k] / np.sqrt(np.maximum(left[k, k], LEAST_PIVOT))
+        left[k + 1 :, k + 1 :] -= lower[k + 1 :, k, None] * lower[k + 1 :, k]
+    return lower, scale
 
 
-def _residuals(matrix: Floats, columns: list[int], weights: Floats) -> Floats:
-    return matrix[:, columns[-1]] - matrix[:, columns[:-1]] @ weights
+def _taps(lower: Floats, scale: Floats, size: int) -> Floats:
+    """Weights of the first `size` columns, which sum up to the last column in least squares."""
+    taps = lower[-1, :size].copy()
+    for k in reversed(range(size)):
+        taps[k] = taps[k] / lower[k, k]
+        taps[:k] -= lower[k, :k] * taps[k]
+    return taps * scale[:size] / scale[-1]
 
 
-def _subsets(order: int, others: int, count: int, gram: Floats) -> list[list[int]]:
-    """Columns of the fits to try: the best order by its error in the Gram matrix, with and without other channels."""
-    references = list(range(1 + order, 1 + order + REFERENCE_TAPS * others))
-    subsets = []
-    for extra in [references] if others else []:
-        subsets.append(_best_order(order, extra, count, gram))
-    subsets.append(_best_order(order, [], count, gram))
-    return subsets
-
-
-def _best_order(order: int, extra: list[int], count: int, gram: Floats) -> list[int]:
-    best, best_bits = [0], np.inf
-    for p in (p for p in (0, *ORDERS) if p <= order):
-        subset = [*range(1 + p), *extra]
-        rows = [*subset, len(gram) - 1]
-        part = gram[np.ix_(rows, rows)]
-        taps = _solve(part)
-        error = max(part[-1, -1] - 2 * taps @ part[:-1, -1] + taps @ part[:-1, :-1] @ taps, 1e-12 * part[-1, -1], 1e-12)
-        bits = count / 2 * np.log2(error) + TAP_BITS * p
-        if bits < best_bits:
-            best, best_bits = subset, bits
+def _best_size(lower: Floats, fixed: int, order: int, count: int) -> int:
+    """How many columns to use: the first `fixed` ones, and as many of the own past as pay for their taps."""
+    best, least = fixed, np.inf
+    error = 1.0
+    for size in range(fixed + order + 1):
+        p = size - fixed
+        if p in (0, *ORDERS):
+            bits = count / 2 * float(_log2(np.array([max(error, 1e-12)]))[0]) + TAP_BITS * p
+            if bits < least:
+                best, least = size, bits
+        if size < fixed + order:
+            error -= float(lower[-1, size]) * float(lower[-1, size])
     return best
 
 
-def _rounded(
-    taps: Floats,
-    subset: list[int],
-    order: int,
-    others: Sequence[tuple[int, Integers]],
-    first: int,
-    log_residual: float,
-    matrix: Floats,
-) -> Predictor:
-    """Taps as integers, as fine as the size of the samples needs, and the bias for samples as they are."""
-    largest = float(np.abs(matrix[:, subset[1:]]).max(initial=1.0))
-    reach = max([abs(first), *(int(np.abs(samples).max()) for _, samples in others)]) + int(largest)
+def _left(matrix: Floats, taps: Floats) -> Floats:
+    """What the taps leave of the last column."""
+    return matrix[:, -1] - _sum((matrix[:, :-1] * taps).T)
+
+
+def _rounded(fit: _Fit, others: Sequence[tuple[int, Integers]], first: int) -> Predictor:
+    """Taps as integers, as fine as the size of the samples needs, and the bias for samples as they are.
+
+    others: number and samples of each other channel.
+    """
+    reach = max([abs(first), *(int(np.abs(samples).max()) for _, samples in others)]) + int(fit.largest)
     most = MOST_SUM_BITS - reach.bit_length()
-    shift = int(np.clip(np.ceil(np.log2(largest) - log_residual) + 3, 4, most))
+    shift = int(np.clip(np.ceil(np.log2(fit.largest) - fit.size_log2) + 3, 4, most))
     while True:
-        whole = [round(float(tap) * 2.0**shift) for tap in taps]
-        own = tuple(whole[1 : 1 + sum(1 <= column <= order for column in subset)])
-        rest = whole[1 + len(own) :]
+        whole = [round(tap * 2.0**shift) for tap in fit.taps.tolist()]
+        split = 1 + REFERENCE_TAPS * len(others)
+        own = tuple(whole[split:])
         references = tuple(
-            (channel, tuple(rest[REFERENCE_TAPS * i :][:REFERENCE_TAPS]))
-            for i, (channel, _) in enumerate(others if rest else ())
+            (channel, tuple(whole[1 + REFERENCE_TAPS * i :][:REFERENCE_TAPS])) for i, (channel, _) in enumerate(others)
         )
         bias = whole[0] + (first << shift) - first * sum(own)
-        for (_, samples), (_, weights) in zip(others, references, strict=False):
+        for (_, samples), (_, weights) in zip(others, references, strict=True):
             bias -= int(samples[0]) * sum(weights)
         if shift <= 0 or max(map(abs, [bias >> 8, *whole[1:]])) < prediction.MAX_TAP:
             return Predictor(shift, bias, own, references)

@@ -1,6 +1,7 @@
 """A channel as integers, and back bit for bit.
 
     constant     every sample has the same bits                             nothing to code
+    copy         every sample has the bits of an earlier channel            nothing to code
     integers     value = k · step, an integer type
     counts       value = offset + k · step, rounded to the channel's type   converter counts behind floats
     corrected    as counts, then some last bits up or down                  counts that were filtered or shifted since
@@ -14,6 +15,7 @@ bits are stored as they are.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +31,7 @@ from . import steps
 
 Array = NDArray[Any]
 
-CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE = range(6)
+CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE, COPY = range(7)
 MAX_INTEGER = 1 << 29
 """Integers of a channel are below it in size."""
 MANTISSA_BITS = {2: 10, 4: 23, 8: 52}
@@ -42,14 +44,16 @@ MOST_SPECIAL = 0.03
 """The share of samples that may differ from their counts; zeros and gaps do not matter."""
 GRID_BITS = 28
 MAX_CORRECTION = 1 << 20
+SAMPLE = 256
+"""Forms are compared at about so many samples; the best is then checked at all."""
 CORRECTION_COST = 2.0
 """Bits a sample that corrections take beyond the logarithm of their size."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as
-    `_sortable` integers, ascending."""
+    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as `_sortable` integers,
+    ascending. channel: the number of the earlier channel that a copy equals."""
 
     kind: int
     step: float = 1.0
@@ -57,6 +61,7 @@ class Form:
     exponent: int = 0
     item: bytes = b""
     palette: tuple[int, ...] = ()
+    channel: int = 0
 
 
 def pack(form: Form) -> bytes:
@@ -64,6 +69,8 @@ def pack(form: Form) -> bytes:
     head = bytes([form.kind])
     if form.kind == CONSTANT:
         return head + form.item
+    if form.kind == COPY:
+        return head + varint(form.channel)
     if form.kind == INTEGERS:
         return head + varint(int(form.step))
     if form.kind in (COUNTS, CORRECTED):
@@ -101,6 +108,8 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
     kind = cursor.byte()
     if kind == CONSTANT:
         return Form(kind, item=cursor.take(dtype.itemsize))
+    if kind == COPY:
+        return Form(kind, channel=cursor.varint())
     if kind == INTEGERS and dtype.kind in "biu":
         step = cursor.varint()
         if 0 < step <= 1 << 40:
@@ -109,7 +118,7 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
         step, offset = cursor.float64(), cursor.float64()
         if np.isfinite([step, offset]).all():
             return Form(kind, step=step, offset=offset)
-    if kind == PALETTE:
+    if kind == PALETTE and dtype.kind == "f":
         return Form(kind, palette=_unpack_palette(cursor, dtype))
     if kind == GRID and dtype.kind == "f":
         exponent = cursor.signed()
@@ -140,11 +149,10 @@ def fit(values: Array, known: list[Form]) -> Form | None:
         step = _common_step(values) if high < 1 << 62 else 1
         return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
     binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
-    for form in known:
-        if form.step > 0.9 * binary and _gives_back(form, values):
-            return form
+    for form in _giving_back([form for form in known if form.step > 0.9 * binary], values):
+        return form
     candidates = count_forms(values)
-    best = _largest_step([form for form in candidates if _gives_back(form, values)], values)
+    best = _largest_step(list(_giving_back(candidates, values)), values)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
 
 
@@ -228,7 +236,7 @@ def extra_bits(form: Form, values: Array) -> Integers:
     if form.kind == GRID:
         return _truncated(form, values)[2]
     integers, special = _nearest(form, values)
-    return np.where(special, 0, _corrections(form, integers, values))
+    return np.where(special, 0, _corrections([form], integers[None], values)[0])
 
 
 def _sortable(values: Array) -> NDArray[np.uint64]:
@@ -263,10 +271,21 @@ def _from_rank(rank: Integers, dtype: np.dtype[Any]) -> Array:
     return plain.astype(f"u{dtype.itemsize}").view(dtype.newbyteorder("=")).astype(dtype)
 
 
-def _corrections(form: Form, integers: Integers, values: Array) -> Integers:
-    """How many floats values are above their counts."""
+def _counts(forms: Sequence[Form], integers: Integers, dtype: np.dtype[Any]) -> Array:
+    """The values (forms, samples) of counts (forms, samples), in forms of counts, each of its own."""
+    step, offset = _columns(forms)
     with np.errstate(all="ignore"):
-        return _rank(values) - _rank((integers * form.step + form.offset).astype(values.dtype))
+        return (integers * step + offset).astype(dtype)
+
+
+def _columns(forms: Sequence[Form]) -> NDArray[np.float64]:
+    """Steps and offsets (2, forms, 1)."""
+    return np.array([[form.step for form in forms], [form.offset for form in forms]])[..., None]
+
+
+def _corrections(forms: Sequence[Form], integers: Integers, values: Array) -> Integers:
+    """How many floats values (samples,) are above their counts (forms, samples)."""
+    return _rank(values) - _rank(_counts(forms, integers, values.dtype))
 
 
 def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integers, Integers]:
@@ -300,48 +319,56 @@ def _grid(values: Array) -> Form:
 
 
 def _nearest(form: Form, values: Array) -> tuple[Integers, Booleans]:
-    """Counts of values, and which samples the counts do not give back."""
+    """Counts of values (samples,), and which samples the counts do not give back."""
+    integers, special = _nearest_all([form], values)
+    return integers[0], special[0]
+
+
+def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans]:
+    """`_nearest` in several forms, all COUNTS or all CORRECTED: (forms, samples)."""
+    step, offset = _columns(forms)
     with np.errstate(all="ignore"):
-        counts = np.rint((values.astype(np.float64) - form.offset) / form.step)
+        counts = np.rint((values.astype(np.float64) - offset) / step)
         usable = np.abs(counts) < MAX_INTEGER
         integers = np.where(usable, counts, 0).astype(np.int64)
-    extra = integers
-    if form.kind == CORRECTED:
-        extra = _corrections(form, integers, values)
+    back = _counts(forms, integers, values.dtype)
+    if forms[0].kind == CORRECTED:
+        extra = _rank(values) - _rank(back)
         usable &= np.abs(extra) < MAX_CORRECTION
-    special = ~usable | (words(inverse(form, integers, extra, values.dtype)) != words(values))
+        back = _from_rank(_rank(back) + extra, values.dtype)
+    special = ~usable | (words(back) != words(values))
     integers[special] = 0
     return integers, special
 
 
 def _corrected(values: Array, candidates: list[Form]) -> Form | None:
-    """The form of counts with the smallest corrections, if they are shorter than the lower bits of a grid."""
+    """The form of counts with the smallest corrections in a sample, if they take less than the lower bits of a grid."""
+    forms = [Form(CORRECTED, *form) for form in dict.fromkeys((form.step, form.offset) for form in candidates)]
+    if not forms:
+        return None
     grid = _grid(values)
-    lower = extra_widths(grid, forward(grid, values)[0], values.dtype).mean()
-    best, best_cost = None, lower
-    for form in dict.fromkeys((candidate.step, candidate.offset) for candidate in candidates):
-        trial = Form(CORRECTED, *form)
-        integers, special = _nearest(trial, values)
-        if _are_few(special, values):
-            size = np.abs(_corrections(trial, integers, values)[~special])
-            gain = np.log2(trial.step) - grid.exponent
-            cost = (
-                float(np.log2(2.0 * size + 1).mean())
-                + CORRECTION_COST
-                - gain
-                + 40 * float((special & (values != 0) & np.isfinite(values)).mean())
-            )
-            if cost < best_cost:
-                best, best_cost = trial, cost
-    return best
+    some = values[:: -(-len(values) // SAMPLE)]
+    lower = extra_widths(grid, forward(grid, some)[0], some.dtype).mean()
+    integers, special = _nearest_all(forms, some)
+    sizes = np.abs(_corrections(forms, integers, some))
+    kept = np.maximum((~special).sum(axis=1), 1)
+    bits = np.where(special, 0.0, np.log2(2.0 * np.minimum(sizes, MAX_CORRECTION) + 1)).sum(axis=1) / kept
+    unusual = (special & (some != 0) & np.isfinite(some)).mean(axis=1)
+    costs = bits + CORRECTION_COST - (np.log2([form.step for form in forms]) - grid.exponent) + 40 * unusual
+    best = int(costs.argmin())
+    is_shorter = costs[best] < lower and _are_few(_nearest(forms[best], values)[1], values)
+    return forms[best] if is_shorter else None
 
 
-def _gives_back(form: Form, values: Array) -> bool:
-    """Whether few samples of a channel are special in this form; the first samples decide early."""
-    if form.kind != COUNTS:
-        return False
-    usual = values[np.isfinite(values) & (values != 0)]
-    return all(_are_few(_nearest(form, part)[1], part) for part in (usual[:256], values))
+def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
+    """The forms of counts in which few samples of a channel are special; the first samples decide early."""
+    usual = values[np.isfinite(values) & (values != 0)][:SAMPLE]
+    if not len(usual) or not forms:
+        return
+    special = _nearest_all(forms, usual)[1].sum(axis=1)
+    for form, count in zip(forms, special, strict=True):
+        if count <= MOST_SPECIAL * len(usual) and _are_few(_nearest(form, values)[1], values):
+            yield form
 
 
 def _are_few(special: Booleans, values: Array) -> bool:

@@ -123,11 +123,12 @@ def decode(lanes: Sequence[Lane], counts: Sequence[int]) -> list[Integers]:
     """The inverse of `encode`. Raises Corrupt for bytes that are no lane of so many residuals."""
     high, low = tables()
     if (kernel := native.kernel("signals_decode")) is not None:
-        result = [
-            kernel(count, start_of(lane.start), lane.state, lane.words, lane.raw, high, low)
+        fields = [
+            (count, start_of(lane.start), lane.state, lane.words, lane.raw)
             for lane, count in zip(lanes, counts, strict=True)
         ]
-        if any(values is None for values in result):
+        result = kernel(fields, high, low)
+        if result is None:
             raise Corrupt(NOT_A_LANE)
         return result
     return _decode_side_by_side(lanes, counts) if lanes else []

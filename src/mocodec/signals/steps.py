@@ -37,8 +37,8 @@ def candidates(values: Array, mantissa_bits: int, most: int) -> list[tuple[float
         step, counts = _refined(distinct, gap, offset)
         found += [(step, offset), (float(np.float32(step)), offset)]
         if offset and len(distinct) > 2 and np.ptp(counts):
-            slope, intercept = np.polyfit(counts, distinct, 1)
-            found += [(float(slope), float(intercept)), (float(slope), float(np.float32(intercept)))]
+            slope, intercept = _line(counts, distinct)
+            found += [(slope, intercept), (slope, float(np.float32(intercept)))]
     return known + [(step, offset) for step, offset in dict.fromkeys(found) if step > 0]
 
 
@@ -54,6 +54,13 @@ def binary(values: Array, mantissa_bits: int) -> float | None:
         return None
     step = float(np.ldexp(float(np.gcd.reduce(np.ldexp(some, -last).astype(np.int64))), last))
     return step if step >= float(np.abs(some).max()) * 2.0 ** (FINEST - mantissa_bits) else None
+
+
+def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+    """Slope and intercept of the line through points (n,) in least squares."""
+    x_mean, y_mean = x.mean(), y.mean()
+    slope = float(((x - x_mean) * (y - y_mean)).sum() / ((x - x_mean) ** 2).sum())
+    return slope, float(y_mean - slope * x_mean)
 
 
 def _refined(distinct: NDArray[np.float64], step: float, offset: float) -> tuple[float, NDArray[np.float64]]:

@@ -14,12 +14,14 @@ from mocodec.codecs.bodycast import (
     Bodycast,
     integer_surface,
     lattice,
+    lattice_frames,
     octree,
     point_colours,
-    point_layer,
     point_octree,
     point_targets,
 )
+from mocodec.codecs.bodycast.colour_lifting import ColourLifting, ColourSteps
+from mocodec.codecs.bodycast.surface_memory import ColourMemory, PlaceMemory, PosedSurface, SampleTable
 from mocodec.encoded import Chunk, Encoded
 from mocodec.entropy.bit_arrays import BitDecoder, BitEncoder
 from mocodec.errors import BadInput, CannotEncode, Corrupt, MocodecError
@@ -78,18 +80,38 @@ def test_octrees_of_few_points(codes):
     np.testing.assert_array_equal(back, codes)
 
 
-@pytest.mark.parametrize("step", [1, 3, 16])
-def test_colours_are_within_half_a_step(step):
+@pytest.mark.parametrize("luma", [1, 3, 16])
+@pytest.mark.parametrize("count", [1, 2, 17, 333])
+def test_colours_are_within_a_step(luma, count):
     rng = np.random.default_rng(2)
-    colours = rng.integers(0, 256, (333, 3)).astype(np.uint8)
-    predicted = np.tile(point_colours.GREY, (333, 1))
-    wanted = point_colours.quantise(colours, predicted, step)
+    colours = point_colours.ycocg_from_rgb(rng.integers(0, 256, (count, 3)))
+    cells, expected = rng.integers(0, 1024, (count, 3)), rng.integers(0, 256, (count, 3))
+    known, steps = rng.random(count) < 0.6, ColourSteps.of_luma(luma)
     encoder = BitEncoder()
-    point_colours.code_colours(encoder, wanted, len(wanted))
-    back = point_colours.code_colours(BitDecoder(encoder.finish()), None, len(wanted))
-    np.testing.assert_array_equal(back, wanted)
-    decoded = point_colours.dequantise(back, predicted, step).astype(int)
-    assert np.abs(decoded - colours).max() <= (0 if step == 1 else 1.5 * step)
+    decoded = ColourLifting(steps).code_frame(encoder, colours, cells, expected, known)
+    back = ColourLifting(steps).code_frame(BitDecoder(encoder.finish()), None, cells, expected, known)
+    np.testing.assert_array_equal(back, decoded)
+    assert (np.abs(decoded - colours) <= np.array(steps.of_channels) - 1).all()  # steps of 1 are lossless
+
+
+def test_expected_colours_are_those_of_the_nearest_learned_points():
+    places = np.array([[0, 0, 0], [1000, 0, 0], [50_000, 0, 0]])
+    neighbours = np.array([[1] * 6, [0] * 6, [2] * 6])
+    memory = ColourMemory(SampleTable(places, neighbours, np.array([[10, 0, 0], [10, 0, 0], [99, 5, 5]])))
+    assert memory.expected(np.array([0, 2]), places[[0, 2]]).tolist() == [[10, 0, 0], [99, 5, 5]]
+    memory.learn(np.zeros(12, np.int64), np.tile([10, 0, 0], (12, 1)), np.tile([200, 7, 7], (12, 1)))
+    assert memory.expected(np.array([0]), np.array([[10, 0, 0]])).tolist() == [[200, 7, 7]]
+
+
+def test_places_of_the_surface_are_learned():
+    places = np.array([[0, 0, 0], [100_000, 0, 0]])
+    normals = np.tile([0, 0, 1024], (2, 1))
+    memory = PlaceMemory(SampleTable(places, np.array([[0] * 6, [1] * 6]), np.zeros((2, 3), np.int64)))
+    frame = PosedSurface(np.arange(2), places, normals, np.tile(np.eye(3, dtype=np.int64) << 20, (2, 1, 1)))
+    memory.learn(frame, np.tile([5, 5, 300], (50, 1)), np.zeros(50, np.int64))
+    moved = memory.corrected(frame)
+    assert 280 < moved[0, 2] <= 300
+    assert moved[1].tolist() == [100_000, 0, 0]
 
 
 def test_rounding_shifts_keep_values_from_the_border():
@@ -216,9 +238,9 @@ def test_points_that_cannot_be_bounded_are_refused():
 def test_duplicates_become_one_point_with_their_mean_colour():
     points = np.tile([[0.1, 0.2, 0.3]], (4, 1))
     colours = np.array([[0, 0, 0], [10, 0, 0], [20, 0, 0], [30, 0, 0]], np.uint8)
-    grid, [frame] = point_layer.to_lattice([(points, colours)], 0.001, True)
+    grid, [frame] = lattice_frames.to_lattice([(points, colours)], 0.001, True)
     assert len(frame.codes) == 1
-    assert frame.colours.tolist() == [[15, 0, 0]]
+    assert np.asarray(frame.colours).tolist() == [[15, 0, 0]]
     assert distances(points, grid.positions(frame.codes)).max() <= 0.001
     assert octree.cells_of_codes(frame.codes).shape == (1, 3)
 

@@ -6,6 +6,8 @@ const CLOUDS = new Set(["lien2006", "bodycast"]);
 const MOTIONS = goldenNames().filter((name) => !CLOUDS.has(goldenTwin(name).codec));
 /** The twins have ten digits after the point. */
 const TOLERANCE_M = 1e-9;
+/** Angles where a bone is stretched follow from the square root of what rounding leaves. */
+const TOLERANCE_OF_ROTATIONS = 1e-7;
 
 describe("golden files decode to their twins", () => {
   test.each(MOTIONS)("%s", async (name) => {
@@ -30,6 +32,6 @@ describe("golden files decode to their twins", () => {
     const rotations = await file.rotations();
     const wanted = twin.rotations.flat(2);
     expect(rotations.length).toBe(wanted.length);
-    expect(Math.max(...wanted.map((v, i) => Math.abs(v - rotations[i]!)))).toBeLessThanOrEqual(TOLERANCE_M);
+    expect(Math.max(...wanted.map((v, i) => Math.abs(v - rotations[i]!)))).toBeLessThanOrEqual(TOLERANCE_OF_ROTATIONS);
   });
 });

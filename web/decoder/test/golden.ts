@@ -15,7 +15,7 @@ export interface Twin {
   names: string[];
   positions: (number[] | null)[][];
   rotations?: number[][][];
-  signals?: unknown[];
+  signals?: Record<string, { rate: number; dtype: string; labels: string[]; values: unknown }>;
 }
 
 export function goldenNames(): string[] {

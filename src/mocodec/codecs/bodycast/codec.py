@@ -35,7 +35,7 @@ from .exact_points import pack_exact
 from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
-from .point_layer import SurfaceTexture
+from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
 from .tracking import MIN_BODY_POINTS
 

@@ -23,7 +23,8 @@ from .body_model import BodyModel
 from .chunk_payload import BodyStreams, ChunkStreams, unpack_chunk
 from .exact_points import unpack_exact
 from .outliers import unpack_outliers
-from .point_layer import LATTICE, SurfaceTexture, unpack_points
+from .point_layer import KINDS, unpack_points
+from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
 from .surface_sampling import sample_surface
 
@@ -98,7 +99,7 @@ class SceneDecoder:
     def decode_chunk(self, chunk: Chunk, start: int, stop: int) -> Iterator[Cloud]:
         """Frames [start, stop) of a chunk, counted from its first. Raises Corrupt."""
         streams = unpack_chunk(chunk, len(self.models))
-        if streams.exact_points[:1] == bytes([LATTICE]):
+        if streams.exact_points[:1] and streams.exact_points[0] in KINDS:
             yield from islice(self._lattice_points(streams, chunk.frames), start, stop)
             return
         if streams.exact_points:

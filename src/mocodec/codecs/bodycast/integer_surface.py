@@ -11,7 +11,6 @@ lies near the border between two integers, and stores it: every decoder then rou
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,10 +95,11 @@ def pose_values(body: articulation.Body, pose: Pose) -> Floats:
     return np.concatenate([a.reshape(len(a), 9) * (1 << TURN_BITS), moves], axis=1)
 
 
-def posed_samples(surface: IntegerSurface, values: Floats, shift: int) -> tuple[Integers, Integers]:
-    """As `IntegerSurface.posed`, of the `pose_values` of a frame rounded with this shift."""
+def posed_samples(surface: IntegerSurface, values: Floats, shift: int) -> tuple[Integers, Integers, Integers]:
+    """`IntegerSurface.posed` of the `pose_values` of a frame rounded with this shift, and the turns (links, 3, 3)."""
     whole = rounded(values, shift)
-    return surface.posed(whole[:, :9].reshape(-1, 3, 3), whole[:, 9:])
+    turns = whole[:, :9].reshape(-1, 3, 3)
+    return *surface.posed(turns, whole[:, 9:]), turns
 
 
 def nearest_samples(points: Integers, normals: Integers) -> Integers:
@@ -143,25 +143,19 @@ def _blended_links(links: Integers, neighbours: Integers, count: int) -> tuple[I
 
 
 def hints_of_frame(
-    surfaces: Sequence[IntegerSurface],
-    posed: Sequence[tuple[Integers, Integers]],
-    step_m: float,
-    corner: Integers,
-    depth: int,
+    places: Integers, normals: Integers, neighbours: Integers, step_m: float, corner: Integers, depth: int
 ) -> SurfaceHints | None:
-    """The samples of all bodies in a frame as the octree sees them; None without bodies.
+    """The samples of all bodies in a frame as the octree sees them; None without samples.
 
-    step_m: unit of the octree. corner (3,): of the octree, in that unit.
+    places (m, 3): 2^-PLACE_BITS metres. normals (m, 3). neighbours (m, NEIGHBOURS): rows. step_m: unit of the octree.
+    corner (3,): of the octree, in that unit. Raises Corrupt for a pose that is out of range.
     """
-    if not surfaces:
+    if not len(places):
         return None
     scale = float(1 << SUBUNIT_BITS) / (step_m * (1 << PLACE_BITS))
-    places = np.concatenate([points for points, _ in posed])
     if np.abs(places).max() * scale > 2.0**40:
         raise Corrupt("bodycast: a pose is out of range")
-    starts = np.cumsum([0, *(len(s.points) for s in surfaces)])
-    neighbours = np.concatenate([s.neighbours + start for s, start in zip(surfaces, starts[:-1], strict=True)])
     points = np.floor(places * scale).astype(np.int64) - (corner << SUBUNIT_BITS)
     gaps = np.sort(((points[neighbours[:, 0]] - points) ** 2).sum(axis=1))
     spacing = max(math.isqrt(int(gaps[len(gaps) // 2])), 1)  # the median distance to the nearest sample
-    return SurfaceHints(points, np.concatenate([normals for _, normals in posed]), neighbours, spacing, depth)
+    return SurfaceHints(points, normals, neighbours, spacing, depth)

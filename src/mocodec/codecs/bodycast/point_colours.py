@@ -8,6 +8,9 @@ A step of 1 is lossless. Encoder and decoder run the same function.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from ...entropy.bit_arrays import BitCoder
@@ -82,39 +85,46 @@ def _code_rows(
     for channel in range(3):
         wanted = None if values is None else values[rows, channel] - predicted[:, channel]
         place = np.stack([np.full(len(rows), channel), apart[:, channel], large[:, channel], coded], axis=1)
-        difference = code_integers(coder, wanted, place, level)
+        difference = code_integers(coder, wanted, len(rows), partial(_contexts, place, level))
         known[rows, channel] = predicted[:, channel] + difference
         coded = np.maximum(coded, _classes(np.abs(difference)))
+
+
+def _contexts(place: Integers, level: int, kind: int, rows: Integers) -> tuple[Integers, Integers]:
+    """place (n, 4): channel, how far the neighbours are apart, how large they and the channels before are."""
+    channel, apart, large, coded = place[rows].T
+    base = channel * KINDS + kind
+    contexts = (
+        base * CLASSES + apart,
+        base * CLASSES + coded,
+        base * LEVELS + level,
+        (base * CLASSES + apart) * CLASSES + coded,
+        (base * CLASSES + large) * CLASSES + coded,
+    )
+    return np.stack(contexts, axis=1), base
 
 
 def _classes(magnitudes: Integers) -> Integers:
     return np.searchsorted(CLASS_EDGES, magnitudes, side="right")
 
 
-def code_integers(coder: BitCoder, wanted: Integers | None, place: Integers, level: int) -> Integers:
-    """Code integers (n,) and return them; wanted: None in the decoder. Raises Corrupt.
+def code_integers(
+    coder: BitCoder, wanted: Integers | None, count: int, contexts: Callable[[int, Integers], tuple[Integers, Integers]]
+) -> Integers:
+    """Code integers (count,) and return them; wanted: None in the decoder. Raises Corrupt.
 
-    place (n, 4): channel, how far the neighbours are apart, how large they are, how large the channels before were.
+    contexts(kind, rows): the contexts (n, 5) and weight sets (n,) of a kind of bits, of the integers `rows` (n,).
     """
     magnitude = None if wanted is None else np.abs(wanted)
 
     def code(kind: int, rows: Integers, bits: Booleans | None) -> Booleans:
-        channel, apart, large, coded = place[rows].T
-        base = channel * KINDS + kind
-        contexts = (
-            base * CLASSES + apart,
-            base * CLASSES + coded,
-            base * LEVELS + level,
-            (base * CLASSES + apart) * CLASSES + coded,
-            (base * CLASSES + large) * CLASSES + coded,
-        )
-        return coder.code(np.stack(contexts, axis=1), base, bits)
+        return coder.code(*contexts(kind, rows), bits)
 
-    rows = np.arange(len(place))
-    found = np.zeros(len(place), np.int64)
+    rows = np.arange(count)
+    found = np.zeros(count, np.int64)
     rows = rows[code(ZERO_FLAG, rows, None if magnitude is None else magnitude > 0)]
     negative = code(SIGN, rows, None if wanted is None else wanted[rows] < 0)
-    signs = np.ones(len(place), np.int64)
+    signs = np.ones(count, np.int64)
     signs[rows[negative]] = -1
     found[rows] = 1
     for size in range(UNARY):

@@ -13,10 +13,13 @@ import numpy as np
 from ... import progress
 from ...errors import CannotEncode
 from ...metrics import point_clouds
-from ...typing import Booleans
+from ...typing import Booleans, Bytes
 from ..clouds.raw_frames import Cloud
 from . import point_targets
-from .point_layer import SurfaceTexture, pack_points, to_lattice, unpack_points
+from .colour_lifting import ColourSteps
+from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
+from .point_layer import CodedPlaces, join, pack_colours, pack_places, unpack_points
+from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence
 
 
@@ -54,16 +57,13 @@ class PointEncoder:
     def encode(self, target: PointTarget) -> list[bytes]:
         """The part of each chunk. Raises CannotEncode if the target cannot be met."""
         bound = self.bound(target)
-        step = point_targets.usual_colour_step(bound) if self.coloured else 0
-        if target.psnr is None or not self.coloured:
-            return self._checked(bound, step, None)
-        for step in point_targets.coarser_steps(point_targets.step_of_psnr(target.psnr)):
-            if parts := self._checked(bound, step, target.psnr):
-                return parts
-        raise CannotEncode(
-            f"bodycast cannot keep colours to {target.psnr:g} dB with points within {bound * 1000:.3g} mm: "
-            "points of one cell become one; ask for a smaller error or a smaller PSNR"
-        )
+        chunks = self._places(bound)
+        steps = self._usual_steps(bound)
+        if self.coloured and target.psnr is not None:
+            steps = self._steps_of_psnr(chunks, bound, target.psnr)
+        coded = [chunk.with_colours(steps) for chunk in chunks]
+        self._check([part for part, _ in coded], [colours for _, colours in coded], chunks, bound)
+        return [part for part, _ in coded]
 
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
@@ -77,30 +77,75 @@ class PointEncoder:
             )
         return point_targets.DEFAULT_BOUND_M if target.psnr is None else point_targets.COLOUR_BOUND_M
 
-    def _coded(self, bound: float, step: int | None = None) -> list[bytes]:
-        """The part of each chunk; step: of colours, by default that of the bound."""
-        if step is None:
-            step = point_targets.usual_colour_step(bound) if self.coloured else 0
-        parts = list[bytes]()
+    def _coded(self, bound: float) -> list[bytes]:
+        """The part of each chunk."""
+        return [chunk.with_colours(self._usual_steps(bound))[0] for chunk in self._places(bound)]
+
+    def _usual_steps(self, bound: float) -> ColourSteps | None:
+        return ColourSteps.of_luma(point_targets.usual_colour_step(bound)) if self.coloured else None
+
+    def _places(self, bound: float) -> list[_CodedChunk]:
+        """The chunks without their colours."""
+        chunks = list[_CodedChunk]()
         for span, poses, absent in zip(self.spans, self.poses, self.is_absent, strict=True):
             grid, frames = to_lattice(self.frames[span], bound, self.coloured)
-            parts.append(pack_points(grid, frames, self.textures, poses, absent, step))
-        return parts
+            chunks.append(_CodedChunk(grid, frames, pack_places(grid, frames, self.textures, poses, absent)))
+        return chunks
 
-    def _checked(self, bound: float, step: int, psnr: float | None) -> list[bytes]:
-        """The part of each chunk, decoded and compared; none if the colours miss `psnr`. Raises CannotEncode."""
-        parts, squares = self._coded(bound, step), np.zeros((2, 2))
-        for part, span, poses, absent in progress.over(
-            list(zip(parts, self.spans, self.poses, self.is_absent, strict=True))
-        ):
-            source = self.frames[span]
-            grid, expected = to_lattice(source, bound, self.coloured)
-            decoded = unpack_points(part, len(source), self.textures, poses, absent, self.coloured)
-            for frame, cloud, original in zip(expected, decoded, source, strict=True):
-                if not np.array_equal(cloud[0], grid.positions(frame.codes)):
+    def _steps_of_psnr(self, chunks: Sequence[_CodedChunk], bound: float, psnr: float) -> ColourSteps:
+        """The coarsest steps whose colours have this PSNR: bisection. Raises CannotEncode if none have."""
+
+        def meets(step: int) -> bool:
+            squares = np.zeros((2, 2))
+            for chunk, span in zip(chunks, self.spans, strict=True):
+                colours = iter(chunk.with_colours(ColourSteps.of_luma(step))[1])
+                for frame, original in zip(chunk.frames, self.frames[span], strict=True):
+                    if len(frame.codes):
+                        decoded = chunk.grid.positions(frame.codes), next(colours)
+                        squares += point_clouds.luma_squares(original, decoded)
+            return not squares[:, 1].all() or point_clouds.pooled_psnr(squares) >= psnr
+
+        step = point_targets.coarsest_step(point_targets.step_of_psnr(psnr), meets)
+        if step is None:
+            raise CannotEncode(
+                f"bodycast cannot keep colours to {psnr:g} dB with points within {bound * 1000:.3g} mm: "
+                "points of one cell become one; ask for a smaller error or a smaller PSNR"
+            )
+        return ColourSteps.of_luma(step)
+
+    def _check(
+        self,
+        parts: Sequence[bytes],
+        colours: Sequence[Sequence[Bytes]],
+        chunks: Sequence[_CodedChunk],
+        bound: float,
+    ) -> None:
+        """Decodes all chunks and compares them. Raises CannotEncode."""
+        rows = list(zip(parts, colours, chunks, self.spans, self.poses, self.is_absent, strict=True))
+        for part, expected, chunk, span, poses, absent in progress.over(rows):
+            count, waiting = span.stop - span.start, iter(expected)
+            decoded = unpack_points(part, count, self.textures, poses, absent, self.coloured)
+            for frame, (points, colour) in zip(chunk.frames, decoded, strict=True):
+                same = np.array_equal(points, chunk.grid.positions(frame.codes))
+                if self.coloured and len(frame.codes):
+                    same = same and np.array_equal(next(waiting), np.asarray(colour))
+                if not same:
                     raise CannotEncode("bodycast: the decoded points are not those that were coded")
-                if psnr is not None:
-                    squares += point_clouds.luma_squares(original, cloud)
         if len(self.frames) and float(point_targets.own_distances(self.frames, bound).max(initial=0.0)) > bound:
             raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
-        return parts if psnr is None or point_clouds.pooled_psnr(squares) >= psnr else []
+
+
+class _CodedChunk(NamedTuple):
+    """A chunk on its lattice. places: coded, without colours."""
+
+    grid: LatticeGrid
+    frames: list[LatticeFrame]
+    places: CodedPlaces
+
+    def with_colours(self, steps: ColourSteps | None) -> tuple[bytes, list[Bytes]]:
+        """The part of the chunk, and the decoded colours of each frame with points; steps: None without colours."""
+        if steps is None:
+            return join(self.places, None, b""), []
+        wanted = [frame.colours for frame in self.frames if len(frame.codes) and frame.colours is not None]
+        data, decoded = pack_colours(self.places, wanted, steps)
+        return join(self.places, steps, data), decoded

@@ -2,7 +2,7 @@
 
 max_error, mean_error ─► bound of the lattice, before anything is coded
 size ─► bounds between the finest and the coarsest, each coded ─► the finest that fits
-psnr ─► colour step; colours are decoded and measured, and the step halved until they meet it
+psnr ─► colour step; colours are decoded and measured, until the coarsest step that meets it is found
 """
 
 from __future__ import annotations
@@ -89,15 +89,25 @@ def finest_that_fits(size: float, coded_bytes: Callable[[float], float], beside:
     return math.exp(high)
 
 
-def coarser_steps(start: int) -> list[int]:
-    """Colour steps to try, from coarse to lossless."""
-    steps = [start]
-    while steps[-1] > 1:
-        steps.append(max(1, steps[-1] * 2 // 3))
-    return steps
+def coarsest_step(start: int, meets: Callable[[int], bool]) -> int | None:
+    """The coarsest luma step, up to MAX_STEP, that meets a target, if finer ones always do; None if not even 1 does.
+
+    start: the first to try; the search doubles the distance from it, then bisects.
+    """
+    low, high = 0, point_colours.MAX_STEP + 1  # low meets the target, high does not
+    step, reach = start, 1
+    while high - low > 1:
+        if meets(step):
+            low, step = step, step + reach
+        else:
+            high, step = step, step - reach
+        reach *= 2
+        if not low < step < high:
+            step = (low + high) // 2
+    return low or None
 
 
 def step_of_psnr(psnr_db: float) -> int:
-    """The first step to try for a PSNR: that of errors spread evenly over a step, a little coarser."""
-    step = 1.5 * math.sqrt(12) * 255 / 10 ** (psnr_db / 20)
+    """The first step to try for a PSNR: that of errors spread evenly over a step."""
+    step = math.sqrt(12) * 255 / 10 ** (psnr_db / 20)
     return int(np.clip(round(step), 1, point_colours.MAX_STEP))

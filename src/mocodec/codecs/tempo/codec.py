@@ -143,8 +143,7 @@ class Tempo:
 
     def _encode_rotations(self, motion: Motion) -> Encoded[Motion]:
         weights = None if not self.weights else np.array([self.weights.get(name, 1.0) for name in motion.names])
-        has_bound = not (self._has_size or self.mean_error)
-        bound = (self.max_error or DEFAULT_MAX_ERROR) if has_bound else None
+        bound = None if self._has_size or self.mean_error else self.max_error or DEFAULT_MAX_ERROR
         turn = None if self.max_rotation is None else np.radians(self.max_rotation)
         encoder = RotationEncoder(motion, self.shell, Promise(bound, turn, weights))
         positions = replace(motion, rotations=None)

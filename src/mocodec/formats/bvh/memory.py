@@ -149,9 +149,11 @@ def offset_digits(joints: Sequence[Joint], unit_m: float) -> list[Any] | None:
     None for more decimals than doubles hold.
     """
     decimals = max(_decimals(word) for joint in joints for word in joint.offset)
+    if decimals > MAX_DECIMALS:
+        return None
     values = np.array([[float(word) for word in joint.offset] for joint in joints])
     scale = 10.0**decimals
-    if decimals > MAX_DECIMALS or np.abs(values).max() * scale > 2**52:
+    if np.abs(values).max() * scale > 2**52:
         return None
     below = np.rint(values * scale) - _rounded(values * unit_m, unit_m, scale)
     zigzag = np.where(below < 0, -2 * below - 1, 2 * below).astype(np.uint64).reshape(-1)

@@ -17,6 +17,10 @@ export async function chunkDecoder(codec: string, facts: Facts, priors: PriorLoa
     const { Lossless } = await import("./lossless.js");
     return new Lossless(facts);
   }
+  if (codec === "liu2006") {
+    const { Liu2006 } = await import("./liu2006.js");
+    return new Liu2006(facts);
+  }
   throw codec === "lien2006" || codec === "bodycast"
     ? new Unsupported(`${codec} codes point clouds, which have no frames of points`)
     : new UnknownCodec(`this decoder has no codec ${codec}`);

@@ -129,8 +129,7 @@ const BITS = new Int32Array(FLOAT.buffer);
 
 /** The float32 of a rank, of which the lowest 32 bits count. */
 function floatOf(rank: number): number {
-  const bits = rank | 0; // modulo 2^32: |rank| is at most 2^37
-  BITS[0] = bits < 0 ? bits ^ 0x7fffffff : bits;
+  BITS[0] = rank < 0 ? rank ^ 0x7fffffff : rank; // modulo 2^32: |rank| is at most 2^37
   return FLOAT[0]!;
 }
 

@@ -33,9 +33,6 @@ export class StoredSignal {
 
 /** A signal whose chunks stand in the section of signals (type 15). */
 export class CodedSignal {
-  /** Its head, once the section has been read. */
-  head: Uint8Array | undefined;
-
   constructor(
     readonly rate: number,
     readonly labels: string[],

@@ -1,5 +1,7 @@
 /** The rotation that brings vectors nearest to others (Kabsch's problem), by Horn's quaternion. */
 
+import { matrixOf } from "../../geometry.js";
+
 /**
  * The matrix (3, 3), row by row, of the rotation R that minimises Σ |R from − to|², without reflection.
  *
@@ -18,16 +20,6 @@ export function nearestRotation(from: ArrayLike<number>[], to: ArrayLike<number>
     [xy - yx, zx + xz, yz + zy, zz - xx - yy],
   ]);
   return matrixOf(q);
-}
-
-/** The matrix (3, 3) of a unit quaternion (w, x, y, z). */
-export function matrixOf(q: ArrayLike<number>): Float64Array {
-  const [w, x, y, z] = [q[0]!, q[1]!, q[2]!, q[3]!];
-  return Float64Array.of(
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  );
 }
 
 const SWEEPS = 30;

@@ -1,7 +1,7 @@
 /** The codec `tempo` (docs/payloads/tempo.md): shared bytes and chunks. */
 
 import { Bytes } from "../../bytes.js";
-import { Unsupported, check } from "../../errors.js";
+import { check } from "../../errors.js";
 import { readIntegersWithin } from "../../integers/read.js";
 import { Gaps } from "../../stages.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "../codec.js";
@@ -22,6 +22,15 @@ const NEIGHBOURS = 64;
 
 /** Reads the shared bytes, and loads the prior that they name. */
 export async function openTempo(facts: Facts, priors: PriorLoader): Promise<ChunkDecoder> {
+  check(facts.shared.length === (facts.rotations ? 2 : 1), "tempo: another number of shared blobs");
+  const { decoder, millihertz } = await openPositions(facts, priors);
+  if (!facts.rotations) return decoder;
+  const [{ readLayer }, { WithRotations }] = await Promise.all([import("./rotations/layer.js"), import("./rotations/payload.js")]);
+  const layer = await readLayer(facts.shared[1]!, facts.skeleton, (id) => loadPrior(id, priors));
+  return new WithRotations(layer, decoder, millihertz);
+}
+
+async function openPositions(facts: Facts, priors: PriorLoader): Promise<{ decoder: ChunkDecoder; millihertz: number }> {
   const part = new Bytes(facts.shared[0]!, "tempo");
   const flags = part.byte();
   const [direct, fallback] = [(flags & DIRECT) !== 0, (flags & FALLBACK) !== 0];
@@ -32,12 +41,12 @@ export async function openTempo(facts: Facts, priors: PriorLoader): Promise<Chun
   const repeats = (flags & REPEATS) !== 0;
   const millihertz = repeats ? part.varintWithin(1, 2 ** 40 - 1, "the rate") : halfToEven(1000 * facts.rate);
   const weights = flags & WEIGHTS ? Float64Array.from(part.take(facts.points), (byte) => 2 ** (byte / 16)) : undefined;
-  if (flags & NEIGHBOURS) throw new Unsupported("tempo: the lattice engine");
+  const lattice = flags & NEIGHBOURS ? await latticeOf(part.blob(), facts.points) : undefined;
   if (fallback) {
     const shared = [part.rest()];
     const { Hou2014 } = await import("../hou2014.js");
     const inner = new Hou2014({ points: facts.points, parents: facts.skeleton?.parents, shared });
-    return new Tempo(facts, { repeats, millihertz, weights, model: undefined, fallback: inner });
+    return { decoder: new Tempo(facts, { repeats, millihertz, weights, model: undefined, fallback: inner, lattice }), millihertz };
   }
   let model: Model | undefined;
   if (!direct) {
@@ -45,7 +54,7 @@ export async function openTempo(facts: Facts, priors: PriorLoader): Promise<Chun
     model = await readModel(flags & MODEL, part, await loadPrior(id, priors), facts);
   }
   part.end();
-  return new Tempo(facts, { repeats, millihertz, weights, model, fallback: undefined });
+  return { decoder: new Tempo(facts, { repeats, millihertz, weights, model, fallback: undefined, lattice }), millihertz };
 }
 
 /** 0.5 rounds to 0, 1.5 to 2. */
@@ -75,6 +84,16 @@ interface Stream {
   model: Model | undefined;
   /** Decodes the chunks, or the distinct frames of each. */
   fallback: ChunkDecoder | undefined;
+  lattice: LatticeReader | undefined;
+}
+
+/** Positions (frames, points, 3) in half steps of the samples that are not apart. */
+type LatticeReader = (data: Uint8Array, frames: number, apart: Uint8Array | null) => Float64Array;
+
+async function latticeOf(neighbours: Uint8Array, points: number): Promise<LatticeReader> {
+  const { readLattice, readNetwork } = await import("./lattice/lattice.js");
+  const network = readNetwork(neighbours, points);
+  return (data, frames, apart) => readLattice(data, frames, points, apart, network);
 }
 
 class Tempo implements ChunkDecoder {
@@ -93,7 +112,7 @@ class Tempo implements ChunkDecoder {
 
   private chunk(payload: Uint8Array, frames: number): Float64Array {
     const { points, up } = this.facts;
-    const { weights, model, millihertz, fallback } = this.stream;
+    const { weights, model, millihertz, fallback, lattice } = this.stream;
     if (fallback) return fallback.decode([{ frames, payload }], 0).positions;
     const part = new Bytes(payload, "tempo");
     const flags = part.byte();
@@ -105,7 +124,9 @@ class Tempo implements ChunkDecoder {
       positions = readDirect(part.rest(), frames, 3 * points);
       scale(positions, grid, weights, points);
     } else if (flags & 2) {
-      throw new Unsupported("tempo: the lattice engine");
+      check(lattice !== undefined, "tempo: a lattice without neighbours");
+      positions = lattice(part.rest(), frames, gaps.apart());
+      scale(positions, grid, weights, points);
     } else {
       check(model !== undefined, "tempo: coefficients without a model");
       const coefficients = readCoefficients(part, frames, points, millihertz, model.statistics);

@@ -1,0 +1,80 @@
+"""Frames of points on a lattice: integers, sorted by their Morton codes.
+
+Points of one cell of the lattice become one, with their mean colour. So every original point has a decoded one within
+the bound, and every decoded point an original one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import CannotEncode
+from ...typing import Bytes, Floats, Integers
+from ..clouds.raw_frames import Cloud
+from . import lattice, octree, point_octree
+from .integer_surface import MAX_PLACE_M, PLACE_BITS
+
+MIN_STEP_M, MAX_STEP_M = 1e-7, 10.0
+MAX_CORNER = 1 << 40
+
+
+class LatticeFrame(NamedTuple):
+    """A frame on the lattice. codes (n,): sorted distinct Morton codes. colours (n, 3): mean colours, or None."""
+
+    codes: Integers
+    colours: Bytes | None
+
+
+@dataclass(frozen=True)
+class LatticeGrid:
+    """Where the points of a chunk lie. step_m: unit of the lattice. corner (3,), even: in that unit. depth: levels."""
+
+    step_m: float
+    corner: Integers
+    depth: int
+
+    def positions(self, codes: Integers) -> Floats:
+        """The places (n, 3) of Morton codes (n,), metres."""
+        return lattice.positions(octree.cells_of_codes(codes) + self.corner, self.step_m)
+
+    def places(self, cells: Integers) -> Integers:
+        """Cells (n, 3) as places in 2^-PLACE_BITS metres, rounded down, at most MAX_PLACE_M from the origin."""
+        limit = float(MAX_PLACE_M << PLACE_BITS)
+        scale = self.step_m * (1 << PLACE_BITS)
+        return np.floor(np.clip((cells + self.corner) * scale, -limit, limit)).astype(np.int64)
+
+
+def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple[LatticeGrid, list[LatticeFrame]]:
+    """The frames of a chunk on the lattice of this bound. Raises CannotEncode for points too far apart."""
+    step = lattice.step_of_bound(bound_m)
+    if not MIN_STEP_M <= step <= MAX_STEP_M:
+        raise CannotEncode(
+            f"bodycast cannot bound the error of points by {bound_m * 1000:g} mm; "
+            "ask for 0.001 mm to 10 m, or keep every point with residual exact"
+        )
+    places = [lattice.nearest(points, step) for points, _ in frames]
+    filled = [p for p in places if len(p)]
+    corner = np.min([p.min(axis=0) for p in filled], axis=0) // 2 * 2 if filled else np.zeros(3, np.int64)
+    depth = max((int((p.max(axis=0) - corner).max()).bit_length() for p in filled), default=0)
+    if depth > point_octree.MAX_DEPTH or np.abs(corner).max() >= MAX_CORNER:
+        limit_m = 2**point_octree.MAX_DEPTH * step
+        raise CannotEncode(
+            f"points lie more than {limit_m:.3g} m apart, too far for an error of {bound_m * 1000:g} mm; "
+            "ask for a larger error, or keep every point with residual exact"
+        )
+    grid = LatticeGrid(step, corner, depth)
+    pairs = zip(places, frames, strict=True)
+    return grid, [_lattice_frame(p - corner, colours if coloured else None) for p, (_, colours) in pairs]
+
+
+def _lattice_frame(coordinates: Integers, colours: Bytes | None) -> LatticeFrame:
+    """Points of one cell become one, with their mean colour."""
+    codes, cell, count = np.unique(octree.morton_codes(coordinates), return_inverse=True, return_counts=True)
+    if colours is None:
+        return LatticeFrame(codes, None)
+    sums = np.stack([np.bincount(cell.reshape(-1), colours[:, k], len(codes)) for k in range(3)], axis=1)
+    return LatticeFrame(codes, np.round(sums / np.maximum(count, 1)[:, None]).astype(np.uint8))

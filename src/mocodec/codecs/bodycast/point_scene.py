@@ -1,0 +1,103 @@
+"""The surfaces of all bodies while the frames of a chunk are coded: posed, corrected, and as the octree sees them.
+
+key picture ─► samples, colours (`SurfaceTexture`, once a file)
+poses ───────► samples of a frame ─`PlaceMemory`─► corrected ─► `SurfaceHints` for the octree
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...typing import Booleans, Bytes, Floats, Integers
+from . import integer_surface, point_colours, video
+from .body_model import BodyModel
+from .integer_surface import IntegerSurface, posed_samples, rounding_shift
+from .surface_hints import NEIGHBOURS, SurfaceHints
+from .surface_memory import SEARCHED_SAMPLES, PlaceMemory, PosedSurface, SampleTable
+from .surface_sampling import SurfaceSamples, sample_surface
+
+
+class SurfaceTexture:
+    """The surface of a body with its colours, for the octree of every frame: built once for each file."""
+
+    def __init__(self, model: BodyModel) -> None:
+        """Decodes the key picture. Raises Corrupt."""
+        planes = next(video.decode([model.key_picture], model.atlas.image_shape))
+        self.samples = sample_surface(model.atlas, planes, model.is_surface, integer_surface.SAMPLES)
+        self.canonical = self.samples.surface(planes)[0]
+        self.colours = _texture(self.samples, planes)
+        self.body = model.atlas.body
+        self._built: tuple[int, IntegerSurface] | None = None
+
+    @property
+    def shift(self) -> int:
+        """The rounding shift that an encoder stores."""
+        return rounding_shift(IntegerSurface.values(self.samples, self.canonical))
+
+    def integers(self, shift: int) -> IntegerSurface:
+        """The surface rounded with this shift."""
+        if self._built is None or self._built[0] != shift:
+            self._built = shift, IntegerSurface.build(self.samples, self.canonical, shift, len(self.body))
+        return self._built[1]
+
+
+def _texture(samples: SurfaceSamples, planes: Bytes) -> Integers:
+    """(m, 3): YCoCg of the atlas cell nearest to each sample, in integers."""
+    nearest = np.take_along_axis(samples.cells, samples.weights.argmax(axis=0)[None], axis=0)[0]
+    y, cb, cr = planes.reshape(3, -1)[:, nearest].astype(np.int64)
+    red, blue = y + (103_206 * (cr - 128) >> 16), y + (121_609 * (cb - 128) >> 16)
+    green = y - (30_678 * (cr - 128) + 12_277 * (cb - 128) >> 16)
+    return point_colours.ycocg_from_rgb(np.clip(np.stack([red, green, blue], axis=1), 0, 255))
+
+
+class Scene:
+    """The surfaces of all bodies of a file, frame after frame of a chunk. table: their samples.
+
+    learns: whether the points of earlier frames move the samples of later ones.
+    """
+
+    def __init__(
+        self, textures: Sequence[SurfaceTexture], shifts: Sequence[int], is_absent: Booleans, learns: bool
+    ) -> None:
+        self.is_absent, self.learns = is_absent, learns
+        self.surfaces = [texture.integers(shift) for texture, shift in zip(textures, shifts, strict=True)]
+        self._starts = np.cumsum([0, *(len(s.points) for s in self.surfaces)])
+        neighbours = _joined(self.surfaces, self._starts.tolist())
+        self.table = SampleTable(
+            np.concatenate([np.zeros((0, 3), np.int64), *(s.points for s in self.surfaces)]),
+            neighbours[:, : SEARCHED_SAMPLES - 1],
+            np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in textures)]),
+        )
+        self._memory = PlaceMemory(self.table)
+
+    def posed(self, k: int, values: Sequence[Floats], shifts: Sequence[int]) -> PosedSurface:
+        """The samples in frame k. values, shifts: `pose_values` and rounding shift of each body in the frame."""
+        present = [b for b in range(len(self.surfaces)) if not self.is_absent[k, b]]
+        parts = list[tuple[Integers, Integers, Integers, Integers]]()
+        for b, value, shift in zip(present, values, shifts, strict=True):
+            surface = self.surfaces[b]
+            places, normals, turns = posed_samples(surface, value, shift)
+            rows = np.arange(self._starts[b], self._starts[b + 1])
+            parts.append((rows, places, normals, turns[surface.links[:, 0]]))
+        nothing = np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64)
+        return PosedSurface(*map(np.concatenate, zip((*nothing, np.zeros((0, 3, 3), np.int64)), *parts, strict=True)))
+
+    def hints(self, k: int, frame: PosedSurface, step_m: float, corner: Integers, depth: int) -> SurfaceHints | None:
+        """What the octree of frame k sees of the samples; None without bodies. Raises Corrupt."""
+        present = [s for b, s in enumerate(self.surfaces) if not self.is_absent[k, b]]
+        starts = np.cumsum([0, *(len(s.points) for s in present)]).tolist()
+        places = self._memory.corrected(frame) if self.learns else frame.places
+        return integer_surface.hints_of_frame(places, frame.normals, _joined(present, starts), step_m, corner, depth)
+
+    def learn(self, frame: PosedSurface, points: Integers, samples: Integers) -> None:
+        """As `PlaceMemory.learn`."""
+        if self.learns:
+            self._memory.learn(frame, points, samples)
+
+
+def _joined(surfaces: Sequence[IntegerSurface], starts: Sequence[int]) -> Integers:
+    """(m, NEIGHBOURS): the neighbours of the samples of several surfaces, of which the first starts at starts[0]."""
+    parts = [s.neighbours + start for s, start in zip(surfaces, starts, strict=False)]
+    return np.concatenate([np.zeros((0, NEIGHBOURS), np.int64), *parts])
