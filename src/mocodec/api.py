@@ -257,7 +257,7 @@ class File(Generic[RecordingT]):
     @property
     def chunk_bytes(self) -> list[int]:
         """The size of each chunk's payload, bytes, from the index."""
-        return list(self._reader.chunks.lengths)
+        return [int(size) for size in self._reader.chunks.lengths]
 
     def __len__(self) -> int:
         """The number of frames."""

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import viewer
-from mocodec.viewer import session
+from mocodec.viewer import page, session
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.server import Server
 
@@ -63,13 +64,14 @@ def seek(frame: int) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def server(original: mc.Motion, blob: bytes) -> Iterator[Server]:
-    with mc.open(blob, mc.Motion) as f:
-        with Server([session.matched(of_file("walk.mocz", f), Shown("walk", original))], "walk") as made:
-            thread = threading.Thread(target=made.serve_forever)
-            thread.start()
-            yield made
-            made.shutdown()
-            thread.join()
+    with ExitStack() as opened:
+        pair = session.matched(of_file("walk.mocz", opened.enter_context(mc.open(blob, mc.Motion))), Shown("walk", original))
+        made = opened.enter_context(Server([pair], "walk"))
+        thread = threading.Thread(target=made.serve_forever)
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
 
 
 def test_a_served_recording(server: Server, original: mc.Motion, blob: bytes, tmp_path: Path) -> None:
@@ -126,7 +128,9 @@ def test_a_page_of_its_own_on_a_phone(original: mc.Motion, blob: bytes, tmp_path
     assert answers[8]
 
 
-def test_dropped_files_are_decoded_in_the_page(server: Server, original: mc.Motion, blob: bytes, tmp_path: Path) -> None:
+def test_dropped_files_are_decoded_in_the_page(
+    server: Server, original: mc.Motion, blob: bytes, tmp_path: Path
+) -> None:
     (tmp_path / "walk.mocz").write_bytes(blob)
     (tmp_path / "exact.mocz").write_bytes(mc.encode(original, "lossless"))
     dropped = {"do": "drop", "files": [str(tmp_path / "walk.mocz"), str(tmp_path / "exact.mocz")]}
@@ -161,3 +165,9 @@ def test_a_damaged_file_plays_the_rest(server: Server, original: mc.Motion, tmp_
     assert all(value is None for value in answers[5]["positions"])
     got = np.reshape(np.array(answers[8]["positions"], float), (6, 3))
     np.testing.assert_allclose(got, original.positions[stop + 5], atol=1e-5)
+
+
+def test_the_page_in_the_package_is_built_from_these_sources(tmp_path: Path) -> None:
+    made = tmp_path / "viewer.html"
+    subprocess.run(["node", "build.mjs", str(made)], cwd=WEB, check=True, capture_output=True, timeout=120)
+    assert made.read_text() == page.viewer(), "run scripts/web, and commit the page"

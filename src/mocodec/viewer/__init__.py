@@ -87,7 +87,7 @@ def view(
 
 
 def for_notebook(source: Motion | PointClouds | api.File[Any], name: str = "recording") -> str:
-    """A recording as HTML for a notebook, at most NOTEBOOK_BYTES: long ones are thinned out; of an empty one, its repr."""
+    """HTML for a notebook, at most NOTEBOOK_BYTES: long recordings are thinned out; of an empty one, its repr."""
     if not len(source):
         return f"<code>{escape(repr(source))}</code>"
     with ExitStack() as opened:

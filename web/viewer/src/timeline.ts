@@ -238,13 +238,15 @@ export class Timeline {
   }
 
   private drawBytes(pen: CanvasRenderingContext2D, top: number, width: number): void {
-    const { chunks, frames } = this.facts!;
+    const { chunks, frames, rate } = this.facts!;
     if (!chunks.length) return;
-    const densities = chunks.map(([start, bytes], i) => bytes / Math.max(1, (chunks[i + 1]?.[0] ?? frames) - start));
-    const largest = Math.max(...densities, 1e-9);
+    const counts = chunks.map(([start], i) => Math.max(1, (chunks[i + 1]?.[0] ?? frames) - start));
+    const densities = chunks.map(([, bytes], i) => bytes / counts[i]);
+    const usual = densities.filter((_, i) => counts[i] >= rate / 4); // a chunk of a frame or two would outshine all
+    const largest = Math.max(...(usual.length ? usual : densities), 1e-9);
     chunks.forEach(([start], i) => {
       const stop = chunks[i + 1]?.[0] ?? frames;
-      pen.globalAlpha = 0.12 + 0.78 * (densities[i] / largest);
+      pen.globalAlpha = 0.12 + 0.78 * Math.min(1, densities[i] / largest);
       pen.fillStyle = css("--blue");
       const left = this.x(start);
       const span = Math.max(1, this.x(Math.min(stop, frames - 1)) - left - (width / chunks.length > 6 ? 1 : 0));
