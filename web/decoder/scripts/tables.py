@@ -14,12 +14,14 @@ import sys
 from pathlib import Path
 
 from mocodec.container import tables, values
+from mocodec.entropy.compressors import deflate, inflate
 from mocodec.signals import residuals
 
 TARGET = Path(__file__).parents[1] / "src" / "tables.json"
 
 
 def content() -> str:
+    lab_words = values.lab_dictionary().removesuffix(values.dictionary())
     found = {
         "codecs": {str(number): name for number, name in tables.CODEC_IDS.items()},
         "rates": tables.RATES,
@@ -34,10 +36,19 @@ def content() -> str:
         "moreWords": tables.MORE_WORDS,
         "sources": tables.SOURCES,
         "valueDictionary": base64.b64encode(values.dictionary()).decode(),
+        "labDictionary": deflated(lab_words),
+        "labDictionaryBytes": len(lab_words),
         "laplaceRatios": residuals.LAPLACE_RATIOS,
         "gaussRatios": residuals.GAUSS_RATIOS,
     }
     return json.dumps(found, ensure_ascii=True, separators=(",", ":")).replace(',"', ',\n"') + "\n"
+
+
+def deflated(data: bytes) -> str:
+    """Data in base 64, as they stand in the file if that is what they are: other versions of zlib give other bytes."""
+    text = json.loads(TARGET.read_text()).get("labDictionary", "")
+    same = text and inflate(base64.b64decode(text), len(data), "the file") == data
+    return text if same else base64.b64encode(deflate(data)).decode()
 
 
 def main() -> None:

@@ -121,6 +121,13 @@ class Draft(NamedTuple):
         return self.numbers.step * GRID_OCTAVE // OCTAVE
 
 
+class OnLattice(NamedTuple):
+    """A chunk by the lattice engine: its payload, and the positions (frames, points, 3), metres, that it decodes to."""
+
+    payload: bytes
+    positions: Floats
+
+
 class ChunkEncoder:
     """A chunk while it is encoded: its samples and, computed once, their coefficients."""
 
@@ -265,15 +272,18 @@ class ChunkEncoder:
             return payload
         return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
 
-    def on_lattice(self, bound: float, stride: int) -> bytes | None:
-        """The payload of the lattice engine within the bound (metres), None where samples are too large for it."""
+    def on_lattice(self, bound: float, stride: int) -> OnLattice | None:
+        """By the lattice engine within the bound (metres), None where samples are too large for it."""
         assert self.model.neighbours is not None
         step = grid_step(lattice.half_step(bound))
         samples = self._weighted() / grid_size(step)
         without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
         spiked = None if without is samples else samples
         found = lattice.encode(without, self.gap_mask, self.model.neighbours, stride, spiked)
-        return None if found is None else Payload(LATTICE, found[0], step, self.gaps).pack()
+        if found is None:
+            return None
+        positions = _in_metres(self.model, found[1], grid_size(step))
+        return OnLattice(Payload(LATTICE, found[0], step, self.gaps).pack(), frozen.restore(positions, self.gaps))
 
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
@@ -383,11 +393,15 @@ def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
                 raise Corrupt("tempo: a chunk of the lattice engine in a stream without neighbours")
             else:
                 values = lattice.decode(payload.numbers, frozen.apart(payload.gaps, shape), model.neighbours)
-            positions = np.asarray(values * size, np.float64)
-            if model.weights is not None:
-                positions /= model.weights[:, None]
+            positions = _in_metres(model, values, size)
         out.append(frozen.restore(positions, payload.gaps))
     return out
+
+
+def _in_metres(model: Model, values: Floats | Integers, size: float) -> Floats:
+    """Of the numbers (frames, points, 3) of the other engines; size: their unit, metres."""
+    positions = np.asarray(values * size, np.float64)
+    return positions if model.weights is None else positions / model.weights[:, None]
 
 
 def _positions(model: Model, frames: int, numbers: coefficients.DecodedNumbers, size: float) -> Floats:

@@ -197,8 +197,11 @@ class Tempo:
             return fallback.encode(motion, self._stored_settings(), self._wanted_bytes(motion), self.chunk_seconds)
         if self.weights or self.model != model_choice.AUTO:
             return self.encode_chunks(motion)
+        source, plan = self._prepare(motion)
         with progress.phase(0.0, CHUNKS_SHARE):
-            encoded = self.encode_chunks(motion)
+            encoded = self._encode_prepared(motion, source, plan)
+        if plan is not None and plan.certain:
+            return encoded
         with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
             encoded = self._or_fallback(encoded, motion)
         with progress.phase(FALLBACK_SHARE, 1.0):
@@ -224,11 +227,15 @@ class Tempo:
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        source = prepare(
-            motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
-        )
+        return self._encode_prepared(motion, *self._prepare(motion))
+
+    def _prepare(self, motion: Motion) -> tuple[Prepared, LatticePlan | None]:
+        bones = motion.skeleton is not None
+        source = prepare(motion.positions, motion.up, self._frozen_tolerance, bones, self.mean_error is None)
         require_usual_lengths(self, source.positions)
-        plan = self._lattice_plan(motion, source)
+        return source, self._lattice_plan(motion, source)
+
+    def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
         encoded = self._encode_planned(motion, source, plan)
         if plan is None or plan.alone or any(Payload.unpack(c.payload).engine != LATTICE for c in encoded.chunks):
             return encoded

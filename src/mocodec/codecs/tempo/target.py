@@ -18,11 +18,11 @@ from ...errors import CannotEncode
 from ...stages import search
 from ...typing import Floats
 from . import chunk
-from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, grid_size, grid_step
+from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
 from .coding import coefficients, direct, lattice, quantise
 from .coding.contexts import OCTAVE
 from .coding.rows import step_size
-from .engine_choice import EngineTrials
+from .engine_choice import LEAST_SAVING, EngineTrials
 
 Result = TypeVar("Result")
 
@@ -94,30 +94,31 @@ def to_bound(
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
         drafts: dict[int, Draft] = {}
-        on_lattice: dict[int, bytes] = {}
+        on_lattice: dict[int, OnLattice] = {}
         for number, encoder in enumerate(batch):
             by_transform, by_lattice = trials.tried(number)
             if by_transform or stride is None:
                 changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
                 drafts[number], offset = encoder.within_bound(bound, offset, changes)
             if by_lattice and stride is not None:
-                payload = encoder.on_lattice(bound, stride)
-                if payload is not None:
-                    on_lattice[number] = payload
+                found = encoder.on_lattice(bound, stride)
+                if found is not None:
+                    on_lattice[number] = found
                 elif number not in drafts:
                     drafts[number], offset = encoder.within_bound(bound, offset, (0,))
             if number in drafts and number in on_lattice:
-                trials.learn(drafts[number].bits / 8 + share, len(on_lattice[number]))
+                trials.learn(drafts[number].bits / 8 + share, len(on_lattice[number].payload))
             progress.report((first + number + 1) / len(encoders))
         packed = chunk.pack([batch[i] for i in drafts], list(drafts.values())) if drafts else []
-        coded = [on_lattice.get(i, b"") for i in range(len(batch))]
         for i, payload in zip(drafts, packed, strict=True):
-            if not coded[i] or len(payload) + share <= len(coded[i]):
-                coded[i] = batch[i].smaller_of_engines(payload, bound)
-        for i, (encoder, decoded) in enumerate(zip(batch, _decoded(batch, coded), strict=True)):
-            if decoded is None or not encoder.keeps(decoded, bound):
-                coded[i] = encoder.directly(grid_step(direct.cell(bound)))
-        payloads += coded
+            if i in on_lattice and len(on_lattice[i].payload) > (1 - LEAST_SAVING) * (len(payload) + share):
+                del on_lattice[i]
+        by_transform = {
+            i: batch[i].smaller_of_engines(payload, bound)
+            for i, payload in zip(drafts, packed, strict=True)
+            if i not in on_lattice
+        }
+        payloads += _checked(batch, by_transform, on_lattice, bound)
     return payloads
 
 
@@ -126,13 +127,30 @@ def _longer_stride(encoder: ChunkEncoder, bound: float, stride: int) -> int:
     weights to learn, which pays in a whole chunk."""
 
     def size(at: int) -> float:
-        payload = encoder.on_lattice(bound, at)
-        return np.inf if payload is None else len(payload)
+        found = encoder.on_lattice(bound, at)
+        return np.inf if found is None else len(found.payload)
 
     least = size(stride)
     while stride < lattice.USUAL_STRIDE and (longer := size(stride + 1)) < least:
         least, stride = longer, stride + 1
     return stride
+
+
+def _checked(
+    batch: Sequence[ChunkEncoder], by_transform: dict[int, bytes], on_lattice: dict[int, OnLattice], bound: float
+) -> list[bytes]:
+    """Payloads of a batch, by number: those given, or the direct engine's where one exceeds the bound (metres).
+
+    The lattice engine's encoder has decoded what it codes.
+    """
+    transformed = _decoded([batch[i] for i in by_transform], list(by_transform.values())) if by_transform else []
+    decoded = dict(zip(by_transform, transformed, strict=True)) | {i: f.positions for i, f in on_lattice.items()}
+    payloads = by_transform | {i: found.payload for i, found in on_lattice.items()}
+    for i, encoder in enumerate(batch):
+        positions = decoded[i]
+        if positions is None or not encoder.keeps(positions, bound):
+            payloads[i] = encoder.directly(grid_step(direct.cell(bound)))
+    return [payloads[i] for i in range(len(batch))]
 
 
 def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:

@@ -1,5 +1,6 @@
 /** The literal tables of the format. `scripts/tables.py` writes tables.json from those of the Python package. */
 
+import { inflate } from "../inflate.js";
 import tables from "../tables.json";
 
 export const CODECS: Record<string, string> = tables.codecs;
@@ -23,5 +24,15 @@ export function nameDictionary(): Uint8Array {
 
 /** Preset dictionary for value trees: the stream of the tree typical_extras(). */
 export function valueDictionary(): Uint8Array {
-  return Uint8Array.from(atob(tables.valueDictionary), (character) => character.charCodeAt(0));
+  return fromBase64(tables.valueDictionary);
+}
+
+/** Preset dictionary for the extras of laboratories: the stream of the tree lab_extras(), then that of typical_extras(). */
+export function labDictionary(): Uint8Array {
+  const first = inflate(fromBase64(tables.labDictionary), tables.labDictionaryBytes);
+  return Uint8Array.from([...first, ...valueDictionary()]);
+}
+
+function fromBase64(text: string): Uint8Array {
+  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
 }

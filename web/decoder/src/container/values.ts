@@ -3,7 +3,7 @@
 import { Bytes, text } from "../bytes.js";
 import { Corrupt, check } from "../errors.js";
 import { inflate } from "../inflate.js";
-import { MORE_WORDS, SOURCES, WORDS, valueDictionary } from "./tables.js";
+import { MORE_WORDS, SOURCES, WORDS, labDictionary, valueDictionary } from "./tables.js";
 
 /** What a tree consists of. Integers beyond 2^53 are bigint; dicts are objects without a prototype. */
 export type Value = null | boolean | number | bigint | string | Uint8Array | StoredArray | StoredSignal | CodedSignal | Value[] | Tree;
@@ -44,16 +44,18 @@ export class CodedSignal {
 
 const MOST_STREAM_BYTES = 1 << 26;
 const MOST_LEVELS = 64;
+/** Stands in place of the length of a stream that is deflated with the dictionary of laboratories. */
+const LAB_WORDS = 1;
 const MOST_DIMENSIONS = 16;
 const MOST_ARRAY_BYTES_IN_TREE = 64;
 
 /** The stream of a tree at this place: plain or inflated. */
 export function treeStream(part: Bytes): Uint8Array {
   const head = part.varint();
-  const size = Math.floor(head / 2);
+  const size = head === LAB_WORDS ? part.varint() : Math.floor(head / 2);
   check(size <= MOST_STREAM_BYTES, `${part.what}: a tree of ${size} bytes`);
   if (head % 2 === 0) return part.take(size);
-  const bytes = inflate(part.blob(), size, valueDictionary());
+  const bytes = inflate(part.blob(), size, head === LAB_WORDS ? labDictionary() : valueDictionary());
   check(bytes.length === size, `${part.what}: a tree of another size`);
   return bytes;
 }
