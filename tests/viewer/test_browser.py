@@ -65,7 +65,9 @@ def seek(frame: int) -> list[dict[str, Any]]:
 @pytest.fixture
 def server(original: mc.Motion, blob: bytes) -> Iterator[Server]:
     with ExitStack() as opened:
-        pair = session.matched(of_file("walk.mocz", opened.enter_context(mc.open(blob, mc.Motion))), Shown("walk", original))
+        pair = session.matched(
+            of_file("walk.mocz", opened.enter_context(mc.open(blob, mc.Motion))), Shown("walk", original)
+        )
         made = opened.enter_context(Server([pair], "walk"))
         thread = threading.Thread(target=made.serve_forever)
         thread.start()

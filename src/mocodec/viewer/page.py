@@ -19,7 +19,7 @@ PLACE = '<script type="application/json" id="session">null</script>'
 @cache
 def viewer() -> str:
     """The built page without data: index.html of web/viewer with its style and script inside."""
-    return resources.files(__package__).joinpath("static/viewer.html").read_text("utf-8")
+    return resources.files("mocodec.viewer").joinpath("static/viewer.html").read_text("utf-8")
 
 
 def prior(identifier: str) -> bytes:
