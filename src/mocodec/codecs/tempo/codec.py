@@ -19,21 +19,21 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
+from ...encoded import Chunk, Encoded, about, most_chunk_frames, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk, engine_choice, fallback, mean_targets, model_choice, repeats, target
+from . import chunk_decoding, engine_choice, fallback, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .models.model import Model
-from .pose import heading, leaps
+from .pose import leaps
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
 from .rotation_layer.chunk_layer import Promise
@@ -302,13 +302,7 @@ class Tempo:
         model = header.read_model(like)
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
-        covering = encoded.covering(start, stop)
-        for batch in progress.over(list(batches(covering, like.points, chunk.BATCH))):
-            for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
-                a, b = max(start, one.start), min(stop, one.stop)
-                here = heading.from_y_up(decoded[a - one.start : b - one.start], like.up)
-                for axis in range(3):  # `here` has the frames of a point next to each other, `positions` the axes
-                    positions[a - start : b - start, :, axis] = here[..., axis]
+        chunk_decoding.decode_into(model, encoded.covering(start, stop), positions, start, like.up)
         return restore(encoded, positions, start)
 
     def first_step(self, motion: Motion) -> int:

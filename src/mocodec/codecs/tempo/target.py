@@ -17,7 +17,7 @@ from ...encoded import Chunk
 from ...errors import CannotEncode
 from ...stages import search
 from ...typing import Floats
-from . import chunk
+from . import chunk, chunk_decoding
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
 from .coding import coefficients, direct, lattice, quantise
 from .coding.contexts import OCTAVE
@@ -157,12 +157,12 @@ def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[F
     """Positions of a batch of chunks; None where decoding fails."""
     listed = [Chunk(0, e.frames, b) for e, b in zip(batch, payloads, strict=True)]
     model = batch[0].model
-    together = batch[0].attempt(lambda: chunk.decode(model, listed)) if len(batch) > 1 else None
+    together = batch[0].attempt(lambda: chunk_decoding.decode(model, listed)) if len(batch) > 1 else None
     if together is not None:
         return list(together)
     if len(batch) > 1:
         batch[0].failure = None
-    alone = [e.attempt(lambda c=c: chunk.decode(model, [c])) for e, c in zip(batch, listed, strict=True)]
+    alone = [e.attempt(lambda c=c: chunk_decoding.decode(model, [c])) for e, c in zip(batch, listed, strict=True)]
     return [None if one is None else one[0] for one in alone]
 
 
