@@ -108,7 +108,7 @@ def picture(shown: Shown, original: Shown | None) -> Any:
     recording, before = shown.in_memory, None if original is None else original.in_memory
     if isinstance(recording, Motion):
         if isinstance(before, Motion):
-            return plots.recording(before, recording, shown.name)
+            return plots.recording(before, recording, shown.name, shown.promise)
         return plots.poses(recording, shown.name)
     return cloud_plots.side_by_side(before if isinstance(before, PointClouds) else recording, recording, shown.name)
 
