@@ -17,11 +17,26 @@ ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     ("cli", "__main__"),
     ("testing", "plots", "cloud_plots"),
+    ("torch", "learning"),
+    ("archive",),
     ("api", "opened", "packing", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "parallel", "progress", "selection", "typing", "channels"),
+    (
+        "motion",
+        "pointcloud",
+        "encoded",
+        "errors",
+        "data",
+        "native",
+        "parallel",
+        "progress",
+        "selection",
+        "typing",
+        "channels",
+        "file_range",
+    ),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
 

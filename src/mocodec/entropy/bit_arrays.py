@@ -21,6 +21,11 @@ from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
 class BitCoder(Protocol):
     """What `BitEncoder` and `BitDecoder` have in common."""
 
+    @property
+    def compiled(self) -> Any:
+        """The compiled coder, for kernels that code a whole structure; None in NumPy."""
+        ...
+
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
         """Code one array of bits (n,) and return it.
 
@@ -37,6 +42,11 @@ class BitEncoder:
         kernel = native.kernel("BitArrayEncoder")
         self._kernel: Any = kernel(*tables()) if kernel else None
         self._mixer, self._encoder = (None, None) if kernel else (Mixer(), Encoder())
+
+    @property
+    def compiled(self) -> Any:
+        """As `BitCoder.compiled`."""
+        return self._kernel
 
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
         """As `BitCoder.code`; bits: needed."""
@@ -63,6 +73,11 @@ class BitDecoder:
         kernel = native.kernel("BitArrayDecoder")
         self._kernel: Any = kernel(bytes(data), *tables()) if kernel else None
         self._mixer, self._decoder = (None, None) if kernel else (Mixer(), Decoder(bytes(data)))
+
+    @property
+    def compiled(self) -> Any:
+        """As `BitCoder.compiled`."""
+        return self._kernel
 
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None = None) -> Booleans:
         """As `BitCoder.code`; bits are not used. Raises Corrupt where the bytes end too early."""
