@@ -36,6 +36,7 @@ COMMANDS = {
     "lab": ("lab:command", "Whole C3D files of laboratories: markers within 0.2 mm, signals exact or within 12 bits."),
     "signals": ("lab:signals_command", "Signals of C3D files, exact, against pcodec, xz and FLAC."),
     "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
+    "speed-table": ("speed.against_sz3:command", "tempo and SZ3 in one process: decoding, encoding, windows, opening."),
     "readers": ("readers.command:command", "What ezc3d and py-c3d read from the same files; bytes of model outputs."),
     "fetch": ("fetch:command", "Download recordings from where they are published."),
     "test": ("tests.command:command", "Test the benchmarks themselves."),
