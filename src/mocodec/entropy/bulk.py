@@ -275,11 +275,13 @@ def _tokens_compiled(
 ) -> int:  # fmt: skip
     """As `_tokens_by_numpy`."""
     shape = np.array([layout.steps, layout.lanes, layout.segments, layout.row])
-    hinted = hints is not None and mixing.weights[-1]
+    skewed = np.zeros(0, np.uint16)
+    if hints is not None and mixing.weights[-1]:
+        skewed = layout.skewed(hints, np.uint16)
     used = kernel(
         tokens, x, np.array(list(layout.diagonals())).reshape(-1, 3), shape, np.array(mixing.weights, np.uint16),
         mixing.ladder, table.slots, table.last, words.astype(np.uint16),
-        layout.skewed(hints, np.uint16) if hinted else np.zeros(0, np.uint16),
+        skewed,
     )  # fmt: skip
     if used < 0:
         raise Corrupt("coded integers end too early" if used == -1 else "coded integers out of range")
