@@ -19,7 +19,7 @@ from .. import api, archive, codecs
 from ..archive import Options, Recordings, Report, Row
 from ..encoded import TARGETS
 from ..errors import BadInput
-from . import DAMAGED, debug_option, files, quantities
+from . import DAMAGED, archive_search, debug_option, files, quantities
 from .quantities import setting
 
 TABLE = ("name", "frames", "rate", "points", "seconds", "bytes", "ratio", "mean_error", "max_error", "labels")
@@ -46,6 +46,10 @@ def command() -> None:
 
     An archive is built from folders, globs, .zip and .tar files and URLs, in several runs if need be.
     """
+
+
+for searching in archive_search.COMMANDS:
+    command.add_command(searching)
 
 
 def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -109,7 +113,7 @@ def run_build(
 ) -> int:
     """Build, and print the summary."""
     options = options_of(**given)
-    with progress_line(quiet) as show, archive.dask_cluster(dask) if dask else nullcontext() as executor:
+    with files.progress_line(quiet) as show, archive.dask_cluster(dask) if dask else nullcontext() as executor:
         report = archive.build(
             sources, output, options, workers=jobs or os.cpu_count() or 1, executor=executor, prefix=prefix,
             report_to=show,
@@ -137,31 +141,6 @@ def options_of(
         raise click.UsageError("--format is for standard input, which cannot be put into an archive")
     options = Options(codec, targets, chosen, given, signal_error, bare, not no_rotations)
     return options if options.stored() else None
-
-
-def progress_line(quiet: bool) -> Any:
-    """A context with a function that shows how many sources are done: on a terminal only."""
-    import sys
-
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn())
-    hidden = quiet or not sys.stderr.isatty()
-    bar = Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden)
-
-    class Shown:
-        def __enter__(self) -> Callable[[int, int, str], None]:
-            bar.start()
-            task = bar.add_task("building", total=None)
-            return lambda done, total, path: bar.update(
-                task, completed=done, total=total, description=files.printable(path[-40:])
-            )
-
-        def __exit__(self, *_: object) -> None:
-            bar.stop()
-
-    return Shown()
 
 
 def print_report(output: str, report: Report, as_json: bool, quiet: bool) -> int:
@@ -327,7 +306,7 @@ def merge(archives: tuple[str, ...], output: str, quiet: bool) -> int:
 
     Merging one archive into a new one leaves out the bytes of removed and replaced recordings.
     """
-    with progress_line(quiet) as show:
+    with files.progress_line(quiet) as show:
         report = archive.merge(archives, output, report_to=show)
     return print_report(output, report, False, quiet)
 
