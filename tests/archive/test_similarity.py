@@ -90,7 +90,7 @@ def test_the_index_grows_with_the_archive(vault: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_be_searched_for(vault: Path, tmp_path: Path) -> None:
     with mc.open_archive(vault) as db:
-        with pytest.raises(mc.BadInput, match=r"at least 1\.6 s"):
+        with pytest.raises(mc.BadInput, match=r"at least 1\.3 s"):
             archive.search(db, walk(40, 1))
         with pytest.raises(mc.BadInput, match="no index of recordings with the points"):
             archive.search(db, synthetic.markers(frames=400, seed=1))

@@ -9,7 +9,6 @@ uncommitted bytes off and goes on. Only one builder works on an archive at a tim
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -200,7 +199,7 @@ class Builder:
 
     def add(self, name: str, source: Source, outcome: Outcome) -> None:
         """Append a `.mocz` to the shard and prepare its row. Bytes that the archive has are not stored again."""
-        content = hashlib.sha256(outcome.blob).hexdigest()
+        content = encoding.content_hash(outcome.blob)
         facts: dict[str, Any] = {**encoding.facts_of_name(name), **outcome.facts, "source_hash": outcome.source_hash}
         facts |= {"path": source.path, "origin": source.where, "content": content, "options": self.option_number}
         facts |= {"source_bytes": source.stamp[0], "source_time_ns": source.stamp[1]}

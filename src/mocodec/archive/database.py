@@ -77,7 +77,7 @@ class Recordings:
     @property
     def names(self) -> list[str]:
         """The names of the recordings."""
-        return [row.name for row in self.rows()]
+        return self._archive.catalogue.names(self._where, self._constants)
 
     def rows(self) -> Iterator[Row]:
         """What the catalogue says about each recording."""

@@ -24,6 +24,8 @@ from . import names, sources
 from .sources import Source
 
 SLACK = 1 + 1e-9  # of a sum's last bit
+HASH_DIGITS = 32
+"""Hexadecimal digits of SHA-256 that the catalogue stores: 128 bits."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,12 @@ def hash_of(path: str, companions: Sequence[str] = ()) -> str:
         if os.path.isfile(name):
             with open(name, "rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()
+    return digest.hexdigest()[:HASH_DIGITS]
+
+
+def content_hash(blob: bytes) -> str:
+    """The hash of a `.mocz` that the catalogue stores."""
+    return hashlib.sha256(blob).hexdigest()[:HASH_DIGITS]
 
 
 def bytes_of(place: FileRange) -> bytes:

@@ -226,8 +226,9 @@ def search(
 ) -> list[Hit]:
     """The parts of recordings that are most like a query, nearest first; they do not overlap.
 
-    query: at least 1.6 s of the same points as the recordings. tempos: how much slower the query may have been: at 2, a
-    query of 4 s is compared with 2 s of the archive. leave_out: name of a recording that is not searched.
+    query: of the same points as the recordings, and at least 1.6 s at one of the tempos. tempos: how much slower the
+    query may have been: at 2, a query of 4 s is compared with 2 s of the archive. leave_out: name of a recording that
+    is not searched.
     Raises BadInput without an index of these points or for a query that is too short; Corrupt for a damaged index.
     """
     found = _index_of(recordings, query)
@@ -240,8 +241,9 @@ def search(
         distances = _along(found, vectors)
         order = np.argsort(distances)[: 50 * count]
         best += [(float(distances[i]), int(i), len(vectors), tempo) for i in order if np.isfinite(distances[i])]
-    if not best and len(query) / query.rate < WINDOW_S * min(tempos):
-        raise BadInput(f"a query lasts at least {WINDOW_S:g} s, not {len(query) / query.rate:.2g} s")
+    shortest = WINDOW_S * min(tempos)
+    if not best and query.seconds < shortest:
+        raise BadInput(f"a query lasts at least {shortest:.2g} s, not {query.seconds:.2g} s")
     hits: list[Hit] = []
     for distance, at, length, tempo in sorted(best):
         recording = int(np.searchsorted(found.first, at, side="right")) - 1
