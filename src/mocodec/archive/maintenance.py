@@ -115,6 +115,8 @@ def _copy(entry: Entry, writer: Builder, seen: dict[str, str], options: dict[str
     if encoding.content_hash(blob) != row.content:
         report.failed.append((row.name, f"{entry.folder}: its bytes are damaged"))
         return
+    if row.prior:
+        encoding.keep_prior(writer.folder, encoding.prior_path(Path(entry.folder), row.prior).read_bytes())
     writer.copy(row, blob, options)
     seen[row.name] = row.content
     report.added.append(row.name)

@@ -32,6 +32,7 @@ COMMANDS = {
     "compare": "Measure the difference between two recordings.",
     "cut": "Cut a time range out of a file.",
     "archive": "Keep many recordings in one place, and find them.",
+    "prior": "Learn how your people move, for smaller files.",
     "demo": "Encode the recording in the package with several codecs and measure them.",
 }
 

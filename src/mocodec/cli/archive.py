@@ -68,6 +68,7 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Work in N processes; 0: one per core.",
         ),
         click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
+        click.option("--prior", metavar="FILE", help="A prior of your own (mocodec prior train)."),
         click.option("--prefix", default="", metavar="TEXT", help="Put this before every name, such as lab/."),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
@@ -106,6 +107,7 @@ def run_build(
     output: str,
     jobs: int,
     dask: str | None,
+    prior: str | None,
     prefix: str,
     as_json: bool,
     quiet: bool,
@@ -115,7 +117,8 @@ def run_build(
     options = options_of(**given)
     with files.progress_line(quiet) as show, archive.dask_cluster(dask) if dask else nullcontext() as executor:
         report = archive.build(
-            sources, output, options, workers=jobs or os.cpu_count() or 1, executor=executor, prefix=prefix,
+            sources, output, options, workers=jobs or os.cpu_count() or 1, executor=executor, prior=prior,
+            prefix=prefix,
             report_to=show,
         )  # fmt: skip
     return print_report(output, report, as_json, quiet)
