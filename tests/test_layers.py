@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # From top to bottom. A part may import the parts below it, and those in its row unless the row is in APART.
 LAYERS = (
     ("cli", "__main__"),
+    ("viewer",),
     ("testing", "plots", "cloud_plots"),
     ("torch", "learning"),
     ("archive",),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .codecs.liu2006 import Liu2006
     from .codecs.lossless import Lossless
     from .codecs.tempo import Tempo
+    from .viewer import view
 
 __version__ = "0.1.0"
 
@@ -56,21 +57,23 @@ IMPORTED_ON_FIRST_USE = {
 if not TYPE_CHECKING:  # or type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
-        """The classes of the codecs, archives, and `tempo` with its streaming Encoder and Decoder."""
+        """The classes of the codecs, archives, `view`, and `tempo` with its streaming Encoder and Decoder."""
         if name == "tempo":
             return import_module(f"{__name__}.codecs.tempo")
+        if name == "view":
+            return import_module(f"{__name__}.viewer").view
         if name in IMPORTED_ON_FIRST_USE:
             return getattr(import_module(f"{__name__}.{IMPORTED_ON_FIRST_USE[name]}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *IMPORTED_ON_FIRST_USE, "tempo"})
+    return sorted({*globals(), *IMPORTED_ON_FIRST_USE, "tempo", "view"})
 
 
 __all__ = [
     "Archive", "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014",
     "Hou2014Database", "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion",
     "PointClouds", "Signal", "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode",
-    "not_kept", "open", "open_archive", "read", "tempo", "write",
+    "not_kept", "open", "open_archive", "read", "tempo", "view", "write",
 ]  # fmt: skip

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property
+from importlib import import_module
 from itertools import pairwise
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
@@ -120,6 +121,11 @@ class File(Generic[RecordingT]):
         """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
         return self._reader.info()
 
+    @property
+    def chunk_bytes(self) -> list[int]:
+        """The size of each chunk's payload, bytes, from the index."""
+        return [int(size) for size in self._reader.chunks.lengths]
+
     def __len__(self) -> int:
         """The number of frames."""
         return self.encoded.frames
@@ -131,6 +137,10 @@ class File(Generic[RecordingT]):
         facts += [f"{self.seconds:.4g} s"]
         facts += [f"{name}={value:g}" for name, value in self.encoded.promise.items()]
         return f"<File{f' {name!r}' if name else ''}: {', '.join(facts)}>"
+
+    def _repr_html_(self) -> str:
+        """The recording as a page that plays it, for notebooks; long ones are thinned out (`viewer.for_notebook`)."""
+        return cast(str, import_module("mocodec.viewer").for_notebook(self))
 
     def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> RecordingT:
         """Decode a frame or a slice of frames, all points or those of these names.

@@ -31,6 +31,7 @@ COMMANDS = {
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure the difference between two recordings.",
     "cut": "Cut a time range out of a file.",
+    "view": "Show recordings in the browser, with the error against an original.",
     "archive": "Keep many recordings in one place, and find them.",
     "demo": "Encode the recording in the package with several codecs and measure them.",
 }

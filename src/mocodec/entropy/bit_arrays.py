@@ -17,6 +17,8 @@ from ..errors import Corrupt
 from ..typing import AnyInteger, Booleans
 from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
 
+CUT_OFF = "a stream of adaptive bits is cut off or damaged"
+
 
 class BitCoder(Protocol):
     """What `BitEncoder` and `BitDecoder` have in common."""
@@ -93,7 +95,7 @@ class BitDecoder:
                 decoded[i] = bit
             exhausted = self._decoder.exhausted
         if exhausted:
-            raise Corrupt("a stream of adaptive bits is cut off or damaged")
+            raise Corrupt(CUT_OFF)
         return decoded
 
     def finish(self) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ... import native
 from ...entropy.adaptive_bits import MIXERS
-from ...entropy.bit_arrays import BitCoder
+from ...entropy.bit_arrays import CUT_OFF, BitCoder
 from ...errors import Corrupt
 from ...typing import AnyInteger, Booleans, Integers
 from . import octree
@@ -75,7 +75,7 @@ def _code_compiled(
     assert decode is not None
     found, nearest, level, cubes = decode(coder, points, depth, surface, _bell())
     if found is None and not level:
-        raise Corrupt("a stream of adaptive bits is cut off or damaged")
+        raise Corrupt(CUT_OFF)
     if found is None:
         raise Corrupt(f"bodycast: an octree of {points} points has {cubes} cubes in level {level}")
     return np.asarray(found), np.asarray(nearest)
