@@ -132,13 +132,17 @@ def refuse_frames(paths: Sequence[str]) -> None:
 
 
 def below(path: str, suffixes: Collection[str]) -> list[str]:
-    """A file as it is; of a folder, the files with these suffixes and the folders of .ply files, at any depth."""
+    """A file as it is; of a folder, files with these suffixes and folders of .ply files or images, at any depth."""
     if not os.path.isdir(path):
         return [path]
     result: list[str] = []
     for folder, inner, names in os.walk(path):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
         visible = [name for name in names if not name.startswith(".")]
+        if ".ply" in suffixes and formats.is_images(folder):
+            result.append(folder)
+            inner.clear()
+            continue
         if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
             result.append(folder)
         wanted = [s for s in suffixes if s != ".ply"]
