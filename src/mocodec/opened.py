@@ -12,7 +12,9 @@ import os
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import cached_property
+from importlib import import_module
 from itertools import pairwise
 from os import PathLike
 from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
@@ -25,6 +27,7 @@ from .channels import Channel, channels
 from .codecs.base import Codec
 from .encoded import Encoded, Recording, RecordingT
 from .errors import BadInput, Corrupt, MocodecError
+from .file_range import FileRange
 from .motion import Motion
 from .pointcloud import PointClouds
 from .selection import Frames, counted, frame_steps, point_columns, split_key
@@ -36,7 +39,8 @@ if TYPE_CHECKING:
 CHUNKS_AT_A_TIME = 32
 """Chunks that `File.positions` decodes together: enough for several threads, few enough to need little memory."""
 
-Source = bytes | bytearray | memoryview | str | PathLike[str] | BinaryIO
+Source = bytes | bytearray | memoryview | str | PathLike[str] | BinaryIO | FileRange
+Reopenable = str | bytes | FileRange
 
 
 @overload
@@ -72,7 +76,7 @@ class File(Generic[RecordingT]):
     opens the path, URL or bytes again.
     """
 
-    def __init__(self, reader: Reader, reopen_from: str | bytes | None = None, salvage: bool = False) -> None:
+    def __init__(self, reader: Reader, reopen_from: Reopenable | None = None, salvage: bool = False) -> None:
         self._reader = reader
         self._reopen_from = reopen_from
         self._salvage = salvage
@@ -117,6 +121,11 @@ class File(Generic[RecordingT]):
         """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
         return self._reader.info()
 
+    @property
+    def chunk_bytes(self) -> list[int]:
+        """The size of each chunk's payload, bytes, from the index."""
+        return [int(size) for size in self._reader.chunks.lengths]
+
     def __len__(self) -> int:
         """The number of frames."""
         return self.encoded.frames
@@ -128,6 +137,10 @@ class File(Generic[RecordingT]):
         facts += [f"{self.seconds:.4g} s"]
         facts += [f"{name}={value:g}" for name, value in self.encoded.promise.items()]
         return f"<File{f' {name!r}' if name else ''}: {', '.join(facts)}>"
+
+    def _repr_html_(self) -> str:
+        """The recording as a page that plays it, for notebooks; long ones are thinned out (`viewer.for_notebook`)."""
+        return cast(str, import_module("mocodec.viewer").for_notebook(self))
 
     def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> RecordingT:
         """Decode a frame or a slice of frames, all points or those of these names.
@@ -266,16 +279,18 @@ def of_kind(recording: Recording, kind: type[Recording] | None, path: object) ->
 IN_WORDS: dict[type, str] = {Motion: "a motion", PointClouds: "point clouds"}
 
 
-def _reopenable(source: Source) -> str | bytes | None:
+def _reopenable(source: Source) -> Reopenable | None:
     """What opens the same file again, in another folder too; None for a file object."""
     if isinstance(source, (bytes, bytearray, memoryview)):
         return bytes(source)
+    if isinstance(source, FileRange):
+        return replace(source, path=os.path.abspath(source.path))
     if isinstance(source, (str, PathLike)):
         path = os.fspath(source)
         return path if "://" in path else os.path.abspath(path)
     return None
 
 
-def _open_again(source: str | bytes, salvage: bool) -> File[Any]:
+def _open_again(source: Reopenable, salvage: bool) -> File[Any]:
     """Unpickle a File."""
     return open(source, salvage=salvage)

@@ -24,6 +24,7 @@ from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen
 from ...typing import Booleans, Floats, Integers
+from .. import rescue
 from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
@@ -180,6 +181,8 @@ class ChunkEncoder:
         except MemoryError:
             raise
         except Exception as error:
+            if not rescue.may_rescue(error):
+                raise
             self.failure = error
             self.spectrum = None
             return None

@@ -221,8 +221,7 @@ class Tempo:
         if self._has_size:
             return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
-        wanted = encoded.settings[kind]
-        smaller = fallback.smaller(encoded, motion, kind, wanted, self.chunk_seconds)
+        smaller = fallback.smaller(encoded, motion, kind, encoded.settings[kind], self.chunk_seconds)
         return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
@@ -237,7 +236,8 @@ class Tempo:
 
     def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
         encoded = self._encode_planned(motion, source, plan)
-        if plan is None or plan.alone or any(Payload.unpack(c.payload).engine != LATTICE for c in encoded.chunks):
+        engines = {Payload.unpack(c.payload).engine for c in encoded.chunks}
+        if plan is None or plan.alone or len(encoded.chunks) == 1 or engines != {LATTICE}:
             return encoded
         with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
         return min(encoded, with_longer_chunks, key=lambda e: e.payload_bytes)
@@ -345,8 +345,7 @@ class Tempo:
     def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
         """Whether an encoding by other means has the mean error, or the size, that was asked for."""
         if self.mean_error is not None:
-            mean = decoded_mean_error(encoded, motion)
-            return MEAN_SHARE <= mean / self.mean_error <= 1
+            return MEAN_SHARE <= decoded_mean_error(encoded, motion) / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:

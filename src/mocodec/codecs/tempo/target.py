@@ -88,8 +88,9 @@ def to_bound(
     payloads: list[bytes] = []
     offset = FIRST_OFFSET
     share = model_bytes / len(encoders)
+    middle, ready = encoders[len(encoders) // 2], None
     if stride is not None and stride < lattice.USUAL_STRIDE:
-        stride = _longer_stride(encoders[len(encoders) // 2], bound, stride)
+        stride, ready = _longer_stride(middle, bound, stride)
     trials = EngineTrials(encoders[0].spectrum is not None, stride is not None)
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
@@ -101,7 +102,7 @@ def to_bound(
                 changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
                 drafts[number], offset = encoder.within_bound(bound, offset, changes)
             if by_lattice and stride is not None:
-                found = encoder.on_lattice(bound, stride)
+                found = ready if encoder is middle and ready is not None else encoder.on_lattice(bound, stride)
                 if found is not None:
                     on_lattice[number] = found
                 elif number not in drafts:
@@ -122,18 +123,16 @@ def to_bound(
     return payloads
 
 
-def _longer_stride(encoder: ChunkEncoder, bound: float, stride: int) -> int:
-    """The stride, or a longer one where it is smaller: a short one was chosen by a sample, and longer ones have more
-    weights to learn, which pays in a whole chunk."""
-
-    def size(at: int) -> float:
-        found = encoder.on_lattice(bound, at)
-        return np.inf if found is None else len(found.payload)
-
-    least = size(stride)
-    while stride < lattice.USUAL_STRIDE and (longer := size(stride + 1)) < least:
-        least, stride = longer, stride + 1
-    return stride
+def _longer_stride(encoder: ChunkEncoder, bound: float, stride: int) -> tuple[int, OnLattice | None]:
+    """The stride, or a longer one where it is smaller, and the chunk in it: a short one was chosen by a sample, and
+    longer ones have more weights to learn, which pays in a whole chunk."""
+    best = encoder.on_lattice(bound, stride)
+    while best is not None and stride < lattice.USUAL_STRIDE:
+        longer = encoder.on_lattice(bound, stride + 1)
+        if longer is None or len(longer.payload) >= len(best.payload):
+            break
+        best, stride = longer, stride + 1
+    return stride, best
 
 
 def _checked(
