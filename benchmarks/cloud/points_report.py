@@ -133,14 +133,14 @@ def markdown(results: Sequence[PointResult], residuals: Sequence[ResidualResult]
     sizes = sorted({r.points for r in results})
     parts = [
         "# Points within a bound, against Draco",
-        "Made by `scripts/bench cloud-points`: fresh points of the actor in every frame, at 15 Hz, the first pose given, "
+        "Made by `scripts/bench cloud-points`: fresh points of the actor in every frame, at 15 Hz, first pose given, "
         "with colours. Every file keeps its bound: the largest distance to the nearest point in both directions, by "
         "SciPy's k-d tree, is in the tables. Draco's bytes are interpolated to the same D1 between 6 and 13 bits; its "
         "colours are without loss. Bytes of bodycast spread what is sent once (the body and its surface) over "
         f"{LONG:,} frames. Frames a second are those of processor time, of all points with colours; bodycast's "
         "encoding includes tracking and a decoding that checks the file.",
         machine,
-        "![bytes a point over D1](cloud_points.png)",
+        "![bits a point over D1](cloud_points.png)",
     ]
     for points in sizes:
         chosen = [r for r in results if r.points == points]
@@ -202,7 +202,10 @@ def _residual_table(residuals: Sequence[ResidualResult]) -> list[str]:
         ]
         for r in residuals
     ]  # fmt: skip
-    text = "One clip. More residual takes more bytes, and never leaves more error."
+    text = (
+        "Three frames of one clip, so what is sent once for a run of frames weighs. More residual takes more bytes, "
+        "and never leaves more error."
+    )
     head = ["residual", "sent once", "bytes a frame", "promised mm", "largest mm", "D1 mm", "D2 mm", "Y dB"]
     return [text, md.table(head, rows)]
 
@@ -231,7 +234,7 @@ def _cited(results: Sequence[PointResult]) -> str:
 
 def curves(results: Sequence[PointResult], residuals: Sequence[ResidualResult]) -> Figure:
     """Bits a point over D1: places and all of bodycast and Draco, the cited G-PCC, and the residuals."""
-    picture = plots.figure(9.0, 3.8)
+    picture = plots.figure(9.0, 4.2)
     left, right = picture.subplots(1, 2)
     for points, line in zip(sorted({r.points for r in results}), ("-", "--"), strict=False):
         chosen = [r for r in results if r.points == points]
@@ -246,10 +249,15 @@ def curves(results: Sequence[PointResult], residuals: Sequence[ResidualResult]) 
     cited = [(10 * d1, 8 * size / 10_000) for size, d1, _ in GPCC_BYTES]
     left.plot(*zip(*cited, strict=True), ":s", color=plots.SHELL, label="G-PCC, cited, with colours")
     left.set(xlabel="D1, mm", ylabel="bits a point", xscale="log", yscale="log")
-    left.legend(fontsize=6)
+    picture.legend(*left.get_legend_handles_labels(), fontsize=6, loc="outside lower center", ncols=3)
     shown = [r for r in residuals if r.d1_mm > 0]
     right.plot([r.bytes for r in shown], [r.d1_mm for r in shown], "-o", color=plots.OURS)
     for r in shown:
         right.annotate(r.residual, (r.bytes, r.d1_mm), fontsize=7, xytext=(3, 3), textcoords="offset points")
-    right.set(xlabel="bytes a frame", ylabel="D1, mm", xscale="log", yscale="log", title="residual")
+    right.set(xlabel="bytes a frame", ylabel="D1, mm", xscale="log", yscale="log", title="--residual")
+    for axis in (left.xaxis, left.yaxis, right.xaxis, right.yaxis):
+        axis.set_minor_formatter("")
+        axis.set_major_formatter("{x:g}")
+    left.set_xticks(D1_MM, labels=[f"{d1:g}" for d1 in D1_MM])
+    left.set_yticks([2, 5, 10, 20], labels=["2", "5", "10", "20"])
     return picture
