@@ -35,6 +35,7 @@ COMMANDS = {
     "first-poses": ("cloud.first_poses:command", "First poses without a skeleton."),
     "lab": ("lab:command", "Whole C3D files of laboratories: markers within 0.2 mm, signals exact or within 12 bits."),
     "signals": ("lab:signals_command", "Signals of C3D files, exact, against pcodec, xz and FLAC."),
+    "archive": ("archive.command:command", "Archives: sizes, windows for learning, queries, retrieval."),
     "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
     "readers": ("readers.command:command", "What ezc3d and py-c3d read from the same files; bytes of model outputs."),
     "fetch": ("fetch:command", "Download recordings from where they are published."),
