@@ -95,7 +95,7 @@ def test_a_promise_is_kept(blender: Any, tmp_path: Path) -> None:
 
 def test_wrong_files_are_one_line(blender: Any, tmp_path: Path) -> None:
     (tmp_path / "bad.mocz").write_bytes(b"nothing")
-    with pytest.raises(RuntimeError, match="bad.mocz"):
+    with pytest.raises(RuntimeError, match=r"bad\.mocz"):
         blender.ops.import_anim.mocz(filepath=str(tmp_path / "bad.mocz"))
     with pytest.raises(RuntimeError, match="select an armature"):
         blender.ops.export_anim.mocz(filepath=str(tmp_path / "none.mocz"))

@@ -20,7 +20,7 @@ class ImportMotion(bpy.types.Operator, ImportHelper):
 
     bl_idname = "import_anim.mocz"
     bl_label = "Import motion"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - a class attribute that Blender reads
 
     filename_ext = ".mocz"
     filter_glob: StringProperty(default=EXTENSIONS, options={"HIDDEN"})

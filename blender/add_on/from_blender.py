@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import bpy
-import mocodec
 import numpy as np
+
+import mocodec
 
 from . import curves
 
@@ -61,7 +62,7 @@ def of_armature(context: bpy.types.Context, owner: bpy.types.Object, scale: floa
 
 
 def parents_first(bones: bpy.types.ArmatureBones) -> list[bpy.types.Bone]:
-    """In the order of the joints they were imported from, where that puts parents first; else in a depth-first order."""
+    """In the order of the joints they were imported from, if that puts parents first; else depth first."""
     listed = sorted(bones, key=lambda bone: bone.get("mocodec_joint", 1 << 30))
     seen: set[str] = set()
     for bone in listed:

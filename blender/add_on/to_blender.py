@@ -7,9 +7,10 @@ orientation of a bone, a rotation R relative to the parent becomes B⁻¹ · R �
 from __future__ import annotations
 
 import bpy
-import mocodec
 import numpy as np
 from mathutils import Vector
+
+import mocodec
 from mocodec.geometry import bone_frames
 
 from . import curves
@@ -47,7 +48,7 @@ def add_armature(context: bpy.types.Context, motion: mocodec.Motion, name: str, 
     curves.action_for(owner, name)
     frames = np.arange(1, len(motion) + 1, dtype=np.float64)
     names = [bone["mocodec_joint"] for bone in owner.data.bones]
-    at = {joint: bone for joint, bone in zip(names, owner.data.bones, strict=True)}
+    at = dict(zip(names, owner.data.bones, strict=True))
     for joint, parent in enumerate(motion.skeleton.parents):
         bone = at[joint]
         rest = np.array(bone.matrix_local.to_3x3())
