@@ -8,7 +8,6 @@ Run it with mocodec importable (an installed package, or PYTHONPATH=src).
 
 from __future__ import annotations
 
-import base64
 import json
 import sys
 from pathlib import Path
@@ -33,7 +32,7 @@ def content() -> str:
         "words": tables.WORDS,
         "moreWords": tables.MORE_WORDS,
         "sources": tables.SOURCES,
-        "valueDictionary": base64.b64encode(values.dictionary()).decode(),
+        "valueDictionary": values.dictionary().decode("latin-1"),
         "laplaceRatios": residuals.LAPLACE_RATIOS,
         "gaussRatios": residuals.GAUSS_RATIOS,
     }

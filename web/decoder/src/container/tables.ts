@@ -23,5 +23,5 @@ export function nameDictionary(): Uint8Array {
 
 /** Preset dictionary for value trees: the stream of the tree typical_extras(). */
 export function valueDictionary(): Uint8Array {
-  return Uint8Array.from(atob(tables.valueDictionary), (character) => character.charCodeAt(0));
+  return Uint8Array.from(tables.valueDictionary, (character) => character.charCodeAt(0)) // a byte for each character;
 }

@@ -85,7 +85,9 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
     if (!(size[i]! >= floor)) break;
     const u = againstFound(rowOf(rows, i), Math.sqrt(size[i]!), found, buffer);
     found.push(u);
+    size[i] = 0;
     for (let r = 0; r < rows.rows; r++) {
+      if (size[r]! < 0.5 * floor) continue; // too short for ever: rows only lose length
       const row = rowOf(rows, r);
       const part = dot(row, u, buffer);
       for (let c = 0; c < row.length; c++) {
@@ -94,7 +96,6 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
       }
       size[r] = sum(buffer, row.length);
     }
-    size[i] = 0;
   }
   const out = matrix(found.length, from.columns);
   found.forEach((u, i) => rowOf(out, i).set(u));
