@@ -1,6 +1,6 @@
 // Builds the package: dist/mocodec.js, an ES module that loads the modules of rarer codecs when a file needs them;
 // dist/mocodec.single.js, the same in one file; types; and priors/, copied from the Python package.
-// Prints the sizes that a page pays for.
+// Prints the sizes that a page pays for. With a path, it writes only the one file there.
 
 import { execFileSync } from "node:child_process";
 import { copyFileSync, mkdirSync, readFileSync, rmSync } from "node:fs";
@@ -12,8 +12,13 @@ const root = fileURLToPath(new URL("..", import.meta.url)).replace(/\/$/, "");
 process.chdir(root);
 const priors = fileURLToPath(new URL("../../../src/mocodec/priors/", import.meta.url));
 
-rmSync(`${root}/dist`, { recursive: true, force: true });
 const common = { bundle: true, format: "esm", target: "es2022", minify: true, external: ["node:*"] };
+const single = (outfile) => build({ ...common, entryPoints: [`${root}/src/index.ts`], outfile });
+if (process.argv[2]) {
+  await single(process.argv[2]);
+  process.exit();
+}
+rmSync(`${root}/dist`, { recursive: true, force: true });
 const { metafile } = await build({
   ...common,
   entryPoints: { mocodec: `${root}/src/index.ts` },
@@ -22,7 +27,7 @@ const { metafile } = await build({
   chunkNames: "part-[name]-[hash]",
   metafile: true,
 });
-await build({ ...common, entryPoints: [`${root}/src/index.ts`], outfile: `${root}/dist/mocodec.single.js` });
+await single(`${root}/dist/mocodec.single.js`);
 execFileSync(process.execPath, [`${root}/node_modules/typescript/bin/tsc`, "-p", `${root}/tsconfig.types.json`], { stdio: "inherit" });
 mkdirSync(`${root}/priors`, { recursive: true });
 for (const name of ["points.npz", "directions.npz"]) copyFileSync(`${priors}/${name}`, `${root}/priors/${name}`);

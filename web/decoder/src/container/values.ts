@@ -177,7 +177,7 @@ export class TreeReader {
   private decimal(): number {
     const digits = this.part.folded();
     const power = this.part.folded();
-    check(Math.abs(digits) < 2 ** 53, `${this.part.what}: a decimal of too many digits`);
+    check(Math.abs(digits) < 2 ** 53 && Math.abs(power) <= 400, `${this.part.what}: a decimal that is out of range`);
     return Number(`${digits}e${power}`);
   }
 
