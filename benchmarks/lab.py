@@ -39,6 +39,7 @@ SIGNALS = Path("docs/results/signals.json")
 MAX_ERROR_M = 0.0002
 FOLDERS = ("field-c3d", "cmu/c3d")
 SPEED_SAMPLES = 1 << 20
+SPEED_ROUNDS = 3
 
 Array = NDArray[Any]
 
@@ -173,18 +174,24 @@ def ours(signal: Signal) -> int:
 
 
 def speed() -> dict[str, float]:
-    """Millions of samples a second of 16 channels of counts at 1000 Hz."""
+    """Millions of samples a second of 16 channels of counts at 1000 Hz: processor time, the best of some rounds."""
     random = np.random.default_rng(0)
     time_s = np.arange(SPEED_SAMPLES // 16) / 1000
     values = 2000 * np.sin(time_s[:, None] * np.linspace(0.5, 3, 16)) + random.normal(0, 3, (len(time_s), 16))
     counts = np.rint(values).astype(np.int16)
-    start = time.perf_counter()
+    rounds = [_seconds_of(counts) for _ in range(SPEED_ROUNDS)]
+    encode_s, decode_s = (min(seconds) for seconds in zip(*rounds, strict=True))
+    return {"encode": counts.size / encode_s / 1e6, "decode": counts.size / decode_s / 1e6}
+
+
+def _seconds_of(counts: Array) -> tuple[float, float]:
+    """Processor time to encode and to decode."""
+    start = time.process_time()
     found = codec.encode(counts, 1000.0)
-    middle = time.perf_counter()
+    middle = time.process_time()
     assert found is not None
     codec.decode(found[0], found[1].__getitem__)
-    end = time.perf_counter()
-    return {"encode": counts.size / (middle - start) / 1e6, "decode": counts.size / (end - middle) / 1e6}
+    return middle - start, time.process_time() - middle
 
 
 @click.command("signals")

@@ -16,12 +16,28 @@ ROOT = Path(__file__).resolve().parents[1]
 # From top to bottom. A part may import the parts below it, and those in its row unless the row is in APART.
 LAYERS = (
     ("cli", "__main__"),
+    ("viewer",),
     ("testing", "plots", "cloud_plots"),
-    ("api", "packing", "decoded_chunks"),
+    ("torch", "learning"),
+    ("archive",),
+    ("api", "opened", "packing", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
-    ("motion", "pointcloud", "encoded", "errors", "data", "native", "progress", "selection", "typing", "channels"),
+    (
+        "motion",
+        "pointcloud",
+        "encoded",
+        "errors",
+        "data",
+        "native",
+        "parallel",
+        "progress",
+        "selection",
+        "typing",
+        "channels",
+        "file_range",
+    ),
 )
 APART = {("codecs", "container"), ("testing", "plots")}
 

@@ -28,6 +28,7 @@ from .motion import Limits, Motion, Signal, Skeleton
 from .pointcloud import PointClouds
 
 if TYPE_CHECKING:
+    from .archive import Archive, open_archive
     from .codecs import tempo
     from .codecs.bodycast import Bodycast
     from .codecs.hou2014 import Hou2014, Hou2014Database
@@ -35,39 +36,44 @@ if TYPE_CHECKING:
     from .codecs.liu2006 import Liu2006
     from .codecs.lossless import Lossless
     from .codecs.tempo import Tempo
+    from .viewer import view
 
 __version__ = "0.1.0"
 
 IMPORTED_ON_FIRST_USE = {
-    "Bodycast": "bodycast",
-    "Hou2014": "hou2014",
-    "Hou2014Database": "hou2014",
-    "Lien2006": "lien2006",
-    "Liu2006": "liu2006",
-    "Lossless": "lossless",
-    "Tempo": "tempo",
+    "Archive": "archive",
+    "Bodycast": "codecs.bodycast",
+    "Hou2014": "codecs.hou2014",
+    "Hou2014Database": "codecs.hou2014",
+    "Lien2006": "codecs.lien2006",
+    "Liu2006": "codecs.liu2006",
+    "Lossless": "codecs.lossless",
+    "Tempo": "codecs.tempo",
+    "open_archive": "archive",
 }
-"""Classes and the module of `codecs` that each is in."""
+"""Classes and functions, and the module that each is in."""
 
 
 if not TYPE_CHECKING:  # or type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
-        """The classes of the codecs, and `tempo` with its streaming Encoder and Decoder."""
+        """The classes of the codecs, archives, `view`, and `tempo` with its streaming Encoder and Decoder."""
         if name == "tempo":
             return import_module(f"{__name__}.codecs.tempo")
+        if name == "view":
+            return import_module(f"{__name__}.viewer").view
         if name in IMPORTED_ON_FIRST_USE:
-            return getattr(import_module(f"{__name__}.codecs.{IMPORTED_ON_FIRST_USE[name]}"), name)
+            return getattr(import_module(f"{__name__}.{IMPORTED_ON_FIRST_USE[name]}"), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *IMPORTED_ON_FIRST_USE, "tempo"})
+    return sorted({*globals(), *IMPORTED_ON_FIRST_USE, "tempo", "view"})
 
 
 __all__ = [
-    "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014", "Hou2014Database",
-    "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion", "PointClouds",
-    "Signal", "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode",
-    "not_kept", "open", "read", "tempo", "write",
+    "Archive", "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014",
+    "Hou2014Database", "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion",
+    "PointClouds", "Signal", "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode",
+    "not_kept", "open", "open_archive", "read", "tempo", "view", "write",
 ]  # fmt: skip

@@ -8,36 +8,26 @@ file ─read─► Motion ─encode─► bytes of a .mocz ─decode─► Motio
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
-import weakref
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, BinaryIO, Generic, Self, cast, overload
+from typing import Any, cast, overload
 
-from . import codecs, decoded_chunks, formats
+from . import formats
 from . import progress as progress_
-from .channels import Channel, channels
 from .codecs import base
 from .codecs.base import Codec
-from .encoded import TARGETS, Encoded, Recording, RecordingT
-from .errors import BadInput, Corrupt, MocodecError
+from .encoded import TARGETS, Recording, RecordingT
+from .errors import BadInput
 from .metrics import compare
 from .motion import Deferred, Motion, with_signals
+from .opened import File, Source, of_kind, open
 from .packing import default_codec, pack, with_options
 from .pointcloud import PointClouds
 from .progress import Callback
-from .selection import Frames, counted, frame_steps, point_columns, split_key
-
-if TYPE_CHECKING:
-    from .container import Reader  # imported where it is used: it makes `import mocodec` a quarter slower
 
 __all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
 
 AnyPath = str | PathLike[str]
-Source = bytes | bytearray | memoryview | AnyPath | BinaryIO
 
 
 @overload
@@ -59,7 +49,7 @@ def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> 
         if options:
             raise BadInput(f"{os.fspath(path)}: reading a .mocz takes no options, but got {', '.join(options)}")
         return decode(path, kind)
-    return _of_kind(formats.read(path, **options), kind, path)
+    return of_kind(formats.read(path, **options), kind, path)
 
 
 def write(path: AnyPath, recording: Recording, **options: Any) -> None:
@@ -157,17 +147,29 @@ def without_empty_targets(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 @overload
-def decode(source: Source, kind: type[RecordingT], *, progress: Callback | None = None) -> RecordingT: ...
+def decode(
+    source: Source, kind: type[RecordingT], *, threads: int | None = None, progress: Callback | None = None
+) -> RecordingT: ...
 @overload
-def decode(source: Source, kind: None = None, *, progress: Callback | None = None) -> Recording: ...
-def decode(source: Source, kind: type[Recording] | None = None, *, progress: Callback | None = None) -> Recording:
+def decode(
+    source: Source, kind: None = None, *, threads: int | None = None, progress: Callback | None = None
+) -> Recording: ...
+def decode(
+    source: Source,
+    kind: type[Recording] | None = None,
+    *,
+    threads: int | None = None,
+    progress: Callback | None = None,
+) -> Recording:
     """Decode a .mocz: bytes, a path, an http(s) URL or a binary file object.
 
-    kind: `Motion` or `PointClouds`, as in `read`. progress: called with fractions from 0 to 1.
+    kind: `Motion` or `PointClouds`, as in `read`. threads: how many decode chunks at a time, where the codec and the
+    compiled module can (`parallel`); None for all processors, or MOCODEC_THREADS. progress: called with fractions from
+    0 to 1. `File.positions` decodes to an array that you have, or of another type.
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
     with progress_.listening(progress), open(source, kind) as f:
-        recording = f.decode(slice(0, len(f)))
+        recording = f.decode(slice(0, len(f)), threads=threads)
         if isinstance(recording.extras, Deferred):
             recording = dataclasses.replace(
                 recording, extras=with_signals(recording.extras, lambda signal: signal.loaded())
@@ -175,215 +177,6 @@ def decode(source: Source, kind: type[Recording] | None = None, *, progress: Cal
         return recording
 
 
-@overload
-def open(source: Source, kind: type[RecordingT], *, salvage: bool = False) -> File[RecordingT]: ...
-@overload
-def open(source: Source, kind: None = None, *, salvage: bool = False) -> File[Recording]: ...
-def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool = False) -> File[Any]:
-    """Open a .mocz for random access: a path, an http(s) URL, bytes or a binary file object.
-
-    Only header and index are read. kind: `Motion` or `PointClouds`, as in `read`. salvage: open the undamaged chunks
-    of a file that was cut short; see `File.whole`.
-    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
-    """
-    from . import container
-
-    reader = container.Reader(source, salvage)
-    try:
-        _of_kind(reader.encoded.about, kind, reader.source.name)
-        _require_codec_of_kind(reader)
-    except MocodecError:
-        reader.close()
-        raise
-    return File[Any](reader, _reopenable(source), salvage)
-
-
-class File(Generic[RecordingT]):
-    """An open .mocz.
-
-    `f[1200:1320]`, `f[100]`, `f[-1]` and `f[::4]` decode these frames, to a Motion or PointClouds;
-    `f[1200:1320, ["LKNE"]]` some points of them; `f.at(seconds=slice(10.0, 11.0))` the frames of this time. Chunks that
-    windows of a few frames are cut from stay in memory, 64 MB of them in a process (`decoded_chunks`).
-    `for part in f` decodes chunk by chunk. A file can be pickled, unless it was opened from a file object: unpickling
-    opens the path, URL or bytes again.
-    """
-
-    def __init__(self, reader: Reader, reopen_from: str | bytes | None = None, salvage: bool = False) -> None:
-        self._reader = reader
-        self._reopen_from = reopen_from
-        self._salvage = salvage
-        self.encoded: Encoded[RecordingT] = reader.encoded
-        self._number = decoded_chunks.next_file()
-        self._forget = weakref.finalize(self, decoded_chunks.CACHE.drop, self._number)
-
-    @property
-    def codec(self) -> type[Codec[RecordingT]]:
-        """The class of the codec that made the file. Raises UnknownCodec; `info` and `names` work without the codec."""
-        return codecs.codec_class(self.encoded.codec)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(frames, points, 3) of a motion, (frames,) of point clouds."""
-        about = self.encoded.about
-        return (self.encoded.frames, about.points, 3) if isinstance(about, Motion) else (self.encoded.frames,)
-
-    @property
-    def rate(self) -> float:
-        """Frames per second."""
-        return self.encoded.about.rate
-
-    @property
-    def seconds(self) -> float:
-        """Duration: frames / rate."""
-        return len(self) / self.rate
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """One name per point of a motion; () for point clouds."""
-        about = self.encoded.about
-        return about.names if isinstance(about, Motion) else ()
-
-    @cached_property
-    def signals(self) -> Mapping[str, Channel]:
-        """The channels of all signals by label: `f.signals["Fz1"][a:b]` reads and decodes these samples only."""
-        return channels(self.encoded.about.extras)
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """The contents of the file as JSON values, with the keys of `mocodec info --json`."""
-        return self._reader.info()
-
-    def __len__(self) -> int:
-        """The number of frames."""
-        return self.encoded.frames
-
-    def __repr__(self) -> str:
-        about, name = self.encoded.about, self._reader.source.name
-        points = f" of {counted(about.points, 'point')}" if isinstance(about, Motion) else " of point clouds"
-        facts = [self.encoded.codec, f"{counted(len(self), 'frame')}{points} at {self.rate:g} Hz"]
-        facts += [f"{self.seconds:.4g} s"]
-        facts += [f"{name}={value:g}" for name, value in self.encoded.promise.items()]
-        return f"<File{f' {name!r}' if name else ''}: {', '.join(facts)}>"
-
-    def __getitem__(self, key: Frames | tuple[Frames, Sequence[str]]) -> RecordingT:
-        """Decode a frame or a slice of frames, all points or those of these names.
-
-        Raises BadInput, FrameOutOfRange for a single frame only, and what `decode` raises.
-        """
-        frames, names = split_key(key)
-        start, stop, step = frame_steps(frames, len(self))
-        if names is not None:
-            point_columns(self.names, names)
-        recording = self.decode(slice(start, stop), keep_chunks=True)
-        if step > 1:
-            recording = cast("RecordingT", recording[::step])
-        return recording if names is None else cast("RecordingT", cast(Motion, recording).select(names))
-
-    def decode(self, frames: slice, *, keep_chunks: bool = False) -> RecordingT:
-        """Frames [start, stop), decoded from the file, or cut from the decoded chunks in memory."""
-        decode = self.codec.decode
-        with self._reader.errors_name_file():
-            _require_memory(frames.stop - frames.start, len(self.names))
-            if not keep_chunks or not isinstance(self.encoded.about, Motion):
-                return decode(self.encoded, frames)
-            encoded, starts = cast("Encoded[Motion]", self.encoded), self._reader.chunks.starts
-            of_motion = cast("decoded_chunks.Decode", decode)
-            return cast("RecordingT", decoded_chunks.window(self._number, of_motion, encoded, starts, frames))
-
-    def at(self, seconds: slice) -> RecordingT:
-        """The frames whose time (frame / rate) is in [start, stop) seconds. Raises BadInput for a step or below 0."""
-        if not isinstance(cast(object, seconds), slice) or seconds.step is not None:
-            raise BadInput("times are chosen by a slice without a step, such as f.at(seconds=slice(10.0, 11.0))")
-        return self[self._frame(seconds.start) : self._frame(seconds.stop)]
-
-    def _frame(self, second: float | None) -> int | None:
-        """The first frame at or after this time; the tolerance absorbs the rounding of the product."""
-        if second is None:
-            return None
-        if not second >= 0:
-            raise BadInput(f"times count from the first frame and start at 0, not {second}")
-        return min(math.ceil(second * self.rate - 1e-6), len(self))
-
-    def errors_name_file(self) -> AbstractContextManager[None]:
-        """Errors that a codec raises inside name the file, and all of them are MocodecErrors."""
-        return self._reader.errors_name_file()
-
-    def whole(self) -> list[tuple[int, int]]:
-        """Runs of frames (start, stop) that are undamaged and decode, also in a file opened with `salvage`."""
-        return self._reader.intact_runs()
-
-    def verify(self) -> None:
-        """Read every byte and test every checksum. Raises Corrupt, which lists all damaged parts."""
-        self._reader.verify()
-
-    def __iter__(self) -> Iterator[RecordingT]:
-        """The recording chunk by chunk."""
-        for chunk in self.encoded.chunks:
-            yield self.decode(slice(chunk.start, chunk.stop))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        if self._reopen_from is None:
-            raise BadInput(
-                "a File that was opened from a file object cannot be pickled: open it from its path, URL or bytes"
-            )
-        return _open_again, (self._reopen_from, self._salvage)
-
-    def close(self) -> None:
-        """Close the file; extras of slices can still be read."""
-        self._forget()
-        self._reader.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
 def is_mocz(path: AnyPath) -> bool:
     """Whether a path has the suffix .mocz."""
     return os.fspath(path).lower().endswith(".mocz")
-
-
-def _require_codec_of_kind(reader: Reader) -> None:
-    """Raises Corrupt for a motion by a codec of point clouds, or the other way round."""
-    codec, about = reader.encoded.codec, reader.encoded.about
-    if codec in codecs.CODECS and (codec in codecs.CLOUD_CODECS) == isinstance(about, Motion):
-        kind = "a motion" if isinstance(about, Motion) else "point clouds"
-        raise Corrupt(f"{reader.source.name or 'the file'}: holds {kind}, which {codec} does not code")
-
-
-def _require_memory(count: int, points: int) -> None:
-    """Raises BadInput if the positions of `count` frames exceed the memory of this machine."""
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # a system that does not say
-        memory = 1 << 40
-    if count * points * 24 > memory:
-        raise BadInput(f"{count:,} frames of {points} points need more memory than there is; decode fewer at a time")
-
-
-def _of_kind(recording: Recording, kind: type[Recording] | None, path: object) -> Recording:
-    """The recording. Raises BadInput if it is not of this kind."""
-    if kind is not None and not isinstance(recording, kind):
-        where = f"{path}: " if path else ""
-        raise BadInput(f"{where}this file holds {IN_WORDS[type(recording)]}, not {IN_WORDS[kind]}")
-    return recording
-
-
-IN_WORDS: dict[type, str] = {Motion: "a motion", PointClouds: "point clouds"}
-
-
-def _reopenable(source: Source) -> str | bytes | None:
-    """What opens the same file again, in another folder too; None for a file object."""
-    if isinstance(source, (bytes, bytearray, memoryview)):
-        return bytes(source)
-    if isinstance(source, (str, PathLike)):
-        path = os.fspath(source)
-        return path if "://" in path else os.path.abspath(path)
-    return None
-
-
-def _open_again(source: str | bytes, salvage: bool) -> File[Any]:
-    """Unpickle a File."""
-    return open(source, salvage=salvage)

@@ -239,6 +239,10 @@ class Motion:
         facts += [f"{100 * missing / self.gaps.size:.2g} % gaps"] if missing else []
         return f"<Motion: {', '.join(facts)}>"
 
+    def _repr_html_(self) -> str:
+        """The motion as a page that plays it, for notebooks; long motions are thinned out (`viewer.for_notebook`)."""
+        return cast(str, import_module(f"{__package__}.viewer").for_notebook(self))
+
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """The positions (frames, points, 3), metres: `np.asarray(motion)`, `np.asarray(motion, np.float32)`."""
         if copy:

@@ -68,9 +68,11 @@ def _encoded(codec: Codec[RecordingT], recording: RecordingT) -> Encoded[Recordi
     except (MocodecError, MemoryError, OSError):
         raise
     except Exception as error:
+        if not rescue.may_rescue(error):
+            raise
         failure = rescue.in_words(f"with {codec.name}", error)
         if not isinstance(recording, Motion):
-            raise CannotEncode(f"{failure}; please report it, and try another codec") from error
+            raise CannotEncode(f"{failure}; try another codec") from error
         targets = {name: value for name in TARGETS if (value := getattr(codec, name, None))}
         names = [name for name in targets if name != "mean_error" or "max_error" not in targets]
         default: Codec[Any] = with_options(DEFAULT_CODECS[0], **{name: targets[name] for name in names})

@@ -145,6 +145,16 @@ def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7
     return picture
 
 
+def poses(motion: Motion, title: str = "", count: int = 7) -> Figure:
+    """Poses of one motion side by side."""
+    picture = figure(9, 3.2)
+    axes = picture.subplots()
+    picture.suptitle(title, fontsize=10)
+    frames = np.linspace(0, len(motion) - 1, count + 2).round().astype(int)[1:-1]
+    draw_poses(axes, motion, motion, frames)
+    return picture
+
+
 def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) -> None:
     """Poses of both motions at these frames side by side, with their times below."""
     up = "xyz".index(original.up)

@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from importlib import import_module
+from typing import Any, cast
 
 from .errors import BadInput
 from .selection import Frames, counted, frame_steps
@@ -58,6 +59,10 @@ class PointClouds:
         facts += [f"{self.up} up"]
         facts += [name for name in ("colours", "normals") if getattr(self, name) is not None]
         return f"<PointClouds: {', '.join(facts)}>"
+
+    def _repr_html_(self) -> str:
+        """The point clouds as a page that plays them, for notebooks (`viewer.for_notebook`)."""
+        return cast(str, import_module(f"{__package__}.viewer").for_notebook(self))
 
     @property
     def seconds(self) -> float:

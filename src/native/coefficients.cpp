@@ -7,33 +7,13 @@
 #include <vector>
 
 #include "arrays.h"
+#include "contexts.h"
 
 namespace {
 
+using namespace contexts;
+
 using Integers = std::vector<int64_t>;
-
-// entropy/lanes.py
-constexpr int PRECISION = 12;
-constexpr uint32_t TOTAL = 1u << PRECISION, LOWEST = 1u << 16;
-
-// coding/contexts.py: weights of neighbours, and the farthest neighbour
-constexpr int NEAR = 13, BELOW_3 = 8, OLDER = 6, BESIDE = 6, BLOCK = 3;
-constexpr int DEPTH = 7, BORDER = 4;
-constexpr int64_t CEILING = 300;
-
-// entropy/symbols.py
-constexpr int DIRECT = 11, SYMBOLS = 21;
-
-int width_of(int symbol) { return symbol < DIRECT ? 0 : symbol == SYMBOLS - 1 ? 48 : symbol - DIRECT + 1; }
-
-int64_t first_of(int symbol) { return symbol < DIRECT ? symbol : DIRECT + (int64_t(1) << (symbol - DIRECT + 1)) - 2; }
-
-int symbol_of(int64_t magnitude) {
-    if (magnitude < DIRECT) return magnitude < 0 ? 0 : int(magnitude);
-    int symbol = DIRECT;
-    while (symbol < SYMBOLS - 1 && magnitude >= first_of(symbol + 1)) ++symbol;
-    return symbol;
-}
 
 // contexts.lookup: constants for looking up tables, the first frequency of each group, the shape of each frequency.
 struct Lookup {

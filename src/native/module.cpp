@@ -4,10 +4,14 @@
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
+//   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
+//   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/; signal_fitting.cpp chooses the predictors
 //   varints.cpp     many varints at once, for fields/cursor.py
+//   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
+//                   chunk_synthesis.h (integers to positions); contexts.h is for coefficients.cpp too
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
@@ -22,7 +26,8 @@ namespace nb = nanobind;
 
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
-    PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints)
+    PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(chunk_decoder)  \
+    PART(point_octree) PART(point_colours)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

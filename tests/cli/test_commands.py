@@ -194,6 +194,28 @@ def test_cut_to_a_mocz_keeps_a_promise_that_is_true(
     assert json.loads(verified.out)["promise"]["max_error"] == pytest.approx(0.003)
 
 
+def test_cut_of_a_motion_that_was_coded_losslessly_after_a_failure(
+    command: Command, walk_trc: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mocodec.codecs.tempo import codec as tempo
+
+    def broken(*_: object) -> None:
+        raise IndexError("injected")
+
+    with monkeypatch.context() as patch:
+        patch.setenv("MOCODEC_STRICT", "0")
+        for name in ("_encode_any", "encode_chunks"):
+            patch.setattr(tempo.Tempo, name, broken)
+        assert command("encode", walk_trc, "-o", "walk.mocz", "--max-error", "2mm").code == 0
+    result = command("cut", "walk.mocz", "--from", "0.5s", "--to", "1.25s", "-o", "part.mocz")
+    assert result.code == 0, result.err
+    with mc.open("part.mocz") as part, mc.open("walk.mocz") as whole:
+        assert part.encoded.codec == "lossless"
+        assert part.encoded.promise == {"max_error": 0.002}
+        np.testing.assert_array_equal(part[:].positions, whole[60:150].positions)
+    assert command("verify", "part.mocz").code == 0
+
+
 def test_cut_with_chunks_encodes_nothing_again(command: Command, walk_mocz: Path) -> None:
     result = command("cut", walk_mocz, "--from", "0.5s", "--chunks", "-o", "part.mocz")
     assert result.code == 0

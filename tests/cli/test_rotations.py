@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +58,23 @@ def test_salvage_keeps_the_rotations_of_undamaged_frames(command: Command, sourc
     assert 0 < lost.sum() < len(salvaged)
     assert salvaged.rotations is not None
     assert np.abs((salvaged.rotations**2).sum(axis=2) - 1).max() < 1e-9
+
+
+def test_info_shows_the_bytes_of_positions_and_of_rotations(command: Command, source: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "figure.mocz"
+    command("encode", source, "-o", packed)
+    facts = json.loads(command("info", packed, "--json").out)
+    uses, parts = facts["bytes_by_use"], facts["bytes_by_part"]
+    assert uses["positions"] > uses["rotations"] > 0
+    assert sum(uses.values()) >= parts["chunks"]
+    assert "bytes by use" in command("info", packed).out
+    data = bytearray(packed.read_bytes())
+    data[len(data) - 60] ^= 255
+    packed.write_bytes(data)
+    assert "bytes by use" not in command("info", packed).out
+
+
+def test_info_of_positions_alone_has_no_bytes_by_use(command: Command, tmp_path: Path) -> None:
+    packed = tmp_path / "points.mocz"
+    packed.write_bytes(mocodec.encode(replace(hinged_figures.figure(60), rotations=None)))
+    assert "bytes_by_use" not in json.loads(command("info", packed, "--json").out)

@@ -17,6 +17,13 @@ from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
 
+
+@pytest.fixture(autouse=True)
+def rescued(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As for users: internal errors end in the next way."""
+    monkeypatch.setenv("MOCODEC_STRICT", "0")
+
+
 WALK = synthetic.markers(frames=200, seed=8).select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
 
 
@@ -81,6 +88,16 @@ def test_a_broken_lattice_engine(
 ) -> None:
     fail(monkeypatch, where, name)
     check(WALK, **target)
+
+
+@pytest.mark.parametrize("name", ["choose", "_fitted"])
+def test_an_internal_error_is_named_and_strict_runs_raise_it(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    break_(monkeypatch, model_choice, name)
+    note = check(WALK, max_error=0.002).source["notes"][-1]
+    assert "an internal error of mocodec, IndexError: injected, please report it" in note
+    monkeypatch.setenv("MOCODEC_STRICT", "1")
+    with pytest.raises(IndexError, match="injected"):
+        mc.encode(WALK, max_error=0.002)
 
 
 def test_one_broken_chunk(monkeypatch: pytest.MonkeyPatch) -> None:

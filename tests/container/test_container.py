@@ -245,6 +245,8 @@ def test_tables_are_frozen():
     assert zlib.crc32("\n".join(tables.MORE_WORDS).encode()) == MORE_WORDS_CRC
     assert zlib.crc32(tables.NAME_DICTIONARY) == NAME_DICTIONARY_CRC
     assert zlib.crc32(values.dictionary()) == VALUES_DICTIONARY_CRC
+    assert zlib.crc32(values.lab_dictionary()) == LAB_DICTIONARY_CRC
+    assert len(values.lab_dictionary()) < 1 << 15  # the window of deflate
     assert zlib.crc32(repr((tables.TREES, tables.RATES, tables.CODEC_IDS, tables.SOURCES)).encode()) == TABLES_CRC
 
 
@@ -253,6 +255,7 @@ WORDS_CRC = 0x8B632B99
 MORE_WORDS_CRC = 0xDA4C7490
 NAME_DICTIONARY_CRC = 0x93C6EC59
 VALUES_DICTIONARY_CRC = 0x22D177A8
+LAB_DICTIONARY_CRC = 0xF8F0A211
 TABLES_CRC = 0xC20C14FE
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from mocodec import container
 from mocodec.container import tables
+from mocodec.container.values import dictionary, lab_dictionary  # the streams of typical_extras() and lab_extras()
 from mocodec.encoded import Chunk, Encoded
 from mocodec.motion import Motion, Signal, Skeleton
 from mocodec.signals import codec
@@ -71,8 +72,10 @@ class Page:
 
     def tree(self, dictionary: bytes) -> dict[str, Any]:
         head = self.varint()
-        data = zlib.decompressobj(-15, dictionary).decompress(self.blob()) if head & 1 else self.take(head >> 1)
-        assert len(data) == head >> 1
+        size = self.varint() if head == 1 else head >> 1
+        words = lab_dictionary() if head == 1 else dictionary
+        data = zlib.decompressobj(-15, words).decompress(self.blob()) if head & 1 else self.take(size)
+        assert len(data) == size
         stream, result = Page(data), {}
         while stream.at < len(data):
             key = stream.value()
@@ -223,8 +226,6 @@ def test_a_file_is_as_the_page_says():
     about = Motion(np.empty((0, 6, 3)), 59.0, JOINTS, "y", tree, source=source, extras=extras)
     chunks = [Chunk(0, 10, b"one"), Chunk(10, 10, b"two2"), Chunk(20, 7, b"")]
     data = container.pack(Encoded("hou2014", about, chunks, (b"basis", b""), 1, {"max_error": 0.002}))
-
-    from mocodec.container.values import dictionary  # the stream of typical_extras()
 
     page = Page(data)
     assert page.take(4) == b"mocz"

@@ -57,6 +57,8 @@ def form(fields: Bytes, dtype: np.dtype[Any]) -> tuple[Any, ...]:
         return kind, fields.float64(), fields.float64()
     if kind == 3:
         return kind, fields.folded()
+    if kind == 6:
+        return kind, fields.varint()
     assert kind == 5
     count = fields.varint()
     lengths = inflate(fields.blob())
@@ -281,14 +283,16 @@ def chunk(payload: bytes, forms: list[tuple[Any, ...]], dtype: np.dtype[Any], sa
     data, before = Bytes(payload), bytes(samples)
     records: dict[int, Record] = {}
     for channel, channel_form in enumerate(forms):
-        if channel_form[0]:
+        if channel_form[0] not in (0, 6):
             records[channel] = record = Record(data, channel_form, dtype, samples, before)
             before = record.codes if record.items is None and any(record.codes) else before
     assert not data.rest()
-    columns = [
-        records[i].values(records) if channel_form[0] else [channel_form[1]] * samples
-        for i, channel_form in enumerate(forms)
-    ]
+    columns: list[list[bytes]] = []
+    for i, channel_form in enumerate(forms):
+        if channel_form[0] == 0:
+            columns.append([channel_form[1]] * samples)
+        else:
+            columns.append(columns[channel_form[1]] if channel_form[0] == 6 else records[i].values(records))
     return np.stack([np.frombuffer(b"".join(column), dtype) for column in columns], axis=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,3 +168,15 @@ def test_predictors_have_the_same_bits_in_numpy(samples: int) -> None:
         sizes = [fitting.code_bits(row) for row in integers]
     assert [fitting.code_bits(row) for row in integers] == sizes
     assert samples < 100 or any(predictor is not None and predictor.references for predictor in chosen)
+
+
+def test_a_channel_that_repeats_another_takes_no_bytes() -> None:
+    head, chunks = coded(SIGNALS["copies"])
+    assert [(form.kind, form.channel) for form in head.forms[2:]] == [(forms.COPY, 0), (forms.COPY, 1), (forms.COPY, 1)]
+    assert sum(map(len, chunks)) == sum(map(len, coded(SIGNALS["copies"][:, :2])[1]))
+    part = codec.decode(head, chunks.__getitem__, 5, 9, [4, 2])
+    np.testing.assert_array_equal(part, SIGNALS["copies"][5:9, [4, 2]])
+    for bad in (2, 4, 9):
+        broken = replace(head, forms=(*head.forms[:2], *[forms.Form(forms.COPY, channel=bad)] * 3))
+        with pytest.raises(Corrupt, match="copies"):
+            codec.unpack(Cursor(codec.pack(broken), "test"), head.dtype, head.shape)

@@ -1,6 +1,6 @@
 """The command line: one module per command.
 
-    encode → info → verify → decode → compare → cut        demo tries them on a small real recording
+    encode → info → verify → decode → compare → cut     archive keeps many     demo tries them on a small recording
 
 `main` is the entry point: it runs a command and turns every error into one line on standard error and an exit code.
 The module of a command is imported only when the command runs, so that `mocodec --help` is fast.
@@ -31,6 +31,8 @@ COMMANDS = {
     "verify": "Check a .mocz file: every checksum, and the promised error.",
     "compare": "Measure the difference between two recordings.",
     "cut": "Cut a time range out of a file.",
+    "view": "Show recordings in the browser, with the error against an original.",
+    "archive": "Keep many recordings in one place, and find them.",
     "demo": "Encode the recording in the package with several codecs and measure them.",
 }
 

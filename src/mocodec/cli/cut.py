@@ -26,6 +26,7 @@ from ..signals import bounds
 from . import files, quantities
 
 Time = tuple[float | None, int | None]
+ERRORS = ("max_error", "mean_error", "max_rotation")
 SECOND_BOUND = 0.5
 """Bound of the second encoding, as a share of the first bound."""
 
@@ -141,9 +142,10 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     """
     encoded, part = opened.encoded, opened[start:stop]
     settings: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in encoded.settings.items()}
-    errors: dict[str, float] = {
-        name: settings[name] for name in ("max_error", "mean_error", "max_rotation") if settings.get(name)
-    }
+    codec = codecs.codec_class(encoded.codec)
+    # A codec without a field for the promise, which took over where another failed, adds no error to it.
+    kept = {name: settings.pop(name) for name in ERRORS if name in settings and not hasattr(codec, name)}
+    errors: dict[str, float] = {name: settings[name] for name in ERRORS if settings.get(name)}
     settings |= {name: SECOND_BOUND * bound for name, bound in errors.items()}
     for name in ("size", "psnr"):  # of the whole file, and of colours that were coded once
         settings.pop(name, None)
@@ -151,13 +153,13 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
         settings["skeleton"] = cast(Any, opened.codec).track(encoded, slice(start, stop))
     signal_error = settings.pop("signal_error", None)
     try:
-        again = api.with_options(codecs.codec_class(encoded.codec)(), **settings).encode(part)
+        again = api.with_options(codec(), **settings).encode(part)
     except BadInput as error:
         raise CannotEncode(f"this cut needs a second encoding, which failed: {error}; try --chunks") from error
     promised = {name: (1 + SECOND_BOUND) * bound for name, bound in errors.items()}
     texts = {n: f"{b:g}°" if n == "max_rotation" else quantities.bound(b) for n, b in promised.items()}
     grown = "".join(f", promised {n.replace('_', ' ')} now {text}" for n, text in texts.items())
-    kept = _still_true({"signal_error": signal_error} if signal_error else {})
+    kept = _still_true({**kept, **({"signal_error": signal_error} if signal_error else {})})
     return dataclasses.replace(again, settings={**again.settings, **promised, **kept}), f"encoded again{grown}"
 
 

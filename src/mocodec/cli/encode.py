@@ -65,7 +65,8 @@ from . import clouds, files, many, quantities, verify
     "--residual",
     type=quantities.RESIDUAL,
     metavar="PERCENT|exact",
-    help="For point clouds: share of the residual to store; 'exact' (bodycast only) keeps every point.",
+    help="For point clouds, in place of an error: 0 sends a moving surface, 26 to 100 all points, closer and closer; "
+    "'exact' keeps every bit (both with bodycast).",
 )
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")

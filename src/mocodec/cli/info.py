@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from .. import api, formats
-from ..encoded import Recording
+from ..encoded import Encoded, Recording
+from ..errors import MocodecError
 from ..geometry import joint_tree
 from ..motion import Motion, Signal
 from . import files, many, quantities
@@ -24,7 +25,8 @@ MAX_ITEMS = 60
 @many.options
 @files.reader_options
 def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
-    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read.
+    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read; with rotations,
+    also the chunks of a path, for the bytes of positions and of rotations.
 
     Of several files, or of a folder, a table shows the main facts; --json has all of them.
     """
@@ -52,8 +54,22 @@ def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
             notes = formats.notes(opened.encoded.about)
-            return {**opened.info, **({"notes": notes} if notes else {})}
+            uses = {} if files.is_url(source) else bytes_by_use(opened.encoded)
+            facts = {**opened.info, **({"bytes_by_use": uses} if uses else {})}
+            return {**facts, **({"notes": notes} if notes else {})}
     return facts_of(files.read(source, **options))
+
+
+def bytes_by_use(encoded: Encoded[Any]) -> dict[str, int]:
+    """Coded bytes of positions and of the rotations beside them; empty where there are none, or a chunk is damaged."""
+    if encoded.codec != "tempo":
+        return {}
+    from ..codecs.tempo.rotation_layer import layer
+
+    try:
+        return layer.bytes_by_use(encoded)
+    except MocodecError:
+        return {}
 
 
 def facts_of(recording: Recording) -> dict[str, Any]:

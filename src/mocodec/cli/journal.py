@@ -16,10 +16,9 @@ from typing import Any
 
 from .. import formats
 from ..errors import BadInput
+from ..formats.folders import fingerprint
 
 NAME = ".mocodec-done.jsonl"
-COMPANIONS = {".amc": ".asf", ".gltf": ".bin"}
-"""Files beside a source that belong to it, by suffix."""
 
 
 class Journal:
@@ -88,19 +87,3 @@ class Journal:
                 os.close(descriptor)
         except OSError as error:
             raise BadInput(f"{self.path}: cannot be written ({error.strerror})") from error
-
-
-def fingerprint(path: str, options: Mapping[str, Any] | None = None) -> list[int]:
-    """Bytes and latest time of change (ns) of a file or of the files in a folder, with those that belong to it: its
-    companions, and the files that options name. [] for what does not exist, such as a URL."""
-    where = Path(path)
-    parts = sorted(where.iterdir()) if where.is_dir() else [where]
-    companion = COMPANIONS.get(where.suffix.lower())
-    if companion is not None and where.parent.is_dir():
-        parts += [p for p in where.parent.iterdir() if p.suffix.lower() == companion]
-    parts += [Path(value) for value in (options or {}).values() if isinstance(value, str) and os.path.isfile(value)]
-    try:
-        stats = [part.stat() for part in parts]
-    except OSError:
-        return []
-    return [sum(s.st_size for s in stats), max((s.st_mtime_ns for s in stats), default=0)]

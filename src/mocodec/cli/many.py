@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from .. import formats
+from ..formats.folders import below, mirrored_name
 from . import files, summary
 from .display import Display
 from .journal import Journal
@@ -116,11 +117,6 @@ def find(arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
     return sorted(sources, key=lambda source: source.name)
 
 
-def mirrored_name(path: str, base: str) -> str:
-    """The path relative to `base`, with "/"; the folder's own name for `base` itself."""
-    return os.path.basename(path) if path == base else Path(os.path.relpath(path, base)).as_posix()
-
-
 def refuse_frames(paths: Sequence[str]) -> None:
     """Raises a usage error for several .ply files of one folder: they are frames of one recording."""
     folders = [os.path.dirname(path) for path in paths if path.lower().endswith(".ply")]
@@ -129,21 +125,6 @@ def refuse_frames(paths: Sequence[str]) -> None:
             raise click.UsageError(
                 f"several .ply files of one folder are frames of one recording: name the folder {folder or '.'}"
             )
-
-
-def below(path: str, suffixes: Collection[str]) -> list[str]:
-    """A file as it is; of a folder, the files with these suffixes and the folders of .ply files, at any depth."""
-    if not os.path.isdir(path):
-        return [path]
-    result: list[str] = []
-    for folder, inner, names in os.walk(path):
-        inner[:] = sorted(name for name in inner if not name.startswith("."))
-        visible = [name for name in names if not name.startswith(".")]
-        if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
-            result.append(folder)
-        wanted = [s for s in suffixes if s != ".ply"]
-        result += [os.path.join(folder, name) for name in visible if os.path.splitext(name)[1].lower() in wanted]
-    return result
 
 
 def output_names(sources: Sequence[Source], suffixes: Mapping[str, str]) -> dict[str, str]:

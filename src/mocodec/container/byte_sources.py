@@ -1,4 +1,4 @@
-"""Random access to the bytes of a file: in memory, by path, by file object, or by URL."""
+"""Random access to the bytes of a file: in memory, by path, by file object, by URL, or a range of a file."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 from typing import Any, BinaryIO, Protocol, cast
 
 from ..errors import BadInput, Truncated
+from ..file_range import FileRange
 
 BLOCK_BYTES = 1 << 14
 TIMEOUT_S = 30.0
@@ -33,7 +34,9 @@ class ByteSource(Protocol):
 
 
 def byte_source(where: Any) -> ByteSource:
-    """Random access to bytes, a path, a URL (http, https) or a binary file object. Raises BadInput."""
+    """Random access to bytes, a path, a URL (http, https), a binary file object or a FileRange. Raises BadInput."""
+    if isinstance(where, FileRange):
+        return OpenRange(where)
     if isinstance(where, (bytes, bytearray, memoryview)):
         return InMemory(bytes(where))
     if isinstance(where, str) and re.match(r"[a-z][a-z0-9+.-]+://", where, re.IGNORECASE):
@@ -85,6 +88,20 @@ class LocalFile:
         if self.file is not None:
             self.file.close()
             self.file = None
+
+
+class OpenRange(LocalFile):
+    """The bytes of a FileRange. Each read opens the file for a moment, so that any number of them can be open."""
+
+    def __init__(self, part: FileRange) -> None:
+        super().__init__(part.path)
+        self.close()
+        self.start, self.name, self.size = part.start, part.label or part.path, part.size
+
+    def read(self, start: int, count: int) -> bytes:
+        if start + count > self.size:
+            raise Truncated(f"the recording ends {start + count - self.size} bytes before it should")
+        return super().read(self.start + start, count)
 
 
 class FileObject:

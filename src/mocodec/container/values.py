@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import CannotEncode
 from ..motion import Signal
-from . import arrays, stored_signals, tables
+from . import arrays, lab_words, stored_signals, tables
 from .arrays import Array, Budget
 from .stored_signals import CodedSignal
 from .tables import MORE_WORDS, SOURCES, WORDS
@@ -32,8 +32,8 @@ WORD_NUMBER = {word: number for number, word in reversed(list(enumerate(WORDS)))
 MORE_WORD_NUMBER = {word: number for number, word in enumerate(MORE_WORDS)}
 SMALL_ARRAY_BYTES = 64
 """Arrays up to this size are stored inside the tree, so that deflate codes them with their neighbours."""
-MAX_DEPTH = 64
-MAX_TREE_BYTES = 1 << 26
+MAX_DEPTH, MAX_TREE_BYTES = 64, 1 << 26
+LAB_WORDS = 1
 SPARE_BYTES = 1 << 28
 UNPACK_RATIO = 1024
 """Extras may unpack to SPARE_BYTES + UNPACK_RATIO × their bytes in the file; more is refused as hostile."""
@@ -77,6 +77,12 @@ def dictionary() -> bytes:
     return _TreeWriter("the dictionary", arrays_allowed=True).all(tables.typical_extras())
 
 
+@cache
+def lab_dictionary() -> bytes:
+    """The second preset dictionary: the stream of `lab_extras`, then the first one."""
+    return _TreeWriter("the dictionary", arrays_allowed=True).all(lab_words.lab_extras()) + dictionary()
+
+
 @dataclass(frozen=True)
 class Extras:
     """Extras as bytes. section: the tree, then its arrays and heads of signals; size: what it unpacks to, signals
@@ -88,7 +94,7 @@ class Extras:
 
     @property
     def signal_bytes(self) -> int:
-        """Bytes of the signals in the file, a checksum for each chunk included."""
+        """Bytes of the signals in the file, with a checksum for each chunk."""
         return sum(map(len, self.signals)) + stored_signals.CHECKSUM_BYTES * len(self.signals)
 
 
@@ -96,10 +102,11 @@ def pack_extras(tree: Mapping[str, Any]) -> Extras:
     """Extras as bytes. Raises CannotEncode."""
     writer = _TreeWriter("extras", arrays_allowed=True)
     stream = writer.all(tree)
-    packed = _wrapped(stream) + b"".join(part.head if isinstance(part, CodedSignal) else arrays.pack(part)
-                                         for part in writer.parts)  # fmt: skip
-    size = len(stream) + sum(part.nbytes if isinstance(part, CodedSignal) else arrays.nbytes(part)
-                             for part in writer.parts)  # fmt: skip
+    packed, size = _wrapped(stream, True), len(stream)
+    for part in writer.parts:
+        is_coded = isinstance(part, CodedSignal)
+        packed += part.head if is_coded else arrays.pack(part)
+        size += part.nbytes if is_coded else arrays.nbytes(part)
     signals = tuple(chunk for part in writer.parts if isinstance(part, CodedSignal) for chunk in part.chunks)
     extras = Extras(packed, size, signals)
     stored = len(packed) + extras.signal_bytes
@@ -127,20 +134,23 @@ def unpack_limit(stored: int) -> int:
     return SPARE_BYTES + UNPACK_RATIO * stored
 
 
-def _wrapped(stream: bytes) -> bytes:
-    """varint 2·length + (1 if deflated), then the deflated blob or the stream itself, whichever is shorter."""
-    packed = deflate(stream, dictionary())
-    if len(packed) + len(varint(len(packed))) < len(stream):
-        return varint(len(stream) << 1 | 1) + blob(packed)
-    return varint(len(stream) << 1) + stream
+def _wrapped(stream: bytes, with_lab_words: bool = False) -> bytes:
+    """The shortest of: varint 2·length and the stream; varint 2·length + 1 and the deflated blob; with lab words,
+    LAB_WORDS, varint length and a blob deflated with the second dictionary."""
+    size, packed = len(stream), blob(deflate(stream, dictionary()))
+    options = [varint(size << 1) + stream, varint(size << 1 | 1) + packed]
+    lab = [varint(LAB_WORDS) + varint(size) + blob(deflate(stream, lab_dictionary()))] if with_lab_words else []
+    return min(options + lab, key=len)
 
 
 def _tree(
     cursor: Cursor, budget: Budget, arrays_budget: Budget | None, signals: stored_signals.Section | None = None
 ) -> dict[str, Any]:
     head = cursor.varint()
-    budget.take(head >> 1, cursor.what)
-    stream = inflate(cursor.blob(), head >> 1, cursor.what, dictionary()) if head & 1 else cursor.take(head >> 1)
+    size = cursor.varint() if head == LAB_WORDS else head >> 1
+    budget.take(size, cursor.what)
+    words = lab_dictionary() if head == LAB_WORDS else dictionary()
+    stream = inflate(cursor.blob(), size, cursor.what, words) if head & 1 else cursor.take(size)
     inner = Cursor(stream, cursor.what)
     reader = _TreeReader(inner, cursor, arrays_budget, signals)
     tree = reader.items(0, None)

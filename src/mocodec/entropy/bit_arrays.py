@@ -17,9 +17,16 @@ from ..errors import Corrupt
 from ..typing import AnyInteger, Booleans
 from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
 
+CUT_OFF = "a stream of adaptive bits is cut off or damaged"
+
 
 class BitCoder(Protocol):
     """What `BitEncoder` and `BitDecoder` have in common."""
+
+    @property
+    def compiled(self) -> Any:
+        """The compiled coder, for kernels that code a whole structure; None in NumPy."""
+        ...
 
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
         """Code one array of bits (n,) and return it.
@@ -37,6 +44,11 @@ class BitEncoder:
         kernel = native.kernel("BitArrayEncoder")
         self._kernel: Any = kernel(*tables()) if kernel else None
         self._mixer, self._encoder = (None, None) if kernel else (Mixer(), Encoder())
+
+    @property
+    def compiled(self) -> Any:
+        """As `BitCoder.compiled`."""
+        return self._kernel
 
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None) -> Booleans:
         """As `BitCoder.code`; bits: needed."""
@@ -64,6 +76,11 @@ class BitDecoder:
         self._kernel: Any = kernel(bytes(data), *tables()) if kernel else None
         self._mixer, self._decoder = (None, None) if kernel else (Mixer(), Decoder(bytes(data)))
 
+    @property
+    def compiled(self) -> Any:
+        """As `BitCoder.compiled`."""
+        return self._kernel
+
     def code(self, contexts: AnyInteger, sets: AnyInteger, bits: Booleans | None = None) -> Booleans:
         """As `BitCoder.code`; bits are not used. Raises Corrupt where the bytes end too early."""
         if self._mixer is None or self._decoder is None:
@@ -78,7 +95,7 @@ class BitDecoder:
                 decoded[i] = bit
             exhausted = self._decoder.exhausted
         if exhausted:
-            raise Corrupt("a stream of adaptive bits is cut off or damaged")
+            raise Corrupt(CUT_OFF)
         return decoded
 
     def finish(self) -> None:

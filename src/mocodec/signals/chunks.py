@@ -23,7 +23,7 @@ from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Bytes, Integers
 from . import fitting, forms, prediction, residuals
-from .forms import CONSTANT, CORRECTED, COUNTS, GRID, INTEGERS, Form
+from .forms import CONSTANT, COPY, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
 from .residuals import Lane
 
@@ -34,6 +34,7 @@ HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
 ITEMS_GAIN = 1.3
 """LZMA2 is not expected to save more than this against zlib's fastest level."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
+WITHOUT_RECORD = (CONSTANT, COPY)
 REPEATS_SHARE = 0.3
 REPEAT_BITS = 2.0
 """Repeats are removed where their places take less than this for each of them."""
@@ -55,13 +56,13 @@ class _Source:
 
 
 def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) -> list[bytes]:
-    """The record of each channel in a chunk (samples, channels), nothing for a constant one; joined, the chunk.
+    """The record of each channel in a chunk (samples, channels), nothing for constants and copies; joined, the chunk.
 
     alone: no channel refers to another.
     """
     columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
     sources = [
-        None if form.kind == CONSTANT else _source(column, form)
+        None if form.kind in WITHOUT_RECORD else _source(column, form)
         for column, form in zip(columns, channel_forms, strict=True)
     ]
     ranks = _ranks(channel_forms)
@@ -201,15 +202,15 @@ def decode(
     records: dict[int, _Record] = {}
     before = np.zeros(samples, np.uint8)
     for i, form in enumerate(channel_forms):
-        if form.kind != CONSTANT:
+        if form.kind not in WITHOUT_RECORD:
             records[i] = record = _read(cursor, form, dtype, before, len(channel_forms))
             before = record.codes if record.items is None and record.codes.any() else before
     cursor.done()
-    wanted = list(wanted)
-    levels = _levels(records, [i for i in wanted if i in records and records[i].items is None])
+    origin = {i: channel_forms[i].channel if channel_forms[i].kind == COPY else i for i in wanted}
+    levels = _levels(records, [i for i in {*origin.values()} if i in records and records[i].items is None])
     integers = _integers(records, levels)
-    result = {}
-    for i in wanted:
+    result: dict[int, Array] = {}
+    for i in {*origin.values()}:
         form = channel_forms[i]
         if form.kind == CONSTANT:
             result[i] = np.frombuffer(form.item * samples, dtype)
@@ -217,7 +218,7 @@ def decode(
             result[i] = np.frombuffer(unlzma2(items, samples * dtype.itemsize, "a chunk of signals"), dtype)
         else:
             result[i] = _values(records[i], form, integers[i], dtype)
-    return result
+    return {i: result[origin[i]] for i in origin}
 
 
 def _read(cursor: Cursor, form: Form, dtype: np.dtype[Any], before: Bytes, channels: int) -> _Record:

@@ -77,8 +77,11 @@ def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | 
     """
     known: list[Form] = []
     result: list[Form] = []
+    places: dict[bytes, int] = {}
     for column in table.T:
-        form = forms.fit(np.ascontiguousarray(column), known)
+        place = places.setdefault(column.tobytes(), len(result))
+        is_copy = place < len(result) and result[place].kind != forms.CONSTANT
+        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(np.ascontiguousarray(column), known)
         if form is None:
             return None
         result.append(form)
@@ -102,7 +105,7 @@ def _palettes(table: Array, length: int, channel_forms: list[Form], sizes: list[
             palette = forms.palette(np.ascontiguousarray(table[:, i]))
             palettes |= {} if palette is None else {i: palette}
     share = length / len(table)
-    spare = {i: sizes[i] - share * len(forms.pack(palette)) for i, palette in palettes.items()}
+    spare = {i: sizes[i] - share * len(deflate(forms.pack(palette))) for i, palette in palettes.items()}
     tried = [i for i in palettes if spare[i] > 0]
     records = chunks.encode(first[:, tried], [palettes[i] for i in tried], alone=True) if tried else []
     return {i: palettes[i] for i, record in zip(tried, records, strict=True) if len(record) < spare[i]}
@@ -134,10 +137,17 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Head
     chunk = inner.varint()
     if not 0 < chunk <= max(shape[0], 1) or -(-shape[0] // chunk) > inner.left or chunk > MAX_CHUNK_SAMPLES * 2:
         raise cursor.corrupt("the chunks of a signal are out of range")
-    channel_forms = tuple(forms.unpack(inner, dtype) for _ in range(channels))
+    channel_forms: list[Form] = []
+    for _ in range(channels):
+        form = forms.unpack(inner, dtype)
+        if form.kind == forms.COPY and (
+            form.channel >= len(channel_forms) or channel_forms[form.channel].kind == form.kind
+        ):
+            raise cursor.corrupt("a channel copies one that does not come before it")
+        channel_forms.append(form)
     sizes = tuple(inner.varint() for _ in range(-(-shape[0] // chunk)))
     inner.done()
-    return Head(dtype, shape, chunk, channel_forms, sizes)
+    return Head(dtype, shape, chunk, tuple(channel_forms), sizes)
 
 
 def decode(

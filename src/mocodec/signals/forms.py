@@ -1,6 +1,7 @@
 """A channel as integers, and back bit for bit.
 
     constant     every sample has the same bits                             nothing to code
+    copy         every sample has the bits of an earlier channel            nothing to code
     integers     value = k · step, an integer type
     counts       value = offset + k · step, rounded to the channel's type   converter counts behind floats
     corrected    as counts, then some last bits up or down                  counts that were filtered or shifted since
@@ -30,7 +31,7 @@ from . import steps
 
 Array = NDArray[Any]
 
-CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE = range(6)
+CONSTANT, INTEGERS, COUNTS, GRID, CORRECTED, PALETTE, COPY = range(7)
 MAX_INTEGER = 1 << 29
 """Integers of a channel are below it in size."""
 MANTISSA_BITS = {2: 10, 4: 23, 8: 52}
@@ -51,8 +52,8 @@ CORRECTION_COST = 2.0
 
 @dataclass(frozen=True)
 class Form:
-    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as
-    `_sortable` integers, ascending."""
+    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as `_sortable` integers,
+    ascending. channel: the number of the earlier channel that a copy equals."""
 
     kind: int
     step: float = 1.0
@@ -60,6 +61,7 @@ class Form:
     exponent: int = 0
     item: bytes = b""
     palette: tuple[int, ...] = ()
+    channel: int = 0
 
 
 def pack(form: Form) -> bytes:
@@ -67,6 +69,8 @@ def pack(form: Form) -> bytes:
     head = bytes([form.kind])
     if form.kind == CONSTANT:
         return head + form.item
+    if form.kind == COPY:
+        return head + varint(form.channel)
     if form.kind == INTEGERS:
         return head + varint(int(form.step))
     if form.kind in (COUNTS, CORRECTED):
@@ -104,6 +108,8 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
     kind = cursor.byte()
     if kind == CONSTANT:
         return Form(kind, item=cursor.take(dtype.itemsize))
+    if kind == COPY:
+        return Form(kind, channel=cursor.varint())
     if kind == INTEGERS and dtype.kind in "biu":
         step = cursor.varint()
         if 0 < step <= 1 << 40:
@@ -112,7 +118,7 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
         step, offset = cursor.float64(), cursor.float64()
         if np.isfinite([step, offset]).all():
             return Form(kind, step=step, offset=offset)
-    if kind == PALETTE:
+    if kind == PALETTE and dtype.kind == "f":
         return Form(kind, palette=_unpack_palette(cursor, dtype))
     if kind == GRID and dtype.kind == "f":
         exponent = cursor.signed()

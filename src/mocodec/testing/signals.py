@@ -55,6 +55,7 @@ def cases() -> dict[str, NDArray[np.generic]]:
         "odd floats": odd_floats(),
         "all odd": np.array([np.nan, np.inf, -0.0] * 40, np.float32),
         "filtered": filtered_counts(),
+        "copies": noise(600, 1.0).astype(np.float32).reshape(300, 2)[:, [0, 1, 0, 1, 1]],
         "few values": np.random.default_rng(3).choice(noise(9, 1e3, 2).astype(np.float32), (400, 2)),
         "twice each": np.repeat(noise(300, 1).astype(np.float32), 2)[:, None],
         "steps": np.repeat([5, -3, 900], 100).astype(np.int32),

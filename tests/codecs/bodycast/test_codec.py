@@ -32,15 +32,36 @@ def clouds(performance) -> PointClouds:
 @pytest.fixture(scope="module")
 def encoded(performance, clouds) -> dict[float, Encoded[PointClouds]]:
     skeleton = performance.skeleton()
-    return {r: Bodycast(residual=r, skeleton=skeleton, chunk_frames=3).encode(clouds) for r in (0, 100)}
+    return {r: Bodycast(residual=r, skeleton=skeleton, chunk_frames=3).encode(clouds) for r in (0, 70)}
 
 
 def test_error_is_near_the_resampling_floor(performance, clouds, encoded):
     floor = measures.d1(clouds, sequences.record(performance, 2500, seed=9), 6)
-    for e in encoded.values():
-        assert measures.d1(clouds, Bodycast.decode(e), 6) < 1.6 * floor
-    chunks = {r: sum(len(c.payload) for c in e.chunks) for r, e in encoded.items()}
-    assert chunks[0] < chunks[100] < clouds.raw_bytes / 100
+    assert measures.d1(clouds, Bodycast.decode(encoded[0]), 6) < 1.6 * floor
+    assert sum(len(c.payload) for c in encoded[0].chunks) < clouds.raw_bytes / 1000
+
+
+def test_more_residual_is_less_error_for_more_bytes(performance, clouds):
+    few = clouds[:2]
+    skeleton = performance.skeleton()
+    residuals = (0, 25, 26, 50, 75, 100, "exact")
+    files = [Bodycast(residual=r, skeleton=skeleton).encode(few) for r in residuals]
+    sizes = [sum(map(len, f.shared)) + f.payload_bytes for f in files]
+    errors = [measures.errors(few, Bodycast.decode(f)) for f in files]
+    assert sizes == sorted(sizes)
+    assert [e.d1 for e in errors] == sorted((e.d1 for e in errors), reverse=True)
+    for file, error in zip(files[2:-1], errors[2:-1], strict=True):
+        assert error.max_error <= file.promise["max_error"]
+    assert errors[-2].max_error <= 1e-4
+    assert errors[-1].max_error == 0
+
+
+def test_residual_and_psnr_go_together(performance, clouds):
+    encoded = Bodycast(residual=80, psnr=40, skeleton=performance.skeleton()).encode(clouds[:1])
+    found = measures.errors(clouds[:1], Bodycast.decode(encoded))
+    assert encoded.promise.keys() == {"max_error", "psnr"}
+    assert found.max_error <= encoded.promise["max_error"]
+    assert found.psnr >= 40
 
 
 def test_tracked_joints_are_near_the_true_joints(performance, encoded):
@@ -51,13 +72,13 @@ def test_tracked_joints_are_near_the_true_joints(performance, encoded):
 
 
 def test_same_bytes_twice(performance, clouds, encoded):
-    again = Bodycast(residual=100, skeleton=performance.skeleton(), chunk_frames=3).encode(clouds)
-    assert again.shared == encoded[100].shared
-    assert [c.payload for c in again.chunks] == [c.payload for c in encoded[100].chunks]
+    again = Bodycast(residual=70, skeleton=performance.skeleton(), chunk_frames=3).encode(clouds)
+    assert again.shared == encoded[70].shared
+    assert [c.payload for c in again.chunks] == [c.payload for c in encoded[70].chunks]
 
 
 @pytest.mark.parametrize("frames", [slice(0, 3), slice(2, 5), slice(7, 8), slice(4, 4)])
-@pytest.mark.parametrize("residual", [0, 100])
+@pytest.mark.parametrize("residual", [0, 70])
 def test_slice_of_decode_is_decode_of_slice(encoded, frames, residual):
     whole, part = Bodycast.decode(encoded[residual]), Bodycast.decode(encoded[residual], frames)
     assert len(part) == frames.stop - frames.start
@@ -66,7 +87,7 @@ def test_slice_of_decode_is_decode_of_slice(encoded, frames, residual):
 
 
 def test_round_trip_through_a_file(encoded, clouds):
-    decoded = mc.decode(container.pack(encoded[100]))
+    decoded = mc.decode(container.pack(encoded[70]))
     assert isinstance(decoded, PointClouds)
     assert len(decoded) == len(clouds)
     assert decoded.rate == clouds.rate
@@ -219,7 +240,7 @@ def test_unusable_input_is_refused(clouds):
 
 def test_damaged_bytes_raise_corrupt_or_decode(encoded):
     rng = np.random.default_rng(4)
-    original = encoded[100]
+    original = encoded[70]
     for _ in range(50):
         shared, payload = bytearray(original.shared[0]), bytearray(original.chunks[0].payload)
         target = shared if rng.random() < 0.5 else payload

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocodec.codecs.tempo import Tempo, engine_choice, model_choice
-from mocodec.codecs.tempo.chunk import LATTICE, Payload
+from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice
+from mocodec.codecs.tempo.chunk import LATTICE, TRANSFORM, Payload
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
 
@@ -40,8 +40,39 @@ def test_chunks_are_longer_where_the_lattice_turns_out_smaller_in_each() -> None
     assert max(c.frames for c in encoded.chunks) > 1.2 * 4 * motion.rate
 
 
-def test_a_smooth_recording_takes_a_model() -> None:
+def smooth_motion(frames: int) -> Motion:
     rng = np.random.default_rng(1)
-    moved = smooth(600, 3, 1) @ rng.normal(size=(3, 90))
-    motion = Motion(rng.normal(size=(30, 3)) + moved.reshape(600, 30, 3) / 10, 120.0)
-    assert header(Tempo(max_error=0.003).encode_chunks(motion)).model is not None
+    moved = smooth(frames, 3, 1) @ rng.normal(size=(3, 90))
+    return Motion(rng.normal(size=(30, 3)) + moved.reshape(frames, 30, 3) / 10, 120.0)
+
+
+def test_a_smooth_recording_takes_a_model() -> None:
+    assert header(Tempo(max_error=0.003).encode_chunks(smooth_motion(600))).model is not None
+
+
+def test_hou2014_is_not_tried_where_the_lattice_is_much_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    def smaller(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(fallback, "smaller", smaller)
+    motion = noisy(synthetic.markers(frames=600, seed=1), 1e-3)
+    assert header(Tempo(max_error=0.0003).encode_without_repeats(motion)).neighbours is not None
+
+
+@pytest.mark.parametrize(("share", "engine"), [(0.85, LATTICE), (0.98, TRANSFORM)])
+def test_the_lattice_has_to_save_some_bytes(share: float, engine: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = smooth_motion(480)
+    with monkeypatch.context() as without_lattice:
+        without_lattice.setattr(engine_choice, "available", lambda: False)
+        size = Tempo(max_error=0.003).encode_chunks(motion).payload_bytes
+    found = chunk.ChunkEncoder.on_lattice
+
+    def of_this_size(encoder: chunk.ChunkEncoder, bound: float, stride: int) -> chunk.OnLattice | None:
+        coded = found(encoder, bound, stride)
+        return coded and coded._replace(payload=coded.payload[:1].ljust(round(share * size), b" "))
+
+    monkeypatch.setattr(chunk.ChunkEncoder, "on_lattice", of_this_size)
+    monkeypatch.setattr(chunk.ChunkEncoder, "keeps", lambda *_: True)
+    monkeypatch.setattr(engine_choice.EngineTrials, "tried", lambda *_: (True, True))
+    encoded = Tempo(max_error=0.003).encode_chunks(motion)
+    assert Payload.unpack(encoded.chunks[0].payload).engine == engine

@@ -2,15 +2,15 @@
 
 encode   first frame ─► people ─► trackers: all joints at once ─► poses ─► spectra ─► entropy coder
                                       │
-         points of all frames, moved back into the canonical pose ─► atlas: the mean surface, stored once
-                                      │                                └─ its changes from frame to frame ─► H.265
+         points of all frames, moved back into the canonical pose ─► atlas: the mean surface, stored once, H.265
+                                      │
          outliers ─► centimetre cells in an octree; or all points, within a bound or exactly
 decode   atlas ─► points on the surface ──poses, skinning──► points in the world + outliers
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,6 +27,7 @@ from ...typing import Booleans, Bytes, Floats
 from .. import base
 from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable_points
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
+from . import residual_scale
 from .body_model import MAX_POINTS, pack_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
@@ -37,10 +38,10 @@ from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
 from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
+from .residual_scale import SURFACE_PERCENT
 from .tracking import MIN_BODY_POINTS
 
-STATIC_PERCENT = 25  # residual up to which the surface does not change over time
-STATIC_CRF_GAIN, MOVING_CRF_LOSS, MAX_CRF = 8, 14, 51  # x265's rate factors
+CRF_GAIN = 8  # x265's rate factor of the picture, at residual 0 less that at 25
 MIN_OUTLIER_SHARE = 0.01  # of a single body's points, below which a frame has no outliers
 EXACT = "exact"
 EXCLUSIVE = ("max_error", "mean_error", "size", "ratio")  # targets of which a file meets one
@@ -57,15 +58,16 @@ class Bodycast:
     of the file; ratio: to float32 positions and 8-bit colours. psnr: of the luma between nearest points, dB. With a
     target all points are coded; a smaller error always takes more bytes.
 
-    residual: how closely surface and poses follow the data, in percent. From 0 to 25 the poses and the static surface
-    become finer; above 25 the surface also changes over time, in better and more frequent pictures the higher it is;
-    "exact" sends every point. precision: of exact points, metres; 0 keeps all bits of 32-bit floats. skeleton: a
-    Motion, or the path of one, whose first frame is the pose of the first frame; a list of them for several people;
-    without one, bodies are fitted. people: how many are tracked at most; points of others are outliers. pose_step:
-    metres that the surface moves for one step of a joint. points: of a decoded frame; by default as many as a frame of
-    the data has. cells: of the atlas. surface_quality: of the atlas, x265's rate factor, lower is better. The values of
-    pose_step, cells and surface_quality are those of residual 0. strangers: code outlier points. tracked_points: most
-    points of a frame that the tracker uses. chunk_frames: frames that decode together.
+    residual: without a target, how closely the decoded points follow the data, in percent; more takes more bytes. From
+    0 to 25 the poses and the surface become finer; above 25 all points are coded within a bound that falls to 0.1 mm at
+    100, and the file promises it; "exact" keeps every point. precision: of exact points, metres; 0 keeps all bits of
+    32-bit floats. skeleton: a Motion, or the path of one, whose first frame is the pose of the first frame; a list of
+    them for several people; without one, bodies are fitted. people: how many are tracked at most; points of others are
+    outliers. pose_step: metres that the surface moves for one step of a joint. points: of a decoded frame up to 25
+    percent; by default as many as a frame of the data has. cells: of the atlas. surface_quality: of the atlas, x265's
+    rate factor, lower is better. The values of pose_step, cells and surface_quality are those of residual 0. strangers:
+    code outlier points. tracked_points: most points of a frame that the tracker uses. chunk_frames: frames that decode
+    together.
     """
 
     name: ClassVar[str] = "bodycast"
@@ -101,18 +103,21 @@ class Bodycast:
         starts = range(0, len(frames), self.chunk_frames)
         spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in starts]
         shared = tuple(pack_model(body.model) for body in bodies)
-        if self._has_target or self.residual == EXACT:  # every point counts, however far away
-            limit_m = float(np.finfo(np.float32).max)
+        settings = self._stored_settings()
+        if not self._has_target and self._codes_points(bodies):
+            settings["max_error"] = self._bound_of_residual(bodies, frames, spans, coloured)
+        if self._has_target or self._percent > SURFACE_PERCENT or self.residual == EXACT:
+            limit_m = float(np.finfo(np.float32).max)  # every point counts, however far away
             frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
         with progress.phase(0.6, 1.0):
             if self._codes_points(bodies):
-                payloads = self._point_chunks(bodies, frames, spans, coloured, clouds.raw_bytes, sum(map(len, shared)))
+                payloads = self._point_chunks(bodies, frames, spans, coloured, clouds.raw_bytes, settings)
             else:
                 payloads = [self._chunk(bodies, frames, span, coloured) for span in progress.over(spans)]
         chunks = [Chunk(s.start, s.stop - s.start, payload) for s, payload in zip(spans, payloads, strict=True)]
         colours = [] if coloured else None
         about = PointClouds([], clouds.rate, colours, None, clouds.up, clouds.source, clouds.extras)
-        return Encoded(self.name, about, chunks, shared, settings=self._stored_settings())
+        return Encoded(self.name, about, chunks, shared, settings=settings)
 
     @staticmethod
     def decode(encoded: Encoded[PointClouds], frames: slice | None = None) -> PointClouds:
@@ -159,27 +164,24 @@ class Bodycast:
 
     @property
     def parameters(self) -> CodingParameters:
-        """What the residual asks for. Exact points need neither fine poses nor pictures."""
-        percent = 0.0 if isinstance(self.residual, str) else self.residual
-        if self._has_target:  # a surface as close as a static one can be: every point is coded from it
-            percent = STATIC_PERCENT
-        static = min(percent / STATIC_PERCENT, 1.0)
-        moving = max(percent - STATIC_PERCENT, 0.0) / (100 - STATIC_PERCENT)
-        pose_step = self.pose_step * 4.0**-static
-        key_crf = max(self.surface_quality - round(STATIC_CRF_GAIN * static), 0)
+        """What the residual asks for. Exact points need no fine poses; points within a bound the finest surface."""
+        percent = SURFACE_PERCENT if self._has_target else min(self._percent, SURFACE_PERCENT)
+        share = percent / SURFACE_PERCENT
+        pose_step = self.pose_step * 4.0**-share
         return CodingParameters(
             pose_step_m=pose_step,
             refines_poses=pose_step < self.pose_step,
-            atlas_cells=round(self.cells * 2.0**static),
-            key_crf=key_crf,
-            moving_crf=min(key_crf + round(MOVING_CRF_LOSS * (1 - moving)), MAX_CRF),
-            picture_interval=max(1, round(1 / moving)) if moving else 0,
+            atlas_cells=round(self.cells * 2.0**share),
+            key_crf=max(self.surface_quality - round(CRF_GAIN * share), 0),
             points=self.points,
         )
 
+    @property
+    def _percent(self) -> float:
+        return 0.0 if isinstance(self.residual, str) else float(self.residual)
+
     def _require_settings(self) -> None:
-        percent = self.residual if isinstance(self.residual, int | float) else 0.0
-        if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= percent <= 100:
+        if (isinstance(self.residual, str) and self.residual != EXACT) or not 0 <= self._percent <= 100:
             raise BadInput(f'residual is a percentage from 0 to 100, or "{EXACT}"')
         if not 100 <= self.cells <= 1_000_000 or not (self.points is None or 1 <= self.points <= MAX_POINTS):
             raise BadInput("cells is a number from 100 to a million, points one from 1 to a million")
@@ -200,11 +202,12 @@ class Bodycast:
 
     @property
     def _has_target(self) -> bool:
-        """Whether all points are coded, within a bound."""
-        return any(getattr(self, name) is not None for name in (*EXCLUSIVE, "psnr"))
+        """Whether a target says how close the points are, not the residual."""
+        is_given = any(getattr(self, name) is not None for name in EXCLUSIVE)
+        return is_given or (self.psnr is not None and self._percent <= SURFACE_PERCENT)
 
     def _codes_points(self, bodies: Sequence[BodyEncoder]) -> bool:
-        return self._has_target or (not bodies and self.residual != EXACT)
+        return self._has_target or self._percent > SURFACE_PERCENT or (not bodies and self.residual != EXACT)
 
     def _bodies(self, frames: Sequence[Cloud], up: str, coloured: bool) -> list[BodyEncoder]:
         """The bodies of a recording with their models; none where no frame shows one. Raises BadInput."""
@@ -229,6 +232,14 @@ class Bodycast:
             return []
         return bodies
 
+    def _bound_of_residual(
+        self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], spans: Sequence[slice], coloured: bool
+    ) -> float:
+        """The bound that the residual stands for, metres. A recording without a body has points at any residual."""
+        surface = self._chunk(bodies, frames, spans[0], coloured) if bodies else b""
+        first = residual_scale.first_bound([body.model for body in bodies], surface, frames[spans[0]], coloured)
+        return residual_scale.bound_of_residual(max(self._percent, SURFACE_PERCENT), first)
+
     def _point_chunks(
         self,
         bodies: Sequence[BodyEncoder],
@@ -236,10 +247,11 @@ class Bodycast:
         spans: Sequence[slice],
         coloured: bool,
         raw_bytes: int,
-        shared_bytes: int,
+        settings: Mapping[str, Any],
     ) -> list[bytes]:
-        """The payload of each chunk with all its points. Raises CannotEncode."""
-        coded = [[body.encode_chunk(span, self.parameters) for body in bodies] for span in spans]
+        """The payload of each chunk with all its points. settings: with the targets. Raises CannotEncode."""
+        shared_bytes = sum(len(pack_model(body.model)) for body in bodies)
+        coded = [[body.encode_chunk(span) for body in bodies] for span in spans]
         absent = [self._absences(bodies, span) for span in spans]
         empty = [
             ChunkStreams(a, b"", b"", b"", tuple(stream for stream, _ in own))
@@ -253,7 +265,7 @@ class Bodycast:
         textures = [SurfaceTexture(body.model) for body in bodies]
         poses = [[sequence for _, sequence in own] for own in coded]
         encoder = PointEncoder(frames, spans, textures, poses, absent, coloured)
-        parts = encoder.encode(PointTarget(self.max_error, self.mean_error, size, self.psnr, beside))
+        parts = encoder.encode(PointTarget(settings.get("max_error"), self.mean_error, size, self.psnr, beside))
         return [pack_chunk(streams._replace(exact_points=part)) for streams, part in zip(empty, parts, strict=True)]
 
     @staticmethod
@@ -289,7 +301,7 @@ class Bodycast:
     def _chunk(self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool) -> bytes:
         """The payload of a run of frames."""
         is_absent = self._absences(bodies, span)
-        coded = [body.encode_chunk(span, self.parameters) for body in bodies]
+        coded = [body.encode_chunk(span) for body in bodies]
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:
             exact = pack_exact(frames[span], self.precision, coloured)

@@ -16,9 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...entropy.bit_arrays import BitCoder
+from ... import native
+from ...entropy.bit_arrays import CUT_OFF, BitCoder
+from ...errors import Corrupt
 from ...typing import Booleans, Integers
-from .point_colours import CLASS_EDGES, CLASSES, FIRST_STRIDE, GREY, KINDS, LEVELS, code_integers
+from .point_colours import CLASS_EDGES, CLASSES, FIRST_STRIDE, GREY, KINDS, LEVELS, code_integers, require_in_range
 
 WINDOW = 16  # known points along the octree's order among which the nearest are searched
 AVERAGED = 4  # nearest known points
@@ -113,7 +115,7 @@ class ColourLifting:
             activity = np.searchsorted(ACTIVITY_EDGES, 2 * around.activity[:, channel] // step, side="right")
             spread = np.searchsorted(ACTIVITY_EDGES, around.spread[:, channel] // step, side="right")
             place = np.stack([np.full(len(predicted), channel), activity, spread, coded], axis=1)
-            difference = code_integers(coder, difference, len(predicted), partial(_contexts, place, level))
+            difference = _code_differences(coder, difference, place, level)
             result[:, channel] = np.clip(predicted[:, channel] + difference * step, -LARGEST - 1, LARGEST)
             coded = np.maximum(coded, np.searchsorted(CLASS_EDGES, np.abs(difference), side="right"))
         return result
@@ -145,6 +147,9 @@ def _around(
     nothing = np.zeros((len(rows), 3), np.int64)
     if not stride:
         return Neighbourhood(np.where(own, expected[rows], GREY), nothing, nothing, nothing)
+    if (kernel := native.kernel("colour_neighbourhoods")) is not None:
+        found = kernel(known, bases, cells, rows, stride, expected, is_expected.view(np.uint8))
+        return Neighbourhood(*map(np.asarray, found))
     count = -(-len(cells) // stride)
     width = min(WINDOW, count)
     first = np.clip(rows // stride + 1 - WINDOW // 2, 0, count - width)
@@ -163,6 +168,23 @@ def _around(
         (np.abs(errors) * weight).sum(axis=1) // total,
         np.abs(colours - mean[:, None]).max(axis=1),
     )
+
+
+def _code_differences(coder: BitCoder, wanted: Integers | None, place: Integers, level: int) -> Integers:
+    """Code the integers (n,) of a channel and return them; wanted: None in the decoder. place, level: of `_contexts`.
+    Raises Corrupt.
+    """
+    encode, decode = native.kernel("colour_integers_encode"), native.kernel("colour_integers_decode")
+    if coder.compiled is None or encode is None or decode is None:
+        return code_integers(coder, wanted, len(place), partial(_contexts, place, level))
+    if wanted is not None:
+        found = np.asarray(encode(coder.compiled, wanted, place, level))
+    else:
+        found = np.asarray(decode(coder.compiled, place, level))
+        if coder.compiled.exhausted():
+            raise Corrupt(CUT_OFF)
+    require_in_range(np.abs(found))
+    return found
 
 
 def _contexts(place: Integers, level: int, kind: int, rows: Integers) -> tuple[Integers, Integers]:

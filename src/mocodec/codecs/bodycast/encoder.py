@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +24,7 @@ SURFACE_FRAMES = 48  # frames that the key picture is made of
 LINK_FRAMES = 14  # frames from which links of template points are learned
 MIN_MOVING_FRAMES = 8  # with fewer, neither links are learned nor poses refined
 MAX_PLAN_POINTS = 60_000  # from which tiles are planned
-KEEP = 0.7  # factor on the old sums of a cell when new points fall into it
-FIRST_WEIGHT = 3.0  # points that the key picture counts for in each cell
+LATER_CRF, MAX_CRF = 14, 51  # x265's rate factor of pictures that would follow the key picture, more than its own
 OUTLIER_DISTANCE_M = 0.08
 MAX_OUTLIER_SHARE = 0.3  # of a person's points, in the median over frames
 
@@ -34,17 +32,14 @@ MAX_OUTLIER_SHARE = 0.3  # of a person's points, in the median over frames
 class CodingParameters(NamedTuple):
     """What the settings mean for one body.
 
-    pose_step_m: as in `PoseSteps`. refines_poses: whether poses are fitted to more points. atlas_cells. key_crf,
-    moving_crf: x265's rate factors of the key picture and of later pictures. picture_interval: frames from one picture
-    of the changing surface to the next; 0 for none. points: of a decoded frame; None for as many as the data have.
+    pose_step_m: as in `PoseSteps`. refines_poses: whether poses are fitted to more points. atlas_cells. key_crf: x265's
+    rate factor of the key picture. points: of a decoded frame; None for as many as the data have.
     """
 
     pose_step_m: float
     refines_poses: bool
     atlas_cells: int
     key_crf: int
-    moving_crf: int
-    picture_interval: int
     points: int | None
 
 
@@ -103,12 +98,11 @@ class BodyEncoder:
         sums = CellSums.empty(atlas)
         sums.add(atlas, points, links, np.concatenate([o.colours for o in observed]))
         self.planes = atlas_planes(atlas, sums)
-        key_picture = video.encode([self.planes], parameters.key_crf, parameters.moving_crf)[0]
+        key_picture = video.encode([self.planes], parameters.key_crf, min(parameters.key_crf + LATER_CRF, MAX_CRF))[0]
         own = points_per_frame if is_only_body else int(np.mean([len(self.clouds[i][0]) for i in present]))
         decoded_points = min(parameters.points or max(own, 1), MAX_POINTS)
         is_surface = surface_cells(atlas, self.planes, sums)
-        interval = parameters.picture_interval or 1
-        self.model = BodyModel(atlas, pose_steps, is_surface, key_picture, coloured, decoded_points, interval)
+        self.model = BodyModel(atlas, pose_steps, is_surface, key_picture, coloured, decoded_points, picture_interval=1)
 
     def _observe_surface(self, present: Integers, refine: bool) -> list[CanonicalPoints]:
         """Canonical points of SURFACE_FRAMES of the frames `present`. refine: refine the poses of all of them first."""
@@ -125,32 +119,11 @@ class BodyEncoder:
     def _dense_data(self, frame: int) -> FramePoints:
         return self.person.dense_data(self.clouds[frame], frame)
 
-    def encode_chunk(self, span: slice, parameters: CodingParameters) -> tuple[BodyStreams, PoseSequence]:
+    def encode_chunk(self, span: slice) -> tuple[BodyStreams, PoseSequence]:
         """The streams of a run of frames, and its poses as they are decoded."""
         sequence, steps = PoseSequence.from_poses(self.poses[span]), self.model.pose_steps
         stream = pack_poses(self.person.body, sequence, steps)
-        decoded = unpack_poses(self.person.body, stream, span.stop - span.start, steps)
-        pictures = tuple[bytes, ...]()
-        if parameters.picture_interval and any(self.is_present[span]):
-            pictures = tuple(self._encode_pictures(span, decoded, parameters))
-        return BodyStreams(stream, pictures), decoded
-
-    def _encode_pictures(self, span: slice, decoded: PoseSequence, parameters: CodingParameters) -> Sequence[bytes]:
-        """Packets of the changing surface, which follow the key picture; the first is empty if it is the model's."""
-        atlas, interval = self.model.atlas, parameters.picture_interval
-
-        def pictures() -> Iterator[Bytes]:
-            yield self.planes
-            sums = CellSums.from_planes(atlas, self.planes, FIRST_WEIGHT)
-            for start in range(span.start, span.stop, interval):
-                for i in range(start, min(span.stop, start + interval)):
-                    if self.is_present[i]:
-                        seen = self.person.to_canonical(self._dense_data(i), decoded[i - span.start])
-                        sums.add(atlas, seen.points, seen.links, seen.colours, KEEP)
-                yield atlas_planes(atlas, sums)
-
-        packets = video.encode(pictures(), parameters.key_crf, parameters.moving_crf)
-        return [packets[0] if packets[0] != self.model.key_picture else b"", *packets[1:]]
+        return BodyStreams(stream, ()), unpack_poses(self.person.body, stream, span.stop - span.start, steps)
 
 
 def _evenly_chosen(frames: Integers, limit: int) -> list[int]:

@@ -135,6 +135,11 @@ def code_integers(
     for digit in range(WIDE_BITS if len(rows) else 0):
         rest = None if magnitude is None else (magnitude[rows] - (UNARY + 1) >> digit & 1).astype(bool)
         found[rows] += code(WIDE_KIND + digit, rows, rest).astype(np.int64) << digit
-    if (found >= 1 << WIDE_BITS).any():
-        raise Corrupt("bodycast: the colour of a point is out of range")
+    require_in_range(found)
     return found * signs
+
+
+def require_in_range(magnitudes: Integers) -> None:
+    """Raises Corrupt for magnitudes (n,) that no colour needs."""
+    if (magnitudes >= 1 << WIDE_BITS).any():
+        raise Corrupt("bodycast: the colour of a point is out of range")

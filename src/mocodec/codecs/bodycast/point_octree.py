@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ... import native
 from ...entropy.adaptive_bits import MIXERS
-from ...entropy.bit_arrays import BitCoder
+from ...entropy.bit_arrays import CUT_OFF, BitCoder
 from ...errors import Corrupt
 from ...typing import AnyInteger, Booleans, Integers
 from . import octree
@@ -52,6 +54,36 @@ def code_octree(
 
     codes: None in the decoder. depth: levels. Raises Corrupt in the decoder.
     """
+    if (kernel := native.kernel("OctreeSurface")) is not None and coder.compiled is not None:
+        hints = None if surface is None else surface.compiled(kernel)
+        cubes, nearest = _code_compiled(coder.compiled, codes, depth, points, hints)
+    else:
+        cubes, nearest = _code_in_numpy(coder, codes, depth, points, surface)
+    if len(cubes) != points:
+        raise Corrupt(f"bodycast: an octree holds {len(cubes)} points instead of {points}")
+    return cubes, nearest
+
+
+def _code_compiled(
+    coder: Any, codes: Integers | None, depth: int, points: int, surface: Any
+) -> tuple[Integers, Integers]:
+    if codes is not None:
+        encode = native.kernel("point_octree_encode")
+        assert encode is not None
+        return codes, np.asarray(encode(coder, codes.astype(np.uint64), depth, surface, _bell()))
+    decode = native.kernel("point_octree_decode")
+    assert decode is not None
+    found, nearest, level, cubes = decode(coder, points, depth, surface, _bell())
+    if found is None and not level:
+        raise Corrupt(CUT_OFF)
+    if found is None:
+        raise Corrupt(f"bodycast: an octree of {points} points has {cubes} cubes in level {level}")
+    return np.asarray(found), np.asarray(nearest)
+
+
+def _code_in_numpy(
+    coder: BitCoder, codes: Integers | None, depth: int, points: int, surface: SurfaceHints | None
+) -> tuple[Integers, Integers]:
     cubes, nearest = np.zeros(1, np.int64), np.full(1, -1)
     for level in range(depth):
         octants = LATTICE_OCTANTS if level == depth - 1 else ALL_OCTANTS
@@ -65,8 +97,6 @@ def code_octree(
         if not 0 < len(parent) <= points:
             raise Corrupt(f"bodycast: an octree of {points} points has {len(parent)} cubes in level {level + 1}")
         cubes, nearest = cubes[parent] << 3 | octant, nearest[parent]
-    if len(cubes) != points:
-        raise Corrupt(f"bodycast: an octree holds {len(cubes)} points instead of {points}")
     return cubes, nearest
 
 
@@ -148,10 +178,10 @@ def _contexts(
 
 
 @cache
-def _bell() -> Integers:
+def _bell() -> NDArray[np.int32]:
     """Weights of the normal density, by distance in 1/16 of a standard deviation; never 0."""
     step = BELL_RANGE / BELL_STEPS
-    return np.array([1 + round(4096 * math.exp(-((k * step) ** 2) / 2)) for k in range(BELL_STEPS + 1)], np.int64)
+    return np.array([1 + round(4096 * math.exp(-((k * step) ** 2) / 2)) for k in range(BELL_STEPS + 1)], np.int32)
 
 
 def _level_hints(surface: SurfaceHints, cubes: Integers, level: int, nearest: Integers) -> LevelHints:
@@ -177,7 +207,7 @@ def _level_hints(surface: SurfaceHints, cubes: Integers, level: int, nearest: In
 def _weights(distance: Integers, deviation: Integers) -> Integers:
     """The normal density at distances (n, 8), for standard deviations (n, 1)."""
     steps = np.abs(distance) * (BELL_STEPS // int(BELL_RANGE)) // np.maximum(deviation, 1)
-    return _bell()[np.minimum(steps, BELL_STEPS)]
+    return _bell()[np.minimum(steps, BELL_STEPS)].astype(np.int64)
 
 
 def _posterior(weights: Integers, usable: Booleans, remaining: tuple[int, ...]) -> Integers:

@@ -9,7 +9,9 @@ The points of the levels above correct the surface: samples whose cubes lie in f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +42,10 @@ class SurfaceHints:
     neighbours: Integers
     spacing: int
     depth: int
+
+    def compiled(self, kernel: Callable[..., Any]) -> Any:
+        """The same for the compiled octree."""
+        return kernel(self.points, self.normals, self.neighbours, self.spacing, self.depth)
 
     def child_size(self, level: int) -> int:
         """The side of the children of a level's cubes, subunits."""

@@ -1,7 +1,8 @@
-"""One chunk, both ways.
+"""One chunk while it is encoded.
 
-    ChunkEncoder    positions ─► coefficients ─► integers in some step, corrections ─► Draft ─pack─► payload
-    decode          payloads ─► positions
+    positions ─► coefficients ─► integers in some step, corrections ─► Draft ─pack─► payload
+
+`chunk_decoding` is the inverse.
 
 A payload is a byte of flags · [gaps] · [step of corrections or of the grid] · coefficients with corrections, or the
 grid's numbers. Three engines make it:
@@ -19,11 +20,11 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ...encoded import Chunk
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen
 from ...typing import Booleans, Floats, Integers
+from .. import rescue
 from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
@@ -121,6 +122,13 @@ class Draft(NamedTuple):
         return self.numbers.step * GRID_OCTAVE // OCTAVE
 
 
+class OnLattice(NamedTuple):
+    """A chunk by the lattice engine: its payload, and the positions (frames, points, 3), metres, that it decodes to."""
+
+    payload: bytes
+    positions: Floats
+
+
 class ChunkEncoder:
     """A chunk while it is encoded: its samples and, computed once, their coefficients."""
 
@@ -173,6 +181,8 @@ class ChunkEncoder:
         except MemoryError:
             raise
         except Exception as error:
+            if not rescue.may_rescue(error):
+                raise
             self.failure = error
             self.spectrum = None
             return None
@@ -265,15 +275,18 @@ class ChunkEncoder:
             return payload
         return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
 
-    def on_lattice(self, bound: float, stride: int) -> bytes | None:
-        """The payload of the lattice engine within the bound (metres), None where samples are too large for it."""
+    def on_lattice(self, bound: float, stride: int) -> OnLattice | None:
+        """By the lattice engine within the bound (metres), None where samples are too large for it."""
         assert self.model.neighbours is not None
         step = grid_step(lattice.half_step(bound))
         samples = self._weighted() / grid_size(step)
         without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
         spiked = None if without is samples else samples
         found = lattice.encode(without, self.gap_mask, self.model.neighbours, stride, spiked)
-        return None if found is None else Payload(LATTICE, found[0], step, self.gaps).pack()
+        if found is None:
+            return None
+        positions = in_metres(self.model, found[1], grid_size(step))
+        return OnLattice(Payload(LATTICE, found[0], step, self.gaps).pack(), frozen.restore(positions, self.gaps))
 
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
@@ -356,45 +369,7 @@ def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | N
     return [None if one is None else one[0] for one in alone]
 
 
-def decode(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
-    """Positions (frames, points, 3), y up, of chunks, side by side; NaN in their gaps. Raises Corrupt."""
-    for c in chunks:
-        if c.frames > LONGEST_SECONDS * model.rate + 2:
-            raise Corrupt(f"tempo: a chunk of {c.frames} frames is longer than {LONGEST_SECONDS} s")
-    payloads = [Payload.unpack(c.payload) for c in chunks]
-    transformed = [i for i, p in enumerate(payloads) if p.engine == TRANSFORM]
-    if transformed and not model.rows:
-        raise Corrupt("tempo: coefficients in a stream without a model")
-    decoded: dict[int, coefficients.DecodedNumbers] = {}
-    if transformed:
-        frames, numbers = [chunks[i].frames for i in transformed], [payloads[i].numbers for i in transformed]
-        found = coefficients.unpack(model, frames, numbers, corrections.FIELDS)
-        decoded = dict(zip(transformed, found, strict=True))
-    out = []
-    for i, (chunk, payload) in enumerate(zip(chunks, payloads, strict=True)):
-        size = 0.0 if payload.step is None else grid_size(payload.step)
-        shape = chunk.frames, model.points
-        if payload.engine == TRANSFORM:
-            positions = _positions(model, chunk.frames, decoded[i], size)
-        else:
-            if payload.engine == DIRECT:
-                values = direct.unpack(payload.numbers, (chunk.frames, 3 * model.points)).reshape(*shape, 3)
-            elif model.neighbours is None:
-                raise Corrupt("tempo: a chunk of the lattice engine in a stream without neighbours")
-            else:
-                values = lattice.decode(payload.numbers, frozen.apart(payload.gaps, shape), model.neighbours)
-            positions = np.asarray(values * size, np.float64)
-            if model.weights is not None:
-                positions /= model.weights[:, None]
-        out.append(frozen.restore(positions, payload.gaps))
-    return out
-
-
-def _positions(model: Model, frames: int, numbers: coefficients.DecodedNumbers, size: float) -> Floats:
-    """Of the transform; size: the step of corrections, metres."""
-    sizes = rows.sizes(model.rows, frames, numbers.step)
-    positions = model.synthesise(quantise.dequantise(numbers.values, sizes), frames)
-    if numbers.lists.size:
-        moved = corrections.from_numbers(numbers.lists, frames, model.points)
-        corrections.apply(positions, moved, size, model.weights)
-    return positions
+def in_metres(model: Model, values: Floats | Integers, size: float) -> Floats:
+    """Positions of the numbers (frames, points, 3) of the direct and lattice engines; size: their unit, metres."""
+    positions = np.asarray(values * size, np.float64)
+    return positions if model.weights is None else positions / model.weights[:, None]

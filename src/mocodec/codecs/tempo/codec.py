@@ -19,21 +19,21 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ... import metrics, progress
-from ...encoded import Chunk, Encoded, about, batches, most_chunk_frames, restore
+from ...encoded import Chunk, Encoded, about, most_chunk_frames, restore
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk, engine_choice, fallback, mean_targets, model_choice, repeats, target
+from . import chunk_decoding, engine_choice, fallback, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .models.model import Model
-from .pose import heading, leaps
+from .pose import leaps
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
 from .rotation_layer.chunk_layer import Promise
@@ -197,8 +197,11 @@ class Tempo:
             return fallback.encode(motion, self._stored_settings(), self._wanted_bytes(motion), self.chunk_seconds)
         if self.weights or self.model != model_choice.AUTO:
             return self.encode_chunks(motion)
+        source, plan = self._prepare(motion)
         with progress.phase(0.0, CHUNKS_SHARE):
-            encoded = self.encode_chunks(motion)
+            encoded = self._encode_prepared(motion, source, plan)
+        if plan is not None and plan.certain:
+            return encoded
         with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
             encoded = self._or_fallback(encoded, motion)
         with progress.phase(FALLBACK_SHARE, 1.0):
@@ -218,19 +221,23 @@ class Tempo:
         if self._has_size:
             return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
-        wanted = encoded.settings[kind]
-        smaller = fallback.smaller(encoded, motion, kind, wanted, self.chunk_seconds)
+        smaller = fallback.smaller(encoded, motion, kind, encoded.settings[kind], self.chunk_seconds)
         return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        source = prepare(
-            motion.positions, motion.up, self._frozen_tolerance, motion.skeleton is not None, self.mean_error is None
-        )
+        return self._encode_prepared(motion, *self._prepare(motion))
+
+    def _prepare(self, motion: Motion) -> tuple[Prepared, LatticePlan | None]:
+        bones = motion.skeleton is not None
+        source = prepare(motion.positions, motion.up, self._frozen_tolerance, bones, self.mean_error is None)
         require_usual_lengths(self, source.positions)
-        plan = self._lattice_plan(motion, source)
+        return source, self._lattice_plan(motion, source)
+
+    def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
         encoded = self._encode_planned(motion, source, plan)
-        if plan is None or plan.alone or any(Payload.unpack(c.payload).engine != LATTICE for c in encoded.chunks):
+        engines = {Payload.unpack(c.payload).engine for c in encoded.chunks}
+        if plan is None or plan.alone or len(encoded.chunks) == 1 or engines != {LATTICE}:
             return encoded
         with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
         return min(encoded, with_longer_chunks, key=lambda e: e.payload_bytes)
@@ -295,13 +302,7 @@ class Tempo:
         model = header.read_model(like)
         start, stop = encoded.range(frames)
         positions = np.empty((stop - start, like.points, 3))
-        covering = encoded.covering(start, stop)
-        for batch in progress.over(list(batches(covering, like.points, chunk.BATCH))):
-            for one, decoded in zip(batch, chunk.decode(model, batch), strict=True):
-                a, b = max(start, one.start), min(stop, one.stop)
-                here = heading.from_y_up(decoded[a - one.start : b - one.start], like.up)
-                for axis in range(3):  # `here` has the frames of a point next to each other, `positions` the axes
-                    positions[a - start : b - start, :, axis] = here[..., axis]
+        chunk_decoding.decode_into(model, encoded.covering(start, stop), positions, start, like.up)
         return restore(encoded, positions, start)
 
     def first_step(self, motion: Motion) -> int:
@@ -344,8 +345,7 @@ class Tempo:
     def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
         """Whether an encoding by other means has the mean error, or the size, that was asked for."""
         if self.mean_error is not None:
-            mean = decoded_mean_error(encoded, motion)
-            return MEAN_SHARE <= mean / self.mean_error <= 1
+            return MEAN_SHARE <= decoded_mean_error(encoded, motion) / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:

@@ -27,6 +27,13 @@ FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
+CERTAIN = 0.72
+"""Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
+MANY_POINTS = 256
+"""Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit."""
+LEAST_SAVING = 0.05
+"""The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
+the transform decodes some four times faster."""
 HOPELESS = 1.25
 """A chunk's other engine is not tried where it took more than this many times the bytes in the last chunk tried."""
 TRIED_EVERY = 5
@@ -35,11 +42,12 @@ TRIED_EVERY = 5
 
 @dataclass(frozen=True)
 class LatticePlan:
-    """neighbours of the points; stride: see `lattice.encode`; alone: no chunk needs a model."""
+    """neighbours of the points; stride: see `lattice.encode`; alone: no chunk needs a model; certain: nor hou2014."""
 
     neighbours: lattice.Neighbours
     stride: int
     alone: bool
+    certain: bool = False
 
 
 def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
@@ -58,8 +66,11 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
     if named or weights is not None:
         return LatticePlan(found, stride, alone=False)
-    share = ALONE + ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
-    return LatticePlan(found, stride, bool(cost < share * _transform_bytes(motion, source, some, bound, step)))
+    transform = _transform_bytes(motion, source, some, bound, step)
+    rise = ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
+    alone = bool(cost < (ALONE + rise) * transform)
+    certain = len(positions) >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
+    return LatticePlan(found, stride, alone, certain or (alone and motion.points > MANY_POINTS))
 
 
 def available() -> bool:

@@ -13,6 +13,7 @@ from ... import metrics, progress
 from ...encoded import Encoded
 from ...motion import Motion
 from .chunk import DIRECT, Payload
+from .engine_choice import LEAST_SAVING
 from .header import StreamHeader
 
 MEAN_OF_BOUND = 0.62
@@ -36,7 +37,7 @@ Decode = Callable[[Encoded[Motion]], Motion]
 def on_lattice(
     encoded: Encoded[Motion], motion: Motion, mean_error: float, encode: Encode, decode: Decode
 ) -> Encoded[Motion]:
-    """The encoding given, or the lattice engine's where that is smaller at the same mean error (metres)."""
+    """The encoding given, or the lattice engine's where that is smaller enough at the same mean error (metres)."""
     if 8 * encoded.payload_bytes < FEWEST_BITS * motion.positions.size:
         return encoded
     middle = encoded.chunks[len(encoded.chunks) // 2]
@@ -52,7 +53,7 @@ def on_lattice(
             rival = encode(motion, bound)
         mean = metrics.mean_distance(motion.positions, decode(rival).positions)
         if LEAST_SHARE <= mean / mean_error <= 1:
-            return rival if rival.payload_bytes < encoded.payload_bytes else encoded
+            return rival if rival.payload_bytes < (1 - LEAST_SAVING) * encoded.payload_bytes else encoded
         bound *= AIM * mean_error / max(mean, 0.1 * mean_error)
     return encoded
 

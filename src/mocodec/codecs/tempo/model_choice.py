@@ -25,6 +25,8 @@ AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
+MOST_ON_BONES = 200
+"""More points than a marker set has are not tried on the prior's bones beside a stored basis."""
 WORTH_PRIOR = 0.45
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 REFINED = 2
@@ -77,7 +79,9 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
     best: Choice | None = None
     least = np.inf
     for name in sorted(names, key=lambda n: -MODELS[n].number):
-        if best and not named and name == "points-prior" and len(best.header.pack()) < WORTH_PRIOR * least:
+        on_bones = not named and name == "points-prior"
+        few_bytes = best is not None and len(best.header.pack()) < WORTH_PRIOR * least
+        if best and on_bones and (few_bytes or recording.like.points > MOST_ON_BONES):
             continue
         for candidate in _fitted(name, recording):
             if not recording.chunks:

@@ -20,7 +20,7 @@ from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Floats
-from . import chunk, model_choice, target
+from . import chunk_decoding, model_choice, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FROZEN_SHARE, Tempo
 from .header import StreamHeader
@@ -101,7 +101,7 @@ class Encoder:
         encoder = ChunkEncoder.of(self._model, source, slice(None))
         coded = Chunk(self._start, frames, target.to_bound([encoder], self.max_error)[0])
         if self._rotations is not None:
-            targets = heading.from_y_up(chunk.decode(self._model, [coded])[0], self.about.up)
+            targets = heading.from_y_up(chunk_decoding.decode(self._model, [coded])[0], self.about.up)
             part = self._rotations.part(self._waiting[:frames], self._waiting_rotations[:frames], targets)
             coded = Chunk(self._start, frames, payload.join(part, coded.payload))
             self._waiting_rotations = self._waiting_rotations[frames:]
@@ -127,7 +127,7 @@ class Decoder:
         """The positions (frames, points, 3) of a chunk, in the axes of `about`. Raises Corrupt."""
         if self._has_rotations:
             return self.motion(coded).positions
-        return heading.from_y_up(chunk.decode(self._model, [coded])[0], self.about.up)
+        return heading.from_y_up(chunk_decoding.decode(self._model, [coded])[0], self.about.up)
 
     def motion(self, coded: Chunk) -> Motion:
         """A chunk as a motion, with rotations if the stream has them. Raises Corrupt."""

@@ -23,5 +23,10 @@ export function nameDictionary(): Uint8Array {
 
 /** Preset dictionary for value trees: the stream of the tree typical_extras(). */
 export function valueDictionary(): Uint8Array {
-  return Uint8Array.from(tables.valueDictionary, (character) => character.charCodeAt(0)) // a byte for each character;
+  return fromText(tables.valueDictionary);
+}
+
+/** Bytes of a text with a character for each. */
+export function fromText(text: string): Uint8Array {
+  return Uint8Array.from(text, (character) => character.charCodeAt(0));
 }

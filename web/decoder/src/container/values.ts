@@ -44,16 +44,20 @@ export class CodedSignal {
 
 const MOST_STREAM_BYTES = 1 << 26;
 const MOST_LEVELS = 64;
+/** Stands in place of the length of a stream that is deflated with the dictionary of laboratories. */
+const LAB_WORDS = 1;
 const MOST_DIMENSIONS = 16;
 const MOST_ARRAY_BYTES_IN_TREE = 64;
 
-/** The stream of a tree at this place: plain or inflated. */
-export function treeStream(part: Bytes): Uint8Array {
+/** The stream of a tree at this place: plain or inflated. labWords: the first part of the dictionary of laboratories, of extras. */
+export function treeStream(part: Bytes, labWords?: Uint8Array): Uint8Array {
   const head = part.varint();
-  const size = Math.floor(head / 2);
+  const size = head === LAB_WORDS ? part.varint() : Math.floor(head / 2);
   check(size <= MOST_STREAM_BYTES, `${part.what}: a tree of ${size} bytes`);
   if (head % 2 === 0) return part.take(size);
-  const bytes = inflate(part.blob(), size, valueDictionary());
+  check(head !== LAB_WORDS || labWords !== undefined, `${part.what}: a dictionary that only extras have`);
+  const dictionary = head === LAB_WORDS ? Uint8Array.from([...labWords!, ...valueDictionary()]) : valueDictionary();
+  const bytes = inflate(part.blob(), size, dictionary);
   check(bytes.length === size, `${part.what}: a tree of another size`);
   return bytes;
 }

@@ -4,7 +4,7 @@ import { Bits, Bytes } from "../bytes.js";
 import { Corrupt, check } from "../errors.js";
 import { inflate } from "../inflate.js";
 import { inflateLzma2 } from "../lzma2.js";
-import { CONSTANT, CORRECTED_COUNTS, type Form, GRID, type ItemType, lastBit, setItem } from "./forms.js";
+import { CONSTANT, COPY, CORRECTED_COUNTS, type Form, GRID, type ItemType, lastBit, setItem } from "./forms.js";
 import { readLane } from "./residuals.js";
 
 const REMOVED = 1;
@@ -47,7 +47,7 @@ export function readChunk(payload: Uint8Array, forms: Form[], type: ItemType, sa
   const records: (Record | undefined)[] = [];
   let codes = new Uint8Array(samples);
   for (const form of forms) {
-    if (form.kind === CONSTANT) {
+    if (form.kind === CONSTANT || form.kind === COPY) {
       records.push(undefined);
       continue;
     }
@@ -58,10 +58,17 @@ export function readChunk(payload: Uint8Array, forms: Form[], type: ItemType, sa
   part.end();
   const out = new Uint8Array(samples * forms.length * type.width);
   forms.forEach((form, channel) => {
+    if (form.kind === COPY) return;
     const items = form.kind === CONSTANT ? undefined : itemsOf(records, channel, type);
     for (let t = 0; t < samples; t++) {
       const item = form.kind === CONSTANT ? form.item : items!.subarray(t * type.width, (t + 1) * type.width);
       out.set(item, (t * forms.length + channel) * type.width);
+    }
+  });
+  forms.forEach((form, channel) => {
+    for (let t = 0; form.kind === COPY && t < samples; t++) {
+      const row = t * forms.length;
+      out.copyWithin((row + channel) * type.width, (row + form.channel) * type.width, (row + form.channel + 1) * type.width);
     }
   });
   return out;

@@ -10,6 +10,7 @@ export const COUNTS = 2;
 export const GRID = 3;
 export const CORRECTED_COUNTS = 4;
 export const PALETTE = 5;
+export const COPY = 6;
 
 const MOST_STEP = 2 ** 40;
 const MOST_EXPONENT = 1200;
@@ -28,11 +29,24 @@ export type Form =
   | { kind: typeof INTEGERS; step: number }
   | { kind: typeof COUNTS | typeof CORRECTED_COUNTS; step: number; offset: number }
   | { kind: typeof GRID; exponent: number }
-  | { kind: typeof PALETTE; count: number; items: Uint8Array };
+  | { kind: typeof PALETTE; count: number; items: Uint8Array }
+  | { kind: typeof COPY; channel: number };
 
-export function readForm(part: Bytes, type: ItemType): Form {
+/** The forms of so many channels. */
+export function readForms(part: Bytes, type: ItemType, channels: number): Form[] {
+  const forms: Form[] = [];
+  for (let i = 0; i < channels; i++) {
+    const form = readForm(part, type);
+    check(form.kind !== COPY || (form.channel < i && forms[form.channel]!.kind !== COPY), "signals: a copy of no earlier channel");
+    forms.push(form);
+  }
+  return forms;
+}
+
+function readForm(part: Bytes, type: ItemType): Form {
   const kind = part.byte();
   if (kind === CONSTANT) return { kind, item: part.take(type.width) };
+  if (kind === COPY) return { kind, channel: part.varint() };
   check((kind === INTEGERS) === (type.kind !== "f"), "signals: a form that the type does not have");
   if (kind === INTEGERS) return { kind, step: part.varintWithin(1, MOST_STEP, "a step") };
   if (kind === COUNTS || kind === CORRECTED_COUNTS) return { kind, step: part.float64(), offset: part.float64() };

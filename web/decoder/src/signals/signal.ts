@@ -7,7 +7,7 @@ import { BadInput, check } from "../errors.js";
 import { inflate } from "../inflate.js";
 import type { ByteSource } from "../sources.js";
 import { readChunk } from "./chunk.js";
-import { type Form, type ItemType, readForm } from "./forms.js";
+import { type Form, type ItemType, readForms } from "./forms.js";
 
 const MOST_CHUNK_SAMPLES = 2 ** 16;
 const MOST_CHUNK_BYTES = 2 ** 28;
@@ -58,7 +58,7 @@ export function readHead(part: Bytes, signal: CodedSignal): { head: Head; bytes:
   check(fields.data.length === length && channels <= length, "signals: a head of another size");
   const chunkSamples = fields.varintWithin(1, Math.min(MOST_CHUNK_SAMPLES, samples), "the samples of a chunk");
   check(chunkSamples * channels * type.width <= MOST_CHUNK_BYTES, "signals: a chunk that is too large");
-  const forms = Array.from({ length: channels }, () => readForm(fields, type));
+  const forms = readForms(fields, type, channels);
   const count = Math.ceil(samples / chunkSamples);
   check(count <= fields.left, "signals: too few chunks");
   const sizes = Array.from({ length: count }, () => fields.varint());

@@ -200,6 +200,11 @@ def lookup(frequencies: int) -> tuple[Integers, Integers, int, Integers, Integer
     return _NUMERATOR_LOGS, _CLASS_OF, _FIRST_CLASS, starts, shapes(frequencies) * CLASSES
 
 
+def constants() -> tuple[Integers, Integers, int, Integers]:
+    """Constants of this module for whole chunks in the compiled one."""
+    return _NUMERATOR_LOGS, _CLASS_OF, _FIRST_CLASS, _EXP
+
+
 def shapes(frequencies: int) -> Integers:
     """The shape of each frequency's tables, (frequencies,)."""
     return np.searchsorted(SHAPE_STARTS, np.arange(frequencies), side="right") - 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class Model:
     weights: Floats | None = None
     neighbours: Neighbours | None = None
     _expected: dict[int, Integers] = field(default_factory=dict)
+    compiled: dict[int, Any] = field(default_factory=dict, init=False)
+    """Of `compiled_chunks`, by length of chunk."""
 
     @classmethod
     def without_rows(cls, names: tuple[str, ...], rate: float) -> Model:
@@ -121,7 +124,7 @@ class Model:
 
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
         """Positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), metres."""
-        bases = self._synthesis_bases
+        bases = self.synthesis_bases
         known = int(np.flatnonzero(coefficients.any(axis=1)).max(initial=-1)) + 1
         spectrum = np.empty((known, POSE + bases[0].shape[1]))
         spectrum[:, :POSE] = coefficients[:known, :POSE]
@@ -134,7 +137,8 @@ class Model:
         return moved
 
     @cached_property
-    def _synthesis_bases(self) -> tuple[Floats, ...]:
+    def synthesis_bases(self) -> tuple[Floats, ...]:
+        """For each band (components, dimensions), of coordinates before `scale`."""
         return self.coordinates.unscaled(self.statistics.bases)
 
 

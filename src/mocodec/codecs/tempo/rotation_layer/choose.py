@@ -38,6 +38,8 @@ LEVER_M = 0.01
 """A rotation follows from positions where a point at least this far off its axis shows it,"""
 HUB_LEVER_M = 0.02
 """for a hub also across the first direction, and for two angles by their second."""
+RARELY = 0.02
+"""Two angles may be shown worse in this share of the frames, which corrections mend."""
 REPRODUCED = 0.02
 """A rule must reproduce the rotations from the original positions within this angle, radians."""
 FARTHEST_SWING = 0.03
@@ -242,9 +244,9 @@ def _restricted(rule: JointRule, carried: Carried, aims: Floats, q: Floats) -> J
     lever = carried.lever * np.abs(b * np.cos(second) - a * np.sin(second))
     height = n @ (axes[1] * (axes[1] @ w)) + a * np.cos(second) + b * np.sin(second)
     across = carried.lever * np.sqrt(np.maximum(1 - height**2, 0))
-    if across.min(initial=1.0) < LEVER_M:
+    if np.quantile(across, RARELY) < LEVER_M:
         return coded
-    if lever.min(initial=1.0) >= HUB_LEVER_M:
+    if np.quantile(lever, RARELY) >= HUB_LEVER_M:
         for branch in (1, -1):
             universal = replace(rule, rule=r.UNIVERSAL, branch=branch)
             if _reproduces(universal, carried, aims, q):

@@ -27,12 +27,12 @@ LEAST_SHARE = 1e-3
 """A chunk that is coded directly keeps its mean error as a bound, or this share of the promise if that is more."""
 GRIDS = 60
 """Direct coding is on a grid that is halved at most so often."""
-CORRECTIONS = ((0.2, 2), (0.2, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
+CORRECTIONS = ((0.6, 1), (0.4, 2), (0.4, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
 """Round after round: corrections bring targets within this share of the bound, and correct what moves the joint itself
 and so many joints in all up its chain. Angles that targets show badly need these more exactly; a joint whose angles are
 coded keeps the errors of those above it. A chunk that all rounds leave beyond the bound is coded directly."""
 
-RARE_CORRECTIONS = ((0.8, 1), (0.8, 2), (0.5, 2), (0.3, 2), *CORRECTIONS)
+RARE_CORRECTIONS = ((0.8, 1), (0.8, 2), *CORRECTIONS)
 """The same under a mean error, where few samples are beyond the bound; the first rounds are left out where the mean
 error then exceeds that of the draft."""
 

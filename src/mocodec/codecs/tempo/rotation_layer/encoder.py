@@ -28,17 +28,17 @@ from . import choose, layer, payload, record, shell, side
 from .chunk_layer import GRIDS, ChunkLayer, Draft, Original, Promise
 from .payload import Layer
 
-MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.7, 0.9
+MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.66, 0.9
 """Of the mean error, of the bound and of the bytes that the target allows: what the inner stream gets at first."""
 FLOOR = 0.985
 """With exact side values, at most this share of the mean error may be used up by positions."""
 INNER_TRIES = 5
 WORTH_SHARING, LESS = 0.2, 0.85
 """Where rotations take more than this part of the positions' bytes, positions get so much less of the error as well."""
-SEARCHED_FRAMES, FULL_TRIES = 1000, 6
-"""The search for a step measures about 1,000 frames; then the step is made finer until all frames keep the mean."""
-NEAR = 0.97
-"""A mean error from this share of the target on ends the search for a step."""
+SEARCHED_FRAMES, FULL_TRIES = 1000, 4
+"""The search for a step measures about 1,000 frames, and again where all frames have another mean."""
+NEAR, ALIKE = 0.99, 0.003
+"""A mean error from this share of the target on ends the search for a step; a difference of means that counts."""
 MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
 """The first step of side values: times the mean error, times the bound, and times the ratio in metres."""
 COARSEST, FINEST = 8 * OCTAVE, -40 * OCTAVE
@@ -89,28 +89,33 @@ class Encoder:
         return self._directly_to_mean(encoded, coded, target)
 
     def _step_for_mean(self, coded: Coded, target: float) -> list[Draft] | None:
-        """Drafts in the coarsest step that keeps the mean error, searched for among some of the frames first."""
+        """Drafts in the coarsest step that keeps the mean error: searched for among some of the frames, whose mean is
+        then scaled to that of all frames."""
         if not self.rules.side_values:
             return [c.exact() for c in coded.chunks]
         every = max(1, len(self.motion) // SEARCHED_FRAMES)
+        sampled: dict[int, float] = {}
+        scale, step, best = 1.0, coded.step, None
 
-        def measure(step: float, every: int = every) -> tuple[float, list[Draft]]:
-            drafts = [c.draft(int(step)) for c in coded.chunks]
-            return self._mean(coded, drafts, every) / target, drafts
+        def measure(step: float) -> tuple[float, None]:
+            if (step := int(step)) not in sampled:
+                sampled[step] = self._mean(coded, [c.draft(step) for c in coded.chunks], every) / target
+            return scale * sampled[step], None
 
-        found = search.closest_within(
-            measure, coded.step, rising=True, stride=_stride, farthest=12 * OCTAVE, near=NEAR, tries=9
-        )
-        if found is None or every == 1:
-            return None if found is None else found.result
-        step, drafts = found.setting, found.result
         for _ in range(FULL_TRIES):
-            mean = self._mean(coded, drafts) / target
-            if mean <= 1:
-                return drafts
-            step -= 2 + round(64 * float(np.log(mean)))
-            drafts = measure(step)[1]
-        return None
+            found = search.closest_within(
+                measure, step, rising=True, stride=_stride, farthest=12 * OCTAVE, near=NEAR, tries=9
+            )
+            if found is None:
+                break
+            step = int(found.setting)
+            drafts = [c.draft(step) for c in coded.chunks]
+            mean = found.value if every == 1 else self._mean(coded, drafts) / target
+            best = drafts if mean <= 1 else best
+            if mean <= 1 and (every == 1 or mean >= NEAR or mean > found.value - ALIKE):
+                break
+            scale *= mean / found.value
+        return best
 
     def to_bound(self, inner: Callable[[float], Encoded[Motion]], decode: Decode) -> Encoded[Motion]:
         """inner(max error) codes the positions."""

@@ -35,6 +35,19 @@ def has_rotations(encoded: Encoded[Motion]) -> bool:
     return len(encoded.shared) == PARTS
 
 
+def bytes_by_use(encoded: Encoded[Motion]) -> dict[str, int]:
+    """Bytes of a stream that positions take, and that rotations take beside them; empty without rotations. Raises
+    Corrupt."""
+    if not has_rotations(encoded):
+        return {}
+    positions, rotations = map(len, encoded.shared)
+    for chunk in encoded.chunks:
+        rest = len(payload.split(chunk.payload)[1])
+        positions += rest
+        rotations += len(chunk.payload) - rest
+    return {"positions": positions, "rotations": rotations}
+
+
 def lost_rotations(motion: Motion) -> str | None:
     """Why the rotations of a motion are not kept, in words; None where they are."""
     if motion.skeleton is None:

@@ -1,0 +1,193 @@
+# pyright: strict
+"""Reading an archive: recordings by name, and those that meet a condition.
+
+db = mocodec.open_archive("vault")
+db["86_02"][1200:1320]                                 a slice of one recording
+for entry in db.query("subject == 86 and seconds > 10"):
+    clip = entry.open()[:240]
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+from .. import api
+from ..api import File
+from ..errors import BadInput
+from ..file_range import FileRange
+from ..selection import counted
+from . import shards
+from .catalogue import COLUMNS, Catalogue, Row
+from .encoding import bytes_of
+from .expressions import Constant, to_sql
+
+MAX_LISTED = 5
+"""Names in an error message, at most."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A recording of an archive: what the catalogue says about it (`entry.row`, as attributes too), and its bytes."""
+
+    folder: str
+    row: Row
+
+    def __getattr__(self, name: str) -> Any:
+        """The columns of the row: `entry.subject`, `entry.seconds`, …"""
+        if name in COLUMNS:
+            return getattr(self.row, name)
+        raise AttributeError(f"an entry has no {name!r}; it has: {', '.join(COLUMNS)}")
+
+    @property
+    def place(self) -> FileRange:
+        """Where the bytes of the `.mocz` are: a source for `mocodec.open` and `mocodec.decode`."""
+        path = shards.path_of(Path(self.folder), self.row.shard)
+        return FileRange(str(path), self.row.start, self.row.bytes, f"{self.folder}: {self.row.name}")
+
+    def open(self, salvage: bool = False) -> File[Any]:
+        """The recording, open for random access, as by `mocodec.open`. Raises what that raises."""
+        return api.open(self.place, salvage=salvage)
+
+    def read(self) -> bytes:
+        """The bytes of the `.mocz`. Raises BadInput, Truncated."""
+        return bytes_of(self.place)
+
+
+class Recordings:
+    """Recordings of an archive that meet a condition, in order of their names; all of them in an `Archive`.
+
+    `len(r)`, `for entry in r`, `r["86_02"]` (a File), `r.entry("86_02")`, `r.query(…)` narrows it further.
+    """
+
+    def __init__(
+        self, archive: Archive, where: str = "1", constants: tuple[Constant, ...] = (), text: str = ""
+    ) -> None:
+        self._archive, self._where, self._constants, self._text = archive, where, constants, text
+
+    @property
+    def folder(self) -> str:
+        """The folder of the archive."""
+        return self._archive.path
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the recordings."""
+        return [row.name for row in self.rows()]
+
+    def rows(self) -> Iterator[Row]:
+        """What the catalogue says about each recording."""
+        return self._archive.catalogue.rows(self._where, self._constants)
+
+    def query(self, text: str) -> Recordings:
+        """Those that meet a condition: "subject == 86 and seconds > 10 and 'walk' in labels".
+
+        A condition compares columns of the catalogue (`mocodec.archive.COLUMNS`) with numbers, texts and None, by
+        `== != < <= > >= in`, joined by `and or not`; `like(name, "86_*")` matches a pattern. Nothing is evaluated.
+        Raises BadInput for anything else.
+        """
+        where, constants = to_sql(text, COLUMNS)
+        joined = f"({self._where}) AND {where}"
+        both = f"{self._text} and {text}" if self._text else text
+        return Recordings(self._archive, joined, (*self._constants, *constants), both)
+
+    def sums(self) -> dict[str, Any]:
+        """Over all recordings: recordings, frames, seconds, bytes, side_bytes, raw_bytes, mean_error (of all samples)
+        and max_error (m; None if unknown)."""
+        names = ("recordings", "frames", "seconds", "bytes", "side_bytes", "raw_bytes", "mean_error", "max_error")
+        what = "count(*), total(frames), total(seconds), total(bytes), total(side_bytes), total(raw_bytes)"
+        what += ", sum(mean_error * raw_bytes) / sum(CASE WHEN mean_error IS NULL THEN NULL ELSE raw_bytes END)"
+        found = self._archive.catalogue.values(f"{what}, max(max_error)", self._where, self._constants)
+        values = dict(zip(names, found, strict=True))
+        whole = ("frames", "bytes", "side_bytes", "raw_bytes")
+        return {name: int(value) if name in whole else value for name, value in values.items()}
+
+    def entry(self, name: str) -> Entry:
+        """The recording of this name; the last part of the name suffices where only one has it. Raises BadInput."""
+        catalogue = self._archive.catalogue
+        rows = list(catalogue.rows(f"({self._where}) AND name = ?", (*self._constants, name)))
+        if not rows:
+            rows = list(catalogue.rows(f"({self._where}) AND stem = ?", (*self._constants, name)))
+        if len(rows) == 1:
+            return Entry(self.folder, rows[0])
+        if rows:
+            listed = ", ".join(row.name for row in rows[:MAX_LISTED]) + ", …" * (len(rows) > MAX_LISTED)
+            raise BadInput(f"{self.folder}: {counted(len(rows), 'recording')} named {name}: {listed}")
+        raise BadInput(
+            f"{self.folder}: there is no recording named {name}{' that ' + self._text if self._text else ''}"
+        )
+
+    def __getitem__(self, name: str) -> File[Any]:
+        """The recording of this name, open for random access: `db["86_02"][1200:1320]`. Raises BadInput."""
+        return self.entry(name).open()
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            return isinstance(name, str) and bool(self.entry(name))
+        except BadInput:
+            return False
+
+    def __iter__(self) -> Iterator[Entry]:
+        for row in self.rows():
+            yield Entry(self.folder, row)
+
+    def __len__(self) -> int:
+        """The number of recordings."""
+        return self._archive.catalogue.values("count(*)", self._where, self._constants)[0]
+
+    def __repr__(self) -> str:
+        condition = f" with {self._text}" if self._text else ""
+        return f"<{type(self).__name__} {self.folder!r}: {counted(len(self), 'recording')}{condition}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recordings, (self._archive, self._where, self._constants, self._text)
+
+
+class Archive(Recordings):
+    """An open archive: all its recordings. It can be pickled; each process opens the catalogue when it first needs it.
+
+    A context; closing it closes the catalogue, which the next use opens again.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        super().__init__(self)
+        self.path = os.path.abspath(path)
+        self._open: tuple[int, Catalogue] | None = None
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """The catalogue, open in this process. Raises BadInput, TooNew, Corrupt."""
+        if self._open is None or self._open[0] != os.getpid():  # a connection must not be used after a fork
+            self._open = os.getpid(), Catalogue(Path(self.path))
+        return self._open[1]
+
+    @property
+    def failures(self) -> list[tuple[str, str]]:
+        """Path and reason of each source that the last builds could not read or code."""
+        return self.catalogue.failures()
+
+    def close(self) -> None:
+        """Close the catalogue."""
+        if self._open is not None and self._open[0] == os.getpid():
+            self._open[1].close()
+        self._open = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Archive, (self.path,)
+
+
+def open_archive(path: str | PathLike[str]) -> Archive:
+    """Open an archive for reading. Raises BadInput where there is none, TooNew, Corrupt."""
+    archive = Archive(path)
+    _ = archive.catalogue
+    return archive

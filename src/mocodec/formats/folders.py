@@ -1,0 +1,48 @@
+# pyright: strict
+"""Recordings in folders: which files are recordings, which belong to others, and whether they have changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+COMPANIONS = {".amc": ".asf", ".gltf": ".bin"}
+"""Files beside a source that belong to it, by suffix."""
+
+
+def below(path: str, suffixes: Collection[str]) -> list[str]:
+    """A file as it is; of a folder, the files with these suffixes and the folders of .ply files, at any depth."""
+    if not os.path.isdir(path):
+        return [path]
+    result: list[str] = []
+    for folder, inner, names in os.walk(path):
+        inner[:] = sorted(name for name in inner if not name.startswith("."))
+        visible = [name for name in names if not name.startswith(".")]
+        if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
+            result.append(folder)
+        wanted = [s for s in suffixes if s != ".ply"]
+        result += [os.path.join(folder, name) for name in visible if os.path.splitext(name)[1].lower() in wanted]
+    return result
+
+
+def mirrored_name(path: str, base: str) -> str:
+    """The path relative to `base`, with "/"; the folder's own name for `base` itself."""
+    return os.path.basename(path) if path == base else Path(os.path.relpath(path, base)).as_posix()
+
+
+def fingerprint(path: str, options: Mapping[str, Any] | None = None) -> list[int]:
+    """Bytes and latest time of change (ns) of a file or of the files in a folder, with those that belong to it: its
+    companions, and the files that options name. [] for what does not exist, such as a URL."""
+    where = Path(path)
+    parts = sorted(where.iterdir()) if where.is_dir() else [where]
+    companion = COMPANIONS.get(where.suffix.lower())
+    if companion is not None and where.parent.is_dir():
+        parts += [p for p in where.parent.iterdir() if p.suffix.lower() == companion]
+    parts += [Path(value) for value in (options or {}).values() if isinstance(value, str) and os.path.isfile(value)]
+    try:
+        stats = [part.stat() for part in parts]
+    except OSError:
+        return []
+    return [sum(s.st_size for s in stats), max((s.st_mtime_ns for s in stats), default=0)]

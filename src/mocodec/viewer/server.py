@@ -1,0 +1,133 @@
+"""The server behind `mocodec view`: one page and its frames, for this computer only.
+
+    GET /TOKEN/                             the page
+    GET /TOKEN/session.json                 the session
+    GET /TOKEN/r/N/decoded?from=a&to=b      frames [a, b) of recording N, and of its original: …/original
+    GET /TOKEN/priors/ID.npz                a prior of tempo, for .mocz files that are dropped on the page
+
+It listens on 127.0.0.1. The token is random, so that other pages in the browser cannot guess the address; requests
+for another host name are refused, so that a foreign name that resolves to this computer reaches nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import threading
+from collections.abc import Sequence
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, cast
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+from ..errors import MocodecError
+from ..motion import Motion
+from ..pointcloud import PointClouds
+from . import page, session
+from .recording import Shown
+
+MOST_BYTES = 64 << 20
+"""The largest answer; the page asks for about 8 MB at a time."""
+
+PRIOR = re.compile(r"priors/([0-9a-f]{8})\.npz")
+PLACE = re.compile(r"r/(\d{1,4})/(decoded|original)")
+
+
+class Server(ThreadingHTTPServer):
+    """Serves recordings to one page. port 0: any free port. `url` is the address to open."""
+
+    daemon_threads = True
+
+    def __init__(self, pairs: Sequence[session.Pair], title: str, port: int = 0) -> None:
+        self.pairs = pairs
+        self.token = secrets.token_urlsafe(12)
+        self.session = json.dumps(session.of_server(pairs, title), allow_nan=False).encode()
+        self.decoding = threading.Lock()  # files are not made for several threads
+        super().__init__(("127.0.0.1", port), Handler)
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"http://127.0.0.1:{self.server_address[1]}/{self.token}/?session=session.json"
+
+    def frames(self, number: int, which: str, a: int, b: int) -> bytes:
+        """Frames [a, b) as the page reads them. Raises KeyError, ValueError, MocodecError."""
+        shown, original = self.pairs[number]
+        chosen = shown if which == "decoded" else original
+        if chosen is None:
+            raise KeyError(which)
+        if not 0 <= a < b <= chosen.frames:
+            raise ValueError(f"frames {a} to {b} of {chosen.frames}")
+        with self.decoding:
+            return as_bytes(chosen, a, b)
+
+
+def as_bytes(shown: Shown, a: int, b: int) -> bytes:
+    """Motion: float32 (frames, points, 3). Point clouds, of each frame: count (uint32), positions (float32), colours
+    (bytes, grey without), zeros up to a multiple of 4. Little-endian. Raises ValueError for more than MOST_BYTES.
+    """
+    if isinstance(shown.about, Motion):
+        if (b - a) * shown.about.points * 12 > MOST_BYTES:
+            raise ValueError("too many frames at once")
+        return shown.positions(a, b).astype("<f4").tobytes()
+    return b"".join(cloud_bytes(shown.clouds(a, b), frame) for frame in range(b - a))
+
+
+def cloud_bytes(clouds: PointClouds, frame: int) -> bytes:
+    """One frame of point clouds."""
+    points = np.asarray(clouds.positions[frame])
+    colours = np.full((len(points), 3), 128, np.uint8) if clouds.colours is None else np.asarray(clouds.colours[frame])
+    padding = bytes(-3 * len(points) % 4)
+    return len(points).to_bytes(4, "little") + points.astype("<f4").tobytes() + colours.tobytes() + padding
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers the requests that the module lists, and no other."""
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "mocodec", ""
+    timeout = 60
+
+    def do_GET(self) -> None:
+        """Answer one request; errors of decoding are text with status 500."""
+        try:
+            status, kind, body = self.answer(cast("Server", self.server))
+        except MocodecError as error:
+            status, kind, body = HTTPStatus.INTERNAL_SERVER_ERROR, "text/plain", str(error).encode()
+        except (KeyError, IndexError, ValueError):
+            status, kind, body = HTTPStatus.NOT_FOUND, "text/plain", b"there is nothing here"
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def answer(self, server: Server) -> tuple[HTTPStatus, str, bytes]:
+        """Status, type and body of the answer. Raises KeyError, IndexError, ValueError, MocodecError."""
+        port = server.server_address[1]
+        if self.headers.get("Host") not in (f"127.0.0.1:{port}", f"localhost:{port}"):
+            return HTTPStatus.FORBIDDEN, "text/plain", b"this server is for its own computer"
+        parts = urlsplit(self.path)
+        token, _, rest = parts.path.removeprefix("/").partition("/")
+        if not secrets.compare_digest(token.encode(), server.token.encode()):
+            raise KeyError(token)
+        if rest == "":
+            return HTTPStatus.OK, "text/html", page.viewer().encode()
+        if rest == "session.json":
+            return HTTPStatus.OK, "application/json", server.session
+        if named := PRIOR.fullmatch(rest):
+            return HTTPStatus.OK, "application/octet-stream", page.prior(named[1])
+        place = PLACE.fullmatch(rest)
+        if place is None:
+            raise KeyError(rest)
+        asked: dict[str, list[str]] = parse_qs(parts.query)
+        a, b = (int(asked[name][0]) for name in ("from", "to"))
+        return HTTPStatus.OK, "application/octet-stream", server.frames(int(place[1]), place[2], a, b)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Print nothing for each request."""

@@ -1,0 +1,113 @@
+// Arrays of bits through the adaptive coder of adaptive_bits.h. A kernel that codes a structure bit by bit takes one of
+// these coders from Python and calls `code`.
+#pragma once
+
+#include <stdexcept>
+
+#include "adaptive_bits.h"
+#include "arrays.h"
+
+namespace bit_arrays {
+
+using Table = Input<int32_t, 1>;
+using Contexts = Input<uint32_t, 2>;
+using Sets = Input<uint32_t, 1>;
+
+// Owns copies of the tables, so that the arrays may go.
+struct OwnTables {
+    std::vector<int32_t> squash, stretch, rate, cost;
+
+    OwnTables(Table a, Table b, Table c, Table d)
+        : squash(a.data(), a.data() + a.shape(0)), stretch(b.data(), b.data() + b.shape(0)),
+          rate(c.data(), c.data() + c.shape(0)), cost(d.data(), d.data() + d.shape(0)) {
+        if (squash.size() != 4096 || stretch.size() != 4096 || cost.size() != 4096 || rate.size() <= size_t(bits::SLOWEST))
+            throw std::invalid_argument("bit arrays: tables of other sizes");
+    }
+
+    bits::Tables pointers() const { return {squash.data(), stretch.data(), rate.data(), cost.data()}; }
+};
+
+inline size_t rows_of(const Contexts &contexts, const Sets &sets) {
+    if (contexts.shape(1) != size_t(bits::INPUTS) || contexts.shape(0) != sets.shape(0))
+        throw std::invalid_argument("bit arrays: shapes differ");
+    return sets.shape(0);
+}
+
+class BitArrayEncoder {
+public:
+    BitArrayEncoder(Table squash, Table stretch, Table rate, Table cost)
+        : tables_(squash, stretch, rate, cost), mixer_(tables_.pointers()) {}
+
+    void encode(Contexts contexts, Sets sets, Input<uint8_t, 1> values) {
+        const size_t n = rows_of(contexts, sets);
+        if (values.shape(0) != n) throw std::invalid_argument("bit arrays: shapes differ");
+        for (size_t i = 0; i < n; ++i)
+            code(contexts.data() + i * bits::INPUTS, sets.data()[i], values.data()[i] != 0);
+    }
+
+    // Fetches what a bit with these contexts will need.
+    void prefetch(const uint32_t *contexts) {
+        mixer_.contexts(contexts);
+        mixer_.prefetch(0);
+    }
+
+    // Codes one bit with these INPUTS contexts and this weight set; returns it.
+    int code(const uint32_t *contexts, uint32_t set, int bit) {
+        bits::Mixed mixed;
+        mixer_.contexts(contexts);
+        encoder_.bit(bit, mixer_.mix(mixed, 0, set));
+        mixer_.learn(mixed, bit);
+        return bit;
+    }
+
+    nb::bytes finish() {
+        const std::vector<uint8_t> out = encoder_.finish();
+        return nb::bytes(reinterpret_cast<const char *>(out.data()), out.size());
+    }
+
+private:
+    OwnTables tables_;
+    bits::Mixer mixer_;
+    bits::Encoder encoder_;
+};
+
+class BitArrayDecoder {
+public:
+    BitArrayDecoder(nb::bytes data, Table squash, Table stretch, Table rate, Table cost)
+        : tables_(squash, stretch, rate, cost), data_(data.c_str(), data.c_str() + data.size()), mixer_(tables_.pointers()),
+          decoder_(data_.data(), data_.size()) {}
+
+    Output<uint8_t> decode(Contexts contexts, Sets sets) {
+        const size_t n = rows_of(contexts, sets);
+        Fresh<uint8_t> out(n);
+        for (size_t i = 0; i < n; ++i)
+            out.data[i] = uint8_t(code(contexts.data() + i * bits::INPUTS, sets.data()[i], 0));
+        return out.give({n});
+    }
+
+    // Fetches what a bit with these contexts will need.
+    void prefetch(const uint32_t *contexts) {
+        mixer_.contexts(contexts);
+        mixer_.prefetch(0);
+    }
+
+    // As BitArrayEncoder::code; the bit that is given has no meaning.
+    int code(const uint32_t *contexts, uint32_t set, int) {
+        bits::Mixed mixed;
+        mixer_.contexts(contexts);
+        const int bit = decoder_.bit(mixer_.mix(mixed, 0, set));
+        mixer_.learn(mixed, bit);
+        return bit;
+    }
+
+    bool at_end() const { return decoder_.at_end(); }
+    bool exhausted() const { return decoder_.exhausted(); }
+
+private:
+    OwnTables tables_;
+    std::vector<uint8_t> data_;
+    bits::Mixer mixer_;
+    bits::Decoder decoder_;
+};
+
+}  // namespace bit_arrays

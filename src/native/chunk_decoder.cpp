@@ -1,0 +1,177 @@
+// A chunk of codecs/tempo from its bytes to positions in the caller's array, without the interpreter: for
+// codecs/tempo/compiled_chunks.py. Its parts are chunk_symbols.h (bytes to integers) and chunk_synthesis.h (integers to
+// positions).
+
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <stdexcept>
+
+#include "arrays.h"
+#include "chunk_synthesis.h"
+
+namespace {
+
+using namespace chunks;
+
+template <class T, class U>
+std::vector<T> copied(const U &array) {
+    return std::vector<T>(array.data(), array.data() + array.size());
+}
+
+void synthesise(const Synthesis &synthesis, const Integers &integers, const Target &out) { synthesis.run(integers, out); }
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void synthesise_with_avx2(const Synthesis &synthesis, const Integers &integers, const Target &out) {
+    synthesis.run(integers, out);
+}
+#endif
+
+// The chunks of a model. Makes a ChunksOfLength for each length of chunk.
+class ChunkDecoder {
+public:
+    ChunkDecoder(Input<int64_t, 2> frequencies, Input<int64_t, 1> numerator_logs, Input<int64_t, 1> class_of,
+                 int64_t first_class, Input<int64_t, 1> exp2, std::vector<Input<double, 2>> bases, Input<double, 2> pose,
+                 Input<double, 1> weights)
+        : tables(std::make_shared<Tables>()), shape(std::make_shared<Shape>()) {
+        Tables &of = *tables;
+        of.symbols = frequencies.shape(1);
+        if (of.symbols > SYMBOLS || exp2.shape(0) != 1536 || frequencies.shape(0) < size_t(3 * CLASSES) ||
+            bases.empty() || !numerator_logs.shape(0) || !class_of.shape(0))
+            throw std::invalid_argument("ChunkDecoder: tables of other sizes");
+        for (size_t table = 0; table < frequencies.shape(0); ++table) {
+            int64_t start = 0;
+            for (size_t s = 0; s <= of.symbols; ++s) {
+                of.starts.push_back(uint16_t(start));
+                if (s < of.symbols) start += frequencies.data()[table * of.symbols + s];
+            }
+            if (start != TOTAL) throw std::invalid_argument("ChunkDecoder: frequencies of another sum");
+        }
+        of.numerator_logs = copied<int16_t>(numerator_logs);
+        of.class_of = copied<uint8_t>(class_of);
+        of.exp2 = copied<int32_t>(exp2);
+        of.first_class = first_class;
+        if (*std::max_element(of.class_of.begin(), of.class_of.end()) >= CLASSES)
+            throw std::invalid_argument("ChunkDecoder: classes without tables");
+        Shape &to = *shape;
+        to.points = pose.shape(0), to.dimensions = bases[0].shape(1);
+        to.columns = (to.dimensions + POSE + PANEL - 1) / PANEL * PANEL;
+        components = bases[0].shape(0);
+        to.pose = copied<double>(pose);
+        to.weights = copied<double>(weights);
+        for (const auto &basis : bases) {
+            if (basis.shape(0) != components || basis.shape(1) != to.dimensions)
+                throw std::invalid_argument("ChunkDecoder: bases of different shapes");
+            std::vector<double> padded(components * to.columns, 0.0);
+            for (size_t i = 0; i < components; ++i)
+                std::copy_n(basis.data() + i * to.dimensions, to.dimensions, padded.data() + i * to.columns);
+            to.bases.push_back(std::move(padded));
+        }
+        if (pose.shape(1) != 3 || (to.weights.size() && to.weights.size() != to.points))
+            throw std::invalid_argument("ChunkDecoder: shapes differ");
+    }
+
+    // The coordinates are directions of bones: BoneSchedule.program and .order; of each joint its parent, its direction
+    // (−1 for none), the length of its bone, and its column among the points.
+    void set_tree(Input<int64_t, 2> program, Input<double, 3> rests, Input<double, 3> homes, Input<double, 2> ends,
+                  Input<int64_t, 1> order, Input<int64_t, 1> parents, Input<int64_t, 1> direction,
+                  Input<double, 1> lengths, Input<int64_t, 1> column) {
+        auto tree = std::make_unique<Tree>();
+        tree->program = copied<int64_t>(program);
+        tree->rests = copied<double>(rests), tree->homes = copied<double>(homes), tree->ends = copied<double>(ends);
+        tree->order = copied<int64_t>(order), tree->parents = copied<int64_t>(parents);
+        tree->direction = copied<int64_t>(direction), tree->column = copied<int64_t>(column);
+        tree->lengths = copied<double>(lengths);
+        tree->bones = rests.shape(0), tree->hubs = homes.shape(0);
+        require_fits(*tree, program.shape(1) == 6);
+        shape->tree = std::move(tree);
+    }
+
+    std::shared_ptr<Tables> tables;
+    std::shared_ptr<Shape> shape;
+    size_t components = 0;
+
+private:
+    void require_fits(Tree &tree, bool is_program) const {
+        const int64_t bones = int64_t(tree.bones), hubs = int64_t(tree.hubs);
+        const int64_t directions = bones + int64_t(tree.ends.size() / 3), points = int64_t(shape->points);
+        bool fits = is_program && tree.rests.size() == 9 * tree.bones && tree.homes.size() == 9 * tree.hubs &&
+                    tree.order.size() == tree.bones && shape->dimensions == 2 * tree.bones + 3 * tree.hubs &&
+                    tree.ends.size() % 3 == 0;
+        for (const size_t size : {tree.parents.size(), tree.direction.size(), tree.column.size(), tree.lengths.size()})
+            fits = fits && size == shape->points;
+        for (size_t i = 0; fits && i < tree.program.size(); i += 6)
+            tree.slots = std::max(tree.slots, size_t(tree.program[i + 3] + 1));
+        for (size_t i = 0; fits && i < tree.program.size(); i += 6) {
+            const int64_t *p = tree.program.data() + i;
+            fits = p[1] >= 0 && p[1] < (p[0] ? hubs : bones) && p[2] < int64_t(tree.slots) && p[3] >= (p[0] ? 0 : -1) &&
+                   p[4] >= (p[0] ? bones : 0) && p[4] < p[5] && p[5] <= (p[0] ? directions : bones);
+        }
+        for (const int64_t each : tree.order) fits = fits && each >= 0 && each < bones;
+        for (int64_t j = 0; fits && j < points; ++j)
+            fits = tree.parents[size_t(j)] < j && tree.direction[size_t(j)] < directions &&
+                   tree.column[size_t(j)] >= 0 && tree.column[size_t(j)] < points;
+        if (!fits) throw std::invalid_argument("ChunkDecoder: a tree that does not fit");
+    }
+};
+
+// Decodes chunks of one length.
+class ChunksOfLength {
+public:
+    // expected (frames, rows): Model.expected with a step of 0. band_ends: the frequency behind each band.
+    ChunksOfLength(const ChunkDecoder &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step)
+        : shape_(of.shape), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
+          cosines_(expected.shape(0)), band_ends_(std::move(band_ends)), heading_step_(heading_step) {
+        if (expected.shape(1) != of.components + POSE || !expected.shape(0) || band_ends_.size() != shape_->bases.size() ||
+            band_ends_.back() != expected.shape(0))
+            throw std::invalid_argument("ChunksOfLength: shapes differ");
+    }
+
+    // Frames [first, first + len(out)) of the chunk of these bytes. out (frames, points, 3); axes: the output axis of x, y
+    // and z; correction_step: metres. False, and anything in `out`, for bytes that Python should look at.
+    bool decode(nb::bytes numbers, double correction_step, InPlace<double, 3> out, size_t first,
+                std::tuple<size_t, size_t, size_t> axes) const {
+        const auto [x, y, z] = axes;
+        if (out.shape(1) != shape_->points || out.shape(2) != 3 || first + out.shape(0) > cosines_.frames || x > 2 ||
+            y > 2 || z > 2)
+            throw std::invalid_argument("ChunksOfLength.decode: shapes differ");
+        const Target to{out.data(), first, first + out.shape(0), {x, y, z}};
+        const auto *data = reinterpret_cast<const uint8_t *>(numbers.data());
+        const size_t size = numbers.size();
+        nb::gil_scoped_release release;
+        Integers integers;
+        std::vector<Correction> corrections;
+        if (!expectations_.unpack(data, size, integers) ||
+            !corrections_of(integers.lists, cosines_.frames, shape_->points, corrections))
+            return false;
+        const double step_m = std::pow(2.0, double(integers.step) / 32);
+        const Synthesis synthesis(*shape_, cosines_, band_ends_.data(), step_m, heading_step_);
+#ifdef HAS_AVX2_TWIN
+        static const bool has_avx2 = processor_has_avx2();
+        if (has_avx2) synthesise_with_avx2(synthesis, integers, to);
+        else
+#endif
+            synthesise(synthesis, integers, to);
+        apply(corrections, *shape_, cosines_.frames, correction_step, to);
+        return true;
+    }
+
+private:
+    std::shared_ptr<const Shape> shape_;
+    const Expectations expectations_;
+    const Cosines cosines_;
+    const std::vector<size_t> band_ends_;
+    const double heading_step_;
+};
+
+}  // namespace
+
+void bind_chunk_decoder(nb::module_ &m) {
+    nb::class_<ChunkDecoder>(m, "ChunkDecoder")
+        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 1>, Input<int64_t, 1>, int64_t, Input<int64_t, 1>,
+                      std::vector<Input<double, 2>>, Input<double, 2>, Input<double, 1>>())
+        .def("set_tree", &ChunkDecoder::set_tree);
+    nb::class_<ChunksOfLength>(m, "ChunksOfLength")
+        .def(nb::init<const ChunkDecoder &, Input<int64_t, 2>, std::vector<size_t>, double>())
+        .def("decode", &ChunksOfLength::decode, nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg(), nb::arg());
+}

@@ -1,0 +1,48 @@
+// Four doubles at a time, and functions that exist twice: for every processor, and for those with AVX2.
+//
+// Both do the same operations in the same order, without fused multiply-adds, so their bits are the same.
+#pragma once
+
+#include <cstddef>
+#include <cstring>
+
+#if defined(__GNUC__)
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+#else
+#define ALWAYS_INLINE __forceinline
+#endif
+
+#if defined(__GNUC__) && defined(__x86_64__)
+#define HAS_AVX2_TWIN 1
+#define WITH_AVX2 __attribute__((target("avx2")))
+inline bool processor_has_avx2() { return __builtin_cpu_supports("avx2"); }
+#endif
+
+#if defined(__GNUC__)
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+#else
+struct Four {
+    double of[4];
+    double &operator[](size_t i) { return of[i]; }
+    double operator[](size_t i) const { return of[i]; }
+};
+#define FOUR_OPERATOR(op)                                                                                            \
+    ALWAYS_INLINE Four operator op(const Four &a, const Four &b) {                                                   \
+        return {{a.of[0] op b.of[0], a.of[1] op b.of[1], a.of[2] op b.of[2], a.of[3] op b.of[3]}};                   \
+    }                                                                                                                \
+    ALWAYS_INLINE Four operator op(const Four &a, double b) { return a op Four{{b, b, b, b}}; }                      \
+    ALWAYS_INLINE Four operator op(double a, const Four &b) { return Four{{a, a, a, a}} op b; }                      \
+    ALWAYS_INLINE Four &operator op##=(Four &a, const Four &b) { return a = a op b; }                                \
+    ALWAYS_INLINE Four &operator op##=(Four &a, double b) { return a = a op b; }
+FOUR_OPERATOR(+)
+FOUR_OPERATOR(-)
+FOUR_OPERATOR(*)
+#undef FOUR_OPERATOR
+#endif
+
+ALWAYS_INLINE void load(Four &into, const double *from) { std::memcpy(&into, from, sizeof into); }
+ALWAYS_INLINE void store(const Four &from, double *into) { std::memcpy(into, &from, sizeof from); }
+
+// Memory of doubles as fours.
+template <class Doubles>
+ALWAYS_INLINE Four *fours(Doubles &of) { return reinterpret_cast<Four *>(of.data()); }

@@ -1,0 +1,87 @@
+"""`mocodec archive …`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import mocodec as mc
+from mocodec.testing import synthetic
+
+from .conftest import Command
+
+
+@pytest.fixture
+def vault(command: Command, tmp_path: Path) -> Path:
+    for name, frames in (("07/walk_01", 40), ("07/walk_02", 60), ("08/run_01", 50)):
+        path = tmp_path / f"raw/{name}.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mc.write(path, synthetic.joints(frames=frames, rate=60.0, seed=frames))
+    built = command(
+        "archive", "build", tmp_path / "raw", "-o", tmp_path / "vault", "--codec", "liu2006", "--max-error", "5mm"
+    )
+    assert built.code == 0, built.err
+    assert "3 added; 3 recordings, 150 frames" in built.err
+    return tmp_path / "vault"
+
+
+def test_list_query_and_stats(command: Command, vault: Path) -> None:
+    assert "08/run_01" in command("archive", "list", vault).out
+    assert command("archive", "query", vault, "subject == 7", "--names").out.split() == ["07/walk_01", "07/walk_02"]
+    row = json.loads(command("archive", "query", vault, "'run' in labels", "--json").out)
+    assert (row["name"], row["frames"]) == ("08/run_01", 50)
+    refused = command("archive", "query", vault, "open('x')")
+    assert refused.code == 3
+    assert len(refused.err.splitlines()) == 1
+    stats = json.loads(command("archive", "stats", vault, "--json").out)
+    assert (stats["recordings"], stats["failures"]) == (3, [])
+
+
+def test_append_remove_merge_extract(command: Command, vault: Path) -> None:
+    mc.write(vault.parent / "jump.npz", synthetic.joints(frames=45, rate=60.0, seed=9))
+    added = command("archive", "append", vault, vault.parent / "jump.npz", "-j", 2, "--json")
+    assert json.loads(added.out)["added"] == ["jump"]
+    assert command("archive", "remove", vault, "walk_01").code == 0
+    assert command("archive", "merge", vault, "-o", vault.parent / "new").code == 0
+    assert command("archive", "verify", vault.parent / "new", "--decode").out.endswith(
+        "3 of 3 recordings are undamaged\n"
+    )
+    assert (
+        command("archive", "extract", vault.parent / "new", "--query", "subject == 7", "-o", vault.parent / "out").code
+        == 0
+    )
+    assert len(mc.decode(vault.parent / "out/07/walk_02.mocz")) == 60
+    assert command("archive", "extract", vault, "jump", "-o", vault.parent / "out", "--format", "trc").code == 0
+    assert (vault.parent / "out/jump.trc").exists()
+
+
+def test_damage_and_wrong_use_are_one_line(command: Command, vault: Path) -> None:
+    with mc.open_archive(vault) as db:
+        place = db.entry("walk_02").place
+    data = bytearray(Path(place.path).read_bytes())
+    data[place.start + place.size // 2] ^= 4
+    Path(place.path).write_bytes(data)
+    found = command("archive", "verify", vault)
+    assert found.code == 4
+    assert found.out.startswith("07/walk_02: ")
+    for arguments in (
+        ("list", vault.parent / "raw"),
+        ("append", vault.parent / "nowhere", vault.parent / "raw"),
+        ("remove", vault),
+        ("build", vault.parent / "nowhere", "-o", vault),
+        ("build", vault.parent / "raw", "-o", vault, "--set", "colour=1"),
+    ):
+        result = command("archive", *arguments)
+        assert result.code in (2, 3), arguments
+        assert len(result.err.strip().splitlines()) == 1, result.err
+
+
+def test_names_that_lead_out_of_the_folder(command: Command, tmp_path: Path) -> None:
+    mc.write(tmp_path / "walk.npz", synthetic.joints(frames=40, seed=1))
+    built = command(
+        "archive", "build", tmp_path / "walk.npz", "-o", tmp_path / "vault", "--codec", "liu2006", "--prefix", "../../"
+    )
+    assert built.code == 0
+    assert command("archive", "extract", tmp_path / "vault", "-o", tmp_path / "out").code == 3

@@ -1,0 +1,65 @@
+"""Threads: results in order, errors of the items, and how many there are."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from mocodec import parallel
+from mocodec.errors import BadInput
+
+
+def test_without_threads_the_caller_works():
+    assert list(parallel.over(lambda _: threading.current_thread(), range(3))) == [threading.current_thread()] * 3
+
+
+def test_threads_work_side_by_side_in_order():
+    meeting = threading.Barrier(2, timeout=30)
+
+    def together(number: int) -> int:
+        meeting.wait()
+        return number
+
+    with parallel.threads(2):
+        assert list(parallel.over(together, range(6))) == list(range(6))
+        assert (
+            list(parallel.over(lambda _: threading.current_thread(), range(3), least=4))
+            == [threading.current_thread()] * 3
+        )
+
+
+def test_an_error_of_an_item_is_raised():
+    def fails(number: int) -> int:
+        if number == 3:
+            raise KeyError(number)
+        return number
+
+    with parallel.threads(2):
+        results = parallel.over(fails, range(100))
+        assert [next(results) for _ in range(3)] == [0, 1, 2]
+        with pytest.raises(KeyError):
+            next(results)
+
+
+def test_numbers_of_threads(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("MOCODEC_THREADS", "5")
+    assert parallel.usual() == 5
+    monkeypatch.setenv("MOCODEC_THREADS", "many")
+    assert parallel.usual() >= 1
+    with pytest.raises(BadInput, match="threads must be 1 or more"), parallel.threads(0):
+        pass
+
+
+def test_worker_processes_use_one():
+    code = (
+        "from concurrent.futures import ProcessPoolExecutor; from multiprocessing import get_context\n"
+        "from mocodec import parallel\n"
+        "if __name__ == '__main__':\n"
+        "    with ProcessPoolExecutor(1, get_context('forkserver')) as pool:\n"
+        "        print(pool.submit(parallel.usual).result())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("1\n", "")

@@ -1,0 +1,175 @@
+"""The page in headless Chromium: it plays, seeks and shows the numbers that Python computes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import viewer
+from mocodec.viewer import page, session
+from mocodec.viewer.recording import Shown, of_file
+from mocodec.viewer.server import Server
+
+WEB = Path(__file__).resolve().parents[2] / "web" / "viewer"
+CHROMIUM = os.environ.get("MOCODEC_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium"),
+    pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js"),
+    pytest.mark.skipif(not (WEB / "node_modules").is_dir(), reason="needs `npm ci` in web/viewer (scripts/web)"),
+    pytest.mark.xdist_group("chromium"),
+]
+
+LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0"}
+HOSTILE = "<img src=x onerror=\"document.title='broken'\">"
+
+
+def drive(commands: list[dict[str, Any]], tmp_path: Path) -> list[Any]:
+    """Run commands of web/viewer/test/browser.mjs; returns its answers. No error may appear in the page's console."""
+    (tmp_path / "commands.json").write_text(json.dumps(commands))
+    made = subprocess.run(
+        ["node", str(WEB / "test" / "browser.mjs"), str(tmp_path / "commands.json")],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        env={**os.environ, "MOCODEC_CHROMIUM": str(CHROMIUM)},
+    )
+    assert made.returncode == 0, made.stderr
+    result = json.loads(made.stdout)
+    assert "failed" not in result, result
+    assert result["problems"] == []
+    answers: list[Any] = result["answers"]
+    return answers
+
+
+def seek(frame: int) -> list[dict[str, Any]]:
+    """Commands that show a frame and answer with the state of the page."""
+    return [
+        {"do": "eval", "code": f"mocodecViewer.seek({frame})"},
+        {"do": "wait", "for": f"mocodecViewer.state().shownFrame === {frame}"},
+        {"do": "eval", "code": "mocodecViewer.state()"},
+    ]
+
+
+@pytest.fixture
+def server(original: mc.Motion, blob: bytes) -> Iterator[Server]:
+    with ExitStack() as opened:
+        pair = session.matched(
+            of_file("walk.mocz", opened.enter_context(mc.open(blob, mc.Motion))), Shown("walk", original)
+        )
+        made = opened.enter_context(Server([pair], "walk"))
+        thread = threading.Thread(target=made.serve_forever)
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
+
+
+def test_a_served_recording(server: Server, original: mc.Motion, blob: bytes, tmp_path: Path) -> None:
+    decoded = mc.decode(blob, mc.Motion)
+    numbers = "document.getElementById('numbers').innerText"
+    play = [{"do": "press", "key": " "}, {"do": "wait", "for": "mocodecViewer.state().shownFrame !== 300"}]
+    answers = drive(
+        [
+            {"do": "open", "url": server.url},
+            LOADED,
+            {"do": "eval", "code": numbers},
+            *seek(300),
+            *play,
+            {"do": "press", "key": " "},
+            {"do": "press", "key": "w"},
+            {"do": "eval", "code": "mocodecViewer.state().frame"},
+        ],
+        tmp_path,
+    )
+    measured = mc.compare(original, decoded, len(blob))
+    assert f"{1000 * measured.mean_error:.2f} mm" in answers[2]
+    assert f"{1000 * measured.max_error:.2f} mm" in answers[2]
+    assert "max 2 mm" in answers[2]
+    state = answers[5]
+    np.testing.assert_allclose(np.reshape(state["positions"], (6, 3)), decoded.positions[300], atol=1e-5)
+    errors = np.linalg.norm(decoded.positions[300] - original.positions[300], axis=1)
+    np.testing.assert_allclose(state["errors"], errors, atol=1e-6)
+    assert measured.max_at is not None
+    assert answers[-1] == measured.max_at[0]
+
+
+def test_a_page_of_its_own_on_a_phone(original: mc.Motion, blob: bytes, tmp_path: Path) -> None:
+    decoded = mc.decode(blob, mc.Motion)
+    named = mc.Motion(decoded.positions, 60, (HOSTILE, *decoded.names[1:]))
+    renamed = mc.Motion(original.positions, 60, (HOSTILE, *decoded.names[1:]))
+    path = tmp_path / "page.html"
+    viewer.save(path, viewer.html(named, against=renamed, title=HOSTILE))
+    answers = drive(
+        [
+            {"do": "open", "url": path.as_uri(), "size": [390, 844], "theme": "dark"},
+            LOADED,
+            *seek(299),
+            {"do": "click", "selector": "#points-button"},
+            {"do": "eval", "code": "document.querySelectorAll('img').length"},
+            {"do": "eval", "code": "document.getElementById('list').innerText"},
+            {"do": "eval", "code": "document.documentElement.scrollWidth <= innerWidth"},
+        ],
+        tmp_path,
+    )
+    errors = np.linalg.norm(decoded.positions[299] - original.positions[299], axis=1)
+    np.testing.assert_allclose(answers[4]["errors"], errors, atol=2e-5)
+    assert answers[6] == 0
+    assert HOSTILE in answers[7]
+    assert answers[8]
+
+
+def test_dropped_files_are_decoded_in_the_page(
+    server: Server, original: mc.Motion, blob: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "walk.mocz").write_bytes(blob)
+    (tmp_path / "exact.mocz").write_bytes(mc.encode(original, "lossless"))
+    dropped = {"do": "drop", "files": [str(tmp_path / "walk.mocz"), str(tmp_path / "exact.mocz")]}
+    answers = drive(
+        [
+            {"do": "open", "url": server.url.partition("?")[0]},
+            dropped,
+            LOADED,
+            *seek(120),
+            {"do": "eval", "code": "document.getElementById('numbers').innerText"},
+        ],
+        tmp_path,
+    )
+    decoded = mc.decode(blob, mc.Motion)
+    got = np.reshape(np.array(answers[5]["positions"], float), (6, 3))
+    np.testing.assert_allclose(got, decoded.positions[120], atol=1e-5)
+    assert f"{1000 * mc.compare(original, decoded).max_error:.2f} mm" in answers[6]
+
+
+def test_a_damaged_file_plays_the_rest(server: Server, original: mc.Motion, tmp_path: Path) -> None:
+    data = bytearray(mc.encode(original, "lossless", chunk_seconds=2))
+    with mc.open(bytes(data), mc.Motion) as f:
+        chunk = f.encoded.chunks[2]
+        start, stop, payload = chunk.start, chunk.stop, bytes(chunk.payload)
+    data[data.index(payload) + len(payload) // 2] ^= 255
+    (tmp_path / "damaged.mocz").write_bytes(data)
+    dropped = {"do": "drop", "files": [str(tmp_path / "damaged.mocz")]}
+    answers = drive(
+        [{"do": "open", "url": server.url.partition("?")[0]}, dropped, LOADED, *seek(start + 5), *seek(stop + 5)],
+        tmp_path,
+    )
+    assert all(value is None for value in answers[5]["positions"])
+    got = np.reshape(np.array(answers[8]["positions"], float), (6, 3))
+    np.testing.assert_allclose(got, original.positions[stop + 5], atol=1e-5)
+
+
+def test_the_page_in_the_package_is_built_from_these_sources(tmp_path: Path) -> None:
+    made = tmp_path / "viewer.html"
+    subprocess.run(["node", "build.mjs", str(made)], cwd=WEB, check=True, capture_output=True, timeout=120)
+    assert made.read_text() == page.viewer(), "run scripts/web, and commit the page"

@@ -1,0 +1,156 @@
+/** Frames of a recording, loaded block by block ahead of the frame that is shown. */
+
+import { type Cloud, unpackClouds, unpackMotion } from "./packed.ts";
+import type { Facts, Media } from "./session.ts";
+import { fileOf } from "./mocz.ts";
+
+/** One frame: positions (points · 3) in metres, NaN for a gap; colours 0 to 255 of point clouds. */
+export interface Frame {
+  positions: Float32Array;
+  colours: Uint8Array | null;
+}
+
+/** Loads frames [a, b). */
+export type Loader = (a: number, b: number) => Promise<Frame[]>;
+
+const BLOCK_FRAMES = 240;
+const CACHED_BLOCKS = 40;
+const CACHED_BYTES = 256 << 20;
+
+export class Frames {
+  private blocks = new Map<number, Frame[]>();
+  private loading = new Map<number, Promise<void>>();
+  private failed = new Map<number, string>();
+  readonly blockFrames: number;
+
+  constructor(
+    readonly count: number,
+    private loader: Loader,
+    frameBytes: number,
+    private onLoad: () => void,
+  ) {
+    this.blockFrames = Math.max(1, Math.min(BLOCK_FRAMES, Math.floor((8 << 20) / Math.max(1, frameBytes))));
+    this.capacity = Math.max(3, Math.min(CACHED_BLOCKS, Math.floor(CACHED_BYTES / (frameBytes * this.blockFrames + 1))));
+  }
+
+  private readonly capacity: number;
+
+  /** The frame if it is loaded; else null, and loading begins. The block after it is loaded too. */
+  at(frame: number): Frame | null {
+    const block = Math.floor(frame / this.blockFrames);
+    const found = this.blocks.get(block);
+    if (found) {
+      this.blocks.delete(block);
+      this.blocks.set(block, found);
+    } else {
+      void this.load(block);
+    }
+    if ((frame % this.blockFrames) * 3 > this.blockFrames) void this.load(block + 1);
+    return found?.[frame - block * this.blockFrames] ?? null;
+  }
+
+  /** The frame, as soon as it is loaded; null if it cannot be. */
+  async wait(frame: number): Promise<Frame | null> {
+    const block = Math.floor(frame / this.blockFrames);
+    await this.load(block);
+    return this.blocks.get(block)?.[frame - block * this.blockFrames] ?? null;
+  }
+
+  /** Why a frame could not be loaded; null if it could, or was not tried. */
+  failure(frame: number): string | null {
+    return this.failed.get(Math.floor(frame / this.blockFrames)) ?? null;
+  }
+
+  private load(block: number): Promise<void> {
+    const start = block * this.blockFrames;
+    if (start < 0 || start >= this.count || this.blocks.has(block) || this.failed.has(block)) return Promise.resolve();
+    const pending = this.loading.get(block);
+    if (pending) return pending;
+    const work = this.loader(start, Math.min(this.count, start + this.blockFrames))
+      .then((frames) => {
+        this.blocks.set(block, frames);
+        while (this.blocks.size > this.capacity) this.blocks.delete(this.blocks.keys().next().value!);
+      })
+      .catch((error: unknown) => {
+        this.failed.set(block, error instanceof Error ? error.message : String(error));
+      })
+      .finally(() => {
+        this.loading.delete(block);
+        this.onLoad();
+      });
+    this.loading.set(block, work);
+    return work;
+  }
+}
+
+/** Loaders of the decoded and the original frames of a recording. */
+export async function loaders(facts: Facts): Promise<{ decoded: Loader; original: Loader | null }> {
+  if (facts.kind === "clouds") {
+    return { decoded: await cloudLoader(facts.decoded), original: facts.original && (await cloudLoader(facts.original)) };
+  }
+  let inside: Float32Array | null = null;
+  const make = async (media: Media): Promise<Loader> => {
+    if (media.type === "packed") {
+      const positions = await unpackMotion(media, facts.points, inside);
+      inside ??= positions;
+      return inMemory(positions, facts.points);
+    }
+    if (media.type === "mocz") return moczLoader(media, facts.points);
+    if (media.type === "frames") return serverLoader(media.url, facts.points);
+    throw new Error("motion cannot come as packed clouds");
+  };
+  const decoded = await make(facts.decoded);
+  return { decoded, original: facts.original && (await make(facts.original)) };
+}
+
+/** Frames of an array (frames · points · 3). */
+export function inMemory(positions: Float32Array, points: number): Loader {
+  return async (a, b) => split(positions.subarray(a * points * 3, b * points * 3), points);
+}
+
+function split(positions: Float32Array, points: number): Frame[] {
+  const width = points * 3;
+  const count = width ? positions.length / width : 0;
+  return Array.from({ length: count }, (_, i) => ({
+    positions: positions.subarray(i * width, (i + 1) * width),
+    colours: null,
+  }));
+}
+
+async function moczLoader(media: Extract<Media, { type: "mocz" }>, points: number): Promise<Loader> {
+  const file = await fileOf(media);
+  return async (a, b) => split(new Float32Array(await file.frames(a, b)), points);
+}
+
+async function fetchRange(url: string, a: number, b: number): Promise<ArrayBuffer> {
+  const response = await fetch(`${url}?from=${a}&to=${b}`);
+  if (!response.ok) throw new Error((await response.text()) || `the server answers ${response.status}`);
+  return response.arrayBuffer();
+}
+
+function serverLoader(url: string, points: number): Loader {
+  return async (a, b) => split(new Float32Array(await fetchRange(url, a, b)), points);
+}
+
+async function cloudLoader(media: Media): Promise<Loader> {
+  if (media.type === "packed-clouds") {
+    const clouds = await unpackClouds(media);
+    return async (a, b) => clouds.slice(a, b);
+  }
+  if (media.type !== "frames") throw new Error("point clouds come from a server or within the page");
+  return async (a, b) => splitClouds(await fetchRange(media.url, a, b));
+}
+
+/** Of each frame: its count (uint32), positions (count · 3 float32), colours (count · 3 bytes), padded to 4 bytes. */
+function splitClouds(buffer: ArrayBuffer): Cloud[] {
+  const view = new DataView(buffer);
+  const clouds: Cloud[] = [];
+  for (let at = 0; at + 4 <= buffer.byteLength; ) {
+    const count = view.getUint32(at, true);
+    const positions = new Float32Array(buffer, at + 4, count * 3);
+    const colours = new Uint8Array(buffer, at + 4 + count * 12, count * 3);
+    clouds.push({ positions, colours });
+    at += 4 + count * 12 + ((count * 3 + 3) & ~3);
+  }
+  return clouds;
+}

@@ -1,0 +1,398 @@
+/** The page: loads the session, plays it, and answers buttons, keys, clicks and dropped files. */
+
+import { Vector3 } from "three";
+import { summary } from "./errors.ts";
+import { addressed, dropped } from "./dropped.ts";
+import { PointList, showKeys, showLegend, showNumbers, showSignals, showTabs } from "./panel.ts";
+import { Stage } from "./scene.ts";
+import { load, type Session } from "./session.ts";
+import { length, time, whole } from "./text.ts";
+import { ErrorScale, PALETTES } from "./theme.ts";
+import { Timeline } from "./timeline.ts";
+import { type OriginalPlace, RecordingView } from "./view.ts";
+
+const KEYS = [
+  ["space", "play, pause"],
+  ["← →", "one frame; with shift one second"],
+  ["home end", "first and last frame"],
+  ["W", "frame and point of the largest error"],
+  ["[ ]", "slower, faster"],
+  ["L", "play in a loop"],
+  ["F", "the camera follows"],
+  ["R", "whole figure"],
+  ["T", "trail of the chosen point"],
+  ["G", "original over, beside, hidden"],
+  ["P", "list of points"],
+  ["D", "dark or light"],
+  ["O", "open files"],
+  ["?", "these keys"],
+] as const;
+
+const $ = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
+
+class Page {
+  private views: RecordingView[] = [];
+  private active = 0;
+  private seconds = 0;
+  private isPlaying = false;
+  private lastTick = 0;
+  private place: OriginalPlace = "over";
+  private theme: "light" | "dark" = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  private scale: ErrorScale | null = null;
+  private here: { mean: HTMLElement; max: HTMLElement } | null = null;
+  private readonly strips = new Set<number>();
+  private needsFrame = true;
+  private readonly stage = new Stage($("picture"), () => (this.needsFrame = true));
+  private readonly timeline = new Timeline($("time"), $("tip"), (frame) => this.seek(frame));
+  private readonly list = new PointList($("list"), $("filter"), () => (this.needsFrame = true));
+  /** Frames drawn late while playing: shown by tests and by `mocodecViewer.late`. */
+  late = 0;
+  drawn = 0;
+
+  async start(): Promise<void> {
+    this.applyTheme();
+    this.listen();
+    showKeys($("keys"), KEYS);
+    if (innerWidth <= 720) this.togglePoints(false);
+    try {
+      const query = new URLSearchParams(location.search);
+      const measuring = (share: number) => this.notice(`measuring… ${Math.round(100 * share)} %`);
+      const session = query.has("file") ? await addressed(query, measuring) : await load();
+      if (session) await this.open(session);
+      else $("welcome").hidden = false;
+    } catch (error) {
+      this.notice(error instanceof Error ? error.message : String(error));
+    }
+    requestAnimationFrame((now) => this.tick(now));
+  }
+
+  async open(session: Session): Promise<void> {
+    for (const view of this.views) view.close();
+    this.views = [];
+    $("welcome").hidden = true;
+    this.notice("loading…");
+    const problems: string[] = [];
+    for (const facts of session.recordings) {
+      try {
+        this.views.push(await RecordingView.open(facts, this.stage, () => (this.needsFrame = true)));
+      } catch (error) {
+        problems.push(`${facts.name}: ${error instanceof Error ? error.message : String(error)}`);
+      }
+    }
+    this.notice(problems.join("\n") || null);
+    document.title = `${session.title} · mocodec`;
+    this.seconds = 0;
+    if (this.views.length) this.choose(0, true);
+  }
+
+  private get view(): RecordingView | undefined {
+    return this.views[this.active];
+  }
+
+  private get frame(): number {
+    return this.view?.frameAt(this.seconds) ?? 0;
+  }
+
+  /** Make a recording the one that timeline, numbers and list are of. */
+  private choose(number: number, first = false): void {
+    this.active = number;
+    const { facts } = this.views[number];
+    $("title").textContent = facts.name;
+    $("title").title = facts.name;
+    showTabs($("tabs"), this.views.map((view) => view.facts.name), number, (other) => this.choose(other));
+    this.here = showNumbers($("numbers"), facts);
+    this.list.show(facts);
+    this.strips.clear();
+    facts.signals.slice(0, 3).forEach((_, signal) => this.strips.add(signal));
+    showSignals($("signals"), $("channels"), facts, this.strips, () => this.timeline.show(facts, [...this.strips].sort((a, b) => a - b)));
+    this.timeline.show(facts, [...this.strips]);
+    $("notes").textContent = facts.notes.join("\n");
+    $("notes").hidden = facts.notes.length === 0;
+    $("worst").hidden = !facts.errors?.maxAt;
+    $("original-label").hidden = !facts.original;
+    $("points-button").hidden = facts.names.length === 0;
+    $("points").hidden = facts.names.length === 0 || $("points-button").getAttribute("aria-expanded") !== "true";
+    this.rescale();
+    if (first) this.arrange();
+    this.needsFrame = true;
+  }
+
+  /** Put recordings beside each other, and the camera before them. */
+  private arrange(): void {
+    this.stage.setUp(this.views[0].facts.up);
+    let x = 0;
+    this.views.forEach((view, number) => {
+      view.offset.set(0, 0, 0);
+      if (number) {
+        const up = "xyz".indexOf(view.facts.up);
+        const centre = view.centre.clone().setComponent(up, 0);
+        const first = this.views[0].centre.clone().setComponent(up, 0);
+        x += 0.45 * (view.extent + this.views[number - 1].extent);
+        view.offset.copy(first).sub(centre).add(view.sideways(x));
+      }
+    });
+    this.reset();
+  }
+
+  private reset(): void {
+    const view = this.view;
+    if (!view) return;
+    view.show(this.frame, this.place, this.list.selected, this.scale, PALETTES[this.theme]);
+    const middle = view.middle();
+    const side = this.views.length > 1 ? view.sideways(0.5 * (this.views.at(-1)!.offset.length() || 0)) : new Vector3();
+    const size = view.extent + (this.views.length > 1 ? this.views.at(-1)!.offset.length() : 0) + (this.isBeside ? 0.7 * view.extent : 0);
+    if (this.isBeside) side.add(view.sideways(0.375 * view.extent));
+    this.stage.frame(middle.add(side.applyQuaternion(this.stage.world.quaternion)), size);
+    this.ground();
+    this.needsFrame = true;
+  }
+
+  private get isBeside(): boolean {
+    return this.place === "beside" && this.view?.original != null;
+  }
+
+  private ground(): void {
+    const view = this.view;
+    if (view) this.stage.setGround(view.middle(), view.lowest, 2.5 * view.extent, PALETTES[this.theme]);
+  }
+
+  private rescale(): void {
+    const facts = this.view?.facts;
+    const largest = facts?.promise.max_error ?? facts?.errors?.max ?? 0;
+    const shown = facts?.original ? largest || 1e-3 : 0;
+    this.scale = shown ? new ErrorScale(PALETTES[this.theme], shown) : null;
+    showLegend($("legend"), facts?.kind === "motion" && shown ? shown : null, this.place !== "off");
+    this.needsFrame = true;
+  }
+
+  seek(frame: number): void {
+    const view = this.view;
+    if (!view) return;
+    this.seconds = Math.max(0, Math.min(view.facts.frames - 1, frame)) / view.facts.rate;
+    this.needsFrame = true;
+  }
+
+  private play(on: boolean): void {
+    const view = this.view;
+    if (on && view && this.frame >= view.facts.frames - 1) this.seconds = 0;
+    this.isPlaying = on;
+    $("play").dataset.playing = String(on);
+    $("play").setAttribute("aria-label", on ? "Pause" : "Play");
+  }
+
+  private tick(now: number): void {
+    requestAnimationFrame((next) => this.tick(next));
+    const passed = Math.min(0.25, (now - this.lastTick) / 1000);
+    this.lastTick = now;
+    const view = this.view;
+    if (!view) return;
+    if (this.isPlaying) {
+      this.drawn++;
+      if (passed > 0.025) this.late += Math.round(passed * 60) - 1;
+      this.advance(passed * Number($<HTMLSelectElement>("speed").value));
+    }
+    if (this.needsFrame) this.render();
+    this.stage.draw();
+  }
+
+  private advance(step: number): void {
+    const { frames, rate } = this.view!.facts;
+    const before = this.frame;
+    if (this.view!.decoded.at(before) === null && this.view!.decoded.failure(before) === null) return;
+    this.seconds += step;
+    if (this.seconds >= frames / rate) {
+      if ($("loop").getAttribute("aria-pressed") === "true") this.seconds = 0;
+      else {
+        this.seconds = (frames - 1) / rate;
+        this.play(false);
+      }
+    }
+    if (this.frame !== before) this.needsFrame = true;
+  }
+
+  private render(): void {
+    const palette = PALETTES[this.theme];
+    const view = this.view!;
+    this.needsFrame = false;
+    this.views.forEach((one, number) => {
+      const selected = number === this.active ? this.list.selected : -1;
+      one.show(one.frameAt(this.seconds), this.place, selected, this.scale, palette);
+    });
+    const frame = this.frame;
+    const failure = view.decoded.failure(frame);
+    this.notice(failure ? `Frames around ${whole(frame)} cannot be shown: ${failure}` : null);
+    if ($("follow").getAttribute("aria-pressed") === "true" && this.views.length === 1) this.follow();
+    void view.trail($("trails").getAttribute("aria-pressed") === "true" ? this.list.selected : -1, frame, palette.accent);
+    this.timeline.setFrame(frame);
+    $("clock").textContent = `${time(frame / view.facts.rate)} · frame ${whole(frame)}`;
+    if (this.here) {
+      const { mean, max, at } = summary(view.errors);
+      this.here.mean.textContent = length(mean);
+      this.here.max.textContent = at < 0 ? "–" : `${length(max)} ${view.facts.names[at] ?? ""}`;
+      this.list.update(view.errors);
+    }
+    this.showMark();
+    this.stage.invalidate();
+  }
+
+  private follow(): void {
+    const view = this.view!;
+    const middle = view.middle();
+    if (this.isBeside) middle.add(view.sideways(0.375 * view.extent).applyQuaternion(this.stage.world.quaternion));
+    const still = 0.12 * view.extent; // small movements up and down stay visible as such
+    middle.y = Math.max(middle.y - still, Math.min(middle.y + still, this.stage.controls.target.y));
+    this.stage.follow(middle);
+  }
+
+  /** The name of the chosen point, beside it. */
+  private showMark(): void {
+    const view = this.view!;
+    const point = this.list.selected;
+    const positions = view.positions;
+    const mark = $("mark");
+    mark.hidden = point < 0 || !positions || Number.isNaN(positions[3 * point]);
+    if (mark.hidden || !positions) return;
+    const at = this.stage.project(new Vector3(...positions.slice(3 * point, 3 * point + 3)).add(view.offset));
+    mark.style.left = `${at.x}px`;
+    mark.style.top = `${at.y}px`;
+    const error = view.errors[point];
+    mark.textContent = Number.isNaN(error) ? view.facts.names[point] : `${view.facts.names[point]}  ${length(error)}`;
+  }
+
+  private worst(): void {
+    const at = this.view?.facts.errors?.maxAt;
+    if (!at) return;
+    this.play(false);
+    this.seek(at[0]);
+    this.list.select(at[1]);
+  }
+
+  private notice(text: string | null): void {
+    $("notice").textContent = text;
+    $("notice").hidden = !text;
+  }
+
+  private applyTheme(): void {
+    document.documentElement.dataset.theme = this.theme;
+    this.rescale();
+    this.timeline.refresh();
+    if (this.view) this.ground();
+  }
+
+  private togglePoints(on = $("points").hidden): void {
+    $("points").hidden = !on;
+    $("points-button").setAttribute("aria-expanded", String(on));
+  }
+
+  private toggle(id: string): void {
+    $(id).setAttribute("aria-pressed", String($(id).getAttribute("aria-pressed") !== "true"));
+    this.needsFrame = true;
+  }
+
+  private setPlace(place: OriginalPlace): void {
+    this.place = place;
+    $<HTMLSelectElement>("original").value = place;
+    this.rescale();
+    this.reset();
+  }
+
+  private async openFiles(files: FileList | File[] | null): Promise<void> {
+    if (!files?.length) return;
+    try {
+      this.notice("reading…");
+      const session = await dropped([...files], (share) => this.notice(`measuring… ${Math.round(100 * share)} %`));
+      await this.open(session);
+    } catch (error) {
+      this.notice(error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  private listen(): void {
+    const on = (id: string, act: () => void) => $(id).addEventListener("click", act);
+    on("play", () => this.play(!this.isPlaying));
+    on("back", () => this.seek(this.frame - 1));
+    on("next", () => this.seek(this.frame + 1));
+    on("worst", () => this.worst());
+    on("loop", () => this.toggle("loop"));
+    on("follow", () => this.toggle("follow"));
+    on("trails", () => this.toggle("trails"));
+    on("reset", () => this.reset());
+    on("points-button", () => this.togglePoints());
+    on("help-button", () => $<HTMLDialogElement>("help").showModal());
+    on("open", () => $("files").click());
+    on("theme", () => this.switchTheme());
+    $("files").addEventListener("change", () => void this.openFiles($<HTMLInputElement>("files").files));
+    $("original").addEventListener("change", () => this.setPlace($<HTMLSelectElement>("original").value as OriginalPlace));
+    document.addEventListener("keydown", (event) => this.key(event));
+    addEventListener("dragover", (event) => event.preventDefault());
+    addEventListener("drop", (event) => {
+      event.preventDefault();
+      void this.openFiles(event.dataTransfer?.files ?? null);
+    });
+    let down: [number, number] | null = null;
+    const picture = $("picture");
+    picture.addEventListener("pointerdown", (event) => (down = [event.clientX, event.clientY]));
+    picture.addEventListener("pointerup", (event) => {
+      if (!down || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
+      const positions = this.view?.facts.kind === "motion" ? this.view.positions : null;
+      const box = picture.getBoundingClientRect();
+      if (positions) this.list.select(this.stage.pick(event.clientX - box.left, event.clientY - box.top, positions, this.view!.offset));
+    });
+  }
+
+  private switchTheme(): void {
+    this.theme = this.theme === "dark" ? "light" : "dark";
+    this.applyTheme();
+  }
+
+  private key(event: KeyboardEvent): void {
+    const target = event.target as HTMLElement;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input[type=search], select")) return;
+    const view = this.view;
+    const second = Math.round(view?.facts.rate ?? 1);
+    const step = event.shiftKey ? second : 1;
+    const speed = $<HTMLSelectElement>("speed");
+    const actions: Record<string, () => void> = {
+      " ": () => this.play(!this.isPlaying),
+      ArrowLeft: () => this.seek(this.frame - step),
+      ArrowRight: () => this.seek(this.frame + step),
+      Home: () => this.seek(0),
+      End: () => this.seek(Infinity),
+      w: () => this.worst(),
+      "[": () => (speed.selectedIndex = Math.max(0, speed.selectedIndex - 1)),
+      "]": () => (speed.selectedIndex = Math.min(speed.options.length - 1, speed.selectedIndex + 1)),
+      l: () => this.toggle("loop"),
+      f: () => this.toggle("follow"),
+      t: () => this.toggle("trails"),
+      r: () => this.reset(),
+      g: () => this.setPlace(this.place === "over" ? "beside" : this.place === "beside" ? "off" : "over"),
+      p: () => this.togglePoints(),
+      d: () => this.switchTheme(),
+      o: () => $("files").click(),
+      "?": () => $<HTMLDialogElement>("help").showModal(),
+    };
+    const act = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!act || (event.key === " " && target.matches("button"))) return;
+    event.preventDefault();
+    act();
+  }
+
+  /** For tests: the state of the page. */
+  state(): Record<string, unknown> {
+    const view = this.view;
+    return {
+      frame: this.frame,
+      shownFrame: view?.shownFrame ?? -1,
+      isPlaying: this.isPlaying,
+      recordings: this.views.map((one) => one.facts.name),
+      positions: view?.positions ? Array.from(view.positions.slice(0, 300)) : null,
+      errors: view ? Array.from(view.errors) : null,
+      late: this.late,
+      drawn: this.drawn,
+    };
+  }
+}
+
+const page = new Page();
+Object.assign(window, { mocodecViewer: page });
+void page.start();

@@ -1,0 +1,95 @@
+/** The session: what a page shows, as JSON that `mocodec.viewer.session` writes (or that this page makes of dropped files).
+ *
+ * Lengths are metres, times seconds. Frames count from 0.
+ */
+
+export interface Session {
+  version: 1;
+  title: string;
+  recordings: Facts[];
+}
+
+/** Facts about one recording, and where its frames come from. */
+export interface Facts {
+  name: string;
+  kind: "motion" | "clouds";
+  frames: number;
+  points: number;
+  rate: number;
+  up: "x" | "y" | "z";
+  names: string[];
+  /** Pairs of points to connect by a line. */
+  links: [number, number][];
+  codec: string | null;
+  /** Size of the compressed file, and size as float32 positions over it. */
+  bytes: number | null;
+  /** Size of the file that it is compared with, if that is one file. */
+  originalBytes: number | null;
+  ratio: number | null;
+  promise: Record<string, number>;
+  /** First frame and bytes of chunks, or of runs of chunks in a long file. */
+  chunks: [number, number][];
+  events: { label: string; seconds: number }[];
+  signals: SignalFacts[];
+  /** Share of points missing in equal parts of the recording. */
+  gaps: number[];
+  errors: ErrorFacts | null;
+  /** Runs of frames (start, stop) that cannot be decoded. */
+  damage: [number, number][];
+  notes: string[];
+  decoded: Media;
+  original: Media | null;
+}
+
+/** One channel: its smallest and largest value in equal parts of the recording. */
+export interface SignalFacts {
+  label: string;
+  unit: string;
+  low: number[];
+  high: number[];
+}
+
+/** Errors against the original over all frames. */
+export interface ErrorFacts {
+  mean: number;
+  p99: number;
+  max: number;
+  /** Frame and point of the largest error. */
+  maxAt: [number, number] | null;
+  /** Runs of `binFrames` frames each: mean and largest error, and the frame of the largest. */
+  binFrames: number;
+  binMean: number[];
+  binMax: number[];
+  binWorst: number[];
+  /** Of each point. */
+  pointMean: number[];
+  pointMax: number[];
+}
+
+/** Where frames come from. */
+export type Media =
+  /** A server that decodes: GET url?from=a&to=b (docs/howto/view.md). */
+  | { type: "frames"; url: string }
+  /** A .mocz that this page decodes. */
+  | { type: "mocz"; url?: string; base64?: string; id?: number }
+  /** All frames within the page: see packed.ts. `step` metres, `origin` metres; relative to the decoded frames or not. */
+  | { type: "packed"; base64: string; step: number; origin: [number, number, number]; relative: boolean }
+  /** All frames of point clouds within the page. */
+  | { type: "packed-clouds"; base64: string; counts: number[]; step: number; origin: [number, number, number] };
+
+/** The session of this page: embedded in it, or beside it; null if there is none and files must be dropped. */
+export async function load(): Promise<Session | null> {
+  const embedded = document.getElementById("session")?.textContent?.trim();
+  if (embedded && embedded !== "null") return checked(JSON.parse(embedded));
+  const query = new URLSearchParams(location.search).get("session");
+  if (query === null) return null;
+  const response = await fetch(new URL(query, location.href));
+  if (!response.ok) throw new Error(`the server answers ${response.status} for ${query}`);
+  return checked(await response.json());
+}
+
+function checked(value: unknown): Session {
+  const session = value as Session;
+  if (session?.version !== 1) throw new Error("this page is older than its data: it needs session version 1");
+  return session;
+}

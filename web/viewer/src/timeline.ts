@@ -1,0 +1,302 @@
+/** The timeline: error over time, bytes, gaps, damage, events and signals, drawn on one canvas; clicks and drags seek. */
+
+import type { Facts } from "./session.ts";
+import { length, time } from "./text.ts";
+
+const ERROR_HEIGHT = 56;
+const RIBBON = 8;
+const SIGNAL_HEIGHT = 26;
+const GUTTER = 4;
+const LABELS = 16;
+const MOST_SIGNALS = 8;
+
+export class Timeline {
+  /** Shown signals: numbers in `facts.signals`. */
+  private strips: number[] = [];
+  private facts: Facts | null = null;
+  private frame = 0;
+  private hover: number | null = null;
+  private base: HTMLCanvasElement = document.createElement("canvas");
+  private stale = true;
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly tip: HTMLElement,
+    seek: (frame: number) => void,
+  ) {
+    let dragging = false;
+    const move = (event: PointerEvent) => {
+      if (!this.facts) return;
+      const box = canvas.getBoundingClientRect();
+      const frame = this.frameAt(event.clientX - box.left);
+      if (dragging) seek(frame);
+      this.hover = event.clientX - box.left;
+      this.showTip(frame, event.clientX - box.left);
+      this.draw();
+    };
+    canvas.addEventListener("pointerdown", (event) => {
+      dragging = true;
+      canvas.setPointerCapture(event.pointerId);
+      const box = canvas.getBoundingClientRect();
+      seek(this.nearestPeak(event.clientX - box.left, event.clientY - box.top));
+    });
+    canvas.addEventListener("pointermove", move);
+    canvas.addEventListener("pointerup", () => (dragging = false));
+    canvas.addEventListener("pointercancel", () => (dragging = false));
+    canvas.addEventListener("pointerleave", () => {
+      this.hover = null;
+      tip.hidden = true;
+      this.draw();
+    });
+    new ResizeObserver(() => this.refresh()).observe(canvas.parentElement!);
+  }
+
+  show(facts: Facts, strips: number[]): void {
+    this.facts = facts;
+    this.strips = strips.slice(0, MOST_SIGNALS);
+    this.canvas.setAttribute("aria-valuemax", String(facts.frames - 1));
+    this.refresh();
+  }
+
+  setFrame(frame: number): void {
+    this.frame = frame;
+    this.canvas.setAttribute("aria-valuenow", String(frame));
+    if (this.facts) this.canvas.setAttribute("aria-valuetext", `frame ${frame}, ${time(frame / this.facts.rate)}`);
+    this.draw();
+  }
+
+  /** Draw everything anew, after a change of size, theme or data. */
+  refresh(): void {
+    const hasErrors = this.facts?.errors != null;
+    const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
+    this.canvas.style.height = `${height}px`;
+    const scale = Math.min(2, devicePixelRatio);
+    this.canvas.width = Math.max(1, this.canvas.clientWidth * scale);
+    this.canvas.height = height * scale;
+    this.stale = true;
+    this.draw();
+  }
+
+  private frameAt(x: number): number {
+    const count = this.facts!.frames;
+    return Math.max(0, Math.min(count - 1, Math.round((x / Math.max(1, this.canvas.clientWidth)) * (count - 1))));
+  }
+
+  /** The frame under the pointer; in the error curve, that of the largest error within three pixels. */
+  private nearestPeak(x: number, y: number): number {
+    const errors = this.facts?.errors;
+    if (!errors || y > LABELS + ERROR_HEIGHT) return this.frameAt(x);
+    const first = Math.floor(this.frameAt(x - 3) / errors.binFrames);
+    const last = Math.floor(this.frameAt(x + 3) / errors.binFrames);
+    let best = first;
+    for (let bin = first; bin <= last; bin++) if (errors.binMax[bin] > errors.binMax[best]) best = bin;
+    return errors.binWorst[best];
+  }
+
+  private showTip(frame: number, x: number): void {
+    const facts = this.facts!;
+    const parts = [`${time(frame / facts.rate)} · frame ${frame.toLocaleString("en")}`];
+    if (facts.errors) {
+      const bin = Math.floor(frame / facts.errors.binFrames);
+      parts.push(`max ${length(facts.errors.binMax[bin])} · mean ${length(facts.errors.binMean[bin])}`);
+    }
+    const near = facts.events.filter((event) => Math.abs(this.x(event.seconds * facts.rate) - x) < 5);
+    parts.push(...near.slice(0, 3).map((event) => event.label));
+    this.tip.textContent = parts.join("\n");
+    this.tip.hidden = false;
+    const width = this.tip.offsetWidth;
+    this.tip.style.left = `${Math.max(4, Math.min(this.canvas.clientWidth - width - 4, x - width / 2))}px`;
+  }
+
+  private get hasGaps(): boolean {
+    return this.facts !== null && (this.facts.damage.length > 0 || this.facts.gaps.some((share) => share > 0));
+  }
+
+  private x(frame: number): number {
+    return (frame / Math.max(1, this.facts!.frames - 1)) * this.canvas.clientWidth;
+  }
+
+  private draw(): void {
+    if (!this.facts) return;
+    if (this.stale) this.drawBase();
+    this.stale = false;
+    const scale = this.canvas.width / Math.max(1, this.canvas.clientWidth);
+    const pen = this.canvas.getContext("2d")!;
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    pen.drawImage(this.base, 0, 0);
+    pen.setTransform(scale, 0, 0, scale, 0, 0);
+    const height = this.canvas.height / scale;
+    if (this.hover !== null) {
+      pen.fillStyle = css("--line");
+      pen.fillRect(Math.round(this.hover), LABELS, 1, height);
+    }
+    const x = Math.max(1, Math.min(this.canvas.clientWidth - 1, this.x(this.frame)));
+    pen.fillStyle = css("--ink");
+    pen.fillRect(Math.round(x) - 1, LABELS - 6, 2, height);
+    pen.beginPath();
+    pen.moveTo(x - 5, LABELS - 10);
+    pen.lineTo(x + 5, LABELS - 10);
+    pen.lineTo(x, LABELS - 2);
+    pen.fill();
+  }
+
+  private drawBase(): void {
+    const facts = this.facts!;
+    const width = this.canvas.clientWidth;
+    const scale = this.canvas.width / Math.max(1, width);
+    this.base.width = this.canvas.width;
+    this.base.height = this.canvas.height;
+    const pen = this.base.getContext("2d")!;
+    pen.setTransform(scale, 0, 0, scale, 0, 0);
+    pen.font = "11px system-ui, sans-serif";
+    this.drawTimes(pen, width);
+    let top = LABELS;
+    if (facts.errors) {
+      this.drawErrors(pen, top, width);
+      top += ERROR_HEIGHT + GUTTER;
+    }
+    this.drawBytes(pen, top, width);
+    top += RIBBON + GUTTER;
+    if (this.hasGaps) {
+      this.drawGaps(pen, top, width);
+      top += RIBBON + GUTTER;
+    }
+    for (const strip of this.strips) {
+      this.drawSignal(pen, top, width, strip);
+      top += SIGNAL_HEIGHT + 2;
+    }
+    pen.fillStyle = css("--accent-2");
+    for (const event of facts.events) {
+      const x = this.x(event.seconds * facts.rate);
+      pen.fillRect(Math.round(x), LABELS - 5, 1.5, top - LABELS + 3);
+    }
+  }
+
+  private drawTimes(pen: CanvasRenderingContext2D, width: number): void {
+    const facts = this.facts!;
+    const seconds = facts.frames / facts.rate;
+    const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((s) => (width * s) / seconds > 70) ?? 7200;
+    pen.fillStyle = css("--muted");
+    pen.textBaseline = "top";
+    for (let second = 0; second < seconds; second += step) {
+      const x = this.x(second * facts.rate);
+      if (x > width - 30) break;
+      pen.fillRect(Math.round(x), LABELS - 4, 1, 4);
+      const text = step < 1 ? `${second.toFixed(1)} s` : second < 60 ? `${second} s` : time(second).replace(/\.00$/, "");
+      pen.fillText(text, x + 3, 0);
+    }
+  }
+
+  private drawErrors(pen: CanvasRenderingContext2D, top: number, width: number): void {
+    const { errors, promise } = this.facts!;
+    if (!errors) return;
+    const bound = promise.max_error ?? promise.mean_error ?? 0;
+    const scale = Math.max(errors.max, promise.max_error ?? 0) * 1.08 || 1;
+    const y = (error: number) => top + ERROR_HEIGHT * (1 - error / scale);
+    pen.fillStyle = css("--raised");
+    pen.fillRect(0, top, width, ERROR_HEIGHT);
+    const column = (values: number[], pick: "max" | "mean") => {
+      const columns = new Float64Array(width);
+      for (let x = 0; x < width; x++) {
+        const first = Math.floor((x / width) * values.length);
+        const last = Math.max(first + 1, Math.ceil(((x + 1) / width) * values.length));
+        let sum = 0;
+        let largest = 0;
+        for (let i = first; i < last; i++) {
+          sum += values[i];
+          largest = Math.max(largest, values[i]);
+        }
+        columns[x] = pick === "max" ? largest : sum / (last - first);
+      }
+      return columns;
+    };
+    pen.fillStyle = css("--error-max");
+    column(errors.binMax, "max").forEach((error, x) => pen.fillRect(x, y(error), 1, top + ERROR_HEIGHT - y(error)));
+    pen.strokeStyle = css("--accent");
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    column(errors.binMean, "mean").forEach((error, x) => pen.lineTo(x, y(error)));
+    pen.stroke();
+    if (bound > 0 && bound <= scale) {
+      pen.strokeStyle = css("--ink");
+      pen.lineWidth = 1;
+      pen.setLineDash([4, 4]);
+      pen.beginPath();
+      pen.moveTo(0, y(bound));
+      pen.lineTo(width, y(bound));
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+    const label = bound > 0 ? `promise ${promise.max_error ? "" : "mean "}${length(bound, true)}` : `max ${length(errors.max)}`;
+    pen.textBaseline = "top";
+    const box = pen.measureText(label).width;
+    pen.fillStyle = css("--raised");
+    pen.fillRect(width - box - 10, top + 10, box + 8, 15);
+    pen.fillStyle = css("--ink");
+    pen.fillText(label, width - box - 6, top + 12);
+  }
+
+  private drawBytes(pen: CanvasRenderingContext2D, top: number, width: number): void {
+    const { chunks, frames, rate } = this.facts!;
+    if (!chunks.length) return;
+    const counts = chunks.map(([start], i) => Math.max(1, (chunks[i + 1]?.[0] ?? frames) - start));
+    const densities = chunks.map(([, bytes], i) => bytes / counts[i]);
+    const usual = densities.filter((_, i) => counts[i] >= rate / 4); // a chunk of a frame or two would outshine all
+    const largest = Math.max(...(usual.length ? usual : densities), 1e-9);
+    chunks.forEach(([start], i) => {
+      const stop = chunks[i + 1]?.[0] ?? frames;
+      pen.globalAlpha = 0.12 + 0.78 * Math.min(1, densities[i] / largest);
+      pen.fillStyle = css("--blue");
+      const left = this.x(start);
+      const span = Math.max(1, this.x(Math.min(stop, frames - 1)) - left - (width / chunks.length > 6 ? 1 : 0));
+      pen.fillRect(left, top, span, RIBBON);
+    });
+    pen.globalAlpha = 1;
+  }
+
+  private drawGaps(pen: CanvasRenderingContext2D, top: number, width: number): void {
+    const { gaps, damage } = this.facts!;
+    pen.fillStyle = css("--raised");
+    pen.fillRect(0, top, width, RIBBON);
+    gaps.forEach((share, i) => {
+      if (!share) return;
+      pen.globalAlpha = 0.35 + 0.65 * share;
+      pen.fillStyle = css("--yellow");
+      pen.fillRect((i / gaps.length) * width, top, Math.max(1, width / gaps.length), RIBBON);
+    });
+    pen.globalAlpha = 1;
+    pen.fillStyle = css("--accent");
+    for (const [start, stop] of damage) {
+      pen.fillRect(this.x(start), top, Math.max(2, this.x(Math.min(stop, this.facts!.frames - 1)) - this.x(start)), RIBBON);
+    }
+  }
+
+  private drawSignal(pen: CanvasRenderingContext2D, top: number, width: number, number: number): void {
+    const { label, unit, low, high } = this.facts!.signals[number];
+    pen.fillStyle = css("--raised");
+    pen.fillRect(0, top, width, SIGNAL_HEIGHT);
+    const smallest = Math.min(...low);
+    const range = Math.max(...high) - smallest || 1;
+    const y = (value: number) => top + (SIGNAL_HEIGHT - 2) * (1 - (value - smallest) / range) + 1;
+    pen.fillStyle = css("--green");
+    low.forEach((value, i) => {
+      const left = (i / low.length) * width;
+      pen.fillRect(left, y(high[i]), Math.max(1, width / low.length), Math.max(1, y(value) - y(high[i])));
+    });
+    const text = unit ? `${label} (${unit})` : label;
+    pen.textBaseline = "top";
+    const box = pen.measureText(text).width;
+    pen.globalAlpha = 0.8;
+    pen.fillStyle = css("--raised");
+    pen.fillRect(2, top + 2, box + 6, 14);
+    pen.globalAlpha = 1;
+    pen.fillStyle = css("--muted");
+    pen.fillText(text, 5, top + 3);
+  }
+}
+
+/** A colour of the theme. */
+function css(name: string): string {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}

@@ -1,0 +1,172 @@
+/** One recording in the picture: its frames, its figures, its place beside other recordings. */
+
+import { Color, Vector3 } from "three";
+import { distances } from "./errors.ts";
+import { type Frame, Frames, loaders } from "./frames.ts";
+import { CloudFigure, Figure, type Stage, trailFrames } from "./scene.ts";
+import type { Facts } from "./session.ts";
+import { ErrorScale, type Palette } from "./theme.ts";
+
+export type OriginalPlace = "over" | "beside" | "off";
+
+export class RecordingView {
+  readonly decoded: Frames;
+  readonly original: Frames | null;
+  readonly errors: Float32Array;
+  /** Where the recording stands in the picture, in its own axes, metres. */
+  readonly offset = new Vector3();
+  /** Centre and size of the first frame that has points, in its own axes, metres. */
+  centre = new Vector3();
+  extent = 1;
+  lowest = 0;
+  private figure: Figure | CloudFigure | null = null;
+  private ghost: Figure | CloudFigure | null = null;
+  private colours: Float32Array;
+  private shown: Frame | null = null;
+  /** Number of the frame in the picture; −1 before the first. */
+  shownFrame = -1;
+
+  private constructor(
+    readonly facts: Facts,
+    private readonly stage: Stage,
+    decoded: Frames,
+    original: Frames | null,
+  ) {
+    this.decoded = decoded;
+    this.original = original;
+    this.errors = new Float32Array(facts.points).fill(NaN);
+    this.colours = new Float32Array(3 * facts.points);
+  }
+
+  static async open(facts: Facts, stage: Stage, onLoad: () => void): Promise<RecordingView> {
+    const { decoded, original } = await loaders(facts);
+    const frameBytes = facts.kind === "motion" ? facts.points * 12 : 15 * Math.max(1000, facts.points);
+    const frames = (loader: typeof decoded) => new Frames(facts.frames, loader, frameBytes, onLoad);
+    const view = new RecordingView(facts, stage, frames(decoded), original && frames(original));
+    await view.build();
+    return view;
+  }
+
+  /** Make the figures from the first frames that can be decoded and have points. */
+  private async build(): Promise<void> {
+    let sample: Frame | null = null;
+    const tries = 12;
+    for (let k = 0; k < tries && !sample; k++) {
+      const frame = await this.decoded.wait(Math.floor((k / tries) * this.facts.frames));
+      if (frame?.positions.some((value) => !Number.isNaN(value))) sample = frame;
+    }
+    const low = [Infinity, Infinity, Infinity];
+    const high = [-Infinity, -Infinity, -Infinity];
+    sample?.positions.forEach((value, i) => {
+      if (Number.isNaN(value)) return;
+      low[i % 3] = Math.min(low[i % 3], value);
+      high[i % 3] = Math.max(high[i % 3], value);
+    });
+    if (sample && Number.isFinite(low[0])) {
+      this.centre.set(...(low.map((v, i) => (v + high[i]) / 2) as [number, number, number]));
+      this.extent = Math.max(1e-3, Math.hypot(...high.map((v, i) => v - low[i])));
+      this.lowest = low["xyz".indexOf(this.facts.up)];
+    }
+    const make = (isGhost: boolean) =>
+      this.facts.kind === "clouds"
+        ? new CloudFigure(0.006 * this.extent)
+        : new Figure(this.facts.points, this.facts.links, 0.0075 * this.extent * (isGhost ? 1.1 : 1), isGhost);
+    this.figure = make(false);
+    this.stage.world.add(this.figure.group);
+    if (this.original) {
+      this.ghost = make(true);
+      this.stage.world.add(this.ghost.group);
+    }
+  }
+
+  /** Frame number at a time. */
+  frameAt(seconds: number): number {
+    return Math.max(0, Math.min(this.facts.frames - 1, Math.floor(seconds * this.facts.rate + 1e-6)));
+  }
+
+  /** Draw a frame; returns false while it is being loaded. */
+  show(frame: number, place: OriginalPlace, selected: number, scale: ErrorScale | null, palette: Palette): boolean {
+    if (!this.figure) return false;
+    const now = this.decoded.at(frame);
+    const before = this.original?.at(frame) ?? null;
+    this.figure.group.position.copy(this.offset);
+    if (!now) return false;
+    this.shown = now;
+    this.shownFrame = frame;
+    if (this.figure instanceof CloudFigure) {
+      this.figure.show(now, new Color(palette.point));
+    } else {
+      if (before) distances(now, before, this.errors);
+      else this.errors.fill(NaN);
+      const one = new Color(palette.point);
+      for (let i = 0; i < this.facts.points; i++) {
+        if (before && scale) scale.write(this.errors[i], this.colours, 3 * i);
+        else one.toArray(this.colours, 3 * i);
+      }
+      this.figure.show(now, this.colours, selected);
+    }
+    if (this.ghost) {
+      this.ghost.group.visible = place !== "off" && before !== null;
+      this.ghost.group.position.copy(this.offset);
+      if (place === "beside") this.ghost.group.position.add(this.sideways(0.75 * this.extent));
+      if (before && this.ghost instanceof CloudFigure) this.ghost.show(before, new Color(palette.ghost));
+      else if (before && this.ghost instanceof Figure) {
+        const ghostColours = new Float32Array(3 * this.facts.points);
+        const grey = new Color(palette.ghost);
+        for (let i = 0; i < this.facts.points; i++) grey.toArray(ghostColours, 3 * i);
+        this.ghost.show(before, ghostColours, -1);
+      }
+    }
+    return before !== null || this.original === null || this.original.failure(frame) !== null;
+  }
+
+  /** Show the path of one point, or of none. */
+  async trail(point: number, frame: number, colour: number): Promise<void> {
+    if (!(this.figure instanceof Figure)) return;
+    const segments: number[] = [];
+    const reach = point < 0 ? 0 : trailFrames(this.facts.rate);
+    let last: Float32Array | null = null;
+    for (let f = Math.max(0, frame - reach); f <= Math.min(this.facts.frames - 1, frame + reach) && reach; f++) {
+      const positions = this.decoded.at(f)?.positions;
+      const here = positions?.slice(3 * point, 3 * point + 3) ?? null;
+      if (here && last && !Number.isNaN(here[0]) && !Number.isNaN(last[0])) segments.push(...last, ...here);
+      last = here;
+    }
+    this.figure.showTrail(new Float32Array(segments), colour);
+  }
+
+  /** Positions of the shown frame. */
+  get positions(): Float32Array | null {
+    return this.shown?.positions ?? null;
+  }
+
+  /** Middle of the shown points in the picture's axes. */
+  middle(): Vector3 {
+    const positions = this.shown?.positions;
+    const sum = new Vector3();
+    let count = 0;
+    const stride = positions && positions.length > 9000 ? 9 * 3 : 3;
+    for (let i = 0; positions && i < positions.length; i += stride) {
+      if (Number.isNaN(positions[i])) continue;
+      sum.x += positions[i];
+      sum.y += positions[i + 1];
+      sum.z += positions[i + 2];
+      count++;
+    }
+    const middle = count ? sum.divideScalar(count) : this.centre.clone();
+    return middle.add(this.offset).applyMatrix4(this.stage.world.matrixWorld);
+  }
+
+  /** A step to the side of this length: along the first horizontal axis. */
+  sideways(metres: number): Vector3 {
+    return this.facts.up === "x" ? new Vector3(0, metres, 0) : new Vector3(metres, 0, 0);
+  }
+
+  close(): void {
+    for (const figure of [this.figure, this.ghost]) {
+      if (!figure) continue;
+      this.stage.world.remove(figure.group);
+      figure.dispose();
+    }
+  }
+}

@@ -1,0 +1,49 @@
+// Drives a page in Debian's Chromium: node browser.mjs COMMANDS.json prints one JSON value for each command.
+// A command is {"do": "open", "url", "size": [w, h], "theme"} | {"do": "wait", "for"} | {"do": "eval", "code"} |
+// {"do": "press", "key"} | {"do": "click", "selector"} | {"do": "picture", "path"} | {"do": "drop", "files": [path]}.
+import { readFileSync } from "node:fs";
+import { chromium } from "playwright-core";
+
+const commands = JSON.parse(readFileSync(process.argv[2], "utf8"));
+const browser = await chromium.launch({
+  executablePath: process.env.MOCODEC_CHROMIUM ?? "/usr/bin/chromium",
+  args: ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+});
+/** Waits for an expression to be true; the page's policy forbids waitForFunction. */
+async function until(page, expression, seconds) {
+  for (const end = Date.now() + 1000 * seconds; Date.now() < end; ) {
+    if (await page.evaluate(expression)) return;
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+  throw new Error(`${expression} was not true within ${seconds} s`);
+}
+
+const problems = [];
+let page = null;
+const answers = [];
+try {
+  for (const command of commands) {
+    let answer = null;
+    if (command.do === "open") {
+      await page?.context().close();
+      const [width, height] = command.size ?? [1280, 800];
+      const context = await browser.newContext({ viewport: { width, height }, colorScheme: command.theme ?? "light" });
+      page = await context.newPage();
+      page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+      page.on("pageerror", (error) => problems.push(String(error)));
+      await page.goto(command.url);
+    } else if (command.do === "wait") await until(page, command.for, command.seconds ?? 60);
+    else if (command.do === "eval") answer = await page.evaluate(command.code);
+    else if (command.do === "press") await page.keyboard.press(command.key);
+    else if (command.do === "click") await page.click(command.selector);
+    else if (command.do === "drop") await page.setInputFiles("#files", command.files);
+    else if (command.do === "picture") await page.screenshot({ path: command.path });
+    else throw new Error(`unknown command ${command.do}`);
+    answers.push(answer);
+  }
+  console.log(JSON.stringify({ answers, problems }));
+} catch (error) {
+  console.log(JSON.stringify({ answers, problems, failed: String(error) }));
+} finally {
+  await browser.close();
+}
