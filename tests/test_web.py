@@ -30,9 +30,7 @@ NODE = shutil.which("node")
 
 pytestmark = [
     pytest.mark.skipif(NODE is None, reason="Node is not installed"),
-    pytest.mark.skipif(
-        not (DECODER / "node_modules").is_dir(), reason="run `npm ci` in web/decoder to test the decoder in TypeScript"
-    ),
+    pytest.mark.skipif(not (DECODER / "node_modules").is_dir(), reason="needs `npm ci` in web/decoder"),
 ]
 
 MARKERS = synthetic.markers(frames=150, seed=3)
@@ -135,51 +133,50 @@ RECORDINGS: dict[str, tuple[Motion, dict[str, Any]]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def decoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with each recording as NAME.mocz, and what Node decodes of them."""
-    folder = tmp_path_factory.mktemp("web")
+def test_frames_and_signals_are_those_of_python(tmp_path: Path) -> None:
+    """In one test, since all files are encoded and decoded in one run of Node."""
     for name, (motion, options) in RECORDINGS.items():
         settings = {key: value for key, value in options.items() if key != "codec"}
         codec = options.get("codec") or Tempo(**settings)
         data = mc.encode(motion, codec=codec, **(settings if "codec" in options else {}))
-        (folder / f"{name}.mocz").write_bytes(data)
-    module = folder / "mocodec.mjs"
+        (tmp_path / f"{name}.mocz").write_bytes(data)
+    module = tmp_path / "mocodec.mjs"
     node("scripts/build.mjs", module)
-    node("scripts/decode.mjs", module, PRIORS, folder, *sorted(folder.glob("*.mocz")))
-    return folder
+    node("scripts/decode.mjs", module, PRIORS, tmp_path, *sorted(tmp_path.glob("*.mocz")))
+    for name in RECORDINGS:
+        compare(tmp_path, name)
+    compare_signals(tmp_path, "extras")
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
-def test_frames_are_those_of_python(name: str, decoded: Path) -> None:
-    said = json.loads((decoded / f"{name}.json").read_text())
-    assert "error" not in said, said["message"]
-    wanted = mc.decode(decoded / f"{name}.mocz", Motion)
+def compare(folder: Path, name: str) -> None:
+    said = json.loads((folder / f"{name}.json").read_text())
+    assert "error" not in said, f"{name}: {said['message']}"
+    wanted = mc.decode(folder / f"{name}.mocz", Motion)
     info = said["info"]
-    assert (info["rate"], info["up"], info["names"]) == (wanted.rate, wanted.up, list(wanted.names))
-    positions = np.fromfile(decoded / f"{name}.positions").reshape(wanted.positions.shape)
-    np.testing.assert_allclose(positions, wanted.positions, rtol=0, atol=TOLERANCE_M)
+    assert (info["rate"], info["up"], info["names"]) == (wanted.rate, wanted.up, list(wanted.names)), name
+    positions = np.fromfile(folder / f"{name}.positions").reshape(wanted.positions.shape)
+    np.testing.assert_allclose(positions, wanted.positions, rtol=0, atol=TOLERANCE_M, err_msg=name)
     if info["codec"] == "lossless":
-        assert positions.tobytes() == wanted.positions.tobytes()
+        assert positions.tobytes() == wanted.positions.tobytes(), name
     if wanted.skeleton is not None:
-        assert info["skeleton"]["parents"] == list(wanted.skeleton.parents)
-        assert list(info["skeleton"]["offsets"].values()) == wanted.skeleton.offsets.ravel().tolist()
+        assert info["skeleton"]["parents"] == list(wanted.skeleton.parents), name
+        assert list(info["skeleton"]["offsets"].values()) == wanted.skeleton.offsets.ravel().tolist(), name
     if wanted.rotations is not None:
-        rotations = np.fromfile(decoded / f"{name}.rotations").reshape(wanted.rotations.shape)
+        rotations = np.fromfile(folder / f"{name}.rotations").reshape(wanted.rotations.shape)
         alike = np.abs((rotations * wanted.rotations).sum(axis=2))
-        np.testing.assert_allclose(alike, 1, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(alike, 1, rtol=0, atol=1e-12, err_msg=name)
     events = wanted.extras.get("events", [])
-    assert [event["time"] for event in said["events"]] == [event["time_s"] for event in events]
+    assert [event["time"] for event in said["events"]] == [event["time_s"] for event in events], name
 
 
-def test_signals_are_those_of_python(decoded: Path) -> None:
-    said = json.loads((decoded / "extras.json").read_text())
-    found = dict(channels.signals(mc.decode(decoded / "extras.mocz", Motion).extras))
-    names = [signal["path"].split(".")[-1] for signal in said["signals"]]
-    assert names == list(found)
-    for i, name in enumerate(names):
-        wanted = np.asarray(found[name].values)
-        values = np.fromfile(decoded / f"extras.signal-{i}").reshape(wanted.shape)
+def compare_signals(folder: Path, name: str) -> None:
+    said = json.loads((folder / f"{name}.json").read_text())
+    found = dict(channels.signals(mc.decode(folder / f"{name}.mocz", Motion).extras))
+    labels = [signal["path"].split(".")[-1] for signal in said["signals"]]
+    assert labels == list(found)
+    for i, label in enumerate(labels):
+        wanted = np.asarray(found[label].values)
+        values = np.fromfile(folder / f"{name}.signal-{i}").reshape(wanted.shape)
         np.testing.assert_array_equal(values, wanted.astype(np.float64), strict=True)
 
 
