@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocodec import formats
+from mocodec.codecs.tempo import training
 from mocodec.codecs.tempo.models import prior as priors
 
-from . import prior_training
 from .datasets import SHARED, Recording
 
 PEOPLE = SHARED / "cmu" / "asfamc"
@@ -43,9 +43,9 @@ def is_trained(prior: Path) -> bool:
 def train(fold: Sequence[str], prior: Path) -> None:
     """Train both priors on everyone but these people and write them to the folder."""
     prior.mkdir(parents=True, exist_ok=True)
-    people = prior_training.people(PEOPLE, fold)
-    formats.replace_whole(prior / priors.POINTS_FILE, prior_training.train_points(people))
-    formats.replace_whole(prior / priors.DIRECTIONS_FILE, prior_training.train_directions(people))
+    people = training.people(PEOPLE, fold)
+    formats.replace_whole(prior / priors.POINTS_FILE, training.train_points(people))
+    formats.replace_whole(prior / priors.DIRECTIONS_FILE, training.train_directions(people))
 
 
 def trained(folder: Path, fold: Sequence[str]) -> Path:

@@ -16,6 +16,8 @@ def test_example_runs(
 ) -> None:
     if "plot" in script.stem:
         pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
+    if "person" in script.stem:
+        pytest.importorskip("av", reason="the surface of a person needs the [cloud] extra")
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(script), run_name="__main__")
     assert capsys.readouterr().out

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import folds, prior_training
+from benchmarks import folds
 from mocodec import metrics
-from mocodec.codecs.tempo import Tempo
+from mocodec.codecs.tempo import Tempo, training
 from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.codecs.tempo.models import prior
 from mocodec.codecs.tempo.pose import bone_directions
@@ -53,8 +53,8 @@ def check_coding(motion: Motion, model: str, learned: prior.Prior) -> None:
 
 def test_trained_points_encode_and_decode() -> None:
     people: Mapping[str, list[Motion]] = {"a": MOTIONS[:2], "b": MOTIONS[2:]}
-    data = prior_training.train_points(people)
-    assert data == prior_training.train_points(people)
+    data = training.train_points(people)
+    assert data == training.train_points(people)
     with prior.installed(points=data) as (points, directions):
         assert prior.for_points() is points
         assert directions is prior.for_directions()
@@ -69,8 +69,8 @@ def test_trained_points_encode_and_decode() -> None:
 
 def test_trained_directions_encode_and_decode() -> None:
     people = {"a": [rigid_bones(240, 1), rigid_bones(240, 2)], "b": [rigid_bones(240, 3)]}
-    data = prior_training.train_directions(people)
-    assert data == prior_training.train_directions(people)
+    data = training.train_directions(people)
+    assert data == training.train_directions(people)
     with prior.installed(directions=data) as (points, directions):
         assert prior.for_directions() is directions
         assert points is prior.for_points()
@@ -78,8 +78,8 @@ def test_trained_directions_encode_and_decode() -> None:
 
 
 def test_priors_of_a_fold_are_kept_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(prior_training, "people", lambda folder, leave_out: {"a": MOTIONS})
-    monkeypatch.setattr(prior_training, "train_directions", lambda _: prior.packaged_bytes(prior.DIRECTIONS_FILE))
+    monkeypatch.setattr(training, "people", lambda folder, leave_out: {"a": MOTIONS})
+    monkeypatch.setattr(training, "train_directions", lambda _: prior.packaged_bytes(prior.DIRECTIONS_FILE))
     path = folds.trained(tmp_path, ("02",))
     assert path == tmp_path / "prior-without-02"
     assert {file.name for file in path.iterdir()} == {prior.POINTS_FILE, prior.DIRECTIONS_FILE}

@@ -6,6 +6,7 @@ recording   stick figures of the original and the decoded motion, with the error
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from . import metrics
 from .errors import MissingExtra
+from .geometry import links
 from .metrics import skeletal
 from .motion import Motion
 from .selection import point_columns
@@ -51,10 +53,11 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
     replace_whole(path, drawn.getvalue())
 
 
-def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
-    """Error over time (root mean square and largest of each frame) and per point (mean, 99th percentile, largest).
+def errors(original: Motion, decoded: Motion, title: str = "", promise: Mapping[str, float] | None = None) -> Figure:
+    """Error over time (root mean square and largest of each frame), and how the errors of each point are distributed.
 
-    If both motions have rotations, also the largest error of the shell points, and the angles of the joints' frames.
+    promise: of the compressed file; `max_error` and `mean_error`, metres, are drawn as lines. If both motions have
+    rotations, also the largest error of the shell points, and the angles of the joints' frames.
     """
     poses = skeletal.errors(original, decoded) if skeletal.measurable(original, decoded) else None
     decoded = metrics.in_order_of(original, decoded)
@@ -64,25 +67,43 @@ def errors(original: Motion, decoded: Motion, title: str = "") -> Figure:
     heights = [3, 2 + 0.1 * original.points, 2][:panels]
     over_time, per_point, *angles = picture.subplots(panels, 1, height_ratios=heights)
     picture.suptitle(title)
-    draw_error_over_time(over_time, mm, original.rate, None if poses is None else 1000 * poses.shell)
+    draw_error_over_time(over_time, mm, original.rate, None if poses is None else 1000 * poses.shell, promise)
     if poses is not None:
         draw_angles(angles[0], poses.world, original.rate)
     measured = [name for column, name in enumerate(original.names) if not np.isnan(mm[:, column]).all()]
     columns = mm[:, point_columns(original.names, measured)] if measured else mm[:, :0]
-    rows = np.arange(len(measured))
-    for values, colour, label in (
-        (nan_quantile(columns, 1.0), FAINT, "largest"),
-        (nan_quantile(columns, 0.99), "#e5a598", "99 %"),
-        (np.nanmean(columns, axis=0) if measured else rows, OURS, "mean"),
-    ):
-        per_point.barh(rows, values, color=colour, label=label)
-    per_point.set_yticks(rows, measured, fontsize=7)
-    per_point.set_ylim(len(measured) - 0.4, -0.6)
-    per_point.set_xlabel("error of each point, mm")
-    legend_above(per_point)
+    draw_error_of_points(per_point, columns, measured, promise)
     for axes in (over_time, per_point, *angles):
         axes.spines[["top", "right"]].set_visible(False)
     return picture
+
+
+QUANTILES = ((0.0, 1.0, "#e8e4e2", "all"), (0.05, 0.95, "#e5a598", "5 to 95 %"), (0.25, 0.75, OURS, "25 to 75 %"))
+
+
+def draw_error_of_points(axes: Axes, mm: Floats, names: list[str], promise: Mapping[str, float] | None) -> None:
+    """A row for each point, the largest errors above: bands that hold all, 90 % and half of its errors; its median.
+
+    mm (frames, points): errors, NaN at gaps.
+    """
+    order = np.argsort(-nan_quantile(mm, 1.0)) if mm.shape[1] else np.zeros(0, int)
+    rows = np.arange(len(order))
+    for low, high, colour, label in QUANTILES:
+        left, right = nan_quantile(mm, low)[order], nan_quantile(mm, high)[order]
+        axes.barh(rows, right - left, left=left, height=0.7, color=colour, label=label)
+    axes.plot(nan_quantile(mm, 0.5)[order], rows, linestyle="", marker="|", color="white", markersize=5)
+    axes.set_yticks(rows, [names[i] for i in order], fontsize=7)
+    axes.set_ylim(len(order) - 0.4, -0.6)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("errors of each point, mm")
+    for name, bound in (promise or {}).items():
+        if name in BOUNDS:
+            axes.axvline(1000 * bound, color=INK, linewidth=0.8, linestyle=BOUNDS[name])
+    legend_above(axes, columns=4)
+
+
+BOUNDS = {"max_error": (0, (4, 3)), "mean_error": (0, (1, 2))}
+"""Promises that are drawn as lines, and how these are dashed."""
 
 
 def nan_quantile(columns: Floats, share: float) -> Floats:
@@ -94,8 +115,13 @@ def nan_quantile(columns: Floats, share: float) -> Floats:
     return result
 
 
-def draw_error_over_time(axes: Axes, mm: Floats, rate: float, shell_mm: Floats | None = None) -> None:
-    """Root mean square and largest error of each frame against time; shell_mm: errors (frames, joints, 3)."""
+def draw_error_over_time(
+    axes: Axes, mm: Floats, rate: float, shell_mm: Floats | None = None, promise: Mapping[str, float] | None = None
+) -> None:
+    """Root mean square and largest error of each frame against time; shell_mm: errors (frames, joints, 3).
+
+    promise: see `errors`. A long recording is drawn as the mean and the largest of runs of frames.
+    """
     measured = ~np.isnan(mm).all(axis=1)
     seconds = np.arange(len(mm)) / rate
     rms, largest = np.full(len(mm), np.nan), np.full(len(mm), np.nan)
@@ -103,14 +129,32 @@ def draw_error_over_time(axes: Axes, mm: Floats, rate: float, shell_mm: Floats |
     largest[measured] = np.nanmax(mm[measured], axis=1)
     if shell_mm is not None:
         worst = nan_quantile(shell_mm.reshape(len(shell_mm), -1).T, 1.0)
-        axes.plot(seconds, worst, color=SHELL, linewidth=0.8, label="largest of the shell points")
-    axes.plot(seconds, largest, color=FAINT, linewidth=0.8, label="largest of the frame")
-    axes.plot(seconds, rms, color=OURS, linewidth=1.2, label="root mean square")
+        axes.plot(*in_runs(seconds, worst, np.fmax), color=SHELL, linewidth=0.8, label="largest of the shell points")
+    axes.plot(*in_runs(seconds, largest, np.fmax), color=FAINT, linewidth=0.8, label="largest of the frame")
+    times, most = in_runs(seconds, rms, np.fmax)
+    axes.fill_between(
+        times, in_runs(seconds, rms, np.fmin)[1], most, color=OURS, linewidth=0.8, label="root mean square"
+    )
+    for name, bound in (promise or {}).items():
+        if name in BOUNDS:
+            label = f"promised {'maximum' if name == 'max_error' else 'mean'}"
+            axes.axhline(1000 * bound, color=INK, linewidth=0.8, linestyle=BOUNDS[name], label=label)
     axes.set_xlabel("time, s")
     axes.set_ylabel("error, mm")
     axes.set_ylim(bottom=0)
     axes.margins(x=0)
     legend_above(axes)
+
+
+MOST_RUNS = 700
+
+
+def in_runs(seconds: Floats, values: Floats, pick: np.ufunc) -> tuple[Floats, Floats]:
+    """Times and values (frames,) in at most MOST_RUNS runs of frames: `pick` (np.fmax, np.fmin) of each run."""
+    if len(values) <= MOST_RUNS:
+        return seconds, values
+    starts = np.linspace(0, len(values), MOST_RUNS, endpoint=False).astype(int)
+    return seconds[starts], pick.reduceat(values, starts)
 
 
 def draw_angles(axes: Axes, degrees: Floats, rate: float) -> None:
@@ -128,19 +172,25 @@ def draw_angles(axes: Axes, degrees: Floats, rate: float) -> None:
     legend_above(axes)
 
 
-def legend_above(axes: Axes) -> None:
+def legend_above(axes: Axes, columns: int = 4) -> None:
     """Put the legend in one line above the axes, so that it covers no curve."""
-    axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=3, fontsize=8)
+    axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=columns, fontsize=8)
 
 
-def recording(original: Motion, decoded: Motion, title: str = "", poses: int = 7) -> Figure:
-    """Poses of the original (grey) under those of the decoded motion (red); below them, the error over time."""
+def recording(
+    original: Motion, decoded: Motion, title: str = "", promise: Mapping[str, float] | None = None, poses: int = 7
+) -> Figure:
+    """Poses of the original (grey) under those of the decoded motion (red); below them, the error over time.
+
+    promise: see `errors`.
+    """
     decoded = metrics.in_order_of(original, decoded)
     picture = figure(9, 4.8)
     figures, curve = picture.subplots(2, 1, height_ratios=[3, 2])
     picture.suptitle(title, fontsize=10)
     draw_poses(figures, original, decoded, np.linspace(0, len(original) - 1, poses + 2).round().astype(int)[1:-1])
-    draw_error_over_time(curve, 1000 * metrics.distances(original.positions, decoded.positions), original.rate)
+    mm = 1000 * metrics.distances(original.positions, decoded.positions)
+    draw_error_over_time(curve, mm, original.rate, promise=promise)
     curve.spines[["top", "right"]].set_visible(False)
     return picture
 
@@ -157,19 +207,23 @@ def poses(motion: Motion, title: str = "", count: int = 7) -> Figure:
 
 def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) -> None:
     """Poses of both motions at these frames side by side, with their times below."""
-    up = "xyz".index(original.up)
-    across = widest_axis(original.positions, up)
-    heights = [np.ptp(pose[~np.isnan(pose)]) for pose in original.positions[frames, :, up] if not np.isnan(pose).all()]
+    links_ = links.links(original)
+    view = view_of(original)
+    heights = [np.ptp(pose[~np.isnan(pose)]) for pose in (original.positions[frames] @ view[1])[:, None] if pose.size]
     spacing = 0.75 * max(heights, default=1.0)
     styles = ((original, {"color": FAINT, "linewidth": 3.5}), (decoded, {"color": OURS, "linewidth": 1.0}))
+    lowest = 0.0
     for place, frame in enumerate(frames):
         middle = np.nanmean(original.positions[frame], axis=0) if not original.gaps[frame].all() else np.zeros(3)
+        height = np.where(np.arange(3) == "xyz".index(original.up), middle, 0.0) @ view[1]
         for motion, style in styles:
-            level = motion.positions[frame][:, across] - middle[across] + spacing * place
-            draw_pose(axes, np.stack([level, motion.positions[frame][:, up]], axis=1), original, style)
+            flat = (motion.positions[frame] - middle) @ view.T + [spacing * place, height]
+            lowest = min(lowest, np.nanmin(flat[:, 1], initial=lowest))
+            draw_pose(axes, flat, links_, style)
+    for place, frame in enumerate(frames):
         axes.annotate(
             f"{frame / original.rate:.1f} s",
-            (spacing * place, 0),
+            (spacing * place, lowest),
             (0, -12),
             textcoords="offset points",
             ha="center",
@@ -178,24 +232,37 @@ def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) 
         )
     for label, (_, style) in zip(("original", "decoded"), styles, strict=True):
         axes.plot([], [], label=label, **style)
-    legend_above(axes)
+    if original is not decoded:
+        legend_above(axes)
     axes.set_aspect("equal")
     axes.set_axis_off()
 
 
-def widest_axis(positions: Floats, up: int) -> int:
-    """The horizontal axis along which the points of a frame spread most: the view shows this axis."""
+TURN, TILT = np.radians(25.0), np.radians(6.0)
+"""The view is turned by TURN from where the points spread most, so that left and right are apart, and from above."""
+
+
+def view_of(motion: Motion) -> Floats:
+    """Directions to the right and up in the picture, (2, 3)."""
+    up = "xyz".index(motion.up)
     level = [axis for axis in range(3) if axis != up]
-    frames = positions[~np.isnan(positions).all(axis=(1, 2))]
-    spread = [np.sum(np.nanvar(frames[:: max(1, len(frames) // 50), :, axis], axis=1)) for axis in level]
-    return level[int(np.argmax(spread))]
+    frames = motion.positions[~np.isnan(motion.positions).all(axis=(1, 2))]
+    sample = frames[:: max(1, len(frames) // 50)][:, :, level]
+    spread = sample - np.nanmean(sample, axis=1, keepdims=True) if len(sample) else np.zeros((1, 1, 2))
+    flat = np.nan_to_num(spread.reshape(-1, 2))
+    _, directions = np.linalg.eigh(flat.T @ flat)
+    a, b = directions[:, -1]
+    a, b = (np.cos(TURN) * a - np.sin(TURN) * b, np.sin(TURN) * a + np.cos(TURN) * b)
+    view = np.zeros((2, 3))
+    view[0, level] = a, b
+    view[1, level] = -np.sin(TILT) * b, np.sin(TILT) * a
+    view[1, up] = np.cos(TILT)
+    return view
 
 
-def draw_pose(axes: Axes, flat: Floats, like: Motion, style: dict[str, Any]) -> None:
-    """One pose (points, 2): the bones of the skeleton of `like`, or points without a skeleton."""
-    if like.skeleton is None:
-        axes.plot(*flat.T, linestyle="", marker="o", color=style["color"], markersize=1.3 * style["linewidth"])
-        return
-    for joint, parent in enumerate(like.skeleton.parents):
-        if parent >= 0:
-            axes.plot(*flat[[parent, joint]].T, solid_capstyle="round", **style)
+def draw_pose(axes: Axes, flat: Floats, links_: list[tuple[int, int]], style: dict[str, Any]) -> None:
+    """One pose (points, 2): its links, and points that no link joins."""
+    alone = np.setdiff1d(np.arange(len(flat)), np.array(links_, int).reshape(-1))
+    axes.plot(*flat[alone].T, linestyle="", marker="o", color=style["color"], markersize=1.3 * style["linewidth"])
+    for a, b in links_:
+        axes.plot(*flat[[a, b]].T, solid_capstyle="round", **style)

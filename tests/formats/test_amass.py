@@ -201,6 +201,7 @@ def test_bones_of_a_model_file_with_the_shape_of_the_person(tmp_path: Path) -> N
         ({"trans": np.zeros((3, 3))}, "'trans' must be numbers for each frame"),
         ({"trans": np.zeros((FRAMES, 2))}, "3 numbers a frame"),
         ({"mocap_framerate": np.array(-1.0)}, "rate must be"),
+        ({"mocap_framerate": np.array(60 + 1j)}, "rate must be"),
         ({"up": np.array("up")}, "up must be"),
     ],
 )

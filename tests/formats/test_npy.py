@@ -114,6 +114,13 @@ def test_other_arrays_are_named(tmp_path: Path, array: np.ndarray, says: str) ->
         mc.read(tmp_path / "a.npy")
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_feature_vectors_that_are_no_numbers_are_one_line(tmp_path: Path, value: float) -> None:
+    np.save(tmp_path / "x.npy", np.full((5, 263), value))
+    with pytest.raises(BadInput, match="feature vectors"):
+        formats.read(tmp_path / "x.npy")
+
+
 def test_objects_and_damage(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)

@@ -9,7 +9,6 @@ uncommitted bytes off and goes on. Only one builder works on an archive at a tim
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -60,6 +59,7 @@ def build(
     workers: int = 1,
     executor: Executor | None = None,
     prefix: str = "",
+    prior: str | PathLike[str] | None = None,
     shard_bytes: int = shards.SHARD_BYTES,
     report_to: Callable[[int, int, str], None] | None = None,
 ) -> Report:
@@ -67,7 +67,8 @@ def build(
 
     arguments: files, folders, globs, .zip and .tar files, URLs. where: the folder of the archive. options: by default
     those of the archive's last build. workers: processes to work in; or any executor, such as that of a Dask client.
-    prefix: before the names, such as "lab/". shard_bytes: when to begin another shard. report_to: is called after each
+    prefix: before the names, such as "lab/". prior: file of a prior of your own (`mocodec prior train`), of which the
+    archive keeps a copy. shard_bytes: when to begin another shard. report_to: is called after each
     source with the number done, the number of all, and a path.
     A source that fails is listed in the report and in the catalogue, and tried again by the next build.
     Raises BadInput if the archive cannot be written or another process is building it; TooNew, Corrupt.
@@ -82,6 +83,8 @@ def build(
         catalogue = Catalogue(folder, create=True)
         try:
             chosen = options if options is not None else last_options(catalogue)
+            if prior is not None:
+                chosen = replace(chosen, prior=encoding.keep_prior(folder, read_prior(prior)))
             writer = Builder(folder, catalogue, chosen, shard_bytes)
             tasks = list(writer.planned(found, prefix))
             by_task = {id(planned.task): planned for planned in tasks}
@@ -98,6 +101,14 @@ def build(
             catalogue.close()
     writer.report.seconds = time.monotonic() - started
     return writer.report
+
+
+def read_prior(path: str | PathLike[str]) -> bytes:
+    """The bytes of a prior's file. Raises BadInput."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}") from error
 
 
 def make_folder(folder: Path) -> None:
@@ -151,7 +162,9 @@ class Builder:
                     self.waiting.append(replace(before, origin=source.where))
                 continue
             known = before.source_hash if before is not None and is_same_coding else ""
-            yield Planned(Task(source, self.options, known), name, before)
+            own = self.options.prior
+            prior = str(encoding.prior_path(self.folder.absolute(), own)) if own else None
+            yield Planned(Task(source, self.options, known, prior), name, before)
 
     def _name(self, source: Source, prefix: str, taken: dict[str, str]) -> tuple[str, Row | None, str]:
         """The name of a source's recording, its row if there is one, and a problem: without the suffix of the path if
@@ -200,7 +213,7 @@ class Builder:
 
     def add(self, name: str, source: Source, outcome: Outcome) -> None:
         """Append a `.mocz` to the shard and prepare its row. Bytes that the archive has are not stored again."""
-        content = hashlib.sha256(outcome.blob).hexdigest()
+        content = encoding.content_hash(outcome.blob)
         facts: dict[str, Any] = {**encoding.facts_of_name(name), **outcome.facts, "source_hash": outcome.source_hash}
         facts |= {"path": source.path, "origin": source.where, "content": content, "options": self.option_number}
         facts |= {"source_bytes": source.stamp[0], "source_time_ns": source.stamp[1]}

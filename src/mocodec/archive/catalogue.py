@@ -36,9 +36,10 @@ class Row:
     kind: "motion" or "clouds". frames, rate (Hz), seconds, points, joints (points with a skeleton), rotations (0 or 1).
     layout: hash of the names of the points, equal where these are equal. codec. mean_error, max_error: measured on all
     samples, metres; None where the source was a .mocz. bytes: of the .mocz; side_bytes: of these, extras and signals;
-    raw_bytes: as float32 positions; ratio: raw_bytes / (bytes − side_bytes). source_hash: SHA-256 of the source;
-    source_bytes, source_time_ns: its size and time of change. options: number in the table `options`. content: SHA-256
-    of the .mocz. shard, start: where the .mocz begins. prior: hash of the prior of its own that it needs, or "".
+    raw_bytes: as float32 positions; ratio: raw_bytes / (bytes − side_bytes). source_hash: of the source, 128 bits of
+    SHA-256; source_bytes, source_time_ns: its size and time of change. options: number in the table `options`.
+    content: hash of the .mocz. shard, start: where the .mocz begins. prior: id of the prior of its own that it needs,
+    or "".
     """
 
     name: str
@@ -179,6 +180,12 @@ class Catalogue:
             )
             for values in cursor:
                 yield Row(*values)
+
+    def names(self, where: str = "1", constants: Sequence[Any] = ()) -> list[str]:
+        """The names of the rows that meet a condition, sorted."""
+        with self._errors():
+            found = self.connection.execute(f"SELECT name FROM recordings WHERE {where} ORDER BY name", constants)
+            return [name for (name,) in found]
 
     def row(self, name: str) -> Row | None:
         """The row of exactly this name."""

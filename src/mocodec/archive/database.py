@@ -18,12 +18,13 @@ from typing import Any, Self
 
 from .. import api
 from ..api import File
+from ..codecs.tempo.models import prior
 from ..errors import BadInput
 from ..file_range import FileRange
 from ..selection import counted
 from . import shards
 from .catalogue import COLUMNS, Catalogue, Row
-from .encoding import bytes_of
+from .encoding import PRIORS, bytes_of
 from .expressions import Constant, to_sql
 
 MAX_LISTED = 5
@@ -77,7 +78,7 @@ class Recordings:
     @property
     def names(self) -> list[str]:
         """The names of the recordings."""
-        return [row.name for row in self.rows()]
+        return self._archive.catalogue.names(self._where, self._constants)
 
     def rows(self) -> Iterator[Row]:
         """What the catalogue says about each recording."""
@@ -163,6 +164,9 @@ class Archive(Recordings):
         """The catalogue, open in this process. Raises BadInput, TooNew, Corrupt."""
         if self._open is None or self._open[0] != os.getpid():  # a connection must not be used after a fork
             self._open = os.getpid(), Catalogue(Path(self.path))
+            priors = os.path.join(self.path, PRIORS)
+            if os.path.isdir(priors):
+                prior.search_in(priors)
         return self._open[1]
 
     @property

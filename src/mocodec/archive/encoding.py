@@ -14,16 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from .. import api, metrics
+from ..codecs.tempo.models import prior
 from ..encoded import Recording
 from ..errors import BadInput, CannotEncode, MocodecError
 from ..file_range import FileRange
-from ..formats import folders
+from ..formats import folders, replace_whole
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS, with_options
 from . import names, sources
 from .sources import Source
 
 SLACK = 1 + 1e-9  # of a sum's last bit
+HASH_DIGITS = 32
+"""Hexadecimal digits of SHA-256 that the catalogue stores: 128 bits."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Options:
     codec: by default that of the recording's kind. targets: `max_error`, `mean_error` (m), `ratio`, … as in
     `mocodec.encode`. settings: other settings of the codec. reader: options of the reader (`up`, `unit`, …).
     signal_error: as in `mocodec.encode`. bare: leave out signals, events and parameters. rotations: keep the rotations
-    of joints.
+    of joints. prior: hash of a prior of one's own, which is in the archive (`keep_prior`), or "".
     """
 
     codec: str | None = None
@@ -43,6 +46,7 @@ class Options:
     signal_error: str | None = None
     bare: bool = False
     rotations: bool = True
+    prior: str = ""
 
     def stored(self) -> dict[str, Any]:
         """What differs from the defaults."""
@@ -53,11 +57,13 @@ class Options:
 
 @dataclass(frozen=True)
 class Task:
-    """A source to encode. known: hash of the source that the archive has already, coded alike, or ""."""
+    """A source to encode. known: hash of the source that the archive has already, coded alike, or "".
+    prior: file of a prior of one's own."""
 
     source: Source
     options: Options
     known: str = ""
+    prior: str | None = None
 
 
 @dataclass(frozen=True)
@@ -105,9 +111,11 @@ def _encoded(path: str, task: Task) -> Outcome:
     settings: dict[str, Any] = {**options.settings, **options.targets}
     if options.signal_error is not None:
         settings["signal_error"] = options.signal_error
-    blob = api.encode(recording, options.codec, **settings)
-    with api.open(blob) as f:
-        return Outcome(source_hash, blob, {**facts_of(f), **measured(recording, f[:], options.targets)})
+    with prior.used(task.prior):
+        blob = api.encode(recording, options.codec, **settings)
+        with api.open(blob) as f:
+            facts = {**facts_of(f), **measured(recording, f[:], options.targets), "prior": options.prior}
+    return Outcome(source_hash, blob, facts)
 
 
 def measured(recording: Recording, decoded: Recording, targets: Mapping[str, float]) -> dict[str, float]:
@@ -173,7 +181,12 @@ def hash_of(path: str, companions: Sequence[str] = ()) -> str:
         if os.path.isfile(name):
             with open(name, "rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()
+    return digest.hexdigest()[:HASH_DIGITS]
+
+
+def content_hash(blob: bytes) -> str:
+    """The hash of a `.mocz` that the catalogue stores."""
+    return hashlib.sha256(blob).hexdigest()[:HASH_DIGITS]
 
 
 def bytes_of(place: FileRange) -> bytes:
@@ -185,6 +198,25 @@ def bytes_of(place: FileRange) -> bytes:
         return source.read(0, source.size)
     finally:
         source.close()
+
+
+PRIORS = "priors"
+
+
+def prior_path(folder: Path, hash_: str) -> Path:
+    """The file of a prior of one's own in an archive."""
+    return folder / PRIORS / f"{hash_}{prior.OWN_SUFFIX}"
+
+
+def keep_prior(folder: Path, data: bytes) -> str:
+    """Store a prior of one's own in an archive, once by its content; returns its hash. Raises BadInput."""
+    prior.unpack_own(data)
+    name = hashlib.sha256(data).hexdigest()[:16]
+    path = prior_path(folder, name)
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True)
+        replace_whole(path, data)
+    return name
 
 
 def require_options(options: Options) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
@@ -34,7 +33,7 @@ def damage(recordings: Recordings, decode: bool = False) -> Iterator[tuple[str, 
                 if decode:
                     for _ in f:
                         pass
-            if hashlib.sha256(blob).hexdigest() != entry.row.content:
+            if encoding.content_hash(blob) != entry.row.content:
                 raise Corrupt("these are not the bytes that were written")
         except MocodecError as error:
             yield entry.row.name, str(error).removeprefix(f"{entry.place.label}: ")
@@ -113,9 +112,11 @@ def _copy(entry: Entry, writer: Builder, seen: dict[str, str], options: dict[str
     except MocodecError as error:
         report.failed.append((row.name, str(error)))
         return
-    if hashlib.sha256(blob).hexdigest() != row.content:
+    if encoding.content_hash(blob) != row.content:
         report.failed.append((row.name, f"{entry.folder}: its bytes are damaged"))
         return
+    if row.prior:
+        encoding.keep_prior(writer.folder, encoding.prior_path(Path(entry.folder), row.prior).read_bytes())
     writer.copy(row, blob, options)
     seen[row.name] = row.content
     report.added.append(row.name)
@@ -162,7 +163,7 @@ def _recover(catalogue: Catalogue, name: str, file: api.File[Any], shard: int, s
     folder = catalogue.path.parent
     place = FileRange(str(shards.path_of(folder, shard)), start, facts["bytes"])
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
-    content = hashlib.sha256(encoding.bytes_of(place)).hexdigest()
+    content = encoding.content_hash(encoding.bytes_of(place))
     catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=start))
 
 

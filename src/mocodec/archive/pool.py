@@ -162,7 +162,7 @@ def dask_cluster(address: str) -> Generator[Executor, None, None]:
     except ImportError:
         raise MissingExtra(f"{address}: working on a Dask cluster", "dask") from None
     try:
-        client: Any = distributed.Client(address, timeout="10s")
+        client: Any = distributed.Client(address, timeout="5s")
     except (OSError, ValueError, TimeoutError) as error:
         raise BadInput(f"{address}: there is no Dask scheduler ({error})") from error
     with client:

@@ -19,7 +19,7 @@ from .. import api, archive, codecs
 from ..archive import Options, Recordings, Report, Row
 from ..encoded import TARGETS
 from ..errors import BadInput
-from . import DAMAGED, debug_option, files, quantities
+from . import DAMAGED, archive_search, debug_option, files, quantities
 from .quantities import setting
 
 TABLE = ("name", "frames", "rate", "points", "seconds", "bytes", "ratio", "mean_error", "max_error", "labels")
@@ -48,6 +48,10 @@ def command() -> None:
     """
 
 
+for searching in archive_search.COMMANDS:
+    command.add_command(searching)
+
+
 def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """The options of `build` and `append`."""
     options = (
@@ -64,6 +68,7 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Work in N processes; 0: one per core.",
         ),
         click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
+        click.option("--prior", metavar="FILE", help="A prior of your own (mocodec prior train)."),
         click.option("--prefix", default="", metavar="TEXT", help="Put this before every name, such as lab/."),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
@@ -102,6 +107,7 @@ def run_build(
     output: str,
     jobs: int,
     dask: str | None,
+    prior: str | None,
     prefix: str,
     as_json: bool,
     quiet: bool,
@@ -109,9 +115,10 @@ def run_build(
 ) -> int:
     """Build, and print the summary."""
     options = options_of(**given)
-    with progress_line(quiet) as show, archive.dask_cluster(dask) if dask else nullcontext() as executor:
+    with files.progress_line(quiet) as show, archive.dask_cluster(dask) if dask else nullcontext() as executor:
         report = archive.build(
-            sources, output, options, workers=jobs or os.cpu_count() or 1, executor=executor, prefix=prefix,
+            sources, output, options, workers=jobs or os.cpu_count() or 1, executor=executor, prior=prior,
+            prefix=prefix,
             report_to=show,
         )  # fmt: skip
     return print_report(output, report, as_json, quiet)
@@ -137,31 +144,6 @@ def options_of(
         raise click.UsageError("--format is for standard input, which cannot be put into an archive")
     options = Options(codec, targets, chosen, given, signal_error, bare, not no_rotations)
     return options if options.stored() else None
-
-
-def progress_line(quiet: bool) -> Any:
-    """A context with a function that shows how many sources are done: on a terminal only."""
-    import sys
-
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn())
-    hidden = quiet or not sys.stderr.isatty()
-    bar = Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden)
-
-    class Shown:
-        def __enter__(self) -> Callable[[int, int, str], None]:
-            bar.start()
-            task = bar.add_task("building", total=None)
-            return lambda done, total, path: bar.update(
-                task, completed=done, total=total, description=files.printable(path[-40:])
-            )
-
-        def __exit__(self, *_: object) -> None:
-            bar.stop()
-
-    return Shown()
 
 
 def print_report(output: str, report: Report, as_json: bool, quiet: bool) -> int:
@@ -327,7 +309,7 @@ def merge(archives: tuple[str, ...], output: str, quiet: bool) -> int:
 
     Merging one archive into a new one leaves out the bytes of removed and replaced recordings.
     """
-    with progress_line(quiet) as show:
+    with files.progress_line(quiet) as show:
         report = archive.merge(archives, output, report_to=show)
     return print_report(output, report, False, quiet)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -69,7 +69,7 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     for path in (plot, poses):
         if path:
             draw = plots.errors if path == plot else plots.recording
-            plots.save(draw(original, other, title(a, b, comparison)), path)
+            plots.save(draw(original, other, title(a, b, comparison), promise(b) or promise(a)), path)
 
 
 def tracked_body(name: str) -> Motion | None:
@@ -118,6 +118,14 @@ def kind(recording: Recording) -> str:
 def stored_bytes(name: str) -> int | None:
     """The size of a .mocz file on disk; None for other formats and URLs."""
     return Path(name).stat().st_size if files.is_mocz(name) and not files.is_url(name) else None
+
+
+def promise(name: str) -> Mapping[str, float]:
+    """The promises of a .mocz on disk; none for other files."""
+    if name == "-" or not files.is_mocz(name) or files.is_url(name):
+        return {}
+    with api.open(Path(name)) as opened:
+        return opened.encoded.promise
 
 
 def table(result: metrics.Comparison) -> list[str]:

@@ -12,6 +12,7 @@ import click
 
 from .. import api, codecs, formats, metrics, progress
 from ..codecs.base import Codec
+from ..codecs.tempo.models import prior as own_prior
 from ..encoded import TARGETS, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion
@@ -68,6 +69,7 @@ from . import clouds, files, many, quantities, verify
     help="For point clouds, in place of an error: 0 sends a moving surface, 26 to 100 all points, closer and closer; "
     "'exact' keeps every bit (both with bodycast).",
 )
+@click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
@@ -79,6 +81,7 @@ def command(
     codec: str | None,
     settings: tuple[str, ...],
     signal_error: str | None,
+    prior: str | None,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -99,7 +102,7 @@ def command(
     )
     settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
-    chosen |= files.given(signal_error=signal_error)
+    chosen |= files.given(signal_error=signal_error, prior=prior)
     if many.is_many(sources, output):
         refuse_file(output)
         refuse_settings(codec, settings, targets)
@@ -140,6 +143,7 @@ def encoded(
     bare: bool,
     signal_error: str | None = None,
     quiet: bool = False,
+    prior: str | None = None,
     **options: Any,
 ) -> tuple[Recording, dict[str, Any], bytes]:
     """The recording of a source, what was measured on its .mocz, and the bytes of that.
@@ -155,7 +159,7 @@ def encoded(
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
     if (lost := api.not_kept(recording, chosen)) and not quiet:
         files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
-    with files.working(f"encoding {source} with {chosen.name}"):
+    with files.working(f"encoding {source} with {chosen.name}"), own_prior.used(prior):
         with progress.phase(0.0, 0.9):
             blob = api.pack(chosen, recording, signal_error)
         with progress.phase(0.9, 1.0), api.open(blob) as opened:

@@ -253,3 +253,26 @@ def working(what: str) -> Generator[None, None, None]:
         begin.cancel()
         begin.join()
         bar.stop()
+
+
+def progress_line(quiet: bool) -> Any:
+    """A context with a function that shows how many sources are done: on a terminal only."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn())
+    hidden = quiet or not sys.stderr.isatty()
+    bar = Progress(*columns, console=Console(stderr=True), transient=True, disable=hidden)
+
+    class Shown:
+        def __enter__(self) -> Callable[[int, int, str], None]:
+            bar.start()
+            task = bar.add_task("building", total=None)
+            return lambda done, total, path: bar.update(
+                task, completed=done, total=total, description=printable(path[-40:])
+            )
+
+        def __exit__(self, *_: object) -> None:
+            bar.stop()
+
+    return Shown()

@@ -10,11 +10,12 @@ from typing import Any
 import click
 
 from .. import cloud_plots, plots, viewer
+from ..archive import catalogue, open_archive
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from ..viewer import film, page, session
 from ..viewer.recording import Shown, of_path
-from ..viewer.server import Server
+from ..viewer.server import ArchiveServer, Server
 from . import compare, files
 
 
@@ -57,7 +58,8 @@ def command(
 ) -> None:
     """Show recordings in the browser: figures, markers or point clouds, with the error against an original.
 
-    FILE is a .mocz or any format that can be read; several are shown beside each other. The page is served to this
+    FILE is a .mocz or any format that can be read; several are shown beside each other. Of an archive, the page lists
+    the recordings and finds them by name or condition. The page is served to this
     computer only, until Ctrl-C. Reader options such as --asf and --unit apply to each file whose format takes them.
     """
     require_suffix(html_path, "a page", (".html", ".htm"))
@@ -65,6 +67,12 @@ def command(
     require_suffix(mp4_path, "a film", (".mp4",))
     if (png_path or mp4_path) and len(sources) > 1:
         raise click.UsageError("--png and --mp4 show one recording; name one FILE")
+    if len(sources) == 1 and is_archive(sources[0]):
+        if against or html_path or png_path or mp4_path:
+            raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
+        with open_archive(sources[0]) as archive, ArchiveServer(archive, Path(sources[0]).name, port) as server:
+            serve(server, not no_browser)
+        return
     names = (*sources, *((against,) if against else ()))
     if "-" in names:
         raise click.UsageError("a recording on standard input cannot be shown; save it in a file first")
@@ -88,13 +96,23 @@ def command(
         with files.working("measuring"):
             server = Server(pairs, title, port)
         with server:
-            files.echo(f"{server.url}\nShown until you press Ctrl-C.")
-            if not no_browser:
-                webbrowser.open(server.url)
-            try:
-                server.serve_forever()
-            except KeyboardInterrupt:
-                files.echo("closed", err=True)
+            serve(server, not no_browser)
+
+
+def serve(server: Server, in_browser: bool) -> None:
+    """Print the address, open the browser, and answer until Ctrl-C."""
+    files.echo(f"{server.url}\nShown until you press Ctrl-C.")
+    if in_browser:
+        webbrowser.open(server.url)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        files.echo("closed", err=True)
+
+
+def is_archive(name: str) -> bool:
+    """Whether a folder is an archive."""
+    return (Path(name) / catalogue.NAME).is_file()
 
 
 def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> None:
@@ -108,7 +126,7 @@ def picture(shown: Shown, original: Shown | None) -> Any:
     recording, before = shown.in_memory, None if original is None else original.in_memory
     if isinstance(recording, Motion):
         if isinstance(before, Motion):
-            return plots.recording(before, recording, shown.name)
+            return plots.recording(before, recording, shown.name, shown.promise)
         return plots.poses(recording, shown.name)
     return cloud_plots.side_by_side(before if isinstance(before, PointClouds) else recording, recording, shown.name)
 

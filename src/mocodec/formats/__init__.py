@@ -18,7 +18,7 @@ from ..pointcloud import PointClouds
 from .conventions import UNITS_M, metres_in, with_start
 from .decisions import notes
 
-__all__ = ["CLOUDS", "FORMATS", "dropped", "notes", "read", "read_options", "replace_whole", "write"]
+__all__ = ["CLOUDS", "FORMATS", "dropped", "is_images", "notes", "read", "read_options", "replace_whole", "write"]
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -34,6 +34,8 @@ FORMATS = {
     ".mot": "mocodec.formats.opensim",
     ".csv": "mocodec.formats.delimited",
 }
+IMAGES = "mocodec.formats.rgbd"
+"""Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
 CLOUDS = (".ply", ".npz")
 """Formats of point clouds; .npz stores motions too."""
@@ -43,20 +45,28 @@ MAX_MESSAGE_CHARACTERS = 400
 
 
 def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
-    """Read a file, or a folder or glob of .ply, by its suffix; the options are those of the format's own `read`.
+    """Read a file by its suffix, or a folder or glob of .ply, or a folder of depth images (`formats.rgbd`).
 
-    Every format takes `up` (vertical axis), `unit` (of its lengths: a name, or metres) and `rate` (hertz) in place of
-    what the file says; motions take `start`, the time of the first frame in seconds. `salvage=True` reads a truncated
-    file as far as it goes. `read_options` names the options of a format.
+    The options are those of the format's own `read`. Every format takes `up` (vertical axis), `unit` (of its lengths: a
+    name, or metres) and `rate` (hertz) in place of what the file says; motions take `start`, the time of the first
+    frame in seconds. `salvage=True` reads a truncated file as far as it goes. `read_options` names the options of a
+    format.
     Raises BadInput if there is no such file, format or option, or if the content does not match the suffix.
     """
     path = Path(path)
+    if is_images(path):
+        return _read(IMAGES, path, options)
     if path.is_dir() or (path.suffix.lower() == ".ply" and any(wildcard in str(path) for wildcard in "*?[")):
         return _read(FORMATS[".ply"], path, options)
     module = _module(path)
     if not path.exists():
         raise BadInput(f"{path}: no such file")
     return _read(module, path, options)
+
+
+def is_images(path: str | PathLike[str]) -> bool:
+    """Whether a path is a folder of depth images with intrinsics, which `read` takes for one recording."""
+    return Path(path).is_dir() and import_module(IMAGES).is_sequence(path)
 
 
 def _read(module: str, path: Path, options: dict[str, Any]) -> Motion | PointClouds:
@@ -148,9 +158,9 @@ def _no_option(path: Path, verb: str, name: str) -> str:
 def read_options(path: str | PathLike[str]) -> frozenset[str]:
     """The names of the options that the reader of a path's format takes. Raises BadInput for an unknown suffix."""
     path = Path(path)
-    module = FORMATS[".ply"] if path.is_dir() else _module(path)
+    module = IMAGES if is_images(path) else FORMATS[".ply"] if path.is_dir() else _module(path)
     names = frozenset(_parameters(import_module(module).read)) | {"up"}
-    return names if module == FORMATS[".ply"] else names | {"start"}
+    return names if module in (FORMATS[".ply"], IMAGES) else names | {"start"}
 
 
 def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str]:

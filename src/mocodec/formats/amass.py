@@ -90,7 +90,8 @@ def read(
     else:
         root = _numbers(arrays, trans_key, frames, 3) * unit_m * _scaling(arrays)
     if rate is None and rate_key is not None:
-        rate = float(arrays.single(rate_key))
+        value = arrays.single(rate_key)
+        rate = float(np.nan if np.iscomplexobj(value) else value)
     elif rate is None and "smpl_poses" in arrays.names:
         rate, source["rate_guessed"] = AIST_RATE, True
     elif rate is None:

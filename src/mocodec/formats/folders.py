@@ -8,18 +8,24 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from . import rgbd
+
 COMPANIONS = {".amc": ".asf", ".gltf": ".bin"}
 """Files beside a source that belong to it, by suffix."""
 
 
 def below(path: str, suffixes: Collection[str]) -> list[str]:
-    """A file as it is; of a folder, the files with these suffixes and the folders of .ply files, at any depth."""
+    """A file as it is; of a folder, files with these suffixes and folders of .ply files or images, at any depth."""
     if not os.path.isdir(path):
         return [path]
     result: list[str] = []
     for folder, inner, names in os.walk(path):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
         visible = [name for name in names if not name.startswith(".")]
+        if ".ply" in suffixes and rgbd.is_sequence(folder):
+            result.append(folder)
+            inner.clear()
+            continue
         if ".ply" in suffixes and any(name.lower().endswith(".ply") for name in visible):
             result.append(folder)
         wanted = [s for s in suffixes if s != ".ply"]
@@ -36,7 +42,7 @@ def fingerprint(path: str, options: Mapping[str, Any] | None = None) -> list[int
     """Bytes and latest time of change (ns) of a file or of the files in a folder, with those that belong to it: its
     companions, and the files that options name. [] for what does not exist, such as a URL."""
     where = Path(path)
-    parts = sorted(where.iterdir()) if where.is_dir() else [where]
+    parts = sorted(where.rglob("*") if rgbd.is_sequence(where) else where.iterdir()) if where.is_dir() else [where]
     companion = COMPANIONS.get(where.suffix.lower())
     if companion is not None and where.parent.is_dir():
         parts += [p for p in where.parent.iterdir() if p.suffix.lower() == companion]

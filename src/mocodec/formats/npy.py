@@ -28,6 +28,8 @@ from .numpy_files import MAX_ARRAY_BYTES, array_of, bytes_of, reading
 LACKS = ("frame rate", "names", "vertical axis")
 """What an NPY never stores."""
 HUMANML_JOINTS, HUMANML_FEATURES, HUMANML_RATE = 22, 263, 20.0
+MOST_FEATURE = 1e6
+"""Features are metres, metres a frame and half angles: larger ones are no data."""
 OTHER_FEATURES = {251: "KIT-ML feature vectors", 322: "Motion-X parameters", 135: "6-D rotations", 148: "6-D rotations"}
 MAX_BONE_CHANGE = 0.02
 """Bones of decoded feature vectors change by a share below this; those of normalised vectors by far more."""
@@ -48,6 +50,8 @@ def read(path: str | Path, rate: float | None = None, unit: str | float | None =
         raise BadInput(f"{path}: must be numbers (frames, joints, 3), not {values.dtype} {values.shape}")
     source: dict[str, Any] = {"format": "npy"}
     if values.ndim == 2 and values.shape[1] == HUMANML_FEATURES:
+        if not np.abs(values).max(initial=0.0) < MOST_FEATURE:
+            raise BadInput(f"{path}: HumanML3D feature vectors that are not numbers below {MOST_FEATURE:g}")
         positions = joints_of_features(values.astype(np.float64))
         require_rigid(path, positions)
         source["notes"] = ["joints are decoded from HumanML3D feature vectors"]

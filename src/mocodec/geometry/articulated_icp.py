@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import native
 from ..typing import AnyInteger, Booleans, Bytes, Floats
 from . import icp
 from .articulation import Body, Pose, joint_positions, pose_from_world, transforms
@@ -100,6 +101,10 @@ def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | 
 
     For a point whose normal faces every link's axis, the normal is ignored.
     """
+    if (kernel := native.kernel("closest_links")) is not None:
+        joints, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+        of_points = np.zeros((0, 3)) if normals is None else normals
+        return np.asarray(kernel(points, of_points, joints, axes, body.lengths, body.radii))
     close = closeness(body, a, b, points, normals)
     faces_all = close.max(axis=0) <= 0
     if faces_all.any():

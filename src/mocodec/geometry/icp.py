@@ -11,10 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .. import native
 from ..typing import AnyInteger, Booleans, Floats
 
 LONGITUDES = 6
@@ -29,6 +32,9 @@ SEPARATION_M = 1e3
 """Distance between neighbourhoods along the tree's fourth axis, metres: larger than any recording."""
 MIN_NEIGHBOURHOOD = 3
 """Data points that a neighbourhood must have; otherwise all points are searched."""
+
+MAX_COMPILED_CLUSTERS = 64
+"""Clusters of points that the compiled module takes: the bits of a number."""
 
 
 def rigid(p: Floats, q: Floats, pivot: Floats | None = None) -> tuple[Floats, Floats]:
@@ -77,17 +83,17 @@ NEAR_NORMALS, NEAR_COLOURS = _near_normals(), _near_colours()
 
 @dataclass(frozen=True, eq=False)
 class ClusteredTree:
-    """Data points by neighbourhoods of similar normal and colour, in one k-d tree that separates the neighbourhoods
-    along a fourth axis.
+    """Data points for queries that are each matched within a neighbourhood: some clusters of the points.
 
-    points (n, 3): metres. rows: the data point of each of the tree's entries. filled: whether the neighbourhood of a
-    label has enough points; otherwise queries search all points.
+    points (n, 3): metres. clusters (n,): of each. near (labels, clusters): the neighbourhood of each label. filled
+    (labels,): whether it has enough points; otherwise queries search all points. keys: labels of queries.
     """
 
     points: Floats
-    tree: Any
-    rows: AnyInteger
+    clusters: AnyInteger
+    near: Booleans
     filled: Booleans
+    keys: AnyInteger
 
     @staticmethod
     def build(points: Floats, normals: Floats | None, colours: AnyInteger | None, wanted: AnyInteger) -> ClusteredTree:
@@ -96,19 +102,12 @@ class ClusteredTree:
         """
         n_label = np.zeros(len(points), np.int64) if normals is None else normal_cluster(normals)
         c_label = np.zeros(len(points), np.int64) if colours is None else colour_cluster(colours)
-        keys = np.unique(wanted)
-        n, c = np.divmod(keys, COLOUR_CLUSTERS)
         near_normals = NEAR_NORMALS if normals is not None else np.ones_like(NEAR_NORMALS)
         near_colours = NEAR_COLOURS if colours is not None else np.ones_like(NEAR_COLOURS)
-        inside = near_normals[n][:, n_label] & near_colours[c][:, c_label]
-        enough = inside.sum(axis=1) >= MIN_NEIGHBOURHOOD
-        filled = np.zeros(NORMAL_CLUSTERS * COLOUR_CLUSTERS, bool)
-        filled[keys] = enough
-        keys, inside = keys[enough], inside[enough]
-        if not enough.all():  # neighbourhood −1 is all points
-            keys, inside = np.append(keys, -1), np.vstack([inside, np.ones(len(points), bool)])
-        key, row = np.nonzero(inside)
-        return ClusteredTree(points, _tree(points[row], keys[key]), row, filled)
+        near = np.kron(near_normals, near_colours)
+        clusters = n_label * COLOUR_CLUSTERS + c_label
+        filled = near @ np.bincount(clusters, minlength=len(near)) >= MIN_NEIGHBOURHOOD
+        return ClusteredTree(points, clusters, near, filled, np.unique(wanted))
 
     @staticmethod
     def of_groups(points: Floats, groups: AnyInteger, count: int) -> ClusteredTree:
@@ -116,7 +115,32 @@ class ClusteredTree:
         group without points are not allowed.
         """
         filled = np.bincount(groups, minlength=count) > 0
-        return ClusteredTree(points, _tree(points, groups), np.arange(len(points)), filled)
+        return ClusteredTree(points, groups, np.eye(count, dtype=bool), filled, np.flatnonzero(filled))
+
+    @cached_property
+    def tree(self) -> tuple[Any, AnyInteger]:
+        """One k-d tree that separates the neighbourhoods along a fourth axis, and the data point of each entry."""
+        enough = self.filled[self.keys]
+        keys = self.keys[enough]
+        inside = self.near[keys][:, self.clusters]
+        if not enough.all():  # neighbourhood −1 is all points
+            keys, inside = np.append(keys, -1), np.vstack([inside, np.ones(len(self.points), bool)])
+        key, row = np.nonzero(inside)
+        return _tree(self.points[row], keys[key]), row
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The compiled points, None where the kernel is missing or there are more clusters than it takes."""
+        kernel = native.kernel("ClusteredPoints")
+        if kernel is None or self.near.shape[1] > MAX_COMPILED_CLUSTERS:
+            return None
+        return kernel(self.points, self.clusters.astype(np.uint8))
+
+    def allowed(self, labels: AnyInteger) -> NDArray[np.uint64]:
+        """(n,): the clusters of the neighbourhoods of labels (n,), as bits."""
+        bits = np.left_shift(np.uint64(1), np.arange(self.near.shape[1], dtype=np.uint64))
+        masks = np.where(self.filled, (self.near * bits).sum(axis=1, dtype=np.uint64), ~np.uint64(0))
+        return masks[labels]
 
     def queries(self, points: Floats, labels: AnyInteger) -> Floats:
         """(n, 4): points (n, 3) with the coordinate of their label's neighbourhood, as `closest` takes them."""
@@ -124,8 +148,9 @@ class ClusteredTree:
 
     def closest(self, queries: Floats) -> tuple[AnyInteger, Floats]:
         """For each of queries (n, 4), the row and the distance of the closest data point in its neighbourhood."""
-        distance, index = self.tree.query(queries)
-        return self.rows[index], distance
+        tree, rows = self.tree
+        distance, index = tree.query(queries)
+        return rows[index], distance
 
 
 def _tree(points: Floats, keys: AnyInteger) -> Any:
@@ -176,6 +201,10 @@ def icp_many(
     points (n, 3): of one part after another; `sizes` of them each, at least one. pivots (parts, 3): joints that must
     not move; NaN for a free part. Returns R (parts, 3, 3), t (parts, 3), the errors of each part.
     """
+    if (compiled := data.compiled) is not None:
+        allowed, lengths = data.allowed(label), np.array(sizes, np.int64)
+        r, t, errors = compiled.icp(points, allowed, lengths, pivots, iterations, tolerance)
+        return np.asarray(r), np.asarray(t), errors
     count = len(sizes)
     lengths = np.array(sizes)
     r, t = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))

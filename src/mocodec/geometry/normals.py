@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import native
 from ..typing import Floats
 
 VOTING_ROUNDS = 8
@@ -17,11 +18,15 @@ def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) 
 
     among (m, 3): all the points of the surface, if `points` are a subset.
     """
-    from scipy.spatial import KDTree
-
     if len(points) < 3:
         return np.tile([0.0, 1.0, 0.0], (len(points), 1))
     among = points if among is None else among
+    if (kernel := native.kernel("ClusteredPoints")) is not None:
+        return smallest_eigenvectors(
+            np.asarray(kernel(among, np.zeros(len(among), np.uint8)).scatter(points, neighbours))
+        )
+    from scipy.spatial import KDTree
+
     tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)
     spread = among[tree.query(points, k=min(neighbours, len(among)))[1]] - points[:, None]
     spread -= spread.mean(axis=1, keepdims=True)

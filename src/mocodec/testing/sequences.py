@@ -113,6 +113,33 @@ def turning(actor: Actor, frames: int = 60, rate: float = 15.0, seconds: float =
     return Performance(actor, _world_rotations(actor, articulation.exp(angles)), root, rate)
 
 
+def sitting(actor: Actor, frames: int = 60, rate: float = 15.0) -> Performance:
+    """A seated person: thighs level, shins down, hands on the thighs; the trunk leans forward and back."""
+    time = np.arange(frames) / rate
+    angles = np.zeros((frames, len(actor.names), 3))
+    for name, sign in {"Left": 1.0, "Right": -1.0}.items():
+        angles[:, actor.names.index(f"{name}UpLeg"), 0] = -1.5
+        angles[:, actor.names.index(f"{name}Leg"), 0] = 1.5
+        angles[:, actor.names.index(f"{name}Arm"), 2] = -1.2 * sign
+        angles[:, actor.names.index(f"{name}ForeArm"), 1] = -1.1 * sign
+    angles[:, actor.names.index("Spine"), 0] = 0.15 * np.sin(2 * np.pi * time / 2.0)
+    knee, ankle = (actor.joints[actor.names.index(name), 1] for name in ("LeftLeg", "LeftFoot"))
+    root = np.tile(actor.joints[0] - [0.0, actor.joints[0, 1] - (knee - ankle) - ankle - 0.08, 0.0], (frames, 1))
+    return Performance(actor, _world_rotations(actor, articulation.exp(angles)), root, rate)
+
+
+def chair(points: int = 2000, seed: int = 0) -> tuple[Floats, Bytes]:
+    """Random points (n, 3) and colours of a chair at the origin: a seat, a back behind it (z < 0) and four legs."""
+    rng = np.random.default_rng(seed)
+    boxes = [((-0.22, 0.42, -0.2), (0.22, 0.45, 0.22)), ((-0.22, 0.45, -0.22), (0.22, 0.9, -0.19))]
+    boxes += [((x, 0.0, z), (x + 0.03, 0.42, z + 0.03)) for x in (-0.22, 0.19) for z in (-0.22, 0.19)]
+    volume = np.array([np.prod(np.subtract(high, low)) for low, high in boxes])
+    chosen = rng.choice(len(boxes), points, p=volume / volume.sum())
+    low, high = (np.array([box[k] for box in boxes])[chosen] for k in (0, 1))
+    wood = np.array([120, 80, 40]) + rng.integers(-10, 11, (points, 1))
+    return rng.uniform(low, high), wood.astype(np.uint8)
+
+
 def pair(actor: Actor, frames: int = 60, rate: float = 15.0, apart: float = 1.1) -> tuple[Performance, Performance]:
     """Two people `apart` metres from each other: one does jumping jacks, one turns on the spot in other clothes."""
     jumper = jumping_jacks(actor, frames, rate)

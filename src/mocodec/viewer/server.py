@@ -4,6 +4,8 @@
     GET /TOKEN/session.json                 the session
     GET /TOKEN/r/N/decoded?from=a&to=b      frames [a, b) of recording N, and of its original: …/original
     GET /TOKEN/priors/ID.npz                a prior of tempo, for .mocz files that are dropped on the page
+    GET /TOKEN/clips.json?text=…&query=…    of an archive: the recordings that match
+    GET /TOKEN/clip/NAME/…                  of one of them: session.json, pose.json, r/0/decoded
 
 It listens on 127.0.0.1. The token is random, so that other pages in the browser cannot guess the address; requests
 for another host name are refused, so that a foreign name that resolves to this computer reaches nothing.
@@ -19,20 +21,25 @@ from collections.abc import Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, cast
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 import numpy as np
 
+from ..archive import Archive
 from ..errors import MocodecError
 from ..motion import Motion
 from ..pointcloud import PointClouds
-from . import page, session
-from .recording import Shown
+from . import clips, page, session
+from .recording import Shown, of_file
 
+Query = dict[str, list[str]]
+HTML, JSON, BYTES = "text/html", "application/json", "application/octet-stream"
+MOST_OPENED = 16
 MOST_BYTES = 64 << 20
 """The largest answer; the page asks for about 8 MB at a time."""
 
 PRIOR = re.compile(r"priors/([0-9a-f]{8})\.npz")
+CLIP = re.compile(r"clip/([^/]{1,2000})/(.+)")
 PLACE = re.compile(r"r/(\d{1,4})/(decoded|original)")
 
 
@@ -40,29 +47,88 @@ class Server(ThreadingHTTPServer):
     """Serves recordings to one page. port 0: any free port. `url` is the address to open."""
 
     daemon_threads = True
+    query = "session=session.json"
 
     def __init__(self, pairs: Sequence[session.Pair], title: str, port: int = 0) -> None:
         self.pairs = pairs
         self.token = secrets.token_urlsafe(12)
-        self.session = json.dumps(session.of_server(pairs, title), allow_nan=False).encode()
+        self.session = as_json(session.of_server(pairs, title))
         self.decoding = threading.Lock()  # files are not made for several threads
         super().__init__(("127.0.0.1", port), Handler)
 
     @property
     def url(self) -> str:
         """The address of the page."""
-        return f"http://127.0.0.1:{self.server_address[1]}/{self.token}/?session=session.json"
+        return f"http://127.0.0.1:{self.server_address[1]}/{self.token}/?{self.query}"
 
-    def frames(self, number: int, which: str, a: int, b: int) -> bytes:
-        """Frames [a, b) as the page reads them. Raises KeyError, ValueError, MocodecError."""
-        shown, original = self.pairs[number]
-        chosen = shown if which == "decoded" else original
+    def resource(self, place: str, asked: Query) -> tuple[str, bytes]:
+        """Type and bytes of what is at a place. Raises KeyError, IndexError, ValueError, MocodecError."""
+        if place == "":
+            return HTML, page.viewer().encode()
+        if named := PRIOR.fullmatch(place):
+            return BYTES, page.prior(named[1])
+        if place == "session.json":
+            return JSON, self.session
+        if named := PLACE.fullmatch(place):
+            return BYTES, self.frames(self.pairs[int(named[1])], named[2], asked)
+        raise KeyError(place)
+
+    def frames(self, pair: session.Pair, which: str, asked: Query) -> bytes:
+        """The asked frames as the page reads them. Raises KeyError, ValueError, MocodecError."""
+        chosen = pair[0] if which == "decoded" else pair[1]
         if chosen is None:
             raise KeyError(which)
+        a, b = (int(asked[name][0]) for name in ("from", "to"))
         if not 0 <= a < b <= chosen.frames:
             raise ValueError(f"frames {a} to {b} of {chosen.frames}")
         with self.decoding:
             return as_bytes(chosen, a, b)
+
+
+class ArchiveServer(Server):
+    """Serves the recordings of an archive to one page, which lists and searches them."""
+
+    query = "archive=clips.json"
+
+    def __init__(self, archive: Archive, title: str, port: int = 0) -> None:
+        self.archive = archive
+        self.opened: dict[str, session.Pair] = {}
+        super().__init__([], title, port)
+
+    def resource(self, place: str, asked: Query) -> tuple[str, bytes]:
+        """As of Server; also the list of recordings, and of each its session, frames and a pose to draw small."""
+        if place == "clips.json":
+            with self.decoding:
+                return JSON, as_json(
+                    clips.found(self.archive, *(asked.get(name, [""])[0] for name in ("text", "query")))
+                )
+        if not (named := CLIP.fullmatch(place)):
+            return super().resource(place, asked)
+        name, rest = unquote(named[1]), named[2]
+        if rest == "pose.json":
+            with self.decoding:
+                return JSON, as_json(clips.pose(self.archive[name]))
+        pair = self.pair(name)
+        if rest == "session.json":
+            with self.decoding:
+                return JSON, as_json(session.of_server([pair], name, f"clip/{quote(name, safe='')}/"))
+        if within := PLACE.fullmatch(rest):
+            return BYTES, self.frames(pair, within[2], asked)
+        raise KeyError(place)
+
+    def pair(self, name: str) -> session.Pair:
+        """The recording of this name; the last ones stay open. Raises BadInput."""
+        with self.decoding:
+            if name not in self.opened:
+                while len(self.opened) >= MOST_OPENED:
+                    self.opened.pop(next(iter(self.opened)))
+                self.opened[name] = (of_file(name, self.archive.entry(name).open(salvage=True)), None)
+            return self.opened[name]
+
+
+def as_json(value: Any) -> bytes:
+    """A value as JSON."""
+    return json.dumps(value, allow_nan=False).encode()
 
 
 def as_bytes(shown: Shown, a: int, b: int) -> bytes:
@@ -116,18 +182,7 @@ class Handler(BaseHTTPRequestHandler):
         token, _, rest = parts.path.removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(), server.token.encode()):
             raise KeyError(token)
-        if rest == "":
-            return HTTPStatus.OK, "text/html", page.viewer().encode()
-        if rest == "session.json":
-            return HTTPStatus.OK, "application/json", server.session
-        if named := PRIOR.fullmatch(rest):
-            return HTTPStatus.OK, "application/octet-stream", page.prior(named[1])
-        place = PLACE.fullmatch(rest)
-        if place is None:
-            raise KeyError(rest)
-        asked: dict[str, list[str]] = parse_qs(parts.query)
-        a, b = (int(asked[name][0]) for name in ("from", "to"))
-        return HTTPStatus.OK, "application/octet-stream", server.frames(int(place[1]), place[2], a, b)
+        return HTTPStatus.OK, *server.resource(rest, parse_qs(parts.query))
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing for each request."""

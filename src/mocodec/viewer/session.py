@@ -50,13 +50,14 @@ def matched(shown: Shown, original: Shown | None) -> Pair:
     return shown, dataclasses.replace(original, columns=[place[name] for name in about.names])
 
 
-def of_server(pairs: Sequence[Pair], title: str) -> dict[str, Any]:
-    """A session whose frames a server decodes: r/0/decoded and r/0/original of the first recording, and so on."""
+def of_server(pairs: Sequence[Pair], title: str, base: str = "") -> dict[str, Any]:
+    """A session whose frames a server decodes: r/0/decoded and r/0/original of the first recording, and so on, below
+    the place `base`."""
     recordings = [
         {
             **facts(shown, original),
-            "decoded": {"type": "frames", "url": f"r/{number}/decoded"},
-            "original": None if original is None else {"type": "frames", "url": f"r/{number}/original"},
+            "decoded": {"type": "frames", "url": f"{base}r/{number}/decoded"},
+            "original": None if original is None else {"type": "frames", "url": f"{base}r/{number}/original"},
         }
         for number, (shown, original) in enumerate(pairs)
     ]

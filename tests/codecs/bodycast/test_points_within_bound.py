@@ -143,7 +143,9 @@ def test_every_point_has_a_decoded_one_within_the_bound_and_back(clouds, encoded
 
 
 def test_the_surface_saves_bytes(clouds, encoded):
-    alone = Bodycast(max_error=0.002, chunk_frames=3)._point_chunks([], _frames(clouds), _spans(encoded), True, 0, 0)
+    alone = Bodycast(max_error=0.002, chunk_frames=3)._point_chunks(
+        [], _frames(clouds), _spans(encoded), True, 0, {"max_error": 0.002}
+    )
     assert sum(len(c.payload) for c in encoded.chunks) < 0.97 * sum(map(len, alone))
 
 

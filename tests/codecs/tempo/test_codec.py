@@ -181,3 +181,12 @@ def test_damaged_shared_bytes_are_noticed() -> None:
     for other in ((), (b"",), (shared[:3],), (b"\x40" + shared[1:],), (b"\x14" + shared[1:],)):
         with pytest.raises((Corrupt, UnknownCodec)):
             Tempo.decode(replace(encoded, shared=other))
+
+
+@pytest.mark.parametrize("target", [{"size": 5_000}, {"max_error": 0.01}, {"mean_error": 0.01}])
+def test_slow_frame_rates_have_chunks_of_several_frames(target: dict[str, float]) -> None:
+    steps = np.random.default_rng(0).normal(size=(200, 5, 3))
+    slow = Motion(0.01 * steps.cumsum(axis=0), 0.001)
+    encoded = Tempo(**target).encode(slow)  # type: ignore[arg-type]
+    assert len(encoded.chunks) <= 20
+    np.testing.assert_allclose(Tempo.decode(encoded, slice(50, 60)).positions, Tempo.decode(encoded).positions[50:60])

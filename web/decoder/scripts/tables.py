@@ -1,4 +1,4 @@
-"""Writes src/tables.json and src/lab_words.json: literal tables of the format (docs/format.md), from the Python package.
+"""Writes src/tables.json and src/lab_words.json: literal tables of the format (docs/format.md), from the package.
 
     python web/decoder/scripts/tables.py            # write them again after a table has grown
     python web/decoder/scripts/tables.py --check    # exit status 1 if they would change

@@ -1,6 +1,7 @@
 /** The page: loads the session, plays it, and answers buttons, keys, clicks and dropped files. */
 
 import { Vector3 } from "three";
+import { Clips } from "./clips.ts";
 import { summary } from "./errors.ts";
 import { addressed, dropped } from "./dropped.ts";
 import { PointList, showKeys, showLegend, showNumbers, showSignals, showTabs } from "./panel.ts";
@@ -57,6 +58,11 @@ class Page {
     try {
       const query = new URLSearchParams(location.search);
       const measuring = (share: number) => this.notice(`measuring… ${Math.round(100 * share)} %`);
+      if (query.has("archive")) {
+        await this.openArchive(query.get("archive")!);
+        requestAnimationFrame((now) => this.tick(now));
+        return;
+      }
       const session = query.has("file") ? await addressed(query, measuring) : await load();
       if (session) await this.open(session);
       else $("welcome").hidden = false;
@@ -64,6 +70,14 @@ class Page {
       this.notice(error instanceof Error ? error.message : String(error));
     }
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  /** List the recordings of an archive, and show the first. */
+  private async openArchive(place: string): Promise<void> {
+    const clips = new Clips(place, $("clips"), (session) => this.open(session), (text) => this.notice(text));
+    $("clips").hidden = false;
+    const [first] = await clips.search();
+    if (first) await clips.choose(first.name);
   }
 
   async open(session: Session): Promise<void> {
@@ -347,7 +361,7 @@ class Page {
 
   private key(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
-    if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input[type=search], select")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input[type=search], input[type=text], select")) return;
     const view = this.view;
     const second = Math.round(view?.facts.rate ?? 1);
     const step = event.shiftKey ? second : 1;

@@ -77,14 +77,13 @@ export type Media =
   /** All frames of point clouds within the page. */
   | { type: "packed-clouds"; base64: string; counts: number[]; step: number; origin: [number, number, number] };
 
-/** The session of this page: embedded in it, or beside it; null if there is none and files must be dropped. */
-export async function load(): Promise<Session | null> {
+/** The session at a place, or the one embedded in this page; null if there is none and files must be dropped. */
+export async function load(place = new URLSearchParams(location.search).get("session")): Promise<Session | null> {
   const embedded = document.getElementById("session")?.textContent?.trim();
   if (embedded && embedded !== "null") return checked(JSON.parse(embedded));
-  const query = new URLSearchParams(location.search).get("session");
-  if (query === null) return null;
-  const response = await fetch(new URL(query, location.href));
-  if (!response.ok) throw new Error(`the server answers ${response.status} for ${query}`);
+  if (place === null) return null;
+  const response = await fetch(new URL(place, location.href));
+  if (!response.ok) throw new Error((await response.text()) || `the server answers ${response.status} for ${place}`);
   return checked(await response.json());
 }
 

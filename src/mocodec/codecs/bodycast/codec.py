@@ -28,6 +28,7 @@ from .. import base
 from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable_points
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
 from . import residual_scale
+from .body_choice import absences, bodies_pay
 from .body_model import MAX_POINTS, pack_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
@@ -89,7 +90,8 @@ class Bodycast:
     chunk_frames: int = 150
 
     def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
-        """Frames without a body are coded as points within a bound, by default of 5 mm.
+        """Frames without a body are coded as points within a bound, by default of 5 mm. Bodies that cost more than a
+        tenth more than points alone are left out, unless a skeleton is given.
 
         Raises CannotEncode for a target that cannot be met, BadInput for settings or a skeleton that cannot be used.
         """
@@ -106,6 +108,10 @@ class Bodycast:
         settings = self._stored_settings()
         if not self._has_target and self._codes_points(bodies):
             settings["max_error"] = self._bound_of_residual(bodies, frames, spans, coloured)
+        if self._codes_points(bodies) and bodies and self.skeleton is None:
+            target = PointTarget(settings.get("max_error"), self.mean_error)
+            if not bodies_pay(bodies, frames, spans[0], coloured, target):
+                bodies, shared = [], ()
         if self._has_target or self._percent > SURFACE_PERCENT or self.residual == EXACT:
             limit_m = float(np.finfo(np.float32).max)  # every point counts, however far away
             frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
@@ -252,7 +258,7 @@ class Bodycast:
         """The payload of each chunk with all its points. settings: with the targets. Raises CannotEncode."""
         shared_bytes = sum(len(pack_model(body.model)) for body in bodies)
         coded = [[body.encode_chunk(span) for body in bodies] for span in spans]
-        absent = [self._absences(bodies, span) for span in spans]
+        absent = [absences(bodies, span) for span in spans]
         empty = [
             ChunkStreams(a, b"", b"", b"", tuple(stream for stream, _ in own))
             for a, own in zip(absent, coded, strict=True)
@@ -267,12 +273,6 @@ class Bodycast:
         encoder = PointEncoder(frames, spans, textures, poses, absent, coloured)
         parts = encoder.encode(PointTarget(settings.get("max_error"), self.mean_error, size, self.psnr, beside))
         return [pack_chunk(streams._replace(exact_points=part)) for streams, part in zip(empty, parts, strict=True)]
-
-    @staticmethod
-    def _absences(bodies: Sequence[BodyEncoder], span: slice) -> Booleans:
-        """(frames, bodies): True where a body is not in a frame."""
-        rows = [[not b.is_present[i] for b in bodies] for i in range(span.start, span.stop)]
-        return np.array(rows, bool).reshape(span.stop - span.start, len(bodies))
 
     @property
     def _skeletons(self) -> list[Any]:
@@ -300,7 +300,7 @@ class Bodycast:
 
     def _chunk(self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool) -> bytes:
         """The payload of a run of frames."""
-        is_absent = self._absences(bodies, span)
+        is_absent = absences(bodies, span)
         coded = [body.encode_chunk(span) for body in bodies]
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:

@@ -73,12 +73,12 @@ class PointEncoder:
             return point_targets.bound_of_mean(self.frames, target.mean_error)
         if target.size is not None:
             return point_targets.finest_that_fits(
-                target.size, lambda bound: sum(map(len, self._coded(bound))), target.beside
+                target.size, lambda bound: sum(map(len, self.coded(bound))), target.beside
             )
         return point_targets.DEFAULT_BOUND_M if target.psnr is None else point_targets.COLOUR_BOUND_M
 
-    def _coded(self, bound: float) -> list[bytes]:
-        """The part of each chunk."""
+    def coded(self, bound: float) -> list[bytes]:
+        """The part of each chunk, with the usual colours of this bound, metres; not checked."""
         return [chunk.with_colours(self._usual_steps(bound))[0] for chunk in self._places(bound)]
 
     def _usual_steps(self, bound: float) -> ColourSteps | None:

@@ -56,6 +56,49 @@ class CodedPlaces(NamedTuple):
     table: SampleTable
 
 
+class PointsHeader(NamedTuple):
+    """What stands before the octrees of a chunk's points. steps: of colours. counts: points of each frame. shifts: of
+    each body; pose_shifts: of each body in each frame that it is in. octrees: their bytes; the rest is colours.
+    """
+
+    kind: int
+    grid: LatticeGrid
+    steps: list[int]
+    counts: list[int]
+    shifts: list[int]
+    pose_shifts: list[int]
+    octrees: slice
+
+    @staticmethod
+    def read(data: bytes, frames: int, bodies: int, poses: int, coloured: bool) -> PointsHeader:
+        """poses: of all bodies in all frames. Raises Corrupt for what `join` never writes."""
+        (kind, depth, *steps), at = varint.read(data, 3 if data[:1] == bytes([UNLEARNED]) else 4)
+        corner, at = varint.read(data, 3, at)
+        if at + 8 > len(data):
+            raise Corrupt("bodycast: the points of a chunk are cut off")
+        step = struct.unpack_from("<d", data, at)[0]
+        grid = LatticeGrid(step, np.array([varint.unsigned(v) for v in corner]), depth)
+        counts, at = varint.read(data, frames, at + 8)
+        shifts, at = varint.read(data, bodies, at)
+        pose_shifts, at = varint.read(data, poses if bodies else 0, at)
+        (size,), at = varint.read(data, 1, at)
+        header = PointsHeader(kind, grid, steps, counts, shifts, pose_shifts, slice(at, at + size))
+        header._require_plausible(len(data), coloured)
+        return header
+
+    def _require_plausible(self, size: int, coloured: bool) -> None:
+        grid, shifts = self.grid, [*self.shifts, *self.pose_shifts]
+        if not MIN_STEP_M <= grid.step_m <= MAX_STEP_M or np.abs(grid.corner).max() >= MAX_CORNER:
+            raise Corrupt("bodycast: the lattice of a chunk's points is out of range")
+        if grid.depth > point_octree.MAX_DEPTH or max(shifts, default=0) >= integer_surface.SHIFTS:
+            raise Corrupt("bodycast: the octree of a chunk's points is damaged")
+        are_wrong = any(bool(step) != coloured or step > 2 * point_colours.MAX_STEP for step in self.steps)
+        if are_wrong or self.octrees.stop > size:
+            raise Corrupt("bodycast: the points of a chunk are cut off, or their colours are damaged")
+        if sum(self.counts) > min(octree.MAX_POINTS, POINTS_PER_BYTE * (size + 1)):
+            raise Corrupt(f"bodycast: {sum(self.counts)} points in {size} bytes")
+
+
 def pack_places(
     grid: LatticeGrid,
     frames: Sequence[LatticeFrame],
@@ -105,20 +148,12 @@ def unpack_points(
     coloured: bool,
 ) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
-    (kind, depth, *steps), at = varint.read(data, 3 if data[:1] == bytes([UNLEARNED]) else 4)
-    corner, at = varint.read(data, 3, at)
-    if at + 8 > len(data):
-        raise Corrupt("bodycast: the points of a chunk are cut off")
-    grid = LatticeGrid(struct.unpack_from("<d", data, at)[0], np.array([varint.unsigned(v) for v in corner]), depth)
-    counts, at = varint.read(data, frames, at + 8)
-    shifts, at = varint.read(data, len(textures), at)
-    pose_shifts, at = varint.read(data, int((~is_absent).sum()) if len(textures) else 0, at)
-    (size,), at = varint.read(data, 1, at)
-    _require_plausible(grid, counts, steps, coloured, [*shifts, *pose_shifts], len(data), at + size)
-    places, colours = BitDecoder(data[at : at + size]), BitDecoder(data[at + size :])
-    scene, waiting = Scene(textures, shifts, is_absent, learns=kind == LEARNED), iter(pose_shifts)
+    head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
+    grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
+    places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
+    scene, waiting = Scene(textures, shifts, is_absent, learns=kind == LEARNED), iter(head.pose_shifts)
     memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
-    for k, count in enumerate(counts):
+    for k, count in enumerate(head.counts):
         present = [b for b in range(len(textures)) if not is_absent[k, b]]
         own = [next(waiting) for _ in present]
         if not count:
@@ -133,26 +168,6 @@ def unpack_points(
             colour = _unlearned_colours(colours, scene.table.colours, located.samples, steps[0])
         yield grid.positions(codes), colour
     places.finish()
-
-
-def _require_plausible(
-    grid: LatticeGrid,
-    counts: Sequence[int],
-    steps: Sequence[int],
-    coloured: bool,
-    shifts: Sequence[int],
-    size: int,
-    end: int,
-) -> None:
-    """Raises Corrupt for a header that `join` never writes in `size` bytes; end: of the octrees."""
-    if not MIN_STEP_M <= grid.step_m <= MAX_STEP_M or np.abs(grid.corner).max() >= MAX_CORNER:
-        raise Corrupt("bodycast: the lattice of a chunk's points is out of range")
-    if grid.depth > point_octree.MAX_DEPTH or max(shifts, default=0) >= integer_surface.SHIFTS:
-        raise Corrupt("bodycast: the octree of a chunk's points is damaged")
-    if any(bool(step) != coloured or step > 2 * point_colours.MAX_STEP for step in steps) or end > size:
-        raise Corrupt("bodycast: the points of a chunk are cut off, or their colours are damaged")
-    if sum(counts) > min(octree.MAX_POINTS, POINTS_PER_BYTE * (size + 1)):
-        raise Corrupt(f"bodycast: {sum(counts)} points in {size} bytes")
 
 
 class _OctreeOfFrame:

@@ -39,8 +39,8 @@ GRID_OCTAVE = 256
 LARGEST_GRID_STEP = 200 * GRID_OCTAVE
 BATCH = 64
 """Chunks coded side by side: enough to be fast, few enough to need little memory."""
-LONGEST_SECONDS = 16
-"""No encoder writes longer chunks: at most 10 s are asked for, and rounding adds half at most."""
+LONGEST_SECONDS, ALWAYS_FRAMES = 16, 32
+"""No encoder writes chunks that are longer than both: at most 10 s or 16 frames are asked for, rounding adds half."""
 REFILLS = 3
 """Rounds of replacing what fills gaps by what is decoded there."""
 BOUND_SLOPE = 0.1

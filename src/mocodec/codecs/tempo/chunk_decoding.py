@@ -15,7 +15,7 @@ from ...errors import Corrupt
 from ...stages import frozen
 from ...typing import Floats
 from . import compiled_chunks
-from .chunk import BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
+from .chunk import ALWAYS_FRAMES, BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
 from .coding import coefficients, corrections, direct, lattice, quantise, rows
 from .models.model import Model
 from .pose import heading
@@ -59,7 +59,7 @@ def decode_into(model: Model, chunks: Sequence[Chunk], out: Floats, start: int, 
 
 def _require_usual_lengths(model: Model, chunks: Sequence[Chunk]) -> None:
     for c in chunks:
-        if c.frames > LONGEST_SECONDS * model.rate + 2:
+        if c.frames > max(LONGEST_SECONDS * model.rate, ALWAYS_FRAMES) + 2:
             raise Corrupt(f"tempo: a chunk of {c.frames} frames is longer than {LONGEST_SECONDS} s")
 
 

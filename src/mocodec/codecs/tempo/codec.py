@@ -45,6 +45,7 @@ FALLBACK_MODEL = "hou2014"
 LATTICE_MODEL = "lattice"
 MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
 MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
+LEAST_CHUNK_FRAMES = 16
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
@@ -373,8 +374,12 @@ class Tempo:
         return replace(found, alone=True) if asked else found
 
     def _seconds(self, motion: Motion, times: float = 1.0) -> float:
-        """Length of chunks, some times longer than asked for, with room for rounding within the format's limit."""
-        return min(times * self.chunk_seconds, MOST_CHUNK_SECONDS, most_chunk_frames(motion.points) / 2 / motion.rate)
+        """Length of chunks, some times longer than asked for, with room for rounding within the format's limit.
+
+        At rates below a few hertz, chunks have LEAST_CHUNK_FRAMES: one chunk a frame would take long, and many bytes.
+        """
+        asked = max(min(times * self.chunk_seconds, MOST_CHUNK_SECONDS), LEAST_CHUNK_FRAMES / motion.rate)
+        return min(asked, most_chunk_frames(motion.points) / 2 / motion.rate)
 
     def _to_target(
         self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None

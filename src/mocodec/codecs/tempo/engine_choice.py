@@ -27,7 +27,7 @@ FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
-CERTAIN = 0.72
+CERTAIN = 0.68
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
 MANY_POINTS = 256
 """Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit."""

@@ -2,7 +2,8 @@
 
 A prior is one .npz beside this package, identified in every file that uses it by its BLAKE2b digest of four bytes.
 `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that the
-entropy coder depends on is integer.
+entropy coder depends on is integer. `mocodec prior train` makes priors of one's own: `used` encodes with them, and
+`by_id` finds them for decoding in the folders of MOCODEC_PRIORS.
 
     points.npz        positions of the joints of one skeleton, by name; and how bones move, for markers on them
     directions.npz    directions of the bones of that skeleton, for any proportions
@@ -12,18 +13,21 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
+import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....entropy.lanes import StaticTables
-from ....errors import UnknownCodec
+from ....errors import BadInput, UnknownCodec
 from ....geometry.body_frame import normalised_label
 from ....typing import Floats, Integers
 from ..pose.bone_tree import BoneTree
@@ -168,9 +172,85 @@ def installed(points: bytes | None = None, directions: bytes | None = None) -> I
 
 
 def by_id(id_: bytes) -> Prior:
-    """The prior of this hash. Raises UnknownCodec where this package does not have it."""
+    """The prior of this hash: of the package, or one's own. Raises UnknownCodec where neither has it."""
     candidates = [p for pair in _installed for p in pair]
     for prior in (*candidates, *(_packaged(file) for file in (DIRECTIONS_FILE, POINTS_FILE))):
         if prior.id == id_:
             return prior
-    raise UnknownCodec(f"coded with the prior {id_.hex()}, which this version of mocodec does not have")
+    for path in _own_files():
+        with suppress(BadInput):
+            for prior in _own(str(path), path.stat().st_mtime_ns):
+                if prior.id == id_:
+                    return prior
+    raise UnknownCodec(
+        f"coded with the prior {id_.hex()}, which this version of mocodec does not have; for a prior of your own, name "
+        f"its folder in {FOLDERS_VARIABLE}"
+    )
+
+
+FOLDERS_VARIABLE = "MOCODEC_PRIORS"
+"""Environment variable: folders of priors of one's own (*.prior), separated as in PATH."""
+OWN_SUFFIX = ".prior"
+MOST_OWN_BYTES = 1 << 26
+
+_folders: list[str] = []
+
+
+def search_in(folder: str) -> None:
+    """Look for priors of one's own in this folder too: of an archive."""
+    if folder not in _folders:
+        _folders.append(folder)
+
+
+def _own_files() -> list[Path]:
+    folders = [*_folders, *filter(None, os.environ.get(FOLDERS_VARIABLE, "").split(os.pathsep))]
+    return [path for folder in folders for path in sorted(Path(folder).glob(f"*{OWN_SUFFIX}"))]
+
+
+def pack_own(points: bytes, directions: bytes) -> bytes:
+    """The file of a prior of one's own: the two .npz in one .zip, the same bytes each time."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as packed:
+        for name, data in ((POINTS_FILE, points), (DIRECTIONS_FILE, directions)):
+            packed.writestr(zipfile.ZipInfo(name), data)
+    return out.getvalue()
+
+
+def unpack_own(data: bytes) -> tuple[bytes, bytes]:
+    """The two .npz in a prior of one's own. Raises BadInput."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            if sum(info.file_size for info in packed.infolist()) > MOST_OWN_BYTES:
+                raise ValueError("it is too large")
+            points, directions = packed.read(POINTS_FILE), packed.read(DIRECTIONS_FILE)
+        read(points), read(directions)
+        return points, directions
+    except Exception as error:  # whatever damaged .zip and .npz files raise
+        raise BadInput(f"this is not a prior that `mocodec prior train` wrote ({error})") from error
+
+
+@lru_cache(maxsize=16)
+def _own(path: str, _: int) -> tuple[Prior, Prior]:
+    try:
+        points, directions = unpack_own(Path(path).read_bytes())
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+    return read(points), read(directions)
+
+
+@contextmanager
+def used(path: str | None) -> Iterator[None]:
+    """Within this context tempo encodes with a prior of one's own; None: those of the package. Raises BadInput."""
+    if path is None:
+        yield
+        return
+    try:
+        _installed.append(_own(os.path.abspath(path), os.stat(path).st_mtime_ns))
+    except OSError as error:
+        raise BadInput(f"{path}: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        _installed.pop()

@@ -4,7 +4,7 @@
                               spectra in those bases ──► spreads ──► coefficients in several steps ──► tables
 
 Each recording counts by the square root of its length, so that neither long recordings nor many takes of one person
-dominate. `scripts/train_prior` runs it.
+dominate. `mocodec prior train` and `scripts/train_prior` run it.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ from pathlib import Path
 
 import numpy as np
 
-from mocodec import formats
-from mocodec.codecs.tempo.coding import contexts, rows
-from mocodec.codecs.tempo.coding.rows import POSE
-from mocodec.codecs.tempo.models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
-from mocodec.codecs.tempo.models.markers_on_bones import ARM_M
-from mocodec.codecs.tempo.models.model import BANDS, Model, Statistics, smooth_heading
-from mocodec.codecs.tempo.models.prior import BoneMotion, JointSet
-from mocodec.codecs.tempo.pose import bone_directions, heading, tree_fitting
-from mocodec.codecs.tempo.preparation import chunk_bounds
-from mocodec.entropy import lanes, symbols
-from mocodec.geometry import kinematics, rigid
-from mocodec.motion import Motion
-from mocodec.stages import dct
-from mocodec.typing import Floats, Integers
+from ... import formats
+from ...entropy import lanes, symbols
+from ...errors import BadInput
+from ...geometry import kinematics, rigid
+from ...motion import Motion
+from ...stages import dct
+from ...typing import Floats, Integers
+from .coding import contexts, rows
+from .coding.rows import POSE
+from .models import prior
+from .models.coordinates import Coordinates, DirectionCoordinates, PointCoordinates
+from .models.markers_on_bones import ARM_M
+from .models.model import BANDS, Model, Statistics, smooth_heading
+from .models.prior import BoneMotion, JointSet
+from .pose import bone_directions, heading, tree_fitting
+from .preparation import chunk_bounds
 
+LEAST_RECORDINGS = 3
 FREQUENCIES = len(contexts.BANDS_MHZ)
 CHUNK_SECONDS = 4.0
 BETWEEN_PEOPLE = 0.06
@@ -79,6 +82,22 @@ def train_directions(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
     motions = [m for person in recordings.values() for m in person]
     joints = joint_set(motions, directions=True)
     return write(joints, coder_tables(joints, motions))
+
+
+def train(motions: Iterable[Motion]) -> bytes:
+    """A file of priors of one's own, for `prior.used`, from recordings of the same skeleton with rotations.
+
+    Recordings in which a joint leaps are left out. Raises BadInput for recordings of other joints, or without them.
+    """
+    chosen = [m for m in motions if m.skeleton is not None and m.rotations is not None and not m.gaps.any()]
+    chosen = [m for m in chosen if m.names == chosen[0].names and len(m) > 1 and not _has_flips(m)]
+    if len(chosen) < LEAST_RECORDINGS:
+        raise BadInput(
+            f"a prior is learned from at least {LEAST_RECORDINGS} recordings of one skeleton with rotations, without "
+            f"gaps and leaps, not {len(chosen)}"
+        )
+    recordings = {"all": chosen}
+    return prior.pack_own(train_points(recordings), train_directions(recordings))
 
 
 def write(joints: JointSet, tables: Integers, bones: BoneMotion | None = None) -> bytes:

@@ -1,0 +1,1 @@
+"""Measurements of archives: sizes, windows, queries, retrieval."""

@@ -1,0 +1,70 @@
+"""`mocodec archive index`, `similar` and `duplicates`: motion that is like other motion."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import click
+
+from .. import api, archive
+from ..archive import Recordings
+from ..errors import BadInput
+from ..motion import Motion
+from . import files, quantities
+
+
+@click.command("index")
+@click.argument("db", metavar="DB")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def index(db: str, quiet: bool) -> None:
+    """Make the index for `similar` and `duplicates`, or bring it up to date after a build."""
+    with files.progress_line(quiet) as show:
+        windows = archive.index(db, show)
+    if not quiet:
+        files.echo(f"{db}: {windows:,} windows in the index", err=True)
+
+
+@click.command("similar")
+@click.argument("db", metavar="DB")
+@click.argument("query", metavar="NAME|FILE")
+@click.option("--from", "start", type=float, default=0.0, metavar="S", help="Second at which the query begins.")
+@click.option("--to", "stop", type=float, metavar="S", help="Second at which the query ends; default: 4 s later.")
+@click.option("-n", "--count", type=click.IntRange(1), default=10, show_default=True, help="How many parts to list.")
+@click.option("--where", "condition", metavar="CONDITION", help="Search recordings that meet a condition only.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
+def similar(
+    db: str, query: str, start: float, stop: float | None, count: int, condition: str | None, as_json: bool
+) -> None:
+    """Find parts of recordings that are like part of the recording NAME of the archive DB, or of a FILE.
+
+    Where they happen and which way they face does not matter; they may be up to a quarter faster or slower.
+    """
+    with archive.open_archive(db) as opened:
+        inside = query in opened
+        source = api.decode(opened.entry(query).place) if inside else files.read(query)
+        if not isinstance(source, Motion):
+            raise BadInput(f"{query}: point clouds cannot be searched for")
+        part = source[round(start * source.rate) : round((start + 4.0 if stop is None else stop) * source.rate)]
+        own = opened.entry(query).row.name if inside else ""
+        chosen: Recordings = opened.query(condition) if condition else opened
+        hits = archive.search(chosen, part, count, leave_out=own)
+    if as_json:
+        files.echo(json.dumps([asdict(hit) for hit in hits], indent=2))
+        return
+    for hit in hits:
+        files.echo(f"{hit.name}  {hit.start:.1f} to {hit.stop:.1f} s  {quantities.length(hit.distance)}")
+
+
+@click.command("duplicates")
+@click.argument("db", metavar="DB")
+@click.option("--within", type=quantities.LENGTH, default=0.02, show_default="2cm", help="Distance of the same motion.")
+def duplicates(db: str, within: float) -> None:
+    """List recordings of the archive DB that are equal, or show the same motion."""
+    with archive.open_archive(db) as opened:
+        for pair in archive.duplicates(opened, within):
+            how = "equal" if pair.equal else f"{100 * pair.share:.0f} % within {quantities.length(pair.distance)}"
+            files.echo(f"{pair.one}  {pair.other}  {how}")
+
+
+COMMANDS = (index, similar, duplicates)

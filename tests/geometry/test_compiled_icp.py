@@ -1,0 +1,96 @@
+"""ICP, segmentation and normals: the compiled module finds what NumPy finds, up to the rounding of floats."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocodec import native
+from mocodec.geometry import articulated_icp, articulation, icp, normals
+from mocodec.testing import actors, sequences
+
+pytestmark = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
+
+
+def shell(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of an ellipsoid, their normals and colours."""
+    n = rng.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    return n * [0.2, 0.5, 0.3], n, rng.integers(0, 256, (count, 3))
+
+
+@pytest.mark.parametrize("count", [40, 700])
+@pytest.mark.parametrize("grouped", [False, True])
+def test_icp_of_several_parts(count, grouped):
+    rng = np.random.default_rng(count)
+    p, n, c = shell(count, rng)
+    q = p + rng.normal(0, 0.01, p.shape) + [0.03, 0.0, -0.02]
+    sizes = [count // 2, count // 4, count - count // 2 - count // 4]
+    pivots = np.array([[0.0, 0.5, 0.0], [np.nan] * 3, [np.nan] * 3])
+    groups = np.repeat(np.arange(3), sizes)
+
+    def found() -> tuple[np.ndarray, np.ndarray, list[list[float]]]:
+        if grouped:
+            return icp.icp_many(p, groups, sizes, icp.ClusteredTree.of_groups(q, groups, 3), pivots, iterations=20)
+        label = icp.labels(n, c, len(p))
+        return icp.icp_many(p, label, sizes, icp.ClusteredTree.build(q, n, c, label), pivots, iterations=20)
+
+    r, t, errors = found()
+    with native.without():
+        expected_r, expected_t, expected_errors = found()
+    np.testing.assert_allclose(r, expected_r, atol=1e-11)
+    np.testing.assert_allclose(t, expected_t, atol=1e-11)
+    assert [len(e) for e in errors] == [len(e) for e in expected_errors]
+    np.testing.assert_allclose(np.concatenate(errors), np.concatenate(expected_errors), atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [3, 12, 900])
+def test_normals(count):
+    rng = np.random.default_rng(count)
+    among = shell(count, rng)[0] + rng.normal(0, 0.01, (count, 3))
+    ours = normals.estimate(among[::2], among)
+    with native.without():
+        theirs = normals.estimate(among[::2], among)
+    np.testing.assert_allclose(np.abs(np.sum(ours * theirs, axis=1)), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("with_normals", [False, True])
+def test_segmentation(with_normals):
+    performance = sequences.jumping_jacks(actors.capsules(), 2)
+    actor, rng = performance.actor, np.random.default_rng(0)
+    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0], one_trunk=True, shortest=0.1)
+    a, b = articulation.transforms(body, articulation.Pose.canonical(len(body)))
+    points = rng.uniform(performance.joints[0].min(axis=0) - 0.1, performance.joints[0].max(axis=0) + 0.1, (2000, 3))
+    directions = shell(2000, rng)[1] if with_normals else None
+    ours = articulated_icp.segment(body, a, b, points, directions)
+    with native.without():
+        np.testing.assert_array_equal(ours, articulated_icp.segment(body, a, b, points, directions))
+
+
+def test_tracking():
+    performance = sequences.jumping_jacks(actors.capsules(), 6)
+    clouds = replace(sequences.record(performance, 1500, seed=1), normals=None)
+    assert clouds.colours is not None
+    actor, colours = performance.actor, clouds.colours
+    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0], one_trunk=True, shortest=0.1)
+
+    def poses() -> list[articulation.Pose]:
+        own, model = articulated_icp.make_model(body, clouds.positions[0], colours[0])
+        tracker = articulated_icp.ArticpTracker(own, model)
+        return [tracker.fit(clouds.positions[k], colours[k]) for k in range(1, len(clouds))]
+
+    ours = poses()
+    with native.without():
+        theirs = poses()
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one.rotations, other.rotations, atol=1e-7)
+        np.testing.assert_allclose(one.root, other.root, atol=1e-7)
+
+
+def test_points_that_are_not_finite_are_refused():
+    kernel = native.kernel("ClusteredPoints")
+    assert kernel is not None
+    with pytest.raises(ValueError, match="not finite"):
+        kernel(np.array([[0.0, np.nan, 0.0]]), np.zeros(1, np.uint8))

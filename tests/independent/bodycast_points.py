@@ -1,0 +1,285 @@
+"""Points within a bound, written from docs/payloads/bodycast-points.md; no code of mocodec is used.
+
+The integer surface is given: samples of the bodies in the canonical pose, and where they stand in each frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from .bodycast_colours import Colours, MixedBits, Vector, at_most, difference, dot, rgb, squared
+from .integers import Bytes
+
+
+@dataclass
+class Surface:
+    """Samples of all bodies: places p, the twelve neighbours of each, and colours of the atlas as Y, Co, Cg."""
+
+    places: list[Vector] = field(default_factory=list)
+    neighbours: list[list[int]] = field(default_factory=list)
+    colours: list[Vector] = field(default_factory=list)
+
+
+@dataclass
+class Posed:
+    """The samples in a frame: places, normals, and the matrix A of the first link of each (rows)."""
+
+    places: list[Vector] = field(default_factory=list)
+    normals: list[Vector] = field(default_factory=list)
+    turns: list[list[list[int]]] = field(default_factory=list)
+
+
+# --- octree of a frame
+
+
+class FrameOctree:
+    """posed: samples, moved by their learned offsets. neighbours: of the samples in the frame."""
+
+    def __init__(self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]]) -> None:
+        self.bits, self.depth, self.samples = bits, depth, points
+        self.normals, self.near = posed.normals, near
+        gaps = sorted(squared(points[row[0]], points[i]) for i, row in enumerate(near))
+        self.spacing = max(math.isqrt(gaps[len(gaps) // 2]), 1) if gaps else 0
+
+    def decode(self) -> list[tuple[Vector, int]]:
+        """Lattice coordinates and nearest sample (−1: none) of each point, in order."""
+        cubes: list[tuple[Vector, int]] = [((0, 0, 0), -1)]
+        for level in range(self.depth):
+            h = 16 * 2 ** (self.depth - level - 1)
+            nearest = self.nearest([v for v, _ in cubes], [s for _, s in cubes], h)
+            children = self.level([v for v, _ in cubes], nearest, level, h)
+            cubes = [
+                (tuple(2 * v + (octant >> axis & 1) for axis, v in enumerate(cube)), sample)
+                for (cube, _), sample, octants in zip(cubes, nearest, children, strict=True)
+                for octant in octants
+            ]
+        return cubes
+
+    def nearest(self, cubes: list[Vector], parents: list[int], h: int) -> list[int]:
+        if not self.samples or 2 * h > 4 * self.spacing:
+            return [-1] * len(cubes)
+        inside: dict[Vector, list[int]] = {}
+        for i, sample in enumerate(self.samples):
+            inside.setdefault(tuple((x + 8) // (2 * h) for x in sample), []).append(i)
+        result = list[int]()
+        for cube, parent in zip(cubes, parents, strict=True):
+            centre = [2 * h * x + h - 8 for x in cube]
+            best = (
+                -1 if parent < 0 else min([parent, *self.near[parent]], key=lambda s: squared(centre, self.samples[s]))
+            )
+            if 4 * h > self.spacing:
+                for dx in (0, -1, 1):
+                    for dy in (0, -1, 1):
+                        for dz in (0, -1, 1):
+                            place = (cube[0] + dx, cube[1] + dy, cube[2] + dz)
+                            for s in inside.get(place, [])[:3] if self.within(place, h) else []:
+                                if best < 0 or squared(centre, self.samples[s]) < squared(centre, self.samples[best]):
+                                    best = s
+            result.append(best)
+        return result
+
+    def within(self, place: Vector, h: int) -> bool:
+        return all(0 <= x < 16 * 2**self.depth // (2 * h) for x in place)
+
+    def distance(self, place: Sequence[int], sample: int) -> int:
+        return dot(difference(place, self.samples[sample]), self.normals[sample]) >> 10
+
+    def corrections(self, cubes: list[Vector], nearest: list[int], h: int) -> list[tuple[int, int]]:
+        """Offset and spread of each cube."""
+        rows = [i for i, s in enumerate(nearest) if s >= 0]
+        far = {i: self.distance([2 * h * x + h - 8 for x in cubes[i]], nearest[i]) for i in rows}
+
+        def means(values: dict[int, int], extra: int) -> dict[int, int]:
+            total, count = [0] * len(self.samples), [0] * len(self.samples)
+            for i, value in values.items():
+                total[nearest[i]] += value
+                count[nearest[i]] += 1
+            own = {s: [s, *self.near[s]] for s in {nearest[i] for i in rows}}
+            return {s: (sum(total[n] for n in o) + extra) // (sum(count[n] for n in o) + 2) for s, o in own.items()}
+
+        offsets = means(far, 0)
+        deviations = {i: abs(far[i] - offsets[nearest[i]]) for i in rows}
+        usual = sum(deviations.values()) // len(rows) if rows else 0
+        spreads = means(deviations, 2 * usual)
+        return [(offsets[s], spreads[s]) if s >= 0 else (0, 2 * h) for s in nearest]
+
+    def level(self, cubes: list[Vector], nearest: list[int], level: int, h: int) -> list[list[int]]:
+        octants = [0, 7] if level == self.depth - 1 else list(range(8))
+        row = {cube: i for i, cube in enumerate(cubes)}
+        hints = self.hints(cubes, nearest, h) if self.samples else None
+        known: list[set[int]] = [set() for _ in cubes]
+        for turn, octant in enumerate(octants):
+            for i, cube in enumerate(cubes):
+                left = octants[turn:]
+                if len(left) == 1 and not known[i]:
+                    known[i].add(octant)
+                    continue
+                contexts, weight_set = self.contexts(cube, i, known, row, octant, left, hints, nearest[i], level)
+                if self.bits.bit(contexts, weight_set):
+                    known[i].add(octant)
+        return [sorted(own) for own in known]
+
+    def hints(self, cubes: list[Vector], nearest: list[int], h: int) -> list[tuple[list[int], list[int], list[int]]]:
+        """Of each cube: distances of its children, standard deviations, and classes of samples of its children."""
+        counts: dict[Vector, int] = {}
+        for sample in self.samples:
+            place = tuple((x + 8) // h for x in sample)
+            counts[place] = counts.get(place, 0) + 1
+        result = list[tuple[list[int], list[int], list[int]]]()
+        for cube, s, (offset, spread) in zip(cubes, nearest, self.corrections(cubes, nearest, h), strict=True):
+            first = self.distance([2 * h * x + h // 2 - 8 for x in cube], max(s, 0)) - offset
+            step = [n * h >> 10 for n in self.normals[max(s, 0)]]
+            far = [first + sum(step[a] for a in range(3) if octant >> a & 1) for octant in range(8)]
+            sigma = max(spread, h // 4)
+            children = [tuple(2 * x + (octant >> a & 1) for a, x in enumerate(cube)) for octant in range(8)]
+            held = [at_most((1, 2, 3, 5), counts.get(c, 0)) if 2 * h > self.spacing else 0 for c in children]
+            result.append((far, [max(sigma, 1), max(2 * sigma, 1)], held))
+        return result
+
+    def contexts(
+        self,
+        cube: Vector,
+        i: int,
+        known: list[set[int]],
+        row: dict[Vector, int],
+        octant: int,
+        left: list[int],
+        hints: list[tuple[list[int], list[int], list[int]]] | None,
+        sample: int,
+        level: int,
+    ) -> tuple[list[int], int]:
+        few, tall = min(len(known[i]), 3), min(self.depth - level, 15)
+        beside = nearby = filled = 0
+        for axis in range(3):
+            before, behind = (tuple(x + d * (a == axis) for a, x in enumerate(cube)) for d in (-1, 1))
+            filled += (before in row) + (behind in row)
+            inner, outer = 0, int(before in row)
+            if octant >> axis & 1:
+                opposite = octant - (1 << axis)
+                inner, outer = int(opposite in known[i]), int(behind in row and opposite in known[row[behind]])
+            beside, nearby = 4 * beside + 2 * inner + outer, nearby + inner + outer
+        narrow, wide, distance_class, held, hint = 64, 64, 21, 0, 0
+        if hints is not None:
+            far, sigmas, samples = hints[i]
+            held, hint = samples[octant], 1
+            if sample >= 0:
+                h = 16 * 2 ** (self.depth - level - 1)
+                narrow, wide = (self.posterior(far, sigma, left) for sigma in sigmas)
+                g = sum(edge * h <= 4 * abs(far[octant]) for edge in (1, 2, 3, 4, 5, 7, 9, 12, 16, 24))
+                distance_class, hint = 10 + (g if far[octant] >= 0 else -g), 2
+        contexts = [
+            ((octant * 4 + few) * 64 + beside) * 4 + min(filled // 2, 3),
+            narrow * 4 + few,
+            (wide * 4 + few) * 16 + tall,
+            ((distance_class * 5 + held) * 4 + few) * 16 + tall,
+            ((narrow * 7 + nearby) * 4 + few) * 8 + len(left) - 1,
+        ]
+        return contexts, ((min(self.depth - level, 20) * 4 + few) * 3 + hint) % 2048
+
+    @staticmethod
+    def posterior(far: list[int], sigma: int, left: list[int]) -> int:
+        def weight(octant: int) -> int:
+            k = min(abs(far[octant]) * 16 // sigma, 64)
+            return 1 + math.floor(4096 * math.exp(-((k / 16) ** 2) / 2) + 0.5)
+
+        return weight(left[0]) * 64 // (sum(map(weight, left)) + 1)
+
+
+# --- what earlier frames showed
+
+
+class Learned:
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self.distances, self.counts = [0] * len(surface.places), [0] * len(surface.places)
+        empty = [((2**24, 2**24, 2**24), (0, 0, 0))] * 7
+        self.slots = [[(p, c), *empty] for p, c in zip(surface.places, surface.colours, strict=True)]
+        self.seen = [1] * len(surface.places)
+
+    def moved(self, posed: Posed) -> list[Vector]:
+        result = list[Vector]()
+        for i, (place, normal) in enumerate(zip(posed.places, posed.normals, strict=True)):
+            around = self.surface.neighbours[i][:6]
+            total = 2 * self.distances[i] + sum(self.distances[n] for n in around)
+            count = 2 * self.counts[i] + sum(self.counts[n] for n in around) + 32
+            offset = 16 * total // count
+            result.append(tuple(x + (offset * n >> 10) for x, n in zip(place, normal, strict=True)))
+        return result
+
+    def learn(self, posed: Posed, points: list[Vector], samples: list[int]) -> None:
+        self.distances = [4 * d // 5 for d in self.distances]
+        self.counts = [4 * c // 5 for c in self.counts]
+        for point, s in zip(points, samples, strict=True):
+            if s >= 0 and abs(d := dot(difference(point, posed.places[s]), posed.normals[s]) >> 10) <= 983:
+                self.distances[s] += d
+                self.counts[s] += 16
+
+    def canonical(self, posed: Posed, point: Vector, s: int) -> Vector:
+        apart, turn = difference(point, posed.places[s]), posed.turns[s]
+        turned = [sum(turn[k][axis] * apart[k] for k in range(3)) >> 20 for axis in range(3)]
+        return tuple(min(max(p + t, -(2**23)), 2**23) for p, t in zip(self.surface.places[s], turned, strict=True))
+
+    def expected(self, s: int, place: Vector) -> Vector:
+        found = [slot for n in [s, *self.surface.neighbours[s][:6]] for slot in self.slots[n]]
+        near = sorted(found, key=lambda slot: squared(slot[0], place))[:4]
+        weights = [2**40 // (squared(where, place) + 2000) for where, _ in near]
+        total = max(sum(weights), 1)
+        return tuple(
+            (sum(w * colour[k] for w, (_, colour) in zip(weights, near, strict=True)) + total // 2) // total
+            for k in range(3)
+        )
+
+    def see(self, s: int, place: Vector, colour: Vector) -> None:
+        self.slots[s][self.seen[s] % 8] = place, colour
+        self.seen[s] += 1
+
+
+# --- the part of a chunk
+
+
+def points(
+    data: bytes, frames: int, bodies: int, poses: int, surface: Surface, posed: Callable[[int, list[int]], Posed]
+) -> list[tuple[list[list[float]], list[Vector]]]:
+    """Places in metres and colours of each frame. poses: of all bodies in all frames; posed(frame, pose shifts of the
+    chunk): the samples of the surface, all of which are in every frame."""
+    stream = Bytes(data)
+    assert stream.varint() == 4
+    depth, luma, chroma = (stream.varint() for _ in range(3))
+    corner = [stream.folded() for _ in range(3)]
+    step = stream.float64()
+    counts = [stream.varint() for _ in range(frames)]
+    for _ in range(bodies):
+        stream.varint()
+    pose_shifts = [stream.varint() for _ in range(poses)]
+    octrees = MixedBits(stream.blob())
+    colours = Colours(MixedBits(stream.rest()), (luma, chroma, chroma))
+    learned, result = Learned(surface), list[tuple[list[list[float]], list[Vector]]]()
+    for k, count in enumerate(counts):
+        if not count:
+            result.append(([], []))
+            continue
+        standing = posed(k, pose_shifts)
+        scale = 16.0 / (step * 65536)
+        subunits = [
+            tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, corner, strict=True))
+            for place in learned.moved(standing)
+        ]
+        found = FrameOctree(octrees, depth, subunits, standing, surface.neighbours).decode()
+        assert len(found) == count
+        cells, samples = [cell for cell, _ in found], [s for _, s in found]
+        whole = [tuple(x + c for x, c in zip(cell, corner, strict=True)) for cell in cells]
+        fine = [tuple(min(max(math.floor(x * (step * 65536)), -(2**30)), 2**30) for x in cell) for cell in whole]
+        places = [learned.canonical(standing, p, s) if s >= 0 else None for p, s in zip(fine, samples, strict=True)]
+        learned.learn(standing, fine, samples)
+        own = list[Vector]()
+        if luma:
+            expected = [learned.expected(s, p) if p else None for p, s in zip(places, samples, strict=True)]
+            decoded = colours.frame(cells, expected)
+            for p, s, colour in zip(places, samples, decoded, strict=True):
+                if p is not None:
+                    learned.see(s, p, colour)
+            own = [rgb(colour) for colour in decoded]
+        result.append(([[x * step for x in cell] for cell in whole], own))
+    return result
