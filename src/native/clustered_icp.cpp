@@ -18,6 +18,7 @@
 namespace {
 
 constexpr size_t LEAF = 8;  // points of a leaf, at most
+constexpr double ROUNDING = 1e-12;
 constexpr int SWEEPS = 30;  // of Jacobi rotations, at most; five are usual
 
 // out = the rotation that turns p closest to q, from Σ p qᵀ: the largest eigenvector of Horn's 4 × 4 matrix (1987).
@@ -185,7 +186,10 @@ private:
     }
 
     // The nearest allowed point: its number in `sorted_`. `found` and `best` start with a guess and its squared distance.
-    void search(const double *place, uint64_t allowed, int32_t &found, double &best) const {
+    // Returns the squared distance of the second nearest.
+    double search(const double *place, uint64_t allowed, int32_t &found, double &best) const {
+        const size_t guess = size_t(found);
+        double second = std::numeric_limits<double>::infinity();
         struct Waiting {
             int32_t node;
             double distance;
@@ -195,13 +199,16 @@ private:
         stack[count++] = {0, box_distance(nodes_[0], place)};
         while (count) {
             const Waiting next = stack[--count];
-            if (next.distance >= best) continue;
+            if (next.distance >= second) continue;
             const Node &node = nodes_[size_t(next.node)];
             if (node.left < 0) {
                 for (size_t i = node.first; i < node.last; ++i) {
-                    if (!(masks_[i] & allowed)) continue;
+                    if (!(masks_[i] & allowed) || i == guess) continue;
                     const double square = squared_distance(place, sorted_[i].data());
-                    if (square < best) best = square, found = int32_t(i);
+                    if (square < best)
+                        second = best, best = square, found = int32_t(i);
+                    else
+                        second = std::min(second, square);
                 }
                 continue;
             }
@@ -212,8 +219,9 @@ private:
             }
             if (children[0].distance < children[1].distance) std::swap(children[0], children[1]);
             for (const Waiting &child : children)
-                if (child.distance < best) stack[count++] = child;
+                if (child.distance < second) stack[count++] = child;
         }
+        return second;
     }
 
     // The squared distances and numbers in `sorted_` of the nearest points, nearest first.
@@ -250,7 +258,8 @@ private:
         const size_t n = moved.size() / 3;
         const bool is_free = std::isnan(pivot[0]);
         std::vector<int32_t> nearest(n, -1);
-        std::vector<double> errors;
+        std::vector<std::array<double, 3>> searched(n);  // where the nearest point was searched from
+        std::vector<double> second(n), errors;           // distance of the second nearest from there
         double last = std::numeric_limits<double>::infinity();
         const double identity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
         std::copy_n(identity, 9, r);
@@ -261,7 +270,12 @@ private:
                 const double *place = &moved[3 * i];
                 double best = nearest[i] < 0 ? std::numeric_limits<double>::infinity()
                                              : squared_distance(place, sorted_[size_t(nearest[i])].data());
-                search(place, allowed[i], nearest[i], best);
+                // no other point can be nearer while the place has moved by less than the lead of the nearest
+                if (nearest[i] < 0 ||
+                    std::sqrt(best) + std::sqrt(squared_distance(place, searched[i].data())) >= (1 - ROUNDING) * second[i]) {
+                    second[i] = std::sqrt(search(place, allowed[i], nearest[i], best));
+                    std::copy_n(place, 3, searched[i].begin());
+                }
                 if (nearest[i] < 0) throw std::invalid_argument("ClusteredPoints.icp: a point has no data to match");
                 sum += best;
             }
