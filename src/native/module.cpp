@@ -1,6 +1,7 @@
 // mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
 //   entropy.cpp     packed bits and the coder of one state, for entropy/
+//   bulk.cpp        long arrays of tokens, for entropy/bulk.py
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
@@ -28,7 +29,7 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(chunk_decoder)  \
-    PART(point_octree) PART(point_colours) PART(clustered_icp)
+    PART(bulk) PART(point_octree) PART(point_colours) PART(clustered_icp)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

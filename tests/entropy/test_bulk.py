@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.entropy import bulk, coder, models
 from mocodec.entropy.layout import Layout
 from mocodec.entropy.neighbours import MIXTURES, WITHOUT_HINTS
@@ -112,3 +113,32 @@ def test_damage_raises_or_gives_integers():
 def test_any_bytes_raise_or_give_integers(first: int, data: bytes, steps: int, lanes: int):
     with contextlib.suppress(Corrupt):
         assert coder.unpack(bytes([first, 0]) + data, (steps, lanes)).shape == (steps, lanes)
+
+
+@pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
+@pytest.mark.parametrize("shape", [(3000, 1), (500, 7), (129, 40), (40, 500), (257, 93), (1, 4000)])
+@pytest.mark.parametrize("mixture", range(len(MIXTURES)))
+@pytest.mark.parametrize("hinted", [False, True])
+def test_the_compiled_module_decodes_alike(shape: tuple[int, int], mixture: int, hinted: bool):
+    random = np.random.default_rng(mixture)
+    size = 40.0 if mixture % 2 else 0.7
+    values = random.laplace(scale=size, size=shape).round().astype(np.int64)
+    values[random.integers(shape[0]), random.integers(shape[1])] = 5000  # an escape
+    token = models.tokens(np.abs(values))
+    hints = models.tokens(np.abs(values) // 2) if hinted else None
+    mixing = bulk.Mixing(MIXTURES[mixture], models.law_of_expectation(models.LAWS, 20, 0))
+    table = bulk.laws(models.LAWS, 0)
+    data = bulk.pack(token, values, mixing, table, hints, 4.0 * values.size)
+    with native.without():
+        expected = bulk.unpack(data, shape, mixing, table, hints)
+    np.testing.assert_array_equal(expected, values)
+    np.testing.assert_array_equal(bulk.unpack(data, shape, mixing, table, hints), values)
+    for cut in (len(data) // 3, len(data) // 2, len(data) - 1):
+        outcomes = []
+        for context in (native.without(), contextlib.nullcontext()):
+            with context:
+                try:
+                    outcomes.append(bulk.unpack(data[:cut], shape, mixing, table, hints).tobytes())
+                except Corrupt as error:
+                    outcomes.append(str(error))
+        assert outcomes[0] == outcomes[1]

@@ -92,7 +92,28 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
 
 
 def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
-    """The inverse of `pack`. Raises Corrupt, Truncated."""
+    """The inverse of `pack`. Raises Corrupt, Truncated.
+
+    The files of a person have the same bytes here, so what was read last is kept.
+    """
+    start, key = cursor.at, (tuple(point_names), cursor.data[cursor.at : cursor.at + KEY_BYTES])
+    stored, skeleton = _last_read.get(key, (b"", None))
+    if skeleton is None or cursor.data[start : min(start + len(stored), cursor.end)] != stored:
+        skeleton = _unpack(cursor, point_names)
+        if len(_last_read) >= MOST_KEPT:
+            _last_read.clear()
+        _last_read[key] = cursor.data[start : cursor.at], skeleton
+    else:
+        cursor.at += len(stored)
+    return replace(skeleton, offsets=skeleton.offsets.copy())
+
+
+KEY_BYTES, MOST_KEPT = 8, 64
+_last_read: dict[tuple[tuple[str, ...], bytes], tuple[bytes, Skeleton]] = {}
+"""By names of the points and first bytes: all bytes of a skeleton, and the skeleton."""
+
+
+def _unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
     flags = cursor.byte()
     axis, tree = flags >> MIRROR & 3, flags >> TREE & 7
     joint_names = names.unpack(cursor) if flags & OWN_NAMES else tuple(point_names)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import zlib
 
+import numpy as np
+
 from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..entropy.varint import unsigned as unzigzag
@@ -48,8 +50,7 @@ class BitWriter:
         self.put(value & ((1 << (extra + k)) - 1), extra + k)
 
     def bytes(self) -> bytes:
-        whole = sum(bit << i for i, bit in enumerate(self.bits))
-        return whole.to_bytes(-(-len(self.bits) // 8), "little")
+        return np.packbits(np.array(self.bits, np.uint8), bitorder="little").tobytes()
 
 
 class BitReader:

@@ -8,12 +8,14 @@ slot are one 32-bit number, and the table of all slots stays in the processor's 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..errors import Corrupt
 from ..typing import AnyInteger, Bytes, Integers
 from . import bits as bit_fields
@@ -257,6 +259,40 @@ def _tokens(
 ) -> tuple[Bytes, int]:
     """Tokens (steps, lanes), and how many words they took. The states become the ones that the encoder started from."""
     tokens = layout.empty(np.uint16)
+    if (kernel := native.kernel("bulk_tokens")) is not None:
+        at = _tokens_compiled(kernel, layout, tokens, x, words, mixing, table, hints)
+    else:
+        at = _tokens_by_numpy(layout, tokens, x, words, mixing, table, hints)
+    token = layout.unskewed(tokens, np.uint8)
+    if token.max() >= models.TOKENS:
+        raise Corrupt("coded integers out of range")
+    return token, at
+
+
+def _tokens_compiled(
+    kernel: Callable[..., int], layout: Layout, tokens: AnyInteger, x: AnyInteger, words: AnyInteger, mixing: Mixing,
+    table: Laws, hints: AnyInteger | None,
+) -> int:  # fmt: skip
+    """As `_tokens_by_numpy`."""
+    shape = np.array([layout.steps, layout.lanes, layout.segments, layout.row])
+    skewed = np.zeros(0, np.uint16)
+    if hints is not None and mixing.weights[-1]:
+        skewed = layout.skewed(hints, np.uint16)
+    used = kernel(
+        tokens, x, np.array(list(layout.diagonals())).reshape(-1, 3), shape, np.array(mixing.weights, np.uint16),
+        mixing.ladder, table.slots, table.last, words.astype(np.uint16),
+        skewed,
+    )  # fmt: skip
+    if used < 0:
+        raise Corrupt("coded integers end too early" if used == -1 else "coded integers out of range")
+    return used
+
+
+def _tokens_by_numpy(
+    layout: Layout, tokens: AnyInteger, x: AnyInteger, words: AnyInteger, mixing: Mixing, table: Laws,
+    hints: AnyInteger | None,
+) -> int:  # fmt: skip
+    """Fills `tokens`, flat and of zeros, and returns how many words they took. Raises Corrupt."""
     around = _DiagonalContexts(layout, tokens, mixing.weights, hints)
     rung = mixing.ladder.astype(np.int64) << PRECISION
     at = 0
@@ -271,10 +307,7 @@ def _tokens(
             at = _pop(x, table.slots, np.full(len(escaped), len(table.last) - 1 << PRECISION), beyond, words, at)
             here[escaped] = np.minimum(last + beyond, 255)
         around.update(i, begin, end)
-    token = layout.unskewed(tokens, np.uint8)
-    if token.max() >= models.TOKENS:
-        raise Corrupt("coded integers out of range")
-    return token, at
+    return at
 
 
 def _pop(

@@ -97,7 +97,7 @@ def pack(model: Expectations, chunks: Sequence[ChunkNumbers]) -> list[bytes]:
     return out
 
 
-class _Head(NamedTuple):
+class Head(NamedTuple):
     """A chunk's bytes in parts; list_tables: of each symbol of the lists; rest: words and raw bits."""
 
     plan: ChunkPlan
@@ -111,7 +111,7 @@ def unpack(model: Expectations, frames: Sequence[int], payloads: Sequence[bytes]
 
     frames: of each chunk. fields: how many the lists have.
     """
-    heads = [_read_head(model, count, payload, fields) for count, payload in zip(frames, payloads, strict=True)]
+    heads = [read_head(model, count, payload, fields) for count, payload in zip(frames, payloads, strict=True)]
     words = [np.frombuffer(h.rest, "<u2", len(h.rest) // 2) for h in heads]
     streams = symbol_streams.decode(
         model, [h.plan for h in heads], [h.states for h in heads], words, [h.list_tables for h in heads]
@@ -138,7 +138,8 @@ def unpack(model: Expectations, frames: Sequence[int], payloads: Sequence[bytes]
     return result
 
 
-def _read_head(model: Expectations, frames: int, payload: bytes, fields: int) -> _Head:
+def read_head(model: Expectations, frames: int, payload: bytes, fields: int) -> Head:
+    """The head of a chunk, and what follows it. fields: how many the lists have. Raises Corrupt."""
     (first, step), at = varint.read(payload, 2)
     threshold = varint.unsigned(first >> THRESHOLD_SHIFT)
     if step > 2 * MAX_STEP or abs(threshold) > LARGEST_THRESHOLD:
@@ -155,7 +156,7 @@ def _read_head(model: Expectations, frames: int, payload: bytes, fields: int) ->
     states = np.full(1, rans.LOW)
     if known.frequencies > 0 or len(list_tables) > 0:
         states, at = _read_states(payload, at, known.lanes)
-    return _Head(known, list_tables, states, payload[at:])
+    return Head(known, list_tables, states, payload[at:])
 
 
 def list_bits(model: Expectations, lists: Integers) -> float:
