@@ -77,6 +77,6 @@ def trained(windows: learning.WindowSet, read: Callable[[Any], Any]) -> dict[str
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-            total, count = total + float(loss) * len(batch), count + len(batch)
+            total, count = total + loss.item() * len(batch), count + len(batch)
         losses.append(total / count)
     return {"losses": losses, "reading_s": reading, "seconds": time.process_time() - begun}

@@ -73,6 +73,8 @@ class LocalFile:
         try:
             self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (open until close)
             self.size = os.fstat(self.file.fileno()).st_size
+        except IsADirectoryError as error:
+            raise BadInput(f"{os.fspath(path)}: this is a folder; mocodec.open_archive opens an archive") from error
         except OSError as error:
             raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
 
