@@ -112,10 +112,14 @@ SCHEMA = (
 
 
 class Catalogue:
-    """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged."""
+    """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged.
+
+    create: make one where there is none; Corrupt if there are shards, which a catalogue without rows would give up.
+    """
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         self.path = folder / NAME
+        self.folder = folder
         if not create and not self.path.is_file():
             raise BadInput(f"{folder}: there is no archive here ({NAME} is missing)")
         with self._errors():
@@ -131,6 +135,8 @@ class Catalogue:
             (id_,) = self.connection.execute("PRAGMA application_id").fetchone()
             (version,) = self.connection.execute("PRAGMA user_version").fetchone()
             (tables,) = self.connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            if create and tables == 0 and next((self.folder / "shards").glob("*.mocs"), None):
+                raise Corrupt(f"{self.path}: the catalogue is lost; make it again with `mocodec archive repair`")
             if create and tables == 0:
                 with self.transaction():
                     for statement in SCHEMA:

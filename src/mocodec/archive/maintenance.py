@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -130,41 +131,43 @@ def repair(where: Path_) -> Report:
     """
     folder = existing(where, "shards")
     with only_builder(folder):
+        new, report = folder / "repairing", Report()
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir()
+        catalogue = Catalogue(new, create=True)
+        try:
+            with catalogue.transaction():
+                options = catalogue.option_number(Options().stored())
+                for path in sorted((folder / shards.FOLDER).glob("*.mocs")):
+                    try:
+                        for name, place in shards.entries(path):
+                            _recover(catalogue, name, place, int(path.stem), options, report)
+                    except MocodecError as error:
+                        report.failed.append((path.name, str(error)))
+                    catalogue.put_shards({int(path.stem): path.stat().st_size})
+        finally:
+            catalogue.close()
         old = folder / catalogue_.NAME
         if old.exists():
             os.replace(old, old.with_suffix(".damaged"))
-        catalogue = Catalogue(folder, create=True)
-        report = Report()
-        try:
-            sizes: dict[int, int] = {}
-            with catalogue.transaction():
-                number_of_options = catalogue.option_number(Options().stored())
-                for path in sorted((folder / shards.FOLDER).glob("*.mocs")):
-                    number = int(path.stem)
-                    sizes[number] = path.stat().st_size
-                    try:
-                        for name, place in shards.entries(path):
-                            try:
-                                _recover(catalogue, name, api.open(place), number, place.start, number_of_options)
-                                report.added.append(name)
-                            except MocodecError as error:
-                                report.failed.append((name, str(error)))
-                    except MocodecError as error:
-                        report.failed.append((path.name, str(error)))
-                catalogue.put_shards(sizes)
-        finally:
-            catalogue.close()
+        old.with_name(f"{old.name}-journal").unlink(missing_ok=True)
+        os.replace(new / catalogue_.NAME, old)
+        shutil.rmtree(new)
     return report
 
 
-def _recover(catalogue: Catalogue, name: str, file: api.File[Any], shard: int, start: int, options: int) -> None:
-    with file:
-        facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
-    folder = catalogue.path.parent
-    place = FileRange(str(shards.path_of(folder, shard)), start, facts["bytes"])
+def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, options: int, report: Report) -> None:
+    """Put the row of one entry of a shard into the new catalogue."""
+    try:
+        with api.open(place) as file:
+            facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
+    except MocodecError as error:
+        report.failed.append((name, str(error)))
+        return
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
     content = encoding.content_hash(encoding.bytes_of(place))
-    catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=start))
+    catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=place.start))
+    report.added.append(name)
 
 
 def existing(where: Path_, needs: str = catalogue_.NAME) -> Path:

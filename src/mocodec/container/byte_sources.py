@@ -73,10 +73,11 @@ class LocalFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = os.fspath(path)
         self.path = os.path.abspath(path)
-        self._lock = Lock()
         try:
             self.file: BinaryIO | None = open(self.path, "rb")  # noqa: SIM115 (open until close)
             self.size = os.fstat(self.file.fileno()).st_size
+        except IsADirectoryError as error:
+            raise BadInput(f"{os.fspath(path)}: this is a folder; mocodec.open_archive opens an archive") from error
         except OSError as error:
             raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
 
@@ -85,8 +86,7 @@ class LocalFile:
             if self.file is None:
                 with open(self.path, "rb") as file:
                     return _read(file, start, count)
-            with self._lock:
-                return _read(self.file, start, count)
+            return _read_at(self.file, start, count)
         except OSError as error:
             raise BadInput(f"{self.path}: {error.strerror}") from error
 
@@ -117,12 +117,11 @@ class FileObject:
         name = getattr(file, "name", "")
         self.name = name if isinstance(name, str) else ""
         self.file = file
-        self._lock = Lock()
         self.size = file.seek(0, io.SEEK_END)
 
     def read(self, start: int, count: int) -> bytes:
         try:
-            with self._lock:
+            with _LOCK:
                 return _read(self.file, start, count)
         except ValueError as error:
             raise BadInput(f"the file object was closed before everything was read: {error}") from error
@@ -139,6 +138,21 @@ def _file_object(file: Any) -> ByteSource:
     if not isinstance(data, bytes):
         raise BadInput("the file object returns text; open it in binary mode")
     return InMemory(data)
+
+
+_LOCK = Lock()
+"""Held while a place is sought and read, so that threads may share a file."""
+
+
+def _read_at(file: BinaryIO, start: int, count: int) -> bytes:
+    """As `_read`, but threads, and processes that were forked, may read from the same open file."""
+    if not hasattr(os, "pread"):
+        with _LOCK:
+            return _read(file, start, count)
+    data = b""
+    while len(data) < count and (part := os.pread(file.fileno(), count - len(data), start + len(data))):
+        data += part
+    return _exactly(data, count)
 
 
 def _read(file: BinaryIO, start: int, count: int) -> bytes:
