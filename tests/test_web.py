@@ -16,6 +16,8 @@ import pytest
 
 import mocodec as mc
 from mocodec import channels
+from mocodec.codecs.bodycast import Bodycast
+from mocodec.codecs.lien2006 import Lien2006
 from mocodec.codecs.tempo import Tempo
 from mocodec.motion import Limits, Motion, Signal
 from mocodec.testing import edge_cases, hinged_figures, signals, skeletal, synthetic
@@ -27,6 +29,9 @@ DECODER = ROOT / "web" / "decoder"
 PRIORS = ROOT / "src" / "mocodec" / "priors"
 TOLERANCE_M = 1e-6
 NODE = shutil.which("node")
+CLOUDS = [
+    path for name in ("bodycast", "lien2006") for path in sorted((ROOT / "tests" / "golden").glob(f"{name}-*.mocz"))
+]
 
 pytestmark = [
     pytest.mark.skipif(NODE is None, reason="Node is not installed"),
@@ -142,10 +147,12 @@ def test_frames_and_signals_are_those_of_python(tmp_path: Path) -> None:
         (tmp_path / f"{name}.mocz").write_bytes(data)
     module = tmp_path / "mocodec.mjs"
     node("scripts/build.mjs", module)
-    node("scripts/decode.mjs", module, PRIORS, tmp_path, *sorted(tmp_path.glob("*.mocz")))
+    node("scripts/decode.mjs", module, PRIORS, tmp_path, *sorted(tmp_path.glob("*.mocz")), *CLOUDS)
     for name in RECORDINGS:
         compare(tmp_path, name)
     compare_signals(tmp_path, "extras")
+    for path in CLOUDS:
+        compare_poses(tmp_path, path)
 
 
 def compare(folder: Path, name: str) -> None:
@@ -178,6 +185,25 @@ def compare_signals(folder: Path, name: str) -> None:
         wanted = np.asarray(found[label].values)
         values = np.fromfile(folder / f"{name}.signal-{i}").reshape(wanted.shape)
         np.testing.assert_array_equal(values, wanted.astype(np.float64), strict=True)
+
+
+def compare_poses(folder: Path, path: Path) -> None:
+    """Origins and tips of links are joints that the codec tracks."""
+    bodies = json.loads((folder / f"{path.stem}.json").read_text())["bodies"]
+    with mc.open(path) as f:
+        encoded: Any = f.encoded
+    for i, body in enumerate(bodies):
+        wanted = Bodycast.track(encoded, body=i) if encoded.codec == "bodycast" else Lien2006.track(encoded)
+        found = np.fromfile(folder / f"{path.stem}.poses-{i}").reshape(len(wanted), len(body["names"]), 2, 3)
+        shown = ~np.isnan(found[:, 0, 0, 0])
+        assert shown.any(), path.stem
+        for link, name in enumerate(body["names"]):
+            for end, joint in enumerate((name, f"{name}_end")):
+                if joint in wanted.names:
+                    tracked = wanted.positions[shown, wanted.names.index(joint)]
+                    np.testing.assert_allclose(
+                        found[shown, link, end], tracked, rtol=0, atol=TOLERANCE_M, err_msg=path.stem
+                    )
 
 
 def test_its_own_tests_pass() -> None:

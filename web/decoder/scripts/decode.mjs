@@ -1,8 +1,8 @@
 // Decodes files for comparison with another decoder: node scripts/decode.mjs MODULE PRIORS OUT FILE.mocz …
 //
 // MODULE is the built decoder, PRIORS the folder of points.npz and directions.npz. For each file, OUT gets NAME.json (what the
-// file says, its events, its signals, or the name and text of the error), NAME.positions, NAME.rotations and NAME.signal-N
-// (float64, little-endian).
+// file says, its events, its signals, or the name and text of the error), NAME.positions, NAME.rotations, NAME.signal-N and
+// NAME.poses-N (float64, little-endian).
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { basename } from "node:path";
@@ -24,6 +24,11 @@ for (const path of paths) {
 
 async function decode(path, target) {
   const file = await open(new Uint8Array(readFileSync(path)), { priors });
+  if (file.info.kind === "clouds") {
+    const { bodies, poses } = await file.poses();
+    for (const [i, values] of poses.entries()) writeFileSync(`${target}.poses-${i}`, values);
+    return { info: file.info, bodies };
+  }
   writeFileSync(`${target}.positions`, await file.frames());
   if (file.info.rotations) writeFileSync(`${target}.rotations`, await file.rotations());
   const { events, signals } = await file.extras();
