@@ -70,6 +70,7 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
         click.option("--prior", metavar="FILE", help="A prior of your own (mocodec prior train)."),
         click.option("--prefix", default="", metavar="TEXT", help="Put this before every name, such as lab/."),
+        click.option("--index", "is_indexed", is_flag=True, help="Then make or renew the index of similar motion."),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
         files.reader_options,
@@ -109,6 +110,7 @@ def run_build(
     dask: str | None,
     prior: str | None,
     prefix: str,
+    is_indexed: bool,
     as_json: bool,
     quiet: bool,
     **given: Any,
@@ -121,6 +123,9 @@ def run_build(
             prefix=prefix,
             report_to=show,
         )  # fmt: skip
+    if is_indexed:
+        with files.progress_line(quiet) as show:
+            archive.index(output, show)
     return print_report(output, report, as_json, quiet)
 
 

@@ -1,0 +1,54 @@
+"""Archives on a web server and in a store of fsspec."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec.archive.catalogue import NAME
+from tests.container.web_server import NGINX, serving
+
+
+def same_as(local: mc.Archive, remote: mc.Archive) -> None:
+    assert remote.names == local.names
+    for name in local.names:
+        with local[name] as here, remote[name] as there:
+            np.testing.assert_array_equal(there[10:20].positions, here[10:20].positions)
+    assert remote.query("seconds > 1").names == local.query("seconds > 1").names
+
+
+@pytest.mark.skipif(NGINX is None, reason="nginx is not installed")
+def test_an_archive_on_a_web_server(made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made / "db", tmp_path / "root" / "db")
+    (tmp_path / "nginx").mkdir()
+    with (
+        serving(tmp_path / "root", tmp_path / "nginx") as web,
+        mc.open_archive(made / "db") as local,
+        mc.open_archive(f"{web.url}/db/") as remote,
+    ):
+        assert len(web.requests()) <= 2
+        same_as(local, remote)
+        assert len(web.requests()) == len(local)
+        with pickle.loads(pickle.dumps(remote)) as again:
+            assert again.names == local.names
+        with pytest.raises(mc.BadInput, match="no archive here"):
+            mc.open_archive(f"{web.url}/other")
+
+
+def test_an_archive_in_a_store(made: Path) -> None:
+    fsspec: Any = pytest.importorskip("fsspec", reason="needs the [remote] extra")
+    files = fsspec.filesystem("memory")
+    files.put(str(made / "db"), "/mocodec-db", recursive=True)
+    with mc.open_archive(made / "db") as local, mc.open_archive("memory://mocodec-db") as remote:
+        same_as(local, remote)
+        copy = remote._folder()
+        assert (copy / NAME).is_file()
+    del remote
+    assert not copy.exists()
+    files.rm("/mocodec-db", recursive=True)
