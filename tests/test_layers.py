@@ -26,6 +26,7 @@ LAYERS = (
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
     (
         "motion",
+        "skeleton",
         "pointcloud",
         "encoded",
         "errors",
