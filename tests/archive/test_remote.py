@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import mocodec as mc
+from mocodec import archive
 from mocodec.archive.catalogue import NAME
 from mocodec.archive.encoding import prior_path
 from tests.container.web_server import NGINX, serving
@@ -66,8 +67,8 @@ def test_priors_come_with_the_catalogue(vault: Path) -> None:
     there.write_bytes(b"learned")
     files = fsspec.filesystem("memory")
     files.put(str(vault / "db"), "/mocodec-db", recursive=True)
-    with mc.open_archive("memory://mocodec-db") as archive:
-        copy = archive._folder()
+    with mc.open_archive("memory://mocodec-db") as vault_there:
+        copy = vault_there._folder()
     assert prior_path(copy, "ab12").read_bytes() == b"learned"  # also after closing: open recordings need it
     files.rm("/mocodec-db/priors", recursive=True)
     with pytest.raises(mc.BadInput, match="ab12"):
@@ -82,3 +83,18 @@ def test_a_catalogue_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(mc.Corrupt):
         mc.open_archive("memory://mocodec-db")
     files.rm("/mocodec-db", recursive=True)
+
+
+def test_changes_and_searches_need_a_local_archive(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    url = "http://127.0.0.1:1/db"
+    for change in (
+        lambda: archive.build(made / "raw", url),
+        lambda: archive.remove(url, ["a"]),
+        lambda: archive.merge([made / "db"], url),
+        lambda: archive.repair(url),
+        lambda: archive.index(url),
+    ):
+        with pytest.raises(mc.BadInput, match="needs the archive on this machine"):
+            change()
+    assert list(tmp_path.iterdir()) == []

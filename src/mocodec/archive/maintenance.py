@@ -14,7 +14,7 @@ from .. import api
 from ..errors import BadInput, Corrupt, MocodecError
 from ..file_range import FileRange
 from . import catalogue as catalogue_
-from . import encoding, shards
+from . import encoding, remote, shards
 from .building import Builder, Report, make_folder
 from .catalogue import Catalogue
 from .database import Entry, Recordings, open_archive
@@ -74,7 +74,7 @@ def merge(archives: Sequence[Path_], where: Path_, report_to: Callable[[int, int
     Raises BadInput, Corrupt, TooNew.
     """
     opened = [open_archive(path) for path in archives]
-    folder = Path(where)
+    folder = remote.local_folder(where, "a change")
     if os.path.abspath(where) in [archive.path for archive in opened]:
         raise BadInput(f"{where}: an archive cannot be merged into itself; name another folder")
     make_folder(folder)
@@ -172,7 +172,7 @@ def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, opti
 
 def existing(where: Path_, needs: str = catalogue_.NAME) -> Path:
     """The folder of an archive. Raises BadInput where there is none."""
-    folder = Path(where)
+    folder = remote.local_folder(where, "a change")
     if not (folder / needs).exists():
         raise BadInput(f"{where}: there is no archive here ({needs} is missing)")
     return folder

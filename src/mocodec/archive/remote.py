@@ -21,7 +21,7 @@ from ..file_range import FileRange
 from . import encoding, shards
 from .catalogue import NAME, Row
 
-__all__ = ["LocalCopy", "is_url", "place_of"]
+__all__ = ["LocalCopy", "is_url", "local_folder", "place_of"]
 
 
 NEEDED: set[LocalCopy] = set()
@@ -63,6 +63,13 @@ def fetch(url: str, path: Path) -> None:
                 file.write(source.read(start, min(MOST_AHEAD_BYTES, source.size - start)))
     finally:
         source.close()
+
+
+def local_folder(where: str | os.PathLike[str], purpose: str) -> Path:
+    """The folder of an archive. Raises BadInput for a URL, which says that `purpose` needs a local copy."""
+    if is_url(os.fspath(where)):
+        raise BadInput(f"{os.fspath(where)}: {purpose} needs the archive on this machine; copy its folder first")
+    return Path(where)
 
 
 def place_of(folder: str, row: Row) -> FileRange:
