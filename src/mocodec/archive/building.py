@@ -1,5 +1,5 @@
 # pyright: strict
-"""Sources to an archive: what is new or has changed is coded, appended to a shard, and then counted by the catalogue.
+"""Sources to an archive: new and changed ones are coded, appended to a shard, and committed to the catalogue.
 
     sources ─names─► tasks (those not done) ─pool─► .mocz ─► shard ─flush─► catalogue (one transaction)
 

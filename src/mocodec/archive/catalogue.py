@@ -1,10 +1,11 @@
 # pyright: strict
-"""The catalogue: one row per recording in an SQLite database, which says where its bytes are and what is known of it.
+"""The catalogue: an SQLite database with one row per recording, its place in the shards and its properties.
 
-    recordings   one row each (COLUMNS)          shards     how many bytes of each shard count
+    recordings   one row each (COLUMNS)          shards     committed length of each shard
     options      what recordings were coded with  failures   sources that could not be read or coded, and why
 
-A change is one transaction, and what it points at is on the disk before: a reader sees the archive before or after it.
+A change is one transaction. The bytes it refers to are on the disk before it: a reader sees the archive before or
+after the change.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Care of an archive: check every recording, remove some, merge archives, rebuild a lost catalogue."""
+"""Maintenance of an archive: check every recording, remove some, merge archives, rebuild a lost catalogue."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Finding motion like a query: a vector for every 0.2 s of an archive, whose distances are those of poses over 1.6 s.
+"""Search for similar motion: a vector for every 0.2 s of an archive, with the distances of poses over 1.6 s.
 
     window of 1.6 s ─8 poses, less place and heading of the middle─► (8, points, 3) ─32 components─► vector
 

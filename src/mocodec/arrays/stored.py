@@ -1,5 +1,5 @@
 # pyright: strict
-"""The samples of an open file as an array that is read by slices: what xarray and Dask need of one."""
+"""The samples of an open file as an array that is read by slices, for xarray and Dask."""
 
 from __future__ import annotations
 

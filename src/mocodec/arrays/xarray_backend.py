@@ -1,7 +1,7 @@
 """`xarray.open_dataset("walk.mocz", engine="mocodec")`: found by the entry point `xarray.backends`.
 
-The dataset is that of `datasets.plain`, with the attributes codec and promise besides. Frames are decoded when
-their values are used, and only these.
+The dataset is that of `datasets.plain`, with the attributes codec and promise added. Frames are decoded only when
+their values are used.
 """
 
 from __future__ import annotations
