@@ -66,16 +66,67 @@ def _has_tables(folder: Path) -> bool:
     return count > 0
 
 
-def test_uncommitted_bytes_and_shards_are_cut_off(vault: Path) -> None:
-    shard = vault / "db/shards/000001.mocs"
-    size = shard.stat().st_size
+def test_uncommitted_bytes_and_shards_stay(vault: Path) -> None:
+    shard, other = vault / "db/shards/000001.mocs", vault / "db/shards/000002.mocs"
     with shard.open("ab") as file:
         file.write(b"half a recording")
-    (vault / "db/shards/000002.mocs").write_bytes(b"mocs")
-    assert contents(vault / "db") == contents(vault / "db")  # readers do not mind
-    archive.build(vault / "raw", vault / "db")
-    assert shard.stat().st_size == size
-    assert not (vault / "db/shards/000002.mocs").exists()
+    other.write_bytes(b"mocs")
+    before = contents(vault / "db")
+    sizes = shard.stat().st_size, other.stat().st_size
+    archive.build(vault / "raw", vault / "db", archive.Options("liu2006", {"max_error": 0.01}), prefix="more/")
+    assert (shard.stat().st_size, other.stat().st_size) == sizes
+    assert (vault / "db/shards/000003.mocs").exists()
+    after = contents(vault / "db")
+    assert len(after) == 8
+    assert before.items() <= after.items()
+
+
+def test_an_old_catalogue_does_not_cost_later_recordings(vault: Path) -> None:
+    """A catalogue that is restored from a copy: a build keeps what it does not count, and a repair finds it."""
+    old = (vault / "db/catalogue.sqlite").read_bytes()
+    archive.build(vault / "raw", vault / "db", archive.Options("liu2006", {"max_error": 0.01}), prefix="later/")
+    expected = contents(vault / "db")
+    (vault / "db/catalogue.sqlite").write_bytes(old)
+    archive.build(vault / "raw", vault / "db", archive.Options("liu2006", {"max_error": 0.02}), prefix="last/")
+    expected |= contents(vault / "db")
+    assert archive.repair(vault / "db").failed == []
+    assert contents(vault / "db") == expected
+    assert len(expected) == 12
+
+
+@pytest.mark.parametrize(
+    "change", ["UPDATE shards SET bytes = 5", "DELETE FROM shards", "UPDATE shards SET bytes = 'x'"]
+)
+def test_a_wrong_table_of_shards_costs_no_recordings(vault: Path, change: str) -> None:
+    before = contents(vault / "db")
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute(change)
+    connection.close()
+    with pytest.raises(mc.Corrupt, match="archive repair"):
+        archive.build(vault / "raw", vault / "db", prefix="more/")
+    assert contents(vault / "db") == before
+    assert len(archive.repair(vault / "db").added) == 4
+    assert contents(vault / "db") == before
+
+
+def test_a_short_shard_is_not_appended_to(vault: Path) -> None:
+    shard = vault / "db/shards/000001.mocs"
+    os.truncate(shard, shard.stat().st_size - 10)
+    archive.build(vault / "raw", vault / "db", archive.Options("liu2006", {"max_error": 0.01}), prefix="more/")
+    with mc.open_archive(vault / "db") as db:
+        assert [name for name, _ in archive.damage(db)] == ["08/FastWalk_02"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_a_shard_that_is_a_link_is_not_written_to(vault: Path) -> None:
+    shard, elsewhere = vault / "db/shards/000001.mocs", vault / "elsewhere"
+    shard.rename(elsewhere)
+    shard.symlink_to(elsewhere)
+    before = elsewhere.read_bytes()
+    with pytest.raises(mc.Corrupt, match="a shard must be a file, not a link"):
+        archive.build(vault / "raw", vault / "db", prefix="more/")
+    assert elsewhere.read_bytes() == before
+    assert [name for name, _ in archive.repair(vault / "db").failed] == ["000001.mocs"]
 
 
 def test_two_builders_at_once(vault: Path) -> None:

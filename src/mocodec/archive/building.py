@@ -3,8 +3,9 @@
 
     sources ─names─► tasks (those not done) ─pool─► .mocz ─► shard ─flush─► catalogue (one transaction)
 
-A builder that is killed at any moment loses what it has not committed, a few seconds of work; the next one cuts the
-uncommitted bytes off and goes on. Only one builder works on an archive at a time; readers are not disturbed.
+A builder that is killed at any moment loses what it has not committed, a few seconds of work; the next one leaves the
+uncommitted bytes where they are and goes on in another shard. Only one builder works on an archive at a time; readers
+are not disturbed.
 """
 
 from __future__ import annotations
@@ -135,6 +136,7 @@ class Builder:
     def __init__(self, folder: Path, catalogue: Catalogue, options: Options, shard_bytes: int) -> None:
         self.folder, self.catalogue, self.options = folder, catalogue, options
         self.report = Report()
+        catalogue.require_counted()
         with self._disk():
             self.appender = shards.Appender(folder, catalogue.shards(), shard_bytes)
         self.waiting: list[Row] = []

@@ -24,6 +24,7 @@ NAME = "catalogue.sqlite"
 APPLICATION_ID = 0x6D6F6361
 """SQLite's field for the program that a database belongs to: "moca"."""
 VERSION = 1
+MOST_SHARDS = 10**9
 SECONDS_TO_WAIT = 10.0
 """How long a reader waits while a builder commits."""
 
@@ -112,6 +113,11 @@ SCHEMA = (
 )
 
 
+def whole(value: object) -> bool:
+    """Whether a value is a whole number that can be a size or a place."""
+    return isinstance(value, int) and 0 <= value < 1 << 62
+
+
 class Catalogue:
     """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged.
 
@@ -161,10 +167,7 @@ class Catalogue:
         except sqlite3.OperationalError as error:
             raise BadInput(f"{self.path}: {error}") from error
         except sqlite3.DatabaseError as error:
-            raise Corrupt(
-                f"{self.path}: the catalogue is damaged ({error}); restore it from a copy, or make it again with "
-                "`mocodec archive repair`"
-            ) from error
+            raise self.damaged(str(error)) from error
 
     @contextmanager
     def transaction(self) -> Generator[None, None, None]:
@@ -204,9 +207,29 @@ class Catalogue:
             return self.connection.execute(f"SELECT {what} FROM recordings WHERE {where}", constants).fetchone()
 
     def shards(self) -> dict[int, int]:
-        """Bytes of each shard that count, by number."""
+        """Bytes of each shard that count, by number. Raises Corrupt if these are no numbers."""
         with self._errors():
-            return dict(self.connection.execute("SELECT number, bytes FROM shards").fetchall())
+            found = self.connection.execute("SELECT number, bytes FROM shards").fetchall()
+        if not all(isinstance(number, int) and 0 < number < MOST_SHARDS and whole(size) for number, size in found):
+            raise self.damaged("its table of shards has no sizes")
+        return dict(found)
+
+    def require_counted(self) -> None:
+        """Raises Corrupt if a recording lies outside the bytes of its shard that count: then nothing may be written."""
+        with self._errors():
+            found = self.connection.execute(
+                "SELECT recordings.name FROM recordings LEFT JOIN shards ON number = shard "
+                "WHERE NOT coalesce(start + recordings.bytes <= shards.bytes, 0) LIMIT 1"
+            ).fetchone()
+        if found is not None:
+            raise self.damaged(f"the recording {found[0]} lies outside the bytes of its shard that count")
+
+    def damaged(self, why: str) -> Corrupt:
+        """The error of a damaged catalogue, with what can be done about it."""
+        return Corrupt(
+            f"{self.path}: the catalogue is damaged ({why}); restore it from a copy, or make it again with "
+            "`mocodec archive repair`"
+        )
 
     def failures(self) -> list[tuple[str, str]]:
         """Path and reason of each source that failed."""

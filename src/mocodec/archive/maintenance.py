@@ -138,13 +138,16 @@ def repair(where: Path_) -> Report:
         try:
             with catalogue.transaction():
                 options = catalogue.option_number(Options().stored())
-                for path in sorted((folder / shards.FOLDER).glob("*.mocs")):
+                for number, path in shards.numbered(folder).items():
+                    counted = 0
                     try:
+                        shards.require_file(path)
                         for name, place in shards.entries(path):
-                            _recover(catalogue, name, place, int(path.stem), options, report)
+                            _recover(catalogue, name, place, number, options, report)
+                            counted = place.start + place.size
                     except MocodecError as error:
                         report.failed.append((path.name, str(error)))
-                    catalogue.put_shards({int(path.stem): path.stat().st_size})
+                    catalogue.put_shards({number: counted})
         finally:
             catalogue.close()
         old = folder / catalogue_.NAME

@@ -6,12 +6,14 @@
 
 The catalogue says where each `.mocz` begins. From the names a lost catalogue can be made again: `entries`
 walks through a shard without it. A shard only grows. Bytes beyond its committed length come from a builder that was
-killed; the next builder cuts them off.
+killed, or are counted by a later catalogue than this one: nothing is cut off, and the next builder begins another
+shard.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -29,6 +31,9 @@ SHARD_BYTES = 256 << 20
 """A shard that has this many bytes is complete, and the next recording begins another."""
 FOLDER = "shards"
 MAX_NAME_BYTES = 4096
+OLD = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+NEW = OLD | os.O_CREAT | os.O_EXCL
+"""How a shard is opened: never through a link, and a new one only where there is no file."""
 
 
 def path_of(folder: Path, number: int) -> Path:
@@ -43,10 +48,23 @@ def entry_head(name: str, size: int) -> bytes:
     return head + checksum(head)
 
 
-class Appender:
-    """Appends recordings to the last shard of an archive.
+def numbered(folder: Path) -> dict[int, Path]:
+    """The shards of an archive by their numbers, whether the catalogue counts them or not; other files are left out."""
+    found = [path for path in (folder / FOLDER).glob("*.mocs") if re.fullmatch(r"[0-9]{6,9}", path.stem)]
+    return {int(path.stem): path for path in sorted(found) if path == path_of(folder, int(path.stem))}
 
-    sizes: bytes of each shard that the catalogue counts, by number. What exceeds them is cut off on opening.
+
+def require_file(path: Path) -> None:
+    """Raises Corrupt if a shard is a link, which could lead out of the archive, or anything else but a file."""
+    if path.is_symlink() or not path.is_file():
+        raise Corrupt(f"{path}: a shard must be a file, not a link or a folder")
+
+
+class Appender:
+    """Appends recordings to the last shard of an archive, or to a new one where the last has bytes that do not count.
+
+    sizes: bytes of each shard that the catalogue counts, by number. Nothing that exceeds them is changed: it may be of
+    a later catalogue than this one. Raises Corrupt if a shard is a link.
     """
 
     def __init__(self, folder: Path, sizes: dict[int, int], shard_bytes: int = SHARD_BYTES) -> None:
@@ -55,22 +73,25 @@ class Appender:
         self.shard_bytes = shard_bytes
         self.file: BinaryIO | None = None
         (folder / FOLDER).mkdir(exist_ok=True)
-        for path in (folder / FOLDER).glob("*.mocs"):
-            counted = self.sizes.get(int(path.stem)) if path.stem.isdecimal() else None
-            if counted is None:
-                path.unlink()
-            elif path.stat().st_size > counted:
-                os.truncate(path, counted)
+        found = numbered(folder)
+        for path in found.values():
+            require_file(path)
+        self.number = max((*self.sizes, *found), default=0)
+        """The shard that the next recording goes to."""
+        counted = self.sizes.get(self.number, 0)
+        if self.number not in found or counted < len(HEAD) or found[self.number].stat().st_size != counted:
+            self.number += 1
 
     def append(self, name: str, blob: bytes) -> tuple[int, int]:
         """Write one recording; returns the shard's number and the byte at which the `.mocz` begins."""
-        number = max(self.sizes, default=1)
-        if self.sizes.get(number, 0) >= self.shard_bytes:
+        if self.sizes.get(self.number, 0) >= self.shard_bytes:
             self.close()
-            number += 1
+            self.number += 1
+        number = self.number
         if self.file is None:
-            self.file = open(path_of(self.folder, number), "ab")  # noqa: SIM115 (open until close)
-            if self.sizes.get(number, 0) == 0:
+            is_new = number not in self.sizes
+            self.file = os.fdopen(os.open(path_of(self.folder, number), NEW if is_new else OLD, 0o666), "ab")
+            if is_new:
                 self.file.write(HEAD)
                 self.sizes[number] = len(HEAD)
         head = entry_head(name, len(blob))
