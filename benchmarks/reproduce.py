@@ -10,6 +10,8 @@ import click
 
 from mocodec import __version__
 
+from .results import read_json
+
 RESULTS = Path("docs/results")
 
 
@@ -22,6 +24,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["hou2014", *output],
         ["lien2006", *output],
         ["readers"],
+        ["archive"],
         ["tempo-parts"],
         ["tempo"],
         ["unknown"],
@@ -70,6 +73,7 @@ def write_tables(folder: Path) -> list[Path]:
 
     cloud.md is left out: the stored one was written from numbers with more digits than cloud.json has.
     """
+    from .archive import tables as archive_tables
     from .cloud import first_poses, grid, points_report, summary
     from .motion import command as motion_command
     from .papers import hou2014, lien2006, liu2006
@@ -81,6 +85,8 @@ def write_tables(folder: Path) -> list[Path]:
     }  # fmt: skip
     paths = [write(folder) for name, write in writers.items() if (folder / f"{name}.json").is_file()]
     paths.append(summary.write_tables(folder))
+    if found := read_json(folder / "archive.json"):
+        paths += archive_tables.write(found, folder)
     for results in sorted(folder.glob("*/results.json")):
         paths += motion_command.write_tables(results.parent)
     return paths

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,9 +121,13 @@ def test_least_recently_used_chunks_leave():
     assert cache.bytes == 0
 
 
-def test_threads_share_a_file(data: bytes, cache: ChunkCache):
+@pytest.mark.parametrize("by", ["path", "file object", "bytes"])
+def test_threads_share_a_file(data: bytes, cache: ChunkCache, by: str, tmp_path: Path):
     whole = mc.decode(data, mc.Motion).positions
-    with mc.open(data, mc.Motion) as f, ThreadPoolExecutor(4) as pool:
+    path = tmp_path / "walk.mocz"
+    path.write_bytes(data)
+    source = {"path": path, "bytes": data, "file object": io.BytesIO(data)}[by]
+    with mc.open(source, mc.Motion) as f, ThreadPoolExecutor(4) as pool:
         starts = np.random.default_rng(2).integers(0, 1100, 40).tolist()
         windows = pool.map(lambda start: f[start : start + 64].positions, starts)
         for start, window in zip(starts, windows, strict=True):

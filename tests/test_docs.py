@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,11 @@ def test_commands_and_code_run(page: Path, demo: Path, tmp_path: Path, monkeypat
     pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
     if page.stem == "point-clouds":
         pytest.importorskip("av", reason="point clouds need the [cloud] extra")
+    if page.stem == "arrays":
+        for library in ("xarray", "zarr", "pandas", "dask.array", "fsspec"):
+            pytest.importorskip(library, reason=f"needs the [{library.split('.')[0]}] extra")
+        if not entry_points(group="xarray.backends", name="mocodec"):
+            pytest.skip("mocodec is not installed, so that xarray and zarr do not find it")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for language, block in BLOCK.findall(page.read_text()):

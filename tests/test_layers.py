@@ -18,7 +18,7 @@ LAYERS = (
     ("cli", "__main__"),
     ("viewer",),
     ("testing", "plots", "cloud_plots"),
-    ("torch", "learning"),
+    ("torch", "learning", "arrays"),
     ("archive",),
     ("api", "opened", "packing", "decoded_chunks"),
     ("codecs", "container"),
@@ -26,6 +26,7 @@ LAYERS = (
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),
     (
         "motion",
+        "skeleton",
         "pointcloud",
         "encoded",
         "errors",

@@ -2,6 +2,7 @@
 
     ../shared/data/cmu/asfamc ─build─► archives of positions, and with rotations ─► bytes, errors, frames a second
                                         ├─ windows against .npz and memory-mapped .npy
+                                        ├─ training from the archive and from the originals
                                         ├─ catalogue and index of a million frames: opening, queries
                                         └─ retrieval of labelled clips
 
@@ -22,12 +23,12 @@ from mocodec.errors import BadInput
 
 from .. import datasets, results
 from ..machine import machine_description
-from . import large, retrieval, tables, windows
+from . import large, retrieval, tables, training, windows
 
 RESULTS = Path("docs/results/archive.json")
 PEOPLE = datasets.SHARED / "cmu" / "asfamc"
 MEAN_ERROR_M = 0.003
-PARTS = ("sizes", "windows", "large", "retrieval")
+PARTS = ("sizes", "windows", "training", "large", "retrieval")
 
 
 @click.command("archive")
@@ -59,6 +60,8 @@ def measured(part: str, folder: Path) -> Any:
     vault = built(folder, "positions")
     if part == "windows":
         return windows.measure(vault, folder)
+    if part == "training":
+        return training.measure(vault, folder, PEOPLE)
     archive.index(vault)
     return large.measure(vault, folder) if part == "large" else retrieval.measure(vault)
 

@@ -6,6 +6,7 @@ played faster or slower, scaled and mirrored, up to a million frames; ten millio
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
@@ -62,8 +63,8 @@ def varied_rows(vault: Path, count: int | None = None, frames: int | None = None
             origin=f"/vault/{name}.amc",
             frames=length,
             seconds=length / row.rate,
-            content=f"{made:032x}",
-            source_hash=f"{(1 << 128) - 1 - made:032x}",
+            content=hashlib.sha256(f"content {name}".encode()).hexdigest()[:32],
+            source_hash=hashlib.sha256(f"source {name}".encode()).hexdigest()[:32],
         )
         made, total = made + 1, total + length
 

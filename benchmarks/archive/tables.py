@@ -13,11 +13,13 @@ from ..machine import measured_on
 FOLDER = Path("docs/results")
 
 
-def write(found: dict[str, Any]) -> None:
-    """Write every table whose part was measured."""
+def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
+    """Write every table whose part was measured; returns their paths."""
+    paths: list[Path] = []
     for part, name, make in (
         ("sizes", "archive_sizes.md", sizes),
         ("windows", "archive_windows.md", windows),
+        ("training", "archive_training.md", training),
         ("large", "archive_large.md", large),
         ("large", "archive_catalogue.md", catalogues),
         ("retrieval", "archive_retrieval.md", retrieval),
@@ -26,7 +28,9 @@ def write(found: dict[str, Any]) -> None:
             text = (
                 f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of the processor, in one process.\n"
             )
-            formats.replace_whole(FOLDER / name, text.encode())
+            formats.replace_whole(folder / name, text.encode())
+            paths.append(folder / name)
+    return paths
 
 
 def sizes(rows: list[dict[str, Any]]) -> str:
@@ -70,6 +74,21 @@ def windows(found: dict[str, Any]) -> str:
         f"With a cache of 4 MB the process has at most {memory['after_one']:.0f} MB in the first epoch and "
         f"{memory['after_four']:.0f} MB after four."
     )
+
+
+def training(rows: list[dict[str, Any]]) -> str:
+    epochs = range(1, len(rows[0]["losses"]) + 1)
+    head = ("windows from", *(f"epoch {epoch}" for epoch in epochs), "reading", "in all")
+    body = [
+        (
+            r["source"],
+            *(f"{1e4 * loss:.2f} cm²" for loss in r["losses"]),
+            f"{r['reading_s']:.2f} s",
+            f"{r['seconds']:.1f} s",
+        )
+        for r in rows
+    ]
+    return markdown.table(head, body)
 
 
 def large(found: dict[str, Any]) -> str:

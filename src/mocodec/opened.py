@@ -48,10 +48,11 @@ def open(source: Source, kind: type[RecordingT], *, salvage: bool = False) -> Fi
 @overload
 def open(source: Source, kind: None = None, *, salvage: bool = False) -> File[Recording]: ...
 def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool = False) -> File[Any]:
-    """Open a .mocz for random access: a path, an http(s) URL, bytes or a binary file object.
+    """Open a .mocz for random access: a path, a URL, bytes or a binary file object.
 
-    Only header and index are read. kind: `Motion` or `PointClouds`, as in `read`. salvage: open the undamaged chunks
-    of a file that was cut short; see `File.whole`.
+    Only header and index are read. A URL is http(s), read by range requests, or of a store that fsspec knows (s3://,
+    gs://, memory://, … with the [remote] extra). kind: `Motion` or `PointClouds`, as in `read`. salvage: open the
+    undamaged chunks of a file that was cut short; see `File.whole`.
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
     from . import container
@@ -284,7 +285,7 @@ def _reopenable(source: Source) -> Reopenable | None:
     if isinstance(source, (bytes, bytearray, memoryview)):
         return bytes(source)
     if isinstance(source, FileRange):
-        return replace(source, path=os.path.abspath(source.path))
+        return source if "://" in source.path else replace(source, path=os.path.abspath(source.path))
     if isinstance(source, (str, PathLike)):
         path = os.fspath(source)
         return path if "://" in path else os.path.abspath(path)

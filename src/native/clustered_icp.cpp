@@ -69,6 +69,28 @@ void closest_rotation(const double *s, double *out) {
     std::copy_n(matrix, 9, out);
 }
 
+// out = the unit eigenvector of the smallest eigenvalue of a symmetric positive matrix: normals.smallest_eigenvectors.
+void smallest_eigenvector(const double *covariance, double *out) {
+    const double scale = std::max(covariance[0] + covariance[4] + covariance[8], 1e-30);
+    double m[9], adjugate[9], square[9];
+    for (int i = 0; i < 9; ++i) m[i] = covariance[i] / scale + (i % 4 ? 0 : 1e-6);
+    for (int i = 0; i < 3; ++i) cross(m + 3 * ((i + 1) % 3), m + 3 * ((i + 2) % 3), adjugate + 3 * i);
+    for (int round = 0; round < 4; ++round) {
+        multiply(adjugate, adjugate, square);
+        double most = 1e-300;
+        for (double value : square) most = std::max(most, std::abs(value));
+        for (int i = 0; i < 9; ++i) adjugate[i] = square[i] / most;
+    }
+    double longest = -1;
+    int column = 0;
+    for (int j = 0; j < 3; ++j) {
+        const double length = squared(adjugate[j]) + squared(adjugate[3 + j]) + squared(adjugate[6 + j]);
+        if (length > longest) longest = length, column = j;
+    }
+    const double length = std::max(std::sqrt(longest), 1e-300);
+    for (int d = 0; d < 3; ++d) out[d] = adjugate[3 * d + column] / length;
+}
+
 // Data points in a k-d tree. Each node knows the clusters of its points, so that a query skips what it does not allow.
 class ClusteredPoints {
 public:
@@ -117,12 +139,13 @@ public:
         return nb::make_tuple(r.give({parts, 3, 3}), t.give({parts, 3}), errors);
     }
 
-    // normals.estimate: (n, 3, 3), Σ x xᵀ over the `neighbours` points nearest to each place (n, 3), about their mean.
-    Output<double> scatter(Input<double, 2> places, size_t neighbours) const {
+    // normals.estimate: unit normals (n, 3), the direction of least variance of the `neighbours` points nearest to each
+    // place (n, 3).
+    Output<double> normals(Input<double, 2> places, size_t neighbours) const {
         const size_t n = places.shape(0);
-        if (places.shape(1) != 3 || neighbours < 1) throw std::invalid_argument("ClusteredPoints.scatter: shapes differ");
+        if (places.shape(1) != 3 || neighbours < 1) throw std::invalid_argument("ClusteredPoints.normals: shapes differ");
         neighbours = std::min(neighbours, sorted_.size());
-        Fresh<double> out(9 * n);
+        Fresh<double> out(3 * n);
         std::vector<std::pair<double, int32_t>> nearest;
         for (size_t i = 0; i < n; ++i) {
             const double *place = places.data() + 3 * i;
@@ -130,16 +153,16 @@ public:
             double mean[3] = {0, 0, 0};
             for (const auto &[square, row] : nearest)
                 for (size_t d = 0; d < 3; ++d) mean[d] += (sorted_[size_t(row)][d] - place[d]) / double(neighbours);
-            double *sums = &out.data[9 * i];
-            std::fill_n(sums, 9, 0.0);
+            double sums[9] = {};
             for (const auto &[square, row] : nearest) {
                 double off[3];
                 for (size_t d = 0; d < 3; ++d) off[d] = sorted_[size_t(row)][d] - place[d] - mean[d];
                 for (int j = 0; j < 3; ++j)
                     for (int k = 0; k < 3; ++k) sums[3 * j + k] += off[j] * off[k];
             }
+            smallest_eigenvector(sums, &out.data[3 * i]);
         }
-        return out.give({n, 3, 3});
+        return out.give({n, 3});
     }
 
 private:
@@ -365,6 +388,6 @@ void bind_clustered_icp(nb::module_ &m) {
     nb::class_<ClusteredPoints>(m, "ClusteredPoints")
         .def(nb::init<Input<double, 2>, Input<uint8_t, 1>>())
         .def("icp", &ClusteredPoints::icp)
-        .def("scatter", &ClusteredPoints::scatter);
+        .def("normals", &ClusteredPoints::normals);
     m.def("closest_links", &closest_links);
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import pickle
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -127,3 +128,9 @@ def test_sums(made: Path) -> None:
 def test_no_archive_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(mc.BadInput, match="there is no archive here"):
         mc.open_archive(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows reports a folder as a file that may not be read")
+def test_a_folder_is_no_file(made: Path) -> None:
+    with pytest.raises(mc.BadInput, match="open_archive"):
+        mc.open(made / "db")

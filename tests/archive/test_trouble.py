@@ -207,6 +207,18 @@ def test_a_damaged_catalogue_is_repaired_from_the_shards(vault: Path) -> None:
         assert archive.unused_bytes(db) == 0
 
 
+@pytest.mark.parametrize("left", [None, b""])
+def test_a_lost_catalogue_does_not_cost_the_shards(vault: Path, left: bytes | None) -> None:
+    before = contents(vault / "db")
+    (vault / "db/catalogue.sqlite").unlink()
+    if left is not None:
+        (vault / "db/catalogue.sqlite").write_bytes(left)
+    with pytest.raises(mc.Corrupt, match="archive repair"):
+        archive.build(vault / "raw", vault / "db", OPTIONS)
+    assert len(archive.repair(vault / "db").added) == 4
+    assert contents(vault / "db") == before
+
+
 def test_options_that_no_codec_has(made: Path, tmp_path: Path) -> None:
     with pytest.raises(mc.BadInput, match="no setting 'colour'"):
         archive.build(made / "raw", tmp_path / "db", archive.Options(settings={"colour": 1}))

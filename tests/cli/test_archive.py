@@ -90,7 +90,8 @@ def test_names_that_lead_out_of_the_folder(command: Command, tmp_path: Path) -> 
 def test_index_similar_and_duplicates(command: Command, vault: Path) -> None:
     mc.write(vault.parent / "long.npz", synthetic.joints(frames=240, rate=60.0, seed=9))
     (vault.parent / "same.npz").write_bytes((vault.parent / "long.npz").read_bytes())
-    command("archive", "append", vault, vault.parent / "long.npz", vault.parent / "same.npz")
+    added = command("archive", "append", vault, vault.parent / "long.npz", vault.parent / "same.npz", "--index")
+    assert added.code == 0, added.err
     assert "windows in the index" in command("archive", "index", vault).err
     found = json.loads(command("archive", "similar", vault, "long", "--from", 1, "--to", 3, "--json").out)
     assert (found[0]["name"], round(found[0]["start"])) == ("same", 1)

@@ -3,6 +3,9 @@
     python tests/golden/write.py              write the missing files
     python tests/golden/write.py NAME …       write these files again, if the version in the twin is this package's
 
+Version 1 of the format is frozen: files named in `frozen.json` are never written again, by nobody. A change that one of
+them does not survive is a change of the format, and needs a new version.
+
 `NAME.mocz` is the file. `NAME.json` is its readable twin: version, codec, settings, and all positions in metres
 and signals; for point clouds, positions to a micrometre and colours. A file of an earlier version is never
 overwritten. lien2006-lines and bodycast-jumper-bounded have forms that the codecs no longer write.
@@ -125,6 +128,24 @@ def with_signals() -> Motion:
     return replace(markers(), extras=extras)
 
 
+def lab() -> Motion:
+    """`markers` with the extras of a motion lab: words of its dictionary, a channel that repeats another, events."""
+    motion = with_signals()
+    floats = np.array(motion.extras["analog"].values)
+    floats[:, 6] = floats[:, 2]
+    words = [
+        f"{side}{joint}Angles" for side in "LR" for joint in ("Hip", "Knee", "Ankle", "Shoulder", "Elbow", "Wrist")
+    ]
+    words += [f"Kistler Force Plate 2.0.0.0::Force.F{axis}1 [1,{i}]" for i, axis in enumerate("xyz", 1)]
+    extras = {
+        "analog": Signal(floats, 1200.0, LABELS, ("V",) * 4),
+        "parameters": {"POINT": {"ANGLES": words, "UNITS": "mm"}, "TRIAL": {"CAMERA_RATE": 120.0}},
+        "table": np.arange(600, dtype=np.float32).reshape(100, 6) ** 1.5,
+        "events": [{"label": "Foot Strike", "context": "Left", "time_s": 0.25}],
+    }
+    return replace(motion, extras=extras)
+
+
 def jumper() -> PointClouds:
     """Three frames of a jumping person, 240 points each; the middle frame has only four."""
     clouds = sequences.record(PERFORMANCE, 240, seed=14)
@@ -169,6 +190,7 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "rotations-lossless": (figure, "lossless", {}),
     "signals-exact": (with_signals, "tempo", {"max_error": 0.005}),
     "signals-12bit": (with_signals, "tempo", {"max_error": 0.005, "signal_error": "12bit"}),
+    "signals-lab": (lab, "tempo", {"max_error": 0.005}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
     "bodycast-jumper-learned": (jumper, "bodycast", {"max_error": 0.003, "psnr": 38, **SKELETON}),
@@ -176,7 +198,11 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
 
 
 def write(name: str, folder: Path = HERE) -> None:
-    """Write a golden file and its twin. Raises SystemExit if this would overwrite a file of another version."""
+    """Write a golden file and its twin. Raises SystemExit if this would overwrite a frozen file, or one of another
+    version.
+    """
+    if folder == HERE and name in frozen():
+        raise SystemExit(f"{name} belongs to the frozen version 1 of the format: keep it, and add a file of a new name")
     twin = folder / f"{name}.json"
     if twin.exists() and (version := json.loads(twin.read_text())["version"]) != mocodec.__version__:
         raise SystemExit(
@@ -212,6 +238,12 @@ def write(name: str, folder: Path = HERE) -> None:
         ]
         text += f',\n  "{key}": [\n    ' + ",\n    ".join(lines) + "\n  ]"
     twin.write_text(text + "\n}\n")
+
+
+def frozen() -> dict[str, str]:
+    """SHA-256 of each file of the frozen version 1, by name."""
+    hashes: dict[str, str] = json.loads((HERE / "frozen.json").read_text())
+    return hashes
 
 
 def described_signals(motion: Motion) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from urllib import request
 import pytest
 
 from mocodec import container
-from mocodec.container import byte_sources
+from mocodec.container import remote_sources
 from mocodec.errors import BadInput, Truncated
 
 
@@ -39,14 +39,14 @@ def answer_with(monkeypatch: pytest.MonkeyPatch, part: bytes) -> None:
 
 def test_an_endless_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, b"mocz" * 1000)
-    monkeypatch.setattr(byte_sources, "MAX_DOWNLOAD_BYTES", 100_000)
+    monkeypatch.setattr(remote_sources, "MAX_DOWNLOAD_BYTES", 100_000)
     with pytest.raises(BadInput, match="without range requests"):
         container.Reader("http://example.invalid/x.mocz")
 
 
 def test_a_slow_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, b"m")
-    monkeypatch.setattr(byte_sources, "DEADLINE_S", -1.0)
+    monkeypatch.setattr(remote_sources, "DEADLINE_S", -1.0)
     with pytest.raises(BadInput, match="no complete answer"):
         container.Reader("http://example.invalid/x.mocz")
 

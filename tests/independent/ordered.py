@@ -107,7 +107,7 @@ def complete(rows: Array, excluded: Array | None = None) -> Array:
     mirrors = []
     for i in range(count):
         u = q[i:, i].copy()
-        u[0] += 1 if u[0] >= 0 else -1
+        u[0] += 1 if u[0] > (-1e-9 if i else 1e-9) else -1
         u /= math.sqrt(u @ u)
         mirrors.append(u)
         q[i:] -= 2 * np.outer(u, u @ q[i:])

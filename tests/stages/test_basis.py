@@ -102,6 +102,18 @@ def test_completed_without_excluded_directions():
     assert np.abs(more.T @ excluded).max() < 1e-13
 
 
+def test_completed_does_not_depend_on_rounding():
+    """A column whose first free entry is 0: rounding gives it a sign."""
+    found = np.linalg.qr(np.random.default_rng(2).normal(size=(9, 3)))[0]
+    found[:, 1] = 0
+    found[4, 1] = 1
+    found[4, [0, 2]] = 0
+    found = np.linalg.qr(found)[0]
+    whole = [basis.completed(np.where(found == 0, noise, found)) for noise in (0.0, 1e-16, -1e-16, -3e-15)]
+    for other in whole[1:]:
+        np.testing.assert_allclose(other, whole[0], rtol=0, atol=1e-12)
+
+
 def test_completed_from_axes():
     whole = basis.completed(np.eye(5)[:, [2, 0]])
     assert np.abs(whole.T @ whole - np.eye(5)).max() < 1e-15

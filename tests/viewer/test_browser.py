@@ -17,6 +17,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import viewer
+from mocodec.testing import hinged_figures, synthetic
 from mocodec.viewer import page, session
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.server import Server
@@ -173,3 +174,50 @@ def test_the_page_in_the_package_is_built_from_these_sources(tmp_path: Path) -> 
     made = tmp_path / "viewer.html"
     subprocess.run(["node", "build.mjs", str(made)], cwd=WEB, check=True, capture_output=True, timeout=120)
     assert made.read_text() == page.viewer(), "run scripts/web, and commit the page"
+
+
+def test_every_codec_is_decoded_in_the_page(server: Server, tmp_path: Path) -> None:
+    markers = synthetic.markers(frames=120, seed=3)
+    figure = hinged_figures.figure(60)
+    made = {
+        "tempo-max": (markers, mc.encode(markers, max_error=0.001)),
+        "tempo-mean": (markers, mc.encode(markers, mean_error=0.003)),
+        "hou2014": (markers, mc.encode(markers, "hou2014", max_error=0.005)),
+        "liu2006": (markers, mc.encode(markers, "liu2006", max_error=0.005)),
+        "lossless": (markers, mc.encode(markers, "lossless")),
+        "rotations": (figure, mc.encode(figure, max_error=0.005)),
+    }
+    commands: list[dict[str, Any]] = []
+    for name, (_, data) in made.items():
+        (tmp_path / f"{name}.mocz").write_bytes(data)
+        commands += [
+            {"do": "open", "url": server.url.partition("?")[0]},
+            {"do": "drop", "files": [str(tmp_path / f"{name}.mocz")]},
+            LOADED,
+            *seek(50),
+        ]
+    answers = drive(commands, tmp_path)[5::6]
+    for state, (motion, data) in zip(answers, made.values(), strict=True):
+        shown = np.array(state["positions"], float).reshape(-1, 3)[: motion.points]
+        np.testing.assert_allclose(shown, mc.decode(data, mc.Motion).positions[50][: len(shown)], atol=1e-5)
+
+
+def test_point_clouds_and_force_plates(original: mc.Motion, clouds: mc.PointClouds, tmp_path: Path) -> None:
+    (tmp_path / "clouds.html").write_text(viewer.html(clouds, against=clouds))
+    (tmp_path / "lab.html").write_text(viewer.html(original))
+    answers = drive(
+        [
+            {"do": "open", "url": (tmp_path / "clouds.html").as_uri()},
+            LOADED,
+            *seek(2),
+            {"do": "open", "url": (tmp_path / "lab.html").as_uri()},
+            LOADED,
+            {"do": "eval", "code": "document.getElementById('channels').textContent"},
+            {"do": "eval", "code": "document.getElementById('time').clientHeight"},
+        ],
+        tmp_path,
+    )
+    assert answers[4]["shownFrame"] == 2
+    assert len(answers[4]["positions"]) == 3 * 70
+    assert "Fz1 (N)" in answers[7]
+    assert answers[8] > 40  # a strip for the force

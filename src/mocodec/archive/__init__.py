@@ -3,7 +3,7 @@
 
 build     sources ─► shards and catalogue; goes on where it was stopped
 open_archive, Archive, Entry     recordings by name or by a condition
-damage, remove, merge, repair    care of an archive
+damage, remove, merge, repair    check and change an archive
 """
 
 from __future__ import annotations

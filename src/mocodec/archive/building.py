@@ -1,5 +1,5 @@
 # pyright: strict
-"""Sources to an archive: what is new or has changed is coded, appended to a shard, and then counted by the catalogue.
+"""Sources to an archive: new and changed ones are coded, appended to a shard, and committed to the catalogue.
 
     sources ─names─► tasks (those not done) ─pool─► .mocz ─► shard ─flush─► catalogue (one transaction)
 
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import BadInput, MocodecError
-from . import encoding, pool, shards, sources
+from . import encoding, pool, remote, shards, sources
 from .catalogue import Catalogue, Row
 from .encoding import Options, Outcome, Task
 from .lock import only_builder
@@ -73,7 +73,7 @@ def build(
     A source that fails is listed in the report and in the catalogue, and tried again by the next build.
     Raises BadInput if the archive cannot be written or another process is building it; TooNew, Corrupt.
     """
-    started, folder = time.monotonic(), Path(where)
+    started, folder = time.monotonic(), remote.local_folder(where, "a change")
     many = [arguments] if isinstance(arguments, str | PathLike) else arguments
     if options is not None:
         encoding.require_options(options)

@@ -1,10 +1,11 @@
 # pyright: strict
-"""The catalogue: one row per recording in an SQLite database, which says where its bytes are and what is known of it.
+"""The catalogue: an SQLite database with one row per recording, its place in the shards and its properties.
 
-    recordings   one row each (COLUMNS)          shards     how many bytes of each shard count
+    recordings   one row each (COLUMNS)          shards     committed length of each shard
     options      what recordings were coded with  failures   sources that could not be read or coded, and why
 
-A change is one transaction, and what it points at is on the disk before: a reader sees the archive before or after it.
+A change is one transaction. The bytes it refers to are on the disk before it: a reader sees the archive before or
+after the change.
 """
 
 from __future__ import annotations
@@ -112,10 +113,14 @@ SCHEMA = (
 
 
 class Catalogue:
-    """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged."""
+    """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged.
+
+    create: make one where there is none; Corrupt if there are shards, which a catalogue without rows would give up.
+    """
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         self.path = folder / NAME
+        self.folder = folder
         if not create and not self.path.is_file():
             raise BadInput(f"{folder}: there is no archive here ({NAME} is missing)")
         with self._errors():
@@ -131,6 +136,8 @@ class Catalogue:
             (id_,) = self.connection.execute("PRAGMA application_id").fetchone()
             (version,) = self.connection.execute("PRAGMA user_version").fetchone()
             (tables,) = self.connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            if create and tables == 0 and next((self.folder / "shards").glob("*.mocs"), None):
+                raise Corrupt(f"{self.path}: the catalogue is lost; make it again with `mocodec archive repair`")
             if create and tables == 0:
                 with self.transaction():
                     for statement in SCHEMA:

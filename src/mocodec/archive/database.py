@@ -22,7 +22,7 @@ from ..codecs.tempo.models import prior
 from ..errors import BadInput
 from ..file_range import FileRange
 from ..selection import counted
-from . import shards
+from . import remote
 from .catalogue import COLUMNS, Catalogue, Row
 from .encoding import PRIORS, bytes_of
 from .expressions import Constant, to_sql
@@ -47,8 +47,7 @@ class Entry:
     @property
     def place(self) -> FileRange:
         """Where the bytes of the `.mocz` are: a source for `mocodec.open` and `mocodec.decode`."""
-        path = shards.path_of(Path(self.folder), self.row.shard)
-        return FileRange(str(path), self.row.start, self.row.bytes, f"{self.folder}: {self.row.name}")
+        return remote.place_of(self.folder, self.row)
 
     def open(self, salvage: bool = False) -> File[Any]:
         """The recording, open for random access, as by `mocodec.open`. Raises what that raises."""
@@ -151,23 +150,35 @@ class Recordings:
 class Archive(Recordings):
     """An open archive: all its recordings. It can be pickled; each process opens the catalogue when it first needs it.
 
-    A context; closing it closes the catalogue, which the next use opens again.
+    path: a folder or a URL; of a remote archive the catalogue is copied when it is first needed, and again after
+    `close`. A context; closing it closes the catalogue, which the next use opens again.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
         super().__init__(self)
-        self.path = os.path.abspath(path)
+        place = os.fspath(path)
+        self.path = place.rstrip("/") if remote.is_url(place) else os.path.abspath(place)
         self._open: tuple[int, Catalogue] | None = None
+        self._copy: remote.LocalCopy | None = None
 
     @property
     def catalogue(self) -> Catalogue:
         """The catalogue, open in this process. Raises BadInput, TooNew, Corrupt."""
         if self._open is None or self._open[0] != os.getpid():  # a connection must not be used after a fork
-            self._open = os.getpid(), Catalogue(Path(self.path))
-            priors = os.path.join(self.path, PRIORS)
+            folder = self._folder()
+            self._open = os.getpid(), Catalogue(folder)
+            priors = os.path.join(folder, PRIORS)
             if os.path.isdir(priors):
                 prior.search_in(priors)
         return self._open[1]
+
+    def _folder(self) -> Path:
+        """The folder with the catalogue: of the archive, or of a copy."""
+        if not remote.is_url(self.path):
+            return Path(self.path)
+        if self._copy is None:
+            self._copy = remote.LocalCopy(self.path)
+        return self._copy.folder
 
     @property
     def failures(self) -> list[tuple[str, str]]:
@@ -178,7 +189,7 @@ class Archive(Recordings):
         """Close the catalogue."""
         if self._open is not None and self._open[0] == os.getpid():
             self._open[1].close()
-        self._open = None
+        self._open = self._copy = None
 
     def __enter__(self) -> Self:
         return self
@@ -191,7 +202,7 @@ class Archive(Recordings):
 
 
 def open_archive(path: str | PathLike[str]) -> Archive:
-    """Open an archive for reading. Raises BadInput where there is none, TooNew, Corrupt."""
+    """Open an archive for reading: a folder, or a URL as `mocodec.open` takes. Raises BadInput, TooNew, Corrupt."""
     archive = Archive(path)
     _ = archive.catalogue
     return archive

@@ -1,5 +1,5 @@
 # pyright: strict
-"""One builder at a time: a lock that the system releases when its process ends, however that ends.
+"""One builder at a time: a lock that the system releases when its process ends or is killed.
 
 An exclusive transaction of SQLite on an empty file beside the catalogue: the locks of SQLite work alike on all systems.
 """

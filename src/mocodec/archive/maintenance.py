@@ -1,9 +1,10 @@
 # pyright: strict
-"""Care of an archive: check every recording, remove some, merge archives, rebuild a lost catalogue."""
+"""Maintenance of an archive: check every recording, remove some, merge archives, rebuild a lost catalogue."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -13,7 +14,7 @@ from .. import api
 from ..errors import BadInput, Corrupt, MocodecError
 from ..file_range import FileRange
 from . import catalogue as catalogue_
-from . import encoding, shards
+from . import encoding, remote, shards
 from .building import Builder, Report, make_folder
 from .catalogue import Catalogue
 from .database import Entry, Recordings, open_archive
@@ -73,7 +74,7 @@ def merge(archives: Sequence[Path_], where: Path_, report_to: Callable[[int, int
     Raises BadInput, Corrupt, TooNew.
     """
     opened = [open_archive(path) for path in archives]
-    folder = Path(where)
+    folder = remote.local_folder(where, "a change")
     if os.path.abspath(where) in [archive.path for archive in opened]:
         raise BadInput(f"{where}: an archive cannot be merged into itself; name another folder")
     make_folder(folder)
@@ -130,46 +131,48 @@ def repair(where: Path_) -> Report:
     """
     folder = existing(where, "shards")
     with only_builder(folder):
+        new, report = folder / "repairing", Report()
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir()
+        catalogue = Catalogue(new, create=True)
+        try:
+            with catalogue.transaction():
+                options = catalogue.option_number(Options().stored())
+                for path in sorted((folder / shards.FOLDER).glob("*.mocs")):
+                    try:
+                        for name, place in shards.entries(path):
+                            _recover(catalogue, name, place, int(path.stem), options, report)
+                    except MocodecError as error:
+                        report.failed.append((path.name, str(error)))
+                    catalogue.put_shards({int(path.stem): path.stat().st_size})
+        finally:
+            catalogue.close()
         old = folder / catalogue_.NAME
         if old.exists():
             os.replace(old, old.with_suffix(".damaged"))
-        catalogue = Catalogue(folder, create=True)
-        report = Report()
-        try:
-            sizes: dict[int, int] = {}
-            with catalogue.transaction():
-                number_of_options = catalogue.option_number(Options().stored())
-                for path in sorted((folder / shards.FOLDER).glob("*.mocs")):
-                    number = int(path.stem)
-                    sizes[number] = path.stat().st_size
-                    try:
-                        for name, place in shards.entries(path):
-                            try:
-                                _recover(catalogue, name, api.open(place), number, place.start, number_of_options)
-                                report.added.append(name)
-                            except MocodecError as error:
-                                report.failed.append((name, str(error)))
-                    except MocodecError as error:
-                        report.failed.append((path.name, str(error)))
-                catalogue.put_shards(sizes)
-        finally:
-            catalogue.close()
+        old.with_name(f"{old.name}-journal").unlink(missing_ok=True)
+        os.replace(new / catalogue_.NAME, old)
+        shutil.rmtree(new)
     return report
 
 
-def _recover(catalogue: Catalogue, name: str, file: api.File[Any], shard: int, start: int, options: int) -> None:
-    with file:
-        facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
-    folder = catalogue.path.parent
-    place = FileRange(str(shards.path_of(folder, shard)), start, facts["bytes"])
+def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, options: int, report: Report) -> None:
+    """Put the row of one entry of a shard into the new catalogue."""
+    try:
+        with api.open(place) as file:
+            facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
+    except MocodecError as error:
+        report.failed.append((name, str(error)))
+        return
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
     content = encoding.content_hash(encoding.bytes_of(place))
-    catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=start))
+    catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=place.start))
+    report.added.append(name)
 
 
 def existing(where: Path_, needs: str = catalogue_.NAME) -> Path:
     """The folder of an archive. Raises BadInput where there is none."""
-    folder = Path(where)
+    folder = remote.local_folder(where, "a change")
     if not (folder / needs).exists():
         raise BadInput(f"{where}: there is no archive here ({needs} is missing)")
     return folder

@@ -4,9 +4,9 @@
     magic "mocs" · version 1 · entries
     entry: varint length of the name · name (UTF-8) · varint bytes of the .mocz · checksum of these · the .mocz
 
-The catalogue says where each `.mocz` begins. The names are there for people who lost the catalogue: `entries` walks
-through a shard without it. A shard only grows; bytes behind what the catalogue counts come from a builder that was
-killed, and the next builder cuts them off.
+The catalogue says where each `.mocz` begins. From the names a lost catalogue can be made again: `entries`
+walks through a shard without it. A shard only grows. Bytes beyond its committed length come from a builder that was
+killed; the next builder cuts them off.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Finding motion like a query: a vector for every 0.2 s of an archive, whose distances are those of poses over 1.6 s.
+"""Search for similar motion: a vector for every 0.2 s of an archive, with the distances of poses over 1.6 s.
 
     window of 1.6 s ─8 poses, less place and heading of the middle─► (8, points, 3) ─32 components─► vector
 
@@ -26,6 +26,7 @@ from ..formats import replace_whole
 from ..motion import Motion
 from ..stages import gaps
 from ..typing import Floats, Integers
+from . import remote
 from .database import Entry, Recordings, open_archive
 from .lock import only_builder
 
@@ -99,7 +100,7 @@ def index(where: str | PathLike[str], report_to: Callable[[int, int, str], None]
 
     Raises BadInput if the archive cannot be written or another process changes it.
     """
-    folder, total = Path(where), 0
+    folder, total = remote.local_folder(where, "a change"), 0
     with only_builder(folder), open_archive(where) as archive:
         (folder / FOLDER).mkdir(exist_ok=True)
         by_layout: dict[str, list[Entry]] = {}
@@ -258,7 +259,7 @@ def search(
 
 
 def _index_of(recordings: Recordings, query: Motion) -> Index:
-    for path in sorted((Path(recordings.folder) / FOLDER).glob("*.npz")):
+    for path in sorted((remote.local_folder(recordings.folder, "a search") / FOLDER).glob("*.npz")):
         found = Index.read(path)
         if sorted(found.points) == sorted(query.names):
             if found.points != query.names:
@@ -315,7 +316,7 @@ def duplicates(recordings: Recordings, within_m: float = 0.02, share: float = 0.
         for i, one in enumerate(names):
             pairs |= {(one, other): Pair(one, other, 1.0, 0.0, True) for other in names[i + 1 :]}
     allowed = {row.name for row in rows}
-    for path in sorted((Path(recordings.folder) / FOLDER).glob("*.npz")):
+    for path in sorted((remote.local_folder(recordings.folder, "a search") / FOLDER).glob("*.npz")):
         for pair in _near(Index.read(path), within_m, share):
             if pair.one in allowed and pair.other in allowed:
                 pairs.setdefault((pair.one, pair.other), pair)

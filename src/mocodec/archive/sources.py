@@ -17,11 +17,11 @@ from collections.abc import Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ..errors import BadInput, MissingExtra
+from ..container.remote_sources import file_system
+from ..errors import BadInput
 from ..formats import FORMATS
 from ..formats.folders import COMPANIONS, below, fingerprint, mirrored_name
 
@@ -135,7 +135,7 @@ def _members(path: str, changed: int) -> dict[str, tuple[int, int]]:
 
 def _of_url(url: str, suffixes: Collection[str]) -> Generator[Source, None, None]:
     """The files that a URL of fsspec names, by a glob or as a folder."""
-    files, where = _file_system(url)
+    files, where = file_system(url)
     try:
         if glob.has_magic(where):
             base = re.split(r"[*?\[]", where)[0].rpartition("/")[0]
@@ -162,18 +162,6 @@ def _version(info: Mapping[str, Any]) -> int:
     return zlib.crc32(" ".join(facts).encode())
 
 
-def _file_system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path there. Raises MissingExtra, BadInput."""
-    try:
-        core: Any = import_module("fsspec.core")
-    except ImportError:
-        raise MissingExtra(f"{url}: reading from a URL", "remote") from None
-    try:
-        return core.url_to_fs(url)
-    except (ValueError, ImportError, OSError) as error:
-        raise BadInput(f"{url}: {error}") from error
-
-
 def is_local(source: Source) -> bool:
     """Whether the origin is the source itself, on this machine."""
     return not source.member and not URL.match(source.origin)
@@ -198,7 +186,7 @@ def copied(source: Source, folder: str) -> str:
             for name in names:
                 _write(folder, name, _content(packed, name))
         else:
-            files, first = _file_system(source.origin)
+            files, first = file_system(source.origin)
             for name in (first, *source.companions):
                 files.get_file(name, os.path.join(folder, PurePosixPath(name).name))
     except (OSError, KeyError, RuntimeError, EOFError, zipfile.BadZipFile, tarfile.TarError) as error:

@@ -33,7 +33,7 @@ COMMANDS = {
     "cut": "Cut a time range out of a file.",
     "view": "Show recordings in the browser, with the error against an original.",
     "archive": "Keep many recordings in one place, and find them.",
-    "prior": "Learn how your people move, for smaller files.",
+    "prior": "Learn a prior from your own recordings, for smaller files.",
     "demo": "Encode the recording in the package with several codecs and measure them.",
 }
 

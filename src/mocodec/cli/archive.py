@@ -1,4 +1,4 @@
-"""`mocodec archive …`: many recordings in one place, found by what is known about them.
+"""`mocodec archive …`: many recordings in one place, found by conditions on their catalogue.
 
 build, append ─► archive ─► list, query, stats, verify      extract ─► files      merge, remove, repair
 """
@@ -70,6 +70,7 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
         click.option("--prior", metavar="FILE", help="A prior of your own (mocodec prior train)."),
         click.option("--prefix", default="", metavar="TEXT", help="Put this before every name, such as lab/."),
+        click.option("--index", "is_indexed", is_flag=True, help="Then make or renew the index of similar motion."),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
         files.reader_options,
@@ -84,10 +85,11 @@ def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("-o", "--output", required=True, metavar="DB", help="The folder of the archive.")
 @build_options
 def build(sources: tuple[str, ...], output: str, **given: Any) -> int:
-    """Put the recordings of SOURCES into the archive DB, which is made if there is none.
+    """Put the recordings of SOURCES into an archive.
 
-    SOURCES are files, folders, globs, .zip or .tar files, or URLs (s3://…, with fsspec). Run it again after an
-    interruption, or when files were added or changed: what is done is skipped. A .mocz is taken as it is.
+    The archive is made if there is none. SOURCES are files, folders, globs, .zip or .tar files, or URLs (s3://…, with
+    fsspec). Run the command again after an interruption, or when files were added or changed: recordings that are
+    done are skipped. A .mocz is taken as it is.
     """
     return run_build(sources, output, **given)
 
@@ -97,7 +99,10 @@ def build(sources: tuple[str, ...], output: str, **given: Any) -> int:
 @click.argument("sources", nargs=-1, required=True)
 @build_options
 def append(db: str, sources: tuple[str, ...], **given: Any) -> int:
-    """Put further recordings into the archive DB, coded as in its last build unless options say otherwise."""
+    """Add recordings to an archive.
+
+    They are coded with the options of its last build, unless you give others.
+    """
     archive.open_archive(db).close()
     return run_build(sources, db, **given)
 
@@ -109,6 +114,7 @@ def run_build(
     dask: str | None,
     prior: str | None,
     prefix: str,
+    is_indexed: bool,
     as_json: bool,
     quiet: bool,
     **given: Any,
@@ -121,6 +127,9 @@ def run_build(
             prefix=prefix,
             report_to=show,
         )  # fmt: skip
+    if is_indexed:
+        with files.progress_line(quiet) as show:
+            archive.index(output, show)
     return print_report(output, report, as_json, quiet)
 
 
@@ -192,7 +201,9 @@ def list_(db: str, as_json: bool) -> None:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, with all columns.")
 @click.option("--names", is_flag=True, help="Only the names, one a line.")
 def query(db: str, condition: str, as_json: bool, names: bool) -> None:
-    """List the recordings of the archive DB that meet a CONDITION on the columns of the catalogue.
+    """List the recordings that meet a CONDITION.
+
+    A condition compares columns of the catalogue of the archive DB with values:
 
     \b
     mocodec archive query vault "subject == 86 and seconds > 10"
@@ -245,7 +256,10 @@ def cell(row: Row, column: str) -> str:
     "--format", "format_", default="mocz", help="mocz (default: the bytes as they are), c3d, trc, bvh, npz, …"
 )
 def extract(db: str, names: tuple[str, ...], output: str, condition: str | None, format_: str) -> None:
-    """Write recordings of the archive DB to files: those of these NAMES, of a --query, or all."""
+    """Write recordings to files.
+
+    Those with these NAMES, those of a --query, or all recordings of the archive DB.
+    """
     with archive.open_archive(db) as opened:
         chosen: Recordings = opened.query(condition) if condition else opened
         entries = [chosen.entry(name) for name in names] if names else chosen
@@ -273,7 +287,7 @@ def safe_parts(name: str) -> list[str]:
 @click.option("--decode", is_flag=True, help="Also decode every frame.")
 @click.option("--query", "condition", metavar="CONDITION", help="Only the recordings that meet a condition.")
 def verify(db: str, decode: bool, condition: str | None) -> int:
-    """Check every byte of the recordings of the archive DB; lists those that are damaged."""
+    """Check every byte, and list damaged recordings."""
     with archive.open_archive(db) as opened:
         chosen: Recordings = opened.query(condition) if condition else opened
         count, damaged = len(chosen), 0
@@ -288,7 +302,10 @@ def verify(db: str, decode: bool, condition: str | None) -> int:
 @click.argument("db", metavar="DB")
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
 def stats(db: str, as_json: bool) -> None:
-    """Sums over the archive DB: recordings, frames, bytes, errors; unused bytes; sources that failed."""
+    """Show numbers of recordings, frames and bytes, and errors.
+
+    Also the bytes that no recording uses, and the sources that failed.
+    """
     with archive.open_archive(db) as opened:
         sums, unused, failures = opened.sums(), archive.unused_bytes(opened), opened.failures
     if as_json:
@@ -305,9 +322,10 @@ def stats(db: str, as_json: bool) -> None:
 @click.option("-o", "--output", required=True, metavar="DB", help="The archive to copy into.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def merge(archives: tuple[str, ...], output: str, quiet: bool) -> int:
-    """Copy the recordings of ARCHIVES into the archive DB, without coding them again.
+    """Copy recordings from archives into another archive.
 
-    Merging one archive into a new one leaves out the bytes of removed and replaced recordings.
+    Recordings are not coded again. Merging one archive into a new one leaves out the bytes of removed and replaced
+    recordings.
     """
     with files.progress_line(quiet) as show:
         report = archive.merge(archives, output, report_to=show)
@@ -319,7 +337,10 @@ def merge(archives: tuple[str, ...], output: str, quiet: bool) -> int:
 @click.argument("names", nargs=-1)
 @click.option("--query", "condition", metavar="CONDITION", help="The recordings that meet a condition.")
 def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
-    """Remove recordings from the archive DB: those of these NAMES, or of a --query. Their bytes stay until a merge."""
+    """Remove recordings.
+
+    Those with these NAMES, or those of a --query. Their bytes stay in the archive DB until a merge.
+    """
     if bool(names) == bool(condition):
         raise click.UsageError("name the recordings to remove, or give a --query")
     with archive.open_archive(db) as opened:
@@ -331,7 +352,7 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
 @command.command("repair")
 @click.argument("db", metavar="DB")
 def repair(db: str) -> int:
-    """Make the catalogue of the archive DB again from its shards, where it is lost or damaged.
+    """Make a lost or damaged catalogue again from the shards.
 
     Names and recordings come back; measured errors and where recordings came from were only in the catalogue.
     """

@@ -1,4 +1,4 @@
-"""`mocodec archive index`, `similar` and `duplicates`: motion that is like other motion."""
+"""`mocodec archive index`, `similar` and `duplicates`: search for similar motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from . import files, quantities
 @click.argument("db", metavar="DB")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def index(db: str, quiet: bool) -> None:
-    """Make the index for `similar` and `duplicates`, or bring it up to date after a build."""
+    """Make or update the index for similar and duplicates. Run it again after a build."""
     with files.progress_line(quiet) as show:
         windows = archive.index(db, show)
     if not quiet:
@@ -36,9 +36,10 @@ def index(db: str, quiet: bool) -> None:
 def similar(
     db: str, query: str, start: float, stop: float | None, count: int, condition: str | None, as_json: bool
 ) -> None:
-    """Find parts of recordings that are like part of the recording NAME of the archive DB, or of a FILE.
+    """Find motion similar to part of a recording or file.
 
-    Where they happen and which way they face does not matter; they may be up to a quarter faster or slower.
+    NAME is a recording of the archive DB; or give a FILE. Similar parts may happen anywhere, face any way, and be up to
+    a quarter faster or slower.
     """
     with archive.open_archive(db) as opened:
         inside = query in opened
@@ -60,7 +61,7 @@ def similar(
 @click.argument("db", metavar="DB")
 @click.option("--within", type=quantities.LENGTH, default=0.02, show_default="2cm", help="Distance of the same motion.")
 def duplicates(db: str, within: float) -> None:
-    """List recordings of the archive DB that are equal, or show the same motion."""
+    """List recordings that are equal or show the same motion."""
     with archive.open_archive(db) as opened:
         for pair in archive.duplicates(opened, within):
             how = "equal" if pair.equal else f"{100 * pair.share:.0f} % within {quantities.length(pair.distance)}"

@@ -13,7 +13,7 @@ from . import files, quantities
 
 @click.group("prior")
 def command() -> None:
-    """Learn how your people move, so that tempo encodes their motion in fewer bytes."""
+    """Learn a prior from your own recordings, so that tempo encodes similar motion in fewer bytes."""
 
 
 @command.command("train")
@@ -28,7 +28,9 @@ def command() -> None:
     help="Learn from recordings with this many frames together, spread over the archive.",
 )
 def train(db: str, output: str, condition: str | None, frames: int) -> None:
-    """Learn a prior from the recordings of the archive DB that have the same skeleton, and rotations.
+    """Learn a prior from an archive.
+
+    It is learned from the recordings of the archive DB that have rotations and the same skeleton.
 
     Files that are encoded with it (`mocodec encode --prior FILE`, `mocodec archive build --prior FILE`) need it to be
     decoded: an archive keeps a copy; for other files, name its folder in the environment variable MOCODEC_PRIORS.

@@ -10,8 +10,9 @@ from ..entropy.varint import MAX_BYTES as MAX_VARINT_BYTES
 from ..errors import BadInput, Corrupt, TooNew, Truncated
 from ..typing import Integers
 from . import records
-from .byte_sources import BLOCK_BYTES, ByteSource
+from .byte_sources import ByteSource
 from .records import CHECKSUM_BYTES, CHUNK, END_MAGIC, HEADER, INDEX, MAGIC, VERSION, chunk_bytes
+from .remote_sources import BLOCK_BYTES
 from .wire import Cursor, checksum, varint
 
 MAX_CHUNK_HEAD_BYTES = 2 * MAX_VARINT_BYTES

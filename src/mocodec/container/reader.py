@@ -23,6 +23,7 @@ from . import values
 from .byte_sources import ByteSource, byte_source
 from .locate import find_index, read_header, read_index, walk_chunks
 from .records import CHECKSUM_BYTES, CHUNK, HEADER, VERSION, chunk_bytes, most_frames
+from .remote_sources import RemoteFile
 from .stored_signals import Section
 from .wire import checksum
 
@@ -62,17 +63,20 @@ def errors_name(file: ByteSource) -> Iterator[None]:
 
 
 class StoredChunk(Chunk):
-    """A chunk whose payload is read and checked at first use. Raises Corrupt, Truncated."""
+    """A chunk whose payload is read and checked at first use. Raises Corrupt, Truncated.
 
-    def __init__(self, chunks: StoredChunks, number: int) -> None:
+    stop: the number of the chunk behind the last that will be used too; from a remote file they come in one request.
+    """
+
+    def __init__(self, chunks: StoredChunks, number: int, stop: int) -> None:
         object.__setattr__(self, "start", int(chunks.starts[number]))
         object.__setattr__(self, "frames", int(chunks.frames[number]))
-        object.__setattr__(self, "_where", (chunks, number))
+        object.__setattr__(self, "_where", (chunks, number, stop))
 
     @cached_property
     def payload(self) -> bytes:  # pyright: ignore[reportIncompatibleVariableOverride]
-        chunks, number = cast("tuple[StoredChunks, int]", self.__dict__["_where"])
-        return chunks.payload(number)
+        chunks, number, stop = cast("tuple[StoredChunks, int, int]", self.__dict__["_where"])
+        return chunks.payload(number, stop)
 
 
 class StoredChunks(Sequence[Chunk]):
@@ -98,18 +102,23 @@ class StoredChunks(Sequence[Chunk]):
     def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
     def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
         if isinstance(index, slice):
-            return [StoredChunk(self, number) for number in range(len(self))[index]]
-        return StoredChunk(self, range(len(self))[index])
+            numbers = range(len(self))[index]
+            return [StoredChunk(self, number, max(number + 1, numbers.stop)) for number in numbers]
+        number = range(len(self))[index]
+        return StoredChunk(self, number, number + 1)
 
-    def payload(self, number: int) -> bytes:
-        """The payload of one chunk. Raises Corrupt if the chunk is damaged, Truncated if it is missing."""
+    def payload(self, number: int, stop: int) -> bytes:
+        """The payload of one chunk, those up to number `stop` being used next. Raises Corrupt, Truncated."""
         with errors_name(self.source):
-            return self.checked_payload(number)
+            return self.checked_payload(number, stop)
 
-    def checked_payload(self, number: int) -> bytes:
+    def checked_payload(self, number: int, stop: int) -> bytes:
         """As `payload`, but errors do not name the file."""
         offset, end = self.offsets[number : number + 2].tolist()
-        data = self.source.read(offset, end - offset)
+        if isinstance(self.source, RemoteFile):
+            data = self.source.read(offset, end - offset, int(self.offsets[stop]) - offset)
+        else:
+            data = self.source.read(offset, end - offset)
         head = CHUNK.pack({"frames": int(self.frames[number]), "length": int(self.lengths[number])})
         body, crc = data[:-CHECKSUM_BYTES], data[-CHECKSUM_BYTES:]
         if checksum(body) != crc or not body.startswith(head):
@@ -130,7 +139,7 @@ def _range(numbers: Integers) -> list[int]:
 class Reader:
     """An open `.mocz`; `encoded` is the input of the codec's `decode`.
 
-    where: a path, an http(s) URL, bytes or a binary file object. salvage: open a file that is truncated or has a
+    where: a path, a URL, bytes or a binary file object. salvage: open a file that is truncated or has a
     damaged index, with the chunks that can be found; `intact_runs()` then lists the frames that decode.
     Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
@@ -247,7 +256,7 @@ class Reader:
                 damaged_parts.append((None, str(error)))
         for number in range(len(self.chunks)):
             try:
-                self.chunks.checked_payload(number)
+                self.chunks.checked_payload(number, len(self.chunks))
             except (Corrupt, Truncated) as error:
                 damaged_parts.append((number, str(error)))
         return damaged_parts

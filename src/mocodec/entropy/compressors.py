@@ -27,8 +27,8 @@ def inflate(data: bytes, size: int, what: str, dictionary: bytes = b"") -> bytes
 
 
 LZMA_DICTIONARY = 1 << 22
-"""The decoder's. The encoder takes a smaller one for short data, since to set up tables for a large one takes longer than
-to compress them. A larger dictionary decodes them too."""
+"""The decoder's. The encoder takes a smaller one for short data: setting up the tables of a large one takes longer than
+compressing them. A larger dictionary decodes them too."""
 LEAST_LZMA_DICTIONARY = 1 << 12
 
 

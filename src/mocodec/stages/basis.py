@@ -23,6 +23,8 @@ from ..typing import Floats, Integers
 
 FINEST = 96
 """The largest precision: entries are multiples of 2^(−precision / 2), here of 2^−48."""
+ZERO = 1e-9
+"""Entries of orthonormal columns that are smaller may be zeros with rounding errors."""
 FREE_STEPS = 1 << 28
 STEPS_PER_BYTE = 1 << 14
 """Decoding a basis (n, k) takes n k² steps: at most FREE_STEPS, and so many more for each byte that is stored."""
@@ -53,10 +55,22 @@ def completed(basis: Floats, components: int | None = None, excluded: Floats | N
 
     excluded (n, m): orthonormal columns, orthogonal to the basis, that none of the new columns has a part in; there are
     then n − m columns at most. The new columns are those of the identity that the Householder reflections of the given
-    ones leave. They depend on sums of floats, so no entropy coder may depend on them.
+    ones leave. They depend on sums of floats, so no entropy coder may depend on them. A first entry of 0 is common in
+    rounded bases, and rounding gives it either sign. All machines must agree: within ZERO it counts as negative in the
+    first column and as positive in the others, as in the first files.
     """
-    known = basis if excluded is None else np.concatenate([basis, excluded], axis=1)
-    missing = np.linalg.qr(known, mode="complete")[0][:, known.shape[1] :]
+    known = np.array(basis if excluded is None else np.concatenate([basis, excluded], axis=1), np.float64)
+    n, count = known.shape
+    mirrors, factors = np.zeros((n, count)), np.zeros((count, count))  # the product of reflections is I − U T Uᵀ
+    for i in range(count):
+        u = known[i:, i].copy()
+        u[0] += 1.0 if u[0] > (-ZERO if i else ZERO) else -1.0
+        u /= np.sqrt(u @ u)
+        known[i:, i:] -= 2 * np.outer(u, u @ known[i:, i:])
+        mirrors[i:, i] = u
+        factors[:i, i] = -2 * factors[:i, :i] @ (mirrors[i:, :i].T @ u)
+        factors[i, i] = 2.0
+    missing = np.eye(n)[:, count:] - mirrors @ (factors @ mirrors[count:].T)
     return np.concatenate([basis, missing], axis=1)[:, :components]
 
 

@@ -1,4 +1,4 @@
-"""What a page says about a recording: numbers, chunks, events, signals, gaps and errors, as JSON values.
+"""Facts that a page shows about a recording: numbers, chunks, events, signals, gaps and errors, as JSON values.
 
 web/viewer/src/session.ts lists the fields. Lengths are metres, times seconds, frames count from 0.
 """

@@ -3,8 +3,8 @@
     positions            round((p − origin) / step) ─► − frame before, modulo 2^16 ─► low bytes, high bytes ─► zlib
     relative positions   32767 + round((p − decoded p) / step)                     ─► low bytes, high bytes ─► zlib
 
-A gap is 65535 in all three coordinates. Errors of relative positions are exact within half a step, a small share of the
-largest error, although the positions themselves are coarser.
+A gap is 65535 in all three coordinates. Relative positions have their own step, so errors are exact to a small share of
+the largest error even where positions are coarser.
 """
 
 from __future__ import annotations

@@ -1,32 +1,37 @@
-"""Writes src/tables.json: the literal tables of the format (docs/format.md), from the Python package.
+"""Writes src/tables.json and src/lab_words.json: literal tables of the format (docs/format.md), from the package.
 
-    python web/decoder/scripts/tables.py            # write it again after a table has grown
-    python web/decoder/scripts/tables.py --check    # exit status 1 if it would change
+    python web/decoder/scripts/tables.py            # write them again after a table has grown
+    python web/decoder/scripts/tables.py --check    # exit status 1 if they would change
 
 Run it with mocodec importable (an installed package, or PYTHONPATH=src).
 """
 
 from __future__ import annotations
 
-import base64
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from mocodec.container import tables, values
-from mocodec.entropy.compressors import deflate, inflate
 from mocodec.signals import residuals
 
-TARGET = Path(__file__).parents[1] / "src" / "tables.json"
+SOURCE = Path(__file__).parents[1] / "src"
 
 
-def content() -> str:
+def contents() -> dict[str, str]:
+    """The text of each file. Dictionaries of bytes are texts with a character for each byte."""
     lab_words = values.lab_dictionary().removesuffix(values.dictionary())
-    found = {
+    return {"tables.json": compact(literal_tables()), "lab_words.json": compact({"dictionary": as_text(lab_words)})}
+
+
+def literal_tables() -> dict[str, Any]:
+    vocabulary = "\n".join(dict.fromkeys(tables.VOCABULARY))
+    return {
         "codecs": {str(number): name for number, name in tables.CODEC_IDS.items()},
         "rates": tables.RATES,
         "vocabulary": " ".join(tables.VOCABULARY),
-        "nameDictionaryHead": tables.NAME_DICTIONARY.decode().removesuffix("\n".join(dict.fromkeys(tables.VOCABULARY))),
+        "nameDictionaryHead": tables.NAME_DICTIONARY.decode().removesuffix(vocabulary),
         "trees": tables.TREES,
         "referenceOffsets": {str(number): offsets for number, offsets in tables.REFERENCE_OFFSETS.items()},
         "referenceLimits": {str(number): limits for number, limits in tables.REFERENCE_LIMITS.items()},
@@ -35,26 +40,26 @@ def content() -> str:
         "words": tables.WORDS,
         "moreWords": tables.MORE_WORDS,
         "sources": tables.SOURCES,
-        "valueDictionary": base64.b64encode(values.dictionary()).decode(),
-        "labDictionary": deflated(lab_words),
-        "labDictionaryBytes": len(lab_words),
+        "valueDictionary": as_text(values.dictionary()),
         "laplaceRatios": residuals.LAPLACE_RATIOS,
         "gaussRatios": residuals.GAUSS_RATIOS,
     }
+
+
+def as_text(data: bytes) -> str:
+    return data.decode("latin-1")
+
+
+def compact(found: dict[str, Any]) -> str:
     return json.dumps(found, ensure_ascii=True, separators=(",", ":")).replace(',"', ',\n"') + "\n"
 
 
-def deflated(data: bytes) -> str:
-    """Data in base 64, as they stand in the file if that is what they are: other versions of zlib give other bytes."""
-    text = json.loads(TARGET.read_text()).get("labDictionary", "")
-    same = text and inflate(base64.b64decode(text), len(data), "the file") == data
-    return text if same else base64.b64encode(deflate(data)).decode()
-
-
 def main() -> None:
+    found = contents()
     if "--check" in sys.argv[1:]:
-        raise SystemExit(TARGET.read_text() != content())
-    TARGET.write_text(content())
+        raise SystemExit(any((SOURCE / name).read_text() != text for name, text in found.items()))
+    for name, text in found.items():
+        (SOURCE / name).write_text(text)
 
 
 if __name__ == "__main__":

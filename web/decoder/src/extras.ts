@@ -4,7 +4,9 @@ import { Bytes } from "./bytes.js";
 import { fillArray } from "./container/arrays.js";
 import { type Header, checksumHolds } from "./container/header.js";
 import { CodedSignal, StoredArray, type Tree, TreeReader, checkEvents, sizeOf, treeStream } from "./container/values.js";
+import { fromText } from "./container/tables.js";
 import { check } from "./errors.js";
+import labWords from "./lab_words.json";
 import { type CodedPlace, type Signal, readHead, signalsOf } from "./signals/signal.js";
 import type { ByteSource } from "./sources.js";
 
@@ -35,7 +37,7 @@ export async function readExtras(source: ByteSource, header: Header, headerEnd: 
   check(checksumHolds(bytes), "the extras are damaged: their checksum does not match");
   check(unpacked <= SPARE_BYTES + UNPACK_RATIO * (section + signals), "the extras: an unpacked size that is out of range");
   const part = new Bytes(bytes.subarray(0, section), "the extras");
-  const stream = treeStream(part);
+  const stream = treeStream(part, fromText(labWords.dictionary));
   const reader = new TreeReader(new Bytes(stream, "the extras"), true);
   const tree = reader.all();
   const places = new Map<CodedSignal, CodedPlace>();

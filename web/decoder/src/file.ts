@@ -1,6 +1,7 @@
 /** An open file: what it says about itself, and its frames. */
 
 import { chunkDecoder } from "./codecs/index.js";
+import type { Body } from "./codecs/bodies.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "./codecs/codec.js";
 import { type PriorLoader, bundledPriors } from "./codecs/tempo/prior.js";
 import { type ChunkPlace, type Header, chunksStart, payloadOf, readHeader, readIndex, walkChunks } from "./container/header.js";
@@ -132,6 +133,29 @@ export class MoczFile {
     return this.joined(a, b, 4 * this.info.names.length, (decoded) => decoded.rotations);
   }
 
+  /**
+   * Point clouds of `lien2006` and `bodycast` only: bodies, and for each the poses of frames a … b − 1, (b − a, links, 2, 3): origin and tip
+   * of each link in metres, NaN where a frame does not show the body. Throws BadInput for motions.
+   */
+  async poses(a = 0, b = this.info.frames): Promise<{ bodies: Body[]; poses: Float64Array[] }> {
+    const { codec } = this.info;
+    if (codec !== "lien2006" && codec !== "bodycast") throw new BadInput("the file has no bodies");
+    this.checkRange(a, b);
+    const { poseDecoder } = await import("./codecs/bodies.js");
+    const decoder = poseDecoder(codec, this.header.shared);
+    const poses = decoder.bodies.map((body) => new Float64Array(6 * body.parents.length * (b - a)));
+    for (let i = this.chunkOf(a); i < this.chunks.length && this.chunks[i]!.start < b; i++) {
+      const place = this.chunks[i]!;
+      const payload = payloadOf(await this.source.read(place.offset, place.size), place, i);
+      decoder.decode({ frames: place.frames, payload }).forEach((values, body) => {
+        const lanes = values.length / place.frames;
+        const [from, to] = [Math.max(a, place.start), Math.min(b, place.start + place.frames)];
+        poses[body]!.set(values.subarray((from - place.start) * lanes, (to - place.start) * lanes), (from - a) * lanes);
+      });
+    }
+    return { bodies: decoder.bodies, poses };
+  }
+
   /** Everything beside the points: parameters, events, arrays and signals. */
   async extras(): Promise<Extras> {
     const { readExtras } = await import("./extras.js");
@@ -139,10 +163,7 @@ export class MoczFile {
   }
 
   private async joined(a: number, b: number, lanes: number, part: (decoded: Decoded) => Float64Array | undefined): Promise<Float64Array> {
-    const { frames } = this.info;
-    if (!(Number.isInteger(a) && Number.isInteger(b) && a >= 0 && a <= b && b <= frames)) {
-      throw new FrameOutOfRange(`frames ${a} to ${b} of a file of ${frames} frames`);
-    }
+    this.checkRange(a, b);
     if (this.header.kind === "clouds") throw new Unsupported("point clouds have no frames of points; see poses()");
     const result = new Float64Array((b - a) * lanes).fill(NaN);
     if ((b - a) * lanes > MOST_VALUES) throw new BadInput(`${b - a} frames at once are too many: ask for fewer`);
@@ -157,6 +178,13 @@ export class MoczFile {
       result.set(values.subarray((from - start) * lanes, (to - start) * lanes), (from - a) * lanes);
     }
     return result;
+  }
+
+  private checkRange(a: number, b: number): void {
+    const { frames } = this.info;
+    if (!(Number.isInteger(a) && Number.isInteger(b) && a >= 0 && a <= b && b <= frames)) {
+      throw new FrameOutOfRange(`frames ${a} to ${b} of a file of ${frames} frames`);
+    }
   }
 
   /** The number of the chunk of a frame. */

@@ -4,12 +4,9 @@ import { Bits, Bytes } from "./bytes.js";
 import { check } from "./errors.js";
 import { readIntegers, readIntegersWithin } from "./integers/read.js";
 
-/** Positions or other numbers of a chunk: (frames, lanes), frame after frame. */
-export interface Rows {
-  frames: number;
-  lanes: number;
-  values: Float64Array;
-}
+/** Decoding a basis (n, k) takes n k² steps: at most these, and so many more for each byte. */
+const FREE_STEPS = 2 ** 28;
+const STEPS_A_BYTE = 2 ** 14;
 
 /** The quantisation step of a rung: 2^(rung / 64). */
 export function stepOf(rung: number): number {
@@ -161,6 +158,7 @@ export function readBasis(data: Uint8Array, dimensions: number, components: numb
   const part = new Bytes(data, "basis");
   const leading = part.varintWithin(0, components, "the number of differences");
   check(alike !== null || leading === 0, "basis: differences where there are none");
+  check(dimensions * components ** 2 <= FREE_STEPS + STEPS_A_BYTE * part.left, "basis: a few bytes that take too long to decode");
   const entries = readIntegers(part.rest(), dimensions, components);
   for (let r = 0; alike && r < dimensions; r++) {
     const other = alike[r]!;

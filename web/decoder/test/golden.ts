@@ -2,7 +2,7 @@
 
 import { readFileSync, readdirSync } from "node:fs";
 import { fileURLToPath } from "node:url";
-import type { PriorLoader } from "../src/index.js";
+import { UnknownCodec, type PriorLoader } from "../src/index.js";
 
 const GOLDEN = new URL("../../../tests/golden/", import.meta.url);
 const PRIORS = new URL("../../../src/mocodec/priors/", import.meta.url);
@@ -31,4 +31,8 @@ export function goldenTwin(name: string): Twin {
   return JSON.parse(text.replace(/(?<=[[ ,])(-?Infinity|NaN)(?=[\],])/g, '"$1"')) as Twin; // Python's JSON has NaN
 }
 
-export const priors: PriorLoader = async (id) => new Uint8Array(readFileSync(new URL(PRIOR_FILES[id]!, PRIORS)));
+export const priors: PriorLoader = async (id) => {
+  const name = PRIOR_FILES[id];
+  if (!name) throw new UnknownCodec(`no prior ${id}`);
+  return new Uint8Array(readFileSync(new URL(name, PRIORS)));
+};

@@ -374,10 +374,7 @@ class Tempo:
         return replace(found, alone=True) if asked else found
 
     def _seconds(self, motion: Motion, times: float = 1.0) -> float:
-        """Length of chunks, some times longer than asked for, with room for rounding within the format's limit.
-
-        At rates below a few hertz, chunks have LEAST_CHUNK_FRAMES: one chunk a frame would take long, and many bytes.
-        """
+        """Length of chunks: times longer than asked for, LEAST_CHUNK_FRAMES or more, within the limit of the format."""
         asked = max(min(times * self.chunk_seconds, MOST_CHUNK_SECONDS), LEAST_CHUNK_FRAMES / motion.rate)
         return min(asked, most_chunk_frames(motion.points) / 2 / motion.rate)
 

@@ -1,6 +1,6 @@
 /** Arrays of the extras (docs/format.md, "Extras"). */
 
-import type { Bytes } from "../bytes.js";
+import { type Bytes, half } from "../bytes.js";
 import { Corrupt, check } from "../errors.js";
 import { inflate } from "../inflate.js";
 import { inflateLzma2 } from "../lzma2.js";
@@ -130,12 +130,4 @@ function numberReader(kind: string, width: number): NumberReader | undefined {
     f8: (view, at, little) => view.getFloat64(at, little),
   };
   return readers[`${kind}${width}`];
-}
-
-/** A float16 from its bits. */
-export function half(bits: number): number {
-  const exponent = (bits >> 10) & 31;
-  const mantissa = bits & 1023;
-  const magnitude = exponent === 0 ? mantissa * 2 ** -24 : exponent === 31 ? (mantissa ? NaN : Infinity) : (1024 + mantissa) * 2 ** (exponent - 25);
-  return bits & 0x8000 ? -magnitude : magnitude;
 }

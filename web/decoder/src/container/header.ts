@@ -73,7 +73,7 @@ export async function readHeader(source: ByteSource): Promise<{ header: Header; 
   if (version > VERSION) throw new TooNew(`format version ${version}; this decoder reads up to version ${VERSION}: upgrade it`);
   check(version > 0, "format version 0, which is reserved");
   const part = new Bytes(bytes.subarray(cursor.at, end - CHECKSUM_BYTES), "the header");
-  const header = readFields(part);
+  const header = await readFields(part);
   part.end();
   return { header, end };
 }
@@ -99,7 +99,7 @@ export function checksumHolds(bytes: Uint8Array): boolean {
   return bytes.length >= CHECKSUM_BYTES && new Bytes(bytes.subarray(body.length), "a checksum").uint32() === crc32(body);
 }
 
-function readFields(part: Bytes): Header {
+async function readFields(part: Bytes): Promise<Header> {
   const flags = part.byte();
   const up = (flags >> 1) & 3;
   check(up < 3, "the header: a vertical axis that is reserved");
@@ -109,7 +109,7 @@ function readFields(part: Bytes): Header {
   const margin = flags & 8 ? part.varintWithin(0, MOST_MARGIN, "the margin") : 0;
   const names = isMotion ? readNames(part) : [];
   const channels = isMotion ? 0 : part.varintWithin(0, 3, "the channels");
-  const skeleton = isMotion && flags & 16 ? readSkeleton(part, names) : { skeleton: undefined, rotations: false };
+  const skeleton = isMotion && flags & 16 ? await readSkeleton(part, names) : { skeleton: undefined, rotations: false };
   const settings = flags & 32 ? readTree(part) : (Object.create(null) as Tree);
   const source = flags & 64 ? readSource(part) : (Object.create(null) as Tree);
   const extras = flags & 128 ? readSizes(part) : { section: 0, unpacked: 0, signals: 0 };

@@ -4,19 +4,8 @@ import { Bytes } from "../bytes.js";
 import { check } from "../errors.js";
 import { readIntegers } from "../integers/read.js";
 import { fromEuler } from "../geometry.js";
+import { type Limits, ORDERS } from "./orders.js";
 import { LIMIT_FRAMES, LIMIT_RANGES, REFERENCE_LIMITS } from "./tables.js";
-
-export const ORDERS = ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"] as const;
-
-/** For each joint: its order of axes, the least and greatest angle of each (radians), and the frame of the axes. */
-export interface Limits {
-  /** Index in ORDERS of each joint. */
-  orders: number[];
-  /** (joints, 3, 2), radians; ±∞ for an axis without limits. */
-  ranges: Float64Array;
-  /** (joints, 4), quaternions, w first. */
-  axes: Float64Array;
-}
 
 const LOCKED = 0;
 const UNLIMITED = 1;

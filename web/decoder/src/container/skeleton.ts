@@ -2,8 +2,7 @@
 
 import type { Bytes } from "../bytes.js";
 import { check } from "../errors.js";
-import { readArray, toNumbers } from "./arrays.js";
-import { type Limits, readLimits } from "./limits.js";
+import type { Limits } from "./orders.js";
 import { readNames } from "./names.js";
 import { REFERENCE_OFFSETS, TREES } from "./tables.js";
 
@@ -21,18 +20,18 @@ const MOST_STEPS = 2 ** 31;
 const EXTENDED = 112;
 
 /** The skeleton at this place of the header, and whether the file has rotations of its joints. */
-export function readSkeleton(part: Bytes, pointNames: string[]): { skeleton: Skeleton; rotations: boolean } {
-  if (part.left === 0 || part.data[part.at] !== EXTENDED) return { skeleton: plain(part, pointNames), rotations: false };
+export async function readSkeleton(part: Bytes, pointNames: string[]): Promise<{ skeleton: Skeleton; rotations: boolean }> {
+  if (part.left === 0 || part.data[part.at] !== EXTENDED) return { skeleton: await plain(part, pointNames), rotations: false };
   part.byte();
   const facts = part.byte();
   check(facts < 4, `${part.what}: a skeleton with parts that this version does not know`);
-  const limits = facts & 2 ? readLimits(part.blob(), pointNames.length) : undefined;
-  const skeleton = plain(part, pointNames);
+  const limits = facts & 2 ? (await import("./limits.js")).readLimits(part.blob(), pointNames.length) : undefined;
+  const skeleton = await plain(part, pointNames);
   if (limits) skeleton.limits = limits;
   return { skeleton, rotations: (facts & 1) === 1 };
 }
 
-function plain(part: Bytes, pointNames: string[]): Skeleton {
+async function plain(part: Bytes, pointNames: string[]): Promise<Skeleton> {
   const flags = part.byte();
   const mirror = (flags >> 2) & 3;
   const tree = (flags >> 4) & 7;
@@ -46,6 +45,7 @@ function plain(part: Bytes, pointNames: string[]): Skeleton {
   const parents = tree ? TREES[tree]! : readParents(bits, joints);
   if (flags & 1) {
     bits.end();
+    const { readArray, toNumbers } = await import("./arrays.js");
     const array = readArray(part, 24 * joints);
     check(
       array.dtype === "<f8" && array.shape.length === 2 && array.shape[0] === joints && array.shape[1] === 3,

@@ -1,6 +1,5 @@
 /** The literal tables of the format. `scripts/tables.py` writes tables.json from those of the Python package. */
 
-import { inflate } from "../inflate.js";
 import tables from "../tables.json";
 
 export const CODECS: Record<string, string> = tables.codecs;
@@ -24,15 +23,10 @@ export function nameDictionary(): Uint8Array {
 
 /** Preset dictionary for value trees: the stream of the tree typical_extras(). */
 export function valueDictionary(): Uint8Array {
-  return fromBase64(tables.valueDictionary);
+  return fromText(tables.valueDictionary);
 }
 
-/** Preset dictionary for the extras of laboratories: the stream of the tree lab_extras(), then that of typical_extras(). */
-export function labDictionary(): Uint8Array {
-  const first = inflate(fromBase64(tables.labDictionary), tables.labDictionaryBytes);
-  return Uint8Array.from([...first, ...valueDictionary()]);
-}
-
-function fromBase64(text: string): Uint8Array {
-  return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+/** Bytes of a text with a character for each. */
+export function fromText(text: string): Uint8Array {
+  return Uint8Array.from(text, (character) => character.charCodeAt(0));
 }

@@ -3,7 +3,7 @@
 import { Bytes, text } from "../bytes.js";
 import { Corrupt, check } from "../errors.js";
 import { inflate } from "../inflate.js";
-import { MORE_WORDS, SOURCES, WORDS, labDictionary, valueDictionary } from "./tables.js";
+import { MORE_WORDS, SOURCES, WORDS, valueDictionary } from "./tables.js";
 
 /** What a tree consists of. Integers beyond 2^53 are bigint; dicts are objects without a prototype. */
 export type Value = null | boolean | number | bigint | string | Uint8Array | StoredArray | StoredSignal | CodedSignal | Value[] | Tree;
@@ -49,13 +49,15 @@ const LAB_WORDS = 1;
 const MOST_DIMENSIONS = 16;
 const MOST_ARRAY_BYTES_IN_TREE = 64;
 
-/** The stream of a tree at this place: plain or inflated. */
-export function treeStream(part: Bytes): Uint8Array {
+/** The stream of a tree at this place: plain or inflated. labWords: the first part of the dictionary of laboratories, of extras. */
+export function treeStream(part: Bytes, labWords?: Uint8Array): Uint8Array {
   const head = part.varint();
   const size = head === LAB_WORDS ? part.varint() : Math.floor(head / 2);
   check(size <= MOST_STREAM_BYTES, `${part.what}: a tree of ${size} bytes`);
   if (head % 2 === 0) return part.take(size);
-  const bytes = inflate(part.blob(), size, head === LAB_WORDS ? labDictionary() : valueDictionary());
+  check(head !== LAB_WORDS || labWords !== undefined, `${part.what}: a dictionary that only extras have`);
+  const dictionary = head === LAB_WORDS ? Uint8Array.from([...labWords!, ...valueDictionary()]) : valueDictionary();
+  const bytes = inflate(part.blob(), size, dictionary);
   check(bytes.length === size, `${part.what}: a tree of another size`);
   return bytes;
 }
@@ -179,7 +181,7 @@ export class TreeReader {
   private decimal(): number {
     const digits = this.part.folded();
     const power = this.part.folded();
-    check(Math.abs(digits) < 2 ** 53, `${this.part.what}: a decimal of too many digits`);
+    check(Math.abs(digits) < 2 ** 53 && Math.abs(power) <= 400, `${this.part.what}: a decimal that is out of range`);
     return Number(`${digits}e${power}`);
   }
 

@@ -1,7 +1,6 @@
 /** How the integers of a channel become items (docs/payloads/signals.md, "Head"). */
 
-import { Bits, Bytes } from "../bytes.js";
-import { half } from "../container/arrays.js";
+import { Bits, Bytes, half } from "../bytes.js";
 import { check } from "../errors.js";
 import { inflate } from "../inflate.js";
 

@@ -95,31 +95,48 @@ class Zone {
   readonly coded: Int32Array;
 
   constructor(statistics: Statistics, frames: number, millihertz: number, step: number, firstStep: number, least: number) {
-    const { rows, spreads, means } = statistics;
+    const { rows } = statistics;
+    const magnitudes = expectedMagnitudes(statistics, frames, millihertz);
     this.rows = rows;
-    const places = bandPlaces(frames, millihertz);
-    const rise = Math.floor((log2(Math.max(millihertz, 1)) - log2(120_000)) / 2);
-    const constant = Math.floor(log2(frames) / 2);
-    const at = (k: number, r: number): number => {
-      const size = r === 0 ? firstStep : step;
-      if (k === 0) return means[r]! + constant - size;
-      const band = places.bands[k]!;
-      const low = spreads[r * SPREADS + band]!;
-      const high = spreads[r * SPREADS + band + 1]!;
-      return low + Math.floor(((high - low) * places.shares[k]!) / (BAND_LOGS[band + 1]! - BAND_LOGS[band]!)) + rise - size;
-    };
     this.coded = new Int32Array(rows);
     let frequencies = 0;
     for (let r = 0; r < rows; r++) {
+      const lowest = least + (r === 0 ? firstStep : step);
       let k = frames;
-      while (k > 0 && at(k - 1, r) < least) k--;
+      while (k > 0 && magnitudes[(k - 1) * rows + r]! < lowest) k--;
       this.coded[r] = k;
       frequencies = Math.max(frequencies, k);
     }
     this.frequencies = frequencies;
-    this.expected = new Int32Array(frequencies * rows);
-    for (let k = 0, i = 0; k < frequencies; k++) for (let r = 0; r < rows; r++, i++) this.expected[i] = at(k, r);
+    this.expected = magnitudes.slice(0, frequencies * rows);
+    for (let i = 0; i < this.expected.length; i++) this.expected[i]! -= step;
+    for (let k = 0; k < frequencies; k++) this.expected[k * rows]! += step - firstStep;
   }
+}
+
+/** The last magnitudes of each model: chunks have mostly the same number of frames. */
+const lastMagnitudes = new WeakMap<Statistics, { frames: number; magnitudes: Int32Array }>();
+
+/** log₂ of the expected magnitudes (frames, rows), metres, 1/32 octave. */
+function expectedMagnitudes(statistics: Statistics, frames: number, millihertz: number): Int32Array {
+  const last = lastMagnitudes.get(statistics);
+  if (last?.frames === frames) return last.magnitudes;
+  const { rows, spreads, means } = statistics;
+  const { bands, shares } = bandPlaces(frames, millihertz);
+  const rise = Math.floor((log2(Math.max(millihertz, 1)) - log2(120_000)) / 2);
+  const constant = Math.floor(log2(frames) / 2);
+  const magnitudes = new Int32Array(frames * rows);
+  for (let r = 0; r < rows; r++) {
+    magnitudes[r] = means[r]! + constant;
+    for (let k = 1; k < frames; k++) {
+      const band = bands[k]!;
+      const low = spreads[r * SPREADS + band]!;
+      const high = spreads[r * SPREADS + band + 1]!;
+      magnitudes[k * rows + r] = low + Math.floor(((high - low) * shares[k]!) / (BAND_LOGS[band + 1]! - BAND_LOGS[band]!)) + rise;
+    }
+  }
+  lastMagnitudes.set(statistics, { frames, magnitudes });
+  return magnitudes;
 }
 
 /** For each frequency of the DCT: the spread below it, and how far it is above that, in 1/32 octave. */

@@ -1,7 +1,6 @@
 /** Reads .npz files: ZIP files of NumPy arrays. Arrays are unpacked when they are first asked for. */
 
-import { Bytes, text } from "../../bytes.js";
-import { half } from "../../container/arrays.js";
+import { Bytes, half, text } from "../../bytes.js";
 import { check } from "../../errors.js";
 import { inflate } from "../../inflate.js";
 

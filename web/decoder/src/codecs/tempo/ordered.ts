@@ -85,7 +85,9 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
     if (!(size[i]! >= floor)) break;
     const u = againstFound(rowOf(rows, i), Math.sqrt(size[i]!), found, buffer);
     found.push(u);
+    size[i] = 0;
     for (let r = 0; r < rows.rows; r++) {
+      if (size[r]! < 0.5 * floor) continue; // too short for ever: rows only lose length
       const row = rowOf(rows, r);
       const part = dot(row, u, buffer);
       for (let c = 0; c < row.length; c++) {
@@ -94,7 +96,6 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
       }
       size[r] = sum(buffer, row.length);
     }
-    size[i] = 0;
   }
   const out = matrix(found.length, from.columns);
   found.forEach((u, i) => rowOf(out, i).set(u));
@@ -164,6 +165,9 @@ export function divide(rows: Matrix, lower: Matrix): Matrix {
   return out;
 }
 
+/** Entries of orthonormal rows that are smaller may be zeros with rounding errors, of either sign. */
+const ZERO = 1e-9;
+
 /** COMPLETE: orthonormal rows, completed to as many as there are columns, without the directions of `excluded`. Not ordered. */
 export function complete(rows: Matrix, excluded: Matrix = matrix(0, rows.columns)): Matrix {
   const n = rows.columns;
@@ -174,7 +178,7 @@ export function complete(rows: Matrix, excluded: Matrix = matrix(0, rows.columns
   const mirrors: Float64Array[] = [];
   for (let i = 0; i < count; i++) {
     const u = rowOf(q, i).slice(i);
-    u[0]! += u[0]! >= 0 ? 1 : -1;
+    u[0]! += u[0]! > (i ? -ZERO : ZERO) ? 1 : -1;
     const size = Math.sqrt(u.reduce((total, x) => total + x * x, 0));
     for (let k = 0; k < u.length; k++) u[k]! /= size;
     mirrors.push(u);

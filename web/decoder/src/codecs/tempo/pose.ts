@@ -23,7 +23,9 @@ export function positionsOf(curves: Float64Array, frames: number, points: number
     else if (pose.kind === "points") for (let i = 0; i < posed.length; i++) posed[i] = curves[at + HEAD + i]! + pose.mean[i]!;
     const cosine = Math.cos(curves[at]!);
     const sine = Math.sin(curves[at]!);
-    const [x, y, z] = [curves[at + 1]! * scale, curves[at + 2]! * scale, curves[at + 3]! * scale];
+    const x = curves[at + 1]! * scale;
+    const y = curves[at + 2]! * scale;
+    const z = curves[at + 3]! * scale;
     for (let i = 0, out = 3 * points * t; i < posed.length; i += 3, out += 3) {
       positions[out] = posed[i]! * cosine + posed[i + 2]! * sine + x;
       positions[out + 1] = posed[i + 1]! + y;
@@ -69,14 +71,28 @@ class Kinematics {
   pose(y: Float64Array, at: number, out: Float64Array): void {
     for (let joint = 0; joint < this.dimension.length; joint++) this.turn(joint, y, at + this.dimension[joint]!);
     const { placed, vectors, turns, points } = this;
-    let [sumX, sumY, sumZ] = [0, 0, 0];
+    let sumX = 0;
+    let sumY = 0;
+    let sumZ = 0;
     for (let j = 0; j < points; j++) {
       const parent = this.parents[j]!;
       const joint = this.jointOf[j]!;
-      let [x, y0, z] = parent >= 0 ? [placed[3 * parent]!, placed[3 * parent + 1]!, placed[3 * parent + 2]!] : [0, 0, 0];
+      let x = 0;
+      let y0 = 0;
+      let z = 0;
+      if (parent >= 0) {
+        x = placed[3 * parent]!;
+        y0 = placed[3 * parent + 1]!;
+        z = placed[3 * parent + 2]!;
+      }
       if (joint >= 0) {
-        const [vx, vy, vz] = [vectors[3 * j]!, vectors[3 * j + 1]!, vectors[3 * j + 2]!];
-        const [qw, qx, qy, qz] = [turns[4 * joint]!, turns[4 * joint + 1]!, turns[4 * joint + 2]!, turns[4 * joint + 3]!];
+        const vx = vectors[3 * j]!;
+        const vy = vectors[3 * j + 1]!;
+        const vz = vectors[3 * j + 2]!;
+        const qw = turns[4 * joint]!;
+        const qx = turns[4 * joint + 1]!;
+        const qy = turns[4 * joint + 2]!;
+        const qz = turns[4 * joint + 3]!;
         const tx = 2 * (qy * vz - qz * vy);
         const ty = 2 * (qz * vx - qx * vz);
         const tz = 2 * (qx * vy - qy * vx);
@@ -101,7 +117,9 @@ class Kinematics {
 
   /** The rotation of a joint: that of its reference times the rotation about its own vector. */
   private turn(joint: number, y: Float64Array, at: number): void {
-    let [x, y0, z] = [0, 0, 0];
+    let x: number;
+    let y0: number;
+    let z: number;
     if (this.isHub[joint]) {
       x = y[at]!;
       y0 = y[at + 1]!;
@@ -109,7 +127,8 @@ class Kinematics {
     } else {
       const { axes } = this;
       const i = 6 * joint;
-      const [a, b] = [y[at]!, y[at + 1]!];
+      const a = y[at]!;
+      const b = y[at + 1]!;
       x = a * axes[i + 3]! - b * axes[i]!;
       y0 = a * axes[i + 4]! - b * axes[i + 1]!;
       z = a * axes[i + 5]! - b * axes[i + 2]!;
@@ -130,7 +149,10 @@ class Kinematics {
       turns[out + 3] = z;
       return;
     }
-    const [rw, rx, ry, rz] = [turns[4 * reference]!, turns[4 * reference + 1]!, turns[4 * reference + 2]!, turns[4 * reference + 3]!];
+    const rw = turns[4 * reference]!;
+    const rx = turns[4 * reference + 1]!;
+    const ry = turns[4 * reference + 2]!;
+    const rz = turns[4 * reference + 3]!;
     turns[out] = rw * w - rx * x - ry * y0 - rz * z;
     turns[out + 1] = rw * x + rx * w + ry * z - rz * y0;
     turns[out + 2] = rw * y0 - rx * z + ry * w + rz * x;
@@ -142,7 +164,9 @@ class Kinematics {
 export function toAxes(positions: Float64Array, up: number): void {
   if (up === 1) return;
   for (let i = 0; i < positions.length; i += 3) {
-    const [x, y, z] = [positions[i]!, positions[i + 1]!, positions[i + 2]!];
+    const x = positions[i]!;
+    const y = positions[i + 1]!;
+    const z = positions[i + 2]!;
     if (up === 2) {
       positions[i] = z;
       positions[i + 1] = x;

@@ -1,6 +1,6 @@
 /** Priors of tempo (docs/payloads/tempo-models.md, "The prior"), loaded when a file names one. */
 
-import { BadInput, check } from "../../errors.js";
+import { BadInput, UnknownCodec, check } from "../../errors.js";
 import { type Table, tableOfFrequencies } from "./rans.js";
 import { Npz } from "./npz.js";
 
@@ -15,7 +15,7 @@ const FILES: Record<string, () => URL> = {
 /** The priors that come with the package, beside it: by fetch, or from the file system in Node. */
 export const bundledPriors: PriorLoader = async (id) => {
   const url = FILES[id]?.();
-  if (!url) throw new BadInput(`the file needs the prior ${id}, which this decoder does not have`);
+  if (!url) throw new UnknownCodec(`the file needs the prior ${id}, which this decoder does not have`);
   if (url.protocol === "file:") {
     const { readFile } = await import(/* @vite-ignore */ "node:fs/promises");
     return new Uint8Array(await readFile(url));

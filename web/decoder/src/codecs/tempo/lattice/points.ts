@@ -50,7 +50,9 @@ export function readPoint(bits: AdaptiveBits, around: Surroundings, out: Float64
 
 function setContexts(bits: AdaptiveBits, around: Surroundings): void {
   const c = around.class;
-  const [beside0, beside1, beside2] = [around.beside[0]!, around.beside[1]!, around.beside[2]!];
+  const beside0 = around.beside[0]!;
+  const beside1 = around.beside[1]!;
+  const beside2 = around.beside[2]!;
   const recent = 2 * around.before + around.before2;
   const mean = halfOctaves(around.slow >> 4);
   const own = halfOctaves(8 * recent);

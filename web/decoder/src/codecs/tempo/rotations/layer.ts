@@ -1,7 +1,7 @@
 /** The second shared blob of a stream with rotations (docs/payloads/tempo-rotations.md). */
 
 import { Bytes } from "../../../bytes.js";
-import { ORDERS } from "../../../container/limits.js";
+import { ORDERS } from "../../../container/orders.js";
 import type { Skeleton } from "../../../container/skeleton.js";
 import { check } from "../../../errors.js";
 import { NO_ROTATION, type Quaternion, type Vector, aboutAxis, lengthOf, matrixOf } from "../../../geometry.js";

@@ -1,0 +1,160 @@
+"""The page of `mocodec view` in Chromium: seeking in an hour over HTTP, playing, and its size.
+
+    one hour of 31 joints ─tempo─► .mocz ─nginx─► page ─► seconds from click to picture, requests, bytes; frames drawn
+
+Needs Node.js, Chromium, nginx and `npm ci` in web/viewer. Chromium renders in software here, as on a machine without a
+graphics card.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import tempfile
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+import mocodec
+from mocodec import viewer
+from mocodec.codecs.tempo.models import prior
+from mocodec.errors import BadInput
+from mocodec.motion import Motion
+from tests.container.web_server import NGINX, serving
+
+from .datasets import packaged
+from .machine import machine_description, measured_on
+from .markdown import table
+from .results import write_json
+
+RATE, HOUR = 120, 3600
+FRAMES = (100_000, 300_000, 50_000, 431_000, 222_222, 10_000, 350_000, 77_777, 400_000, 150_000, 250_000)
+PLAYED_S = 8
+LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0", "seconds": 120}
+ROOT = Path(__file__).resolve().parents[1]
+
+SEEK = """(async () => {
+  const begin = performance.now();
+  mocodecViewer.seek(%d);
+  while (mocodecViewer.state().shownFrame !== %d) await new Promise((done) => setTimeout(done, 1));
+  return performance.now() - begin;
+})()"""
+PLAY = """(async () => {
+  document.getElementById("play").click();
+  await new Promise((done) => setTimeout(done, %d));
+  const { drawn, late } = mocodecViewer.state();
+  return [drawn, late];
+})()"""
+
+
+@click.command("viewer")
+@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("docs/results"), show_default=True)
+def command(output: Path) -> None:
+    """Measure the page of `mocodec view` in Chromium: seeking, playing, sizes."""
+    if NGINX is None or shutil.which("node") is None:
+        raise BadInput("this benchmark needs Node.js and nginx")
+    with tempfile.TemporaryDirectory() as name:
+        results = measure(Path(name))
+    output.mkdir(parents=True, exist_ok=True)
+    write_json(output / "viewer.json", results)
+    (output / "viewer.md").write_text(report(results))
+    click.echo(report(results))
+
+
+def an_hour() -> Motion:
+    """The recording in the package, to and fro, until an hour is full; 31 of its joints."""
+    once = packaged()[:, packaged().names[:31]]
+    both = np.concatenate([once.positions, once.positions[::-1]])
+    times = -(-RATE * HOUR // len(both))
+    return Motion(np.tile(both, (times, 1, 1))[: RATE * HOUR], RATE, once.names, once.up, once.skeleton)
+
+
+def measure(folder: Path) -> dict[str, Any]:
+    """All figures."""
+    site, logs = folder / "site", folder / "nginx"
+    (site / "priors").mkdir(parents=True)
+    logs.mkdir()
+    page = resources.files(viewer).joinpath("static/viewer.html").read_bytes()
+    (site / "viewer.html").write_bytes(page)
+    for file in (prior.POINTS_FILE, prior.DIRECTIONS_FILE):
+        data = prior.packaged_bytes(file)
+        (site / "priors" / f"{prior.read(data).id.hex()}.npz").write_bytes(data)
+    hour = mocodec.encode(an_hour(), mean_error=0.003)
+    (site / "hour.mocz").write_bytes(hour)
+    short = packaged()
+    (site / "short.mocz").write_bytes(mocodec.encode(short, mean_error=0.003))
+    with serving(site, logs) as server:
+        seeks = seeking(f"{server.url}/viewer.html?file=hour.mocz", folder)
+        asked = [entry for entry in server.requests() if entry[1] == 206]
+        played = playing(f"{server.url}/viewer.html?file=short.mocz", folder)
+    return {
+        "machine": machine_description(),
+        "page_bytes": len(page),
+        "page_gzip_bytes": len(gzip.compress(page, 9)),
+        "hour_bytes": len(hour),
+        "seek_ms": seeks,
+        "requests": len(asked),
+        "requested_bytes": sum(sent for _, _, sent in asked),
+        "played": played,
+    }
+
+
+def seeking(url: str, folder: Path) -> list[float]:
+    """Milliseconds from asking for a frame to drawing it."""
+    jumps = [{"do": "eval", "code": SEEK % (frame, frame)} for frame in FRAMES]
+    return [round(ms, 1) for ms in drive([{"do": "open", "url": url}, LOADED, *jumps], folder)[2:]]
+
+
+def playing(url: str, folder: Path) -> dict[str, float]:
+    """Pictures drawn and dropped while playing, of 60 a second."""
+    drawn, late = drive([{"do": "open", "url": url}, LOADED, {"do": "eval", "code": PLAY % (1000 * PLAYED_S)}], folder)[
+        2
+    ]
+    return {"seconds": PLAYED_S, "drawn": drawn, "dropped": late}
+
+
+def drive(commands: list[dict[str, Any]], folder: Path) -> list[Any]:
+    """Answers of the page to commands (web/viewer/test/browser.mjs). Raises BadInput where the browser fails."""
+    script = folder / "commands.json"
+    script.write_text(json.dumps(commands))
+    made = subprocess.run(
+        ["node", str(ROOT / "web/viewer/test/browser.mjs"), str(script)],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env={**os.environ},
+        check=False,
+    )
+    if made.returncode:
+        raise BadInput(f"the browser cannot be driven: {made.stderr.strip().splitlines()[-1:]}")
+    result = json.loads(made.stdout)
+    if "failed" in result:
+        raise BadInput(result["failed"])
+    answers: list[Any] = result["answers"]
+    return answers
+
+
+def report(results: dict[str, Any]) -> str:
+    """The figures as a table."""
+    played, seeks = results["played"], results["seek_ms"]
+    rows = [
+        ["page, compressed", f"{results['page_gzip_bytes']:,} bytes"],
+        ["an hour of 31 joints, mean error 3 mm", f"{results['hour_bytes']:,} bytes"],
+        [f"seek anywhere in it, median of {len(seeks)}", f"{statistics.median(seeks):.0f} ms"],
+        ["slowest seek", f"{max(seeks):.0f} ms"],
+        ["range requests for opening and all seeks", f"{results['requests']}, {results['requested_bytes']:,} bytes"],
+        [
+            f"pictures drawn in {played['seconds']} s of playing, dropped of 60 a second",
+            f"{played['drawn']}, {played['dropped']}",
+        ],
+    ]
+    return (
+        f"{table(['what', 'measured'], rows)}\n\n*{measured_on(results['machine'])} Made by `scripts/bench viewer`.*\n"
+    )

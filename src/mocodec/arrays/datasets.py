@@ -1,0 +1,206 @@
+"""Motions as xarray datasets in three conventions, and back.
+
+plain      Dataset: positions (time, point, axis), rotations (time, point, quaternion), skeleton as coordinates
+pyomeca    DataArray (axis, channel, time) with a row of ones, as pyomeca's Markers
+movement   Dataset: position (time, space, keypoints, individuals), confidence, as movement's poses
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import BadInput
+from ..motion import Motion, Skeleton, source_from
+from ..typing import Floats
+from . import times
+from .libraries import library
+
+AXES = ["x", "y", "z"]
+UNITS_M: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+def to_xarray(motion: Motion, style: str = "plain", individual: str = "id_0") -> Any:
+    """The motion for xarray: positions in metres, NaN in gaps; the attributes rate (Hz), up and units.
+
+    style "plain": a Dataset with `positions` (time, point, axis), `rotations` (time, point, quaternion; w first) if
+    there are, and for a skeleton the coordinates `parent` (point; "" for a root) and `offset` (point, axis). What the
+    file said is the attribute `source`, JSON; extras are left out.
+    "pyomeca": a DataArray (axis, channel, time), the axis "ones" last. "movement": a Dataset with `position`
+    (time, space, keypoints, individuals) and `confidence`, 1 or 0 in gaps; `individual` names the only one.
+    Raises BadInput for another style, MissingExtra without xarray.
+    """
+    if style not in STYLES:
+        raise BadInput(f"a style of xarray is one of {', '.join(STYLES)}, not {style!r}")
+    xarray = library("xarray", "mocodec.arrays.to_xarray", "xarray")
+    if style == "movement":
+        return _movement(xarray, motion, individual)
+    return _pyomeca(xarray, motion) if style == "pyomeca" else plain(motion, motion.positions, motion.rotations)
+
+
+def from_xarray(data: Any) -> Motion:
+    """The motion of a dataset in any style of `to_xarray`, also one that pyomeca or movement made or a part of one.
+
+    The rate is that of the times, seconds; lengths are in the attribute units (m, cm or mm), metres without it. Of
+    several individuals, points are named "individual:keypoint". A skeleton is kept if the parents of all its points
+    are there, before them. Raises BadInput for other dimensions and uneven times, MissingExtra without xarray.
+    """
+    library("xarray", "mocodec.arrays.from_xarray", "xarray")
+    dims = set(data.dims)
+    for style, needed in DIMENSIONS.items():
+        if dims >= needed:
+            return STYLES[style](data)
+    raise BadInput(
+        f"a dataset needs the dimensions {' or '.join(', '.join(sorted(d)) for d in DIMENSIONS.values())}, "
+        f"not {', '.join(sorted(map(str, dims)))}"
+    )
+
+
+def plain(about: Motion, positions: Any, rotations: Any, attributes: Mapping[str, Any] | None = None) -> Any:
+    """The plain dataset. about: names, rate, skeleton. positions, rotations: arrays, or what xarray loads later."""
+    xarray = library("xarray", "mocodec.arrays.to_xarray", "xarray")
+    variables = {"positions": xarray.Variable(("time", "point", "axis"), positions, {"units": "m"})}
+    if rotations is not None:
+        variables["rotations"] = xarray.Variable(("time", "point", "quaternion"), rotations)
+    coordinates: dict[str, Any] = {
+        "time": ("time", times.seconds(positions.shape[0], about.rate), {"units": "s"}),
+        "point": list(about.names),
+        "axis": AXES,
+    }
+    if rotations is not None:
+        coordinates["quaternion"] = ["w", "x", "y", "z"]
+    if about.skeleton is not None:
+        parents = [about.names[parent] if parent >= 0 else "" for parent in about.skeleton.parents]
+        coordinates["parent"] = ("point", np.array(parents, dtype=str))
+        coordinates["offset"] = (("point", "axis"), about.skeleton.offsets, {"units": "m"})
+    said = {"rate": about.rate, "up": about.up, "units": "m", **(attributes or {})}
+    if about.source:
+        said["source"] = json.dumps(about.source)
+    return xarray.Dataset(variables, coordinates, said)
+
+
+def _from_plain(data: Any) -> Motion:
+    dataset = data if hasattr(data, "data_vars") else data.to_dataset(name="positions")
+    positions = _variable(dataset, "positions", ("time", "point", "axis"), "axis", AXES)
+    names = [str(name) for name in dataset["point"].values]
+    rate = times.rate_of(dataset["time"].values, dataset.attrs)
+    skeleton = _skeleton(dataset, names)
+    rotations = None
+    if skeleton is not None and "rotations" in dataset:
+        rotations = _variable(dataset, "rotations", ("time", "point", "quaternion"), "quaternion", ["w", "x", "y", "z"])
+    source = json.loads(dataset.attrs.get("source", "{}"))
+    first = float(dataset["time"].values[0]) * rate if len(positions) else 0.0
+    if "rate" in dataset.attrs and rate != dataset.attrs["rate"]:  # thinned out: the numbers of frames do not apply
+        source.pop("first_frame", None)
+    up = dataset.attrs.get("up", "z")
+    scaled = positions * _unit(dataset.attrs)
+    return Motion(scaled, rate, names, up, skeleton, rotations, source_from(source, round(first)))
+
+
+def _skeleton(dataset: Any, names: list[str]) -> Skeleton | None:
+    """The skeleton that the coordinates tell of; None without one, or where points of it are missing."""
+    if "parent" not in dataset.coords or "offset" not in dataset.coords or len(set(names)) < len(names):
+        return None
+    numbers = {"": -1, **{name: i for i, name in enumerate(names)}}
+    parents = [numbers.get(str(parent), len(names)) for parent in dataset["parent"].values]
+    if any(parent >= joint for joint, parent in enumerate(parents)):
+        return None
+    offsets = _variable(dataset, "offset", ("point", "axis"), "axis", AXES)
+    return Skeleton(tuple(names), tuple(parents), offsets)
+
+
+def _pyomeca(xarray: Any, motion: Motion) -> Any:
+    rows = np.ones((4, motion.points, len(motion)))
+    rows[:3] = motion.positions.transpose(2, 1, 0)
+    first = motion.source.get("first_frame", 0)
+    said = {
+        "first_frame": first, "last_frame": first + len(motion) - 1, "rate": motion.rate, "units": "m", "up": motion.up,
+    }  # fmt: skip
+    coordinates = {
+        "axis": [*AXES, "ones"],
+        "channel": list(motion.names),
+        "time": times.seconds(len(motion), motion.rate),
+    }
+    return xarray.DataArray(rows, coordinates, ("axis", "channel", "time"), "markers", said)
+
+
+def _from_pyomeca(data: Any) -> Motion:
+    positions = _variable(_array(data, ("markers",)), None, ("time", "channel", "axis"), "axis", AXES)
+    names = [str(name) for name in data["channel"].values]
+    rate = times.rate_of(data["time"].values, data.attrs)
+    return Motion(positions * _unit(data.attrs), rate, names, data.attrs.get("up", "z"))
+
+
+def _movement(xarray: Any, motion: Motion, individual: str) -> Any:
+    dims = ("time", "space", "keypoints", "individuals")
+    coordinates = {
+        "time": times.seconds(len(motion), motion.rate), "space": AXES, "keypoints": list(motion.names),
+        "individuals": [individual],
+    }  # fmt: skip
+    variables = {
+        "position": (dims, motion.positions.transpose(0, 2, 1)[..., None].copy()),
+        "confidence": (("time", "keypoints", "individuals"), np.where(motion.gaps, 0.0, 1.0)[..., None]),
+    }
+    said = {
+        "source_software": "mocodec", "ds_type": "poses", "fps": motion.rate, "time_unit": "seconds", "units": "m",
+        "up": motion.up,
+    }  # fmt: skip
+    return xarray.Dataset(variables, coordinates, said)
+
+
+def _from_movement(data: Any) -> Motion:
+    dims = ("time", "individuals", "keypoints", "space")
+    positions = _variable(_array(data, ("position",)), None, dims, "space", AXES)
+    individuals, keypoints = data["individuals"].values, data["keypoints"].values
+    names = [f"{individual}:{keypoint}" for individual in individuals for keypoint in keypoints]
+    names = [str(keypoint) for keypoint in keypoints] if len(individuals) == 1 else names
+    if data.attrs.get("time_unit", "seconds") != "seconds":
+        raise BadInput("the times of the dataset are frames: set its fps and times in seconds")
+    rate = times.rate_of(data["time"].values, data.attrs)
+    flat = positions.reshape(len(positions), len(names), 3)
+    return Motion(flat * _unit(data.attrs), rate, names, data.attrs.get("up", "z"))
+
+
+STYLES: Mapping[str, Callable[[Any], Motion]] = {
+    "plain": _from_plain, "pyomeca": _from_pyomeca, "movement": _from_movement,
+}  # fmt: skip
+"""The inverse of each style."""
+DIMENSIONS: Mapping[str, set[str]] = {
+    "movement": {"time", "space", "keypoints", "individuals"},
+    "pyomeca": {"axis", "channel", "time"},
+    "plain": {"time", "point", "axis"},
+}
+"""The dimensions that a style is known by."""
+
+
+def _array(data: Any, names: tuple[str, ...]) -> Any:
+    """The variable of one of these names of a dataset, or the array itself."""
+    if not hasattr(data, "data_vars"):
+        return data
+    found = [name for name in names if name in data]
+    if not found:
+        raise BadInput(f"the dataset has no variable {' or '.join(names)}")
+    return data[found[0]]
+
+
+def _variable(data: Any, name: str | None, dims: tuple[str, ...], axis: str, labels: list[str]) -> Floats:
+    """A variable with its dimensions in this order, and along `axis` these labels. Raises BadInput without them."""
+    array = data if name is None else _array(data, (name,))
+    if axis not in array.coords or not set(labels) <= set(array[axis].values.tolist()):
+        raise BadInput(f"the dimension {axis} needs the labels {', '.join(labels)}")
+    values = cast("NDArray[Any]", array.sel({axis: labels}).transpose(*dims).values)
+    return np.asarray(values, np.float64)
+
+
+def _unit(attributes: Mapping[str, Any]) -> float:
+    """Metres per unit. Raises BadInput for units that are no lengths known here."""
+    units = str(attributes.get("units") or "m")
+    if units not in UNITS_M:
+        raise BadInput(
+            f"units are one of {', '.join(UNITS_M)}, not {units!r}: convert the data and set the attribute units"
+        )
+    return UNITS_M[units]

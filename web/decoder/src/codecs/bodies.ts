@@ -1,0 +1,219 @@
+/** Poses of the bodies in point clouds (docs/payloads/lien2006.md, bodycast.md). Points and surfaces are not decoded. */
+
+import { Bytes, text } from "../bytes.js";
+import { inverseDct } from "../dct.js";
+import { check } from "../errors.js";
+import { type Quaternion, type Vector, aboutAxis, cross, fromMatrix, lengthOf, minus, multiplied, normalised, plus, rotated, times } from "../geometry.js";
+import { inflateZlib } from "../inflate.js";
+import { readIntegers } from "../integers/read.js";
+import type { StoredChunk } from "./codec.js";
+
+const MOST_LINKS = 255;
+const MOST_NAME_BYTES = 2 ** 16;
+const MOST_MM = 10 ** 7;
+const MOST_STEPS = 10 ** 8;
+const MOST_COEFFICIENT = 2 ** 24;
+const MOST_MIDDLE = 200;
+const SHRINK = 0.05;
+const ROOT_STEP_M = 0.002;
+const SHORTEST_LEVER_M = 0.05;
+
+/** The links of a body in its canonical pose. */
+export interface Body {
+  names: string[];
+  /** Index of each link's parent, −1 for the root. */
+  parents: number[];
+  /** Joint of each link with its parent, and its other end, metres. */
+  origins: Vector[];
+  tips: Vector[];
+}
+
+/** Decodes poses of a file's bodies. */
+export interface PoseDecoder {
+  bodies: Body[];
+  /** For each body (frames, links, 2, 3): origin and tip of each link in metres, NaN where the body is absent. */
+  decode(chunk: StoredChunk): Float64Array[];
+}
+
+/** The decoder of the poses of `lien2006` or `bodycast`. */
+export function poseDecoder(codec: "lien2006" | "bodycast", shared: Uint8Array[]): PoseDecoder {
+  if (codec === "bodycast") return new Bodycast(shared);
+  check(shared.length === 1, "lien2006: another number of shared blobs");
+  return new Lien2006(shared[0]!);
+}
+
+function clip(value: number, most: number): number {
+  return Math.min(Math.max(value, -most), most);
+}
+
+function readBody(part: Bytes): Body {
+  const links = part.varintWithin(1, MOST_LINKS, "the number of links");
+  const nameBytes = part.varint();
+  const tableBytes = part.varint();
+  const names = text(inflateZlib(part.take(nameBytes), MOST_NAME_BYTES)).split("\n");
+  check(names.length === links, `${part.what}: another number of names`);
+  const table = readIntegers(part.take(tableBytes), links, 8);
+  const body: Body = { names, parents: [], origins: [], tips: [] };
+  for (let l = 0; l < links; l++) {
+    const parent = table[8 * l]! - 1;
+    check(l === 0 ? parent === -1 : parent >= 0 && parent < l, `${part.what}: a parent that does not come first`);
+    const at = (column: number) => clip(table[8 * l + column]!, MOST_MM) / 1000;
+    const origin: Vector = [at(1), at(2), at(3)];
+    body.parents.push(parent);
+    body.origins.push(origin);
+    body.tips.push(plus(origin, [at(4), at(5), at(6)]));
+  }
+  return body;
+}
+
+/** A rotation and a translation: x stands at A x + b. */
+interface Placement {
+  turn: Quaternion;
+  shift: Vector;
+}
+
+/** Writes origins and tips of a frame. local: rotation of each link in the frame of its parent; root: its translation. */
+function place(body: Body, local: Quaternion[], root: Vector, out: Float64Array, at: number): void {
+  const placed: Placement[] = [];
+  body.parents.forEach((parent, l) => {
+    const o = body.origins[l]!;
+    const rest = minus(o, rotated(local[l]!, o));
+    if (parent < 0) placed.push({ turn: local[l]!, shift: plus(rest, root) });
+    else {
+      const above = placed[parent]!;
+      placed.push({ turn: multiplied(above.turn, local[l]!), shift: plus(rotated(above.turn, rest), above.shift) });
+    }
+    const { turn, shift } = placed[l]!;
+    out.set(plus(rotated(turn, o), shift), at + 6 * l);
+    out.set(plus(rotated(turn, body.tips[l]!), shift), at + 6 * l + 3);
+  });
+}
+
+/** The rotation of a rotation vector. */
+function ofVector(v: Vector): Quaternion {
+  const angle = lengthOf(v);
+  return angle < 1e-9 ? [1, v[0] / 2, v[1] / 2, v[2] / 2] : aboutAxis(times(1 / angle, v), angle);
+}
+
+class Lien2006 implements PoseDecoder {
+  readonly bodies: Body[];
+  /** Step of each joint, radians. */
+  private readonly steps: number[];
+
+  constructor(shared: Uint8Array) {
+    const body = readBody(new Bytes(shared, "lien2006"));
+    this.bodies = [body];
+    this.steps = body.origins.map((o, l) => {
+      let farthest = 0;
+      for (let below = l; below < body.parents.length; below++) {
+        if (!isBelow(body.parents, below, l)) continue;
+        farthest = Math.max(farthest, lengthOf(minus(body.origins[below]!, o)), lengthOf(minus(body.tips[below]!, o)));
+      }
+      return ROOT_STEP_M / Math.max(SHORTEST_LEVER_M, farthest);
+    });
+  }
+
+  decode({ frames, payload }: StoredChunk): Float64Array[] {
+    const body = this.bodies[0]!;
+    const links = body.parents.length;
+    const part = new Bytes(payload, "lien2006");
+    const poseBytes = part.varint();
+    part.varint();
+    for (let images = part.varintWithin(0, 2 * frames, "the number of images"); images > 0; images--) part.varint();
+    const columns = 4 + 3 * links;
+    const rows = readIntegers(part.take(poseBytes), frames, columns);
+    const out = new Float64Array(6 * frames * links).fill(NaN);
+    for (let t = 0; t < frames; t++) {
+      const row = rows.subarray(t * columns, (t + 1) * columns);
+      if (row[0] !== 0) continue;
+      const at = (column: number) => clip(row[column]!, MOST_STEPS);
+      const local = this.steps.map((step, l) => ofVector(times(step, [at(4 + 3 * l), at(5 + 3 * l), at(6 + 3 * l)])));
+      place(body, local, times(ROOT_STEP_M, [at(1), at(2), at(3)]), out, 6 * t * links);
+    }
+    return [out];
+  }
+}
+
+function isBelow(parents: number[], link: number, above: number): boolean {
+  let at = link;
+  while (at > above) at = parents[at]!;
+  return at === above;
+}
+
+interface Surface {
+  body: Body;
+  /** Metres of a step of the root, and of a joint at its lever. */
+  step: number;
+  /** (links, 3), metres. */
+  levers: Float64Array;
+  /** The rotation of the rows side, across, axis of each link. */
+  frames: Quaternion[];
+}
+
+class Bodycast implements PoseDecoder {
+  readonly bodies: Body[];
+  private readonly surfaces: Surface[];
+
+  constructor(shared: Uint8Array[]) {
+    this.surfaces = shared.map((blob) => {
+      const part = new Bytes(blob, "bodycast");
+      const body = readBody(part);
+      const step = part.varintWithin(1, 2 ** 17, "the pose step") / 100_000;
+      const levers = readIntegers(part.take(part.varint()), body.parents.length, 3);
+      check(levers.every((v) => v >= 0 && v <= 80), "bodycast: a lever that is out of range");
+      return { body, step, levers: levers.map((v) => 0.015 * 2 ** (v / 4)), frames: body.origins.map((o, l) => linkFrame(o, body.tips[l]!)) };
+    });
+    this.bodies = this.surfaces.map(({ body }) => body);
+  }
+
+  decode({ frames, payload }: StoredChunk): Float64Array[] {
+    const part = new Bytes(payload, "bodycast");
+    const [absentBytes, ...others] = [part.varint(), part.varint(), part.varint(), part.varint()];
+    const sizes = this.surfaces.map(() => {
+      const pose = part.varint();
+      let pictures = 0;
+      for (let count = part.varintWithin(0, frames + 1, "the number of pictures"); count > 0; count--) pictures += part.varint();
+      return { pose, pictures };
+    });
+    const absent = readIntegers(part.take(absentBytes!), frames, this.surfaces.length);
+    for (const size of others) part.take(size);
+    return this.surfaces.map((surface, i) => {
+      const out = readPoses(part.take(sizes[i]!.pose), frames, surface);
+      part.take(sizes[i]!.pictures);
+      const lanes = 6 * surface.body.parents.length;
+      for (let t = 0; t < frames; t++) if (absent[t * this.surfaces.length + i]) out.fill(NaN, t * lanes, (t + 1) * lanes);
+      return out;
+    });
+  }
+}
+
+/** The rotation of vectors into the frame of a link: rows side, across, axis. */
+function linkFrame(origin: Vector, tip: Vector): Quaternion {
+  const along = minus(tip, origin);
+  const axis = times(1 / Math.max(lengthOf(along), 1e-9), along);
+  const side = normalised(cross(axis, Math.abs(axis[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0]));
+  return fromMatrix([...side, ...cross(axis, side), ...axis]);
+}
+
+function readPoses(data: Uint8Array, frames: number, { body, step, levers, frames: linkFrames }: Surface): Float64Array {
+  const links = body.parents.length;
+  const part = new Bytes(data, "bodycast");
+  const middle = readIntegers(part.take(part.varint()), links, 3);
+  const lanes = 3 + 3 * links;
+  const spectrum = readIntegers(part.rest(), frames, lanes).map((v) => clip(v, MOST_COEFFICIENT)).map((v) => v - SHRINK * Math.sign(v));
+  const curves = inverseDct(spectrum, frames, frames, lanes);
+  const middles = body.parents.map((_, l) => ofVector([0, 1, 2].map((c) => 0.05 * clip(middle[3 * l + c]!, MOST_MIDDLE)) as Vector));
+  const out = new Float64Array(6 * frames * links);
+  for (let t = 0; t < frames; t++) {
+    const row = curves.subarray(t * lanes, (t + 1) * lanes);
+    const root = times(step, [row[0]!, row[1]!, row[2]!]);
+    const local = middles.map((m, l): Quaternion => {
+      const angle = (c: number) => (row[3 + c * links + l]! * step) / levers[3 * l + c]!;
+      const own = multiplied(ofVector([angle(0), angle(1), 0]), ofVector([0, 0, angle(2)]));
+      const f = linkFrames[l]!;
+      return multiplied(m, multiplied(multiplied([f[0], -f[1], -f[2], -f[3]], own), f));
+    });
+    place(body, local, root, out, 6 * t * links);
+  }
+  return out;
+}
