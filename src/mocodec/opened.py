@@ -123,6 +123,11 @@ class File(Generic[RecordingT]):
         return self._reader.info()
 
     @property
+    def is_truncated(self) -> bool:
+        """Whether the file was cut short and opened with `salvage`: it has the frames that are left."""
+        return bool(self._reader.problems)
+
+    @property
     def chunk_bytes(self) -> list[int]:
         """The size of each chunk's payload, bytes, from the index."""
         return [int(size) for size in self._reader.chunks.lengths]

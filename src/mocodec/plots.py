@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import metrics
-from .errors import MissingExtra
+from .errors import BadInput, MissingExtra
 from .geometry import links
 from .metrics import skeletal
 from .motion import Motion
@@ -42,7 +42,6 @@ def save(picture: Figure, path: str | PathLike[str]) -> None:
     from io import BytesIO
     from pathlib import Path
 
-    from .errors import BadInput
     from .formats import replace_whole
 
     suffix = Path(path).suffix.lower()
@@ -196,7 +195,9 @@ def recording(
 
 
 def poses(motion: Motion, title: str = "", count: int = 7) -> Figure:
-    """Poses of one motion side by side."""
+    """Poses of one motion side by side. Raises BadInput for a motion without frames."""
+    if not len(motion):
+        raise BadInput("there are no frames to draw")
     picture = figure(9, 3.2)
     axes = picture.subplots()
     picture.suptitle(title, fontsize=10)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -84,6 +85,16 @@ def test_recordings_that_do_not_match(command: Command, files: tuple[Path, Path]
     assert result.code == 3
     assert "240 frames" in result.err
     assert not (tmp_path / "x.html").exists()
+
+
+def test_a_port_that_is_taken_is_one_line(command: Command, files: tuple[Path, Path]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        result = command("view", files[1], "--no-browser", "--port", port)
+    assert result.code == 3
+    assert f"port {port} cannot be used" in result.err
 
 
 def test_standard_input_is_refused(command: Command) -> None:

@@ -161,6 +161,29 @@ def test_damaged_frames_are_gaps(original: mc.Motion, tmp_path: Path) -> None:
         np.testing.assert_allclose(positions[stop:], original.positions[stop:], atol=1e-6)
 
 
+def test_damaged_and_truncated_files_make_pages(original: mc.Motion, tmp_path: Path) -> None:
+    data = bytearray(mc.encode(original, "lossless", chunk_seconds=100 / 60))
+    with mc.open(bytes(data), mc.Motion) as f:
+        chunks = list(f.encoded.chunks)
+        payload = bytes(chunks[2].payload)
+    at = bytes(data).index(payload)
+    (tmp_path / "cut.mocz").write_bytes(data[:at])
+    data[at + len(payload) // 2] ^= 255
+    (tmp_path / "damaged.mocz").write_bytes(data)
+    for name, frames, says in (
+        ("damaged.mocz", 600, "damaged and left out"),
+        ("cut.mocz", chunks[2].start, "cut short"),
+    ):
+        with mc.open(tmp_path / name, mc.Motion, salvage=True) as f:
+            pair = session.matched(of_file(name, f), Shown("original", original))
+            made = session.of_page([pair], name)["recordings"][0]
+            assert made["frames"] == frames
+            assert any(says in note for note in made["notes"])
+            assert made["errors"]["max"] < 1e-6
+            assert (-1.0 in made["errors"]["binMax"]) == (name == "damaged.mocz")
+            json.dumps(made, allow_nan=False)
+
+
 def test_links_of_markers_join_limbs(original: mc.Motion) -> None:
     found = links.links(original)
     assert (0, 1) in found

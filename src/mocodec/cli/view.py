@@ -5,18 +5,21 @@ from __future__ import annotations
 import webbrowser
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 from .. import cloud_plots, plots, viewer
 from ..archive import catalogue, open_archive
+from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from ..viewer import film, page, session
 from ..viewer.recording import Shown, of_path
 from ..viewer.server import ArchiveServer, Server
 from . import compare, files
+
+ServerT = TypeVar("ServerT", bound=Server)
 
 
 @click.command("view")
@@ -70,8 +73,9 @@ def command(
     if len(sources) == 1 and is_archive(sources[0]):
         if against or html_path or png_path or mp4_path:
             raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
-        with open_archive(sources[0]) as archive, ArchiveServer(archive, Path(sources[0]).name, port) as server:
-            serve(server, not no_browser)
+        with ExitStack() as opened:
+            archive = opened.enter_context(open_archive(sources[0]))
+            serve(opened.enter_context(listening(ArchiveServer, archive, Path(sources[0]).name, port)), not no_browser)
         return
     names = (*sources, *((against,) if against else ()))
     if "-" in names:
@@ -94,9 +98,17 @@ def command(
         if html_path or png_path or mp4_path:
             return
         with files.working("measuring"):
-            server = Server(pairs, title, port)
+            server = listening(Server, pairs, title, port)
         with server:
             serve(server, not no_browser)
+
+
+def listening(kind: type[ServerT], content: Any, title: str, port: int) -> ServerT:
+    """A server at a port. Raises BadInput if it is taken."""
+    try:
+        return kind(content, title, port)
+    except OSError as error:
+        raise BadInput(f"port {port} cannot be used ({error.strerror}); without --port, a free one is taken") from error
 
 
 def serve(server: Server, in_browser: bool) -> None:

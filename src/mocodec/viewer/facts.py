@@ -53,8 +53,15 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
         "gaps": gaps(shown) if is_motion else [],
         "errors": None if original is None else errors(shown, original),
         "damage": [list(run) for run in shown.damage],
-        "notes": list(shown.notes),
+        "notes": [*shown.notes, *damage_notes(shown)],
     }
+
+
+def damage_notes(shown: Shown) -> list[str]:
+    """What is missing of a damaged or truncated file, in words."""
+    lost = sum(stop - start for start, stop in shown.damage)
+    notes = [f"{lost:,} of {shown.frames:,} frames are damaged and left out"] if lost else []
+    return notes + (["the file was cut short: these are the frames that are left"] if shown.is_truncated else [])
 
 
 def motion_links(shown: Shown, about: Motion) -> list[list[int]]:
@@ -186,28 +193,33 @@ def cloud_errors(original: PointClouds, decoded: PointClouds) -> dict[str, Any]:
     measured = point_clouds.errors(original, decoded)
     curve, worst = np.zeros(len(original)), np.zeros(len(original))
     curve[measured.frames], worst[measured.frames] = measured.d1_of_frame, measured.max_of_frame
+    counts = np.isin(np.arange(len(original)), measured.frames).astype(float)
     return {
         "mean": measured.mean_error,
         "p99": float(np.percentile(worst, 99)) if len(worst) else 0.0,
         "max": float(worst.max(initial=0.0)),
         "maxAt": [int(worst.argmax()), -1] if len(worst) else None,
-        **binned(curve, np.ones(len(curve)), worst, max(1, -(-len(curve) // (2 * BINS)))),
+        **binned(curve, counts, worst, max(1, -(-len(curve) // (2 * BINS)))),
         "pointMean": [],
         "pointMax": [],
     }
 
 
 def binned(total: Floats, count: Floats, worst: Floats, per_bin: int) -> dict[str, Any]:
-    """Mean, largest and frame of the largest error in runs of `per_bin` frames, from sums, counts, maxima (frames,)."""
+    """Mean, largest and frame of the largest error in runs of `per_bin` frames, from sums, counts, maxima (frames,).
+
+    Mean and largest are −1 in runs where nothing was measured.
+    """
     starts = np.arange(0, len(total), per_bin)
     if not len(starts):
         return {"binFrames": 1, "binMean": [], "binMax": [], "binWorst": []}
-    mean = np.add.reduceat(total, starts) / np.maximum(1, np.add.reduceat(count, starts))
+    counts = np.add.reduceat(count, starts)
+    mean = np.where(counts > 0, np.add.reduceat(total, starts) / np.maximum(1, counts), -1.0)
     places = [int(s + worst[s : s + per_bin].argmax()) for s in starts]
     return {
         "binFrames": per_bin,
         "binMean": _rounded(mean),
-        "binMax": _rounded(np.maximum.reduceat(worst, starts)),
+        "binMax": _rounded(np.where(counts > 0, np.maximum.reduceat(worst, starts), -1.0)),
         "binWorst": places,
     }
 

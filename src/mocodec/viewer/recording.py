@@ -51,10 +51,37 @@ class Shown:
         """The number of frames."""
         return len(self.recording)
 
-    @property
+    @cached_property
     def in_memory(self) -> Recording:
-        """The whole recording."""
-        return self.recording[:] if isinstance(self.recording, api.File) else self.recording
+        """The whole recording, in its own order of points. Damaged frames are gaps, or have no points."""
+        if not isinstance(self.recording, api.File):
+            return self.recording
+        try:
+            return cast("Recording", self.recording[:])
+        except (Corrupt, Truncated):
+            return self._without_damage()
+
+    def _without_damage(self) -> Recording:
+        about = cast("api.File[Any]", self.recording).encoded.about
+        if isinstance(about, Motion):
+            positions = replace(self, columns=None).positions(0, self.frames)
+            return replace(about, positions=positions, rotations=None, extras={})
+        frames = [self._frame_or_nothing(frame) for frame in range(self.frames)]
+        colours = None if any(f.colours is None for f in frames) else [c for f in frames for c in f.colours or ()]
+        return replace(
+            about, positions=[p for f in frames for p in f.positions], colours=colours, normals=None, extras={}
+        )
+
+    def _frame_or_nothing(self, frame: int) -> PointClouds:
+        try:
+            return self.clouds(frame, frame + 1)
+        except (Corrupt, Truncated):
+            return PointClouds([np.zeros((0, 3))], self.about.rate, [np.zeros((0, 3), np.uint8)])
+
+    @property
+    def is_truncated(self) -> bool:
+        """Whether the file was cut short."""
+        return isinstance(self.recording, api.File) and self.recording.is_truncated
 
     @cached_property
     def damage(self) -> list[tuple[int, int]]:

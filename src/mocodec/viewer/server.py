@@ -13,6 +13,7 @@ for another host name are refused, so that a foreign name that resolves to this 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import secrets
@@ -163,7 +164,7 @@ class Handler(BaseHTTPRequestHandler):
             status, kind, body = self.answer(cast("Server", self.server))
         except MocodecError as error:
             status, kind, body = HTTPStatus.INTERNAL_SERVER_ERROR, "text/plain", str(error).encode()
-        except (KeyError, IndexError, ValueError):
+        except (KeyError, IndexError, ValueError, OverflowError):
             status, kind, body = HTTPStatus.NOT_FOUND, "text/plain", b"there is nothing here"
         self.send_response(status)
         self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
@@ -183,6 +184,11 @@ class Handler(BaseHTTPRequestHandler):
         if not secrets.compare_digest(token.encode(), server.token.encode()):
             raise KeyError(token)
         return HTTPStatus.OK, *server.resource(rest, parse_qs(parts.query))
+
+    def handle(self) -> None:
+        """Answer requests until the browser is gone."""
+        with contextlib.suppress(ConnectionError, TimeoutError):
+            super().handle()
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing for each request."""

@@ -37,6 +37,10 @@ def matched(shown: Shown, original: Shown | None) -> Pair:
     about, before = shown.about, original.about
     if isinstance(about, Motion) != isinstance(before, Motion):
         raise BadInput(f"{shown.name} and {original.name}: one is a motion, the other point clouds")
+    if 0 < shown.frames < original.frames and shown.is_truncated:
+        original = dataclasses.replace(original, recording=original.in_memory[: shown.frames])
+        note = f"only the first {shown.frames:,} frames are left of the file; the original has more"
+        shown = dataclasses.replace(shown, notes=[*shown.notes, note])
     if shown.frames != original.frames:
         raise BadInput(f"{shown.name} has {shown.frames:,} frames, {original.name} has {original.frames:,}")
     if not isinstance(about, Motion) or not isinstance(before, Motion):

@@ -76,3 +76,12 @@ def test_the_lattice_has_to_save_some_bytes(share: float, engine: int, monkeypat
     monkeypatch.setattr(engine_choice.EngineTrials, "tried", lambda *_: (True, True))
     encoded = Tempo(max_error=0.003).encode_chunks(motion)
     assert Payload.unpack(encoded.chunks[0].payload).engine == engine
+
+
+def test_a_still_chunk_does_not_decide_for_those_after_it() -> None:
+    trials = engine_choice.EngineTrials(has_transform=True, has_lattice=True)
+    trials.learn(400, 130)
+    assert trials.tried(1) == (True, True)
+    trials.learn(5000, 8000)
+    assert trials.tried(2) == (True, False)
+    assert trials.tried(engine_choice.TRIED_EVERY) == (True, True)

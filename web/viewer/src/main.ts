@@ -38,11 +38,14 @@ class Page {
   private isPlaying = false;
   private lastTick = 0;
   private place: OriginalPlace = "over";
+  private keepsNotice = false;
   private theme: "light" | "dark" = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   private scale: ErrorScale | null = null;
   private here: { mean: HTMLElement; max: HTMLElement } | null = null;
   private readonly strips = new Set<number>();
   private needsFrame = true;
+  /** How far the last of several recordings stands from the first, metres. */
+  private width = 0;
   private readonly stage = new Stage($("picture"), () => (this.needsFrame = true));
   private readonly timeline = new Timeline($("time"), $("tip"), (frame) => this.seek(frame));
   private readonly list = new PointList($("list"), $("filter"), () => (this.needsFrame = true));
@@ -84,6 +87,7 @@ class Page {
     for (const view of this.views) view.close();
     this.views = [];
     $("welcome").hidden = true;
+    this.keepsNotice = false;
     this.notice("loading…");
     const problems: string[] = [];
     for (const facts of session.recordings) {
@@ -125,6 +129,7 @@ class Page {
     $("worst").hidden = !facts.errors?.maxAt;
     $("original-label").hidden = !facts.original;
     $("points-button").hidden = facts.names.length === 0;
+    $("heads").hidden = !facts.original;
     $("points").hidden = facts.names.length === 0 || $("points-button").getAttribute("aria-expanded") !== "true";
     this.rescale();
     if (first) this.arrange();
@@ -133,18 +138,14 @@ class Page {
 
   /** Put recordings beside each other, and the camera before them. */
   private arrange(): void {
-    this.stage.setUp(this.views[0].facts.up);
-    let x = 0;
-    this.views.forEach((view, number) => {
-      view.offset.set(0, 0, 0);
-      if (number) {
-        const up = "xyz".indexOf(view.facts.up);
-        const centre = view.centre.clone().setComponent(up, 0);
-        const first = this.views[0].centre.clone().setComponent(up, 0);
-        x += 0.45 * (view.extent + this.views[number - 1].extent);
-        view.offset.copy(first).sub(centre).add(view.sideways(x));
-      }
-    });
+    this.width = 0;
+    if (this.views.length > 1) {
+      const { x, z } = this.views[0].turned(this.views[0].centre.clone());
+      this.views.forEach((view, number) => {
+        if (number) this.width += 0.45 * (view.extent + this.views[number - 1].extent);
+        view.putAt(x + this.width, this.views[0].lowest, z);
+      });
+    }
     this.reset();
   }
 
@@ -153,10 +154,9 @@ class Page {
     if (!view) return;
     view.show(this.frame, this.place, this.list.selected, this.scale, PALETTES[this.theme]);
     const middle = view.middle();
-    const side = this.views.length > 1 ? view.sideways(0.5 * (this.views.at(-1)!.offset.length() || 0)) : new Vector3();
-    const size = view.extent + (this.views.length > 1 ? this.views.at(-1)!.offset.length() : 0) + (this.isBeside ? 0.7 * view.extent : 0);
-    if (this.isBeside) side.add(view.sideways(0.375 * view.extent));
-    this.stage.frame(middle.add(side.applyQuaternion(this.stage.world.quaternion)), size);
+    if (this.views.length > 1) middle.x = this.views[0].middle().x + this.width / 2;
+    if (this.isBeside) middle.add(view.turned(view.sideways(0.375 * view.extent)));
+    this.stage.frame(middle, view.extent + this.width + (this.isBeside ? 0.7 * view.extent : 0));
     this.ground();
     this.needsFrame = true;
   }
@@ -234,7 +234,10 @@ class Page {
     });
     const frame = this.frame;
     const failure = view.decoded.failure(frame);
-    this.notice(failure ? `Frames around ${whole(frame)} cannot be shown: ${failure}` : null);
+    const isDamaged = view.facts.damage.some(([start, stop]) => start <= frame && frame < stop);
+    if (failure) this.notice(`Frames around ${whole(frame)} cannot be shown: ${failure}`);
+    else if (isDamaged) this.notice("These frames are damaged");
+    else if (!this.keepsNotice) this.notice(null);
     if ($("follow").getAttribute("aria-pressed") === "true" && this.views.length === 1) this.follow();
     void view.trail($("trails").getAttribute("aria-pressed") === "true" ? this.list.selected : -1, frame, palette.accent);
     this.timeline.setFrame(frame);
@@ -252,7 +255,7 @@ class Page {
   private follow(): void {
     const view = this.view!;
     const middle = view.middle();
-    if (this.isBeside) middle.add(view.sideways(0.375 * view.extent).applyQuaternion(this.stage.world.quaternion));
+    if (this.isBeside) middle.add(view.turned(view.sideways(0.375 * view.extent)));
     const still = 0.12 * view.extent; // small movements up and down stay visible as such
     middle.y = Math.max(middle.y - still, Math.min(middle.y + still, this.stage.controls.target.y));
     this.stage.follow(middle);
@@ -266,7 +269,7 @@ class Page {
     const mark = $("mark");
     mark.hidden = point < 0 || !positions || Number.isNaN(positions[3 * point]);
     if (mark.hidden || !positions) return;
-    const at = this.stage.project(new Vector3(...positions.slice(3 * point, 3 * point + 3)).add(view.offset));
+    const at = this.stage.project(view.toScene(new Vector3(...positions.slice(3 * point, 3 * point + 3))));
     mark.style.left = `${at.x}px`;
     mark.style.top = `${at.y}px`;
     const error = view.errors[point];
@@ -317,7 +320,9 @@ class Page {
       const session = await dropped([...files], (share) => this.notice(`measuring… ${Math.round(100 * share)} %`));
       await this.open(session);
     } catch (error) {
-      this.notice(error instanceof Error ? error.message : String(error));
+      const names = [...files].map((file) => file.name).join(", ");
+      this.notice(`${names}: ${error instanceof Error ? error.message : String(error)}`);
+      this.keepsNotice = true;
     }
   }
 
@@ -350,7 +355,7 @@ class Page {
       if (!down || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
       const positions = this.view?.facts.kind === "motion" ? this.view.positions : null;
       const box = picture.getBoundingClientRect();
-      if (positions) this.list.select(this.stage.pick(event.clientX - box.left, event.clientY - box.top, positions, this.view!.offset));
+      if (positions) this.list.select(this.stage.pick(event.clientX - box.left, event.clientY - box.top, positions, (p) => this.view!.toScene(p)));
     });
   }
 

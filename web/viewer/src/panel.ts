@@ -1,7 +1,7 @@
 /** Numbers, list of points, tabs, signals and notes: text beside the picture. Names are only ever set as text. */
 
 import type { Facts } from "./session.ts";
-import { bytes, length, promise, ratio, whole } from "./text.ts";
+import { bytes, length, promise, ratio, time, whole } from "./text.ts";
 
 function element<K extends keyof HTMLElementTagNameMap>(tag: K, text: string, className = ""): HTMLElementTagNameMap[K] {
   const made = document.createElement(tag);
@@ -24,7 +24,7 @@ export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElem
     rows.push(["99 % below", length(errors.p99)]);
     rows.push(["largest", length(errors.max), bound !== undefined && errors.max > bound * 1.0001]);
   }
-  rows.push(["", `${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`]);
+  rows.push(["", `${time(facts.frames / facts.rate)} · ${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`]);
   target.replaceChildren();
   const ofFile = facts.signals.length && facts.bytes && facts.originalBytes ? facts.originalBytes / facts.bytes : null;
   if (facts.ratio !== null) {

@@ -187,8 +187,6 @@ export class Stage {
   readonly scene = new Scene();
   readonly camera = new PerspectiveCamera(32, 1, 0.01, 500);
   readonly controls: OrbitControls;
-  /** Turned so that the vertical axis of the recordings is up. */
-  readonly world = new Group();
   private grid: GridHelper | null = null;
   private dirty = true;
 
@@ -206,18 +204,12 @@ export class Stage {
     });
     const sun = new DirectionalLight(0xffffff, 1.6);
     sun.position.set(2, 5, 3);
-    this.scene.add(new AmbientLight(0xffffff, 1.6), sun, this.world);
+    this.scene.add(new AmbientLight(0xffffff, 1.6), sun);
     new ResizeObserver(() => {
       this.resize();
       onDraw();
     }).observe(canvas.parentElement!);
     this.resize();
-  }
-
-  /** Turn the world so that `up` points up. */
-  setUp(up: "x" | "y" | "z"): void {
-    this.world.rotation.set(up === "z" ? -Math.PI / 2 : 0, 0, up === "x" ? Math.PI / 2 : 0);
-    this.world.updateMatrixWorld(true);
   }
 
   /** Draw the ground at a height, with lines one metre apart (or a tenth, or ten, for small and large recordings). */
@@ -254,21 +246,21 @@ export class Stage {
     this.dirty = true;
   }
 
-  /** A point of the recording in the picture, pixels of the canvas. */
+  /** A point of the scene in the picture, pixels of the canvas. */
   project(position: Vector3): Vector2 {
     this.camera.updateMatrixWorld();
-    const p = position.clone().applyMatrix4(this.world.matrixWorld).project(this.camera);
+    const p = position.clone().project(this.camera);
     return new Vector2(((p.x + 1) / 2) * this.canvas.clientWidth, ((1 - p.y) / 2) * this.canvas.clientHeight);
   }
 
-  /** The point of a frame nearest to the pixel (x, y), within 18 pixels; −1 for none. */
-  pick(x: number, y: number, positions: Float32Array, offset: Vector3): number {
+  /** The point of a frame nearest to the pixel (x, y), within 18 pixels; −1 for none. place: from its axes to the scene's. */
+  pick(x: number, y: number, positions: Float32Array, place: (position: Vector3) => Vector3): number {
     let best = -1;
     let nearest = 18;
     const p = new Vector3();
     for (let i = 0; i < positions.length / 3; i++) {
       if (Number.isNaN(positions[3 * i])) continue;
-      const at = this.project(p.set(positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]).add(offset));
+      const at = this.project(place(p.set(positions[3 * i], positions[3 * i + 1], positions[3 * i + 2])));
       const distance = Math.hypot(at.x - x, at.y - y);
       if (distance < nearest) {
         nearest = distance;

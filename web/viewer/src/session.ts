@@ -56,7 +56,7 @@ export interface ErrorFacts {
   max: number;
   /** Frame and point of the largest error. */
   maxAt: [number, number] | null;
-  /** Runs of `binFrames` frames each: mean and largest error, and the frame of the largest. */
+  /** Runs of `binFrames` frames each: mean and largest error, and the frame of the largest; −1 where nothing is known. */
   binFrames: number;
   binMean: number[];
   binMax: number[];
@@ -82,7 +82,9 @@ export async function load(place = new URLSearchParams(location.search).get("ses
   const embedded = document.getElementById("session")?.textContent?.trim();
   if (embedded && embedded !== "null") return checked(JSON.parse(embedded));
   if (place === null) return null;
-  const response = await fetch(new URL(place, location.href));
+  const url = new URL(place, location.href);
+  if (url.origin !== location.origin) throw new Error("a session must come from the place of this page");
+  const response = await fetch(url);
   if (!response.ok) throw new Error((await response.text()) || `the server answers ${response.status} for ${place}`);
   return checked(await response.json());
 }
@@ -90,5 +92,8 @@ export async function load(place = new URLSearchParams(location.search).get("ses
 function checked(value: unknown): Session {
   const session = value as Session;
   if (session?.version !== 1) throw new Error("this page is older than its data: it needs session version 1");
+  for (const { rate, frames } of session.recordings) {
+    if (!(rate > 0 && Number.isFinite(rate) && Number.isInteger(frames) && frames >= 0)) throw new Error("a recording without a rate");
+  }
   return session;
 }

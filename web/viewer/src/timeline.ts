@@ -176,7 +176,8 @@ export class Timeline {
   private drawTimes(pen: CanvasRenderingContext2D, width: number): void {
     const facts = this.facts!;
     const seconds = facts.frames / facts.rate;
-    const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((s) => (width * s) / seconds > 70) ?? 7200;
+    const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 3600].find((s) => (width * s) / seconds > 70) ?? 7200 * Math.ceil((70 * seconds) / (7200 * Math.max(1, width)));
+    if (!(seconds > 0 && Number.isFinite(step))) return;
     pen.fillStyle = css("--muted");
     pen.textBaseline = "top";
     for (let second = 0; second < seconds; second += step) {
@@ -202,12 +203,15 @@ export class Timeline {
         const first = Math.floor((x / width) * values.length);
         const last = Math.max(first + 1, Math.ceil(((x + 1) / width) * values.length));
         let sum = 0;
+        let count = 0;
         let largest = 0;
         for (let i = first; i < last; i++) {
+          if (values[i] < 0) continue; // nothing was measured there
           sum += values[i];
+          count++;
           largest = Math.max(largest, values[i]);
         }
-        columns[x] = pick === "max" ? largest : sum / (last - first);
+        columns[x] = pick === "max" ? largest : count ? sum / count : NaN;
       }
       return columns;
     };
@@ -216,7 +220,10 @@ export class Timeline {
     pen.strokeStyle = css("--accent");
     pen.lineWidth = 1.5;
     pen.beginPath();
-    column(errors.binMean, "mean").forEach((error, x) => pen.lineTo(x, y(error)));
+    column(errors.binMean, "mean").forEach((error, x) => {
+      if (Number.isNaN(error)) pen.moveTo(x + 1, y(0));
+      else pen.lineTo(x, y(error));
+    });
     pen.stroke();
     if (bound > 0 && bound <= scale) {
       pen.strokeStyle = css("--ink");

@@ -1,6 +1,6 @@
 /** One recording in the picture: its frames, its figures, its place beside other recordings. */
 
-import { Color, Vector3 } from "three";
+import { Color, Group, Vector3 } from "three";
 import { distances } from "./errors.ts";
 import { type Frame, Frames, loaders } from "./frames.ts";
 import { CloudFigure, Figure, type Stage, trailFrames } from "./scene.ts";
@@ -13,8 +13,8 @@ export class RecordingView {
   readonly decoded: Frames;
   readonly original: Frames | null;
   readonly errors: Float32Array;
-  /** Where the recording stands in the picture, in its own axes, metres. */
-  readonly offset = new Vector3();
+  /** Turned so that the recording's vertical axis is up, and put where it stands in the scene. */
+  private readonly root = new Group();
   /** Centre and size of the first frame that has points, in its own axes, metres. */
   centre = new Vector3();
   extent = 1;
@@ -72,10 +72,12 @@ export class RecordingView {
         ? new CloudFigure(0.006 * this.extent)
         : new Figure(this.facts.points, this.facts.links, 0.0075 * this.extent * (isGhost ? 1.1 : 1), isGhost);
     this.figure = make(false);
-    this.stage.world.add(this.figure.group);
+    this.root.rotation.set(this.facts.up === "z" ? -Math.PI / 2 : 0, 0, this.facts.up === "x" ? Math.PI / 2 : 0);
+    this.stage.scene.add(this.root);
+    this.root.add(this.figure.group);
     if (this.original) {
       this.ghost = make(true);
-      this.stage.world.add(this.ghost.group);
+      this.root.add(this.ghost.group);
     }
   }
 
@@ -89,7 +91,6 @@ export class RecordingView {
     if (!this.figure) return false;
     const now = this.decoded.at(frame);
     const before = this.original?.at(frame) ?? null;
-    this.figure.group.position.copy(this.offset);
     if (!now) return false;
     this.shown = now;
     this.shownFrame = frame;
@@ -107,8 +108,7 @@ export class RecordingView {
     }
     if (this.ghost) {
       this.ghost.group.visible = place !== "off" && before !== null;
-      this.ghost.group.position.copy(this.offset);
-      if (place === "beside") this.ghost.group.position.add(this.sideways(0.75 * this.extent));
+      this.ghost.group.position.copy(place === "beside" ? this.sideways(0.75 * this.extent) : new Vector3());
       if (before && this.ghost instanceof CloudFigure) this.ghost.show(before, new Color(palette.ghost));
       else if (before && this.ghost instanceof Figure) {
         const ghostColours = new Float32Array(3 * this.facts.points);
@@ -140,7 +140,23 @@ export class RecordingView {
     return this.shown?.positions ?? null;
   }
 
-  /** Middle of the shown points in the picture's axes. */
+  /** A point in the recording's axes as a point of the scene. */
+  toScene(position: Vector3): Vector3 {
+    return position.applyQuaternion(this.root.quaternion).add(this.root.position);
+  }
+
+  /** A direction in the recording's axes as one of the scene. */
+  turned(direction: Vector3): Vector3 {
+    return direction.applyQuaternion(this.root.quaternion);
+  }
+
+  /** Put the recording so that the centre of its first frame is over this place of the ground, metres. */
+  putAt(x: number, height: number, z: number): void {
+    const centre = this.turned(this.centre.clone());
+    this.root.position.set(x - centre.x, height - this.lowest, z - centre.z);
+  }
+
+  /** Middle of the shown points in the scene. */
   middle(): Vector3 {
     const positions = this.shown?.positions;
     const sum = new Vector3();
@@ -154,7 +170,7 @@ export class RecordingView {
       count++;
     }
     const middle = count ? sum.divideScalar(count) : this.centre.clone();
-    return middle.add(this.offset).applyMatrix4(this.stage.world.matrixWorld);
+    return this.toScene(middle);
   }
 
   /** A step to the side of this length: along the first horizontal axis. */
@@ -163,10 +179,8 @@ export class RecordingView {
   }
 
   close(): void {
-    for (const figure of [this.figure, this.ghost]) {
-      if (!figure) continue;
-      this.stage.world.remove(figure.group);
-      figure.dispose();
-    }
+    this.stage.scene.remove(this.root);
+    this.figure?.dispose();
+    this.ghost?.dispose();
   }
 }

@@ -35,9 +35,11 @@ LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
 HOPELESS = 1.25
-"""A chunk's other engine is not tried where it took more than this many times the bytes in the last chunk tried."""
+"""A chunk's other engine is not tried where it took more than this many times the bytes in the last chunks tried."""
 TRIED_EVERY = 5
 """Both engines are tried for one chunk in this many at least."""
+FEWEST_TRIED, MEMORY = 2, 0.5
+"""Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     """How to use the lattice engine within a bound (metres).
 
     step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
+    The sample does not decide for these, nor for skeletons: models of directions may be far smaller than its basis.
     """
     found = lattice.neighbours(source.smooth)
     frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))
@@ -64,7 +67,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
         positions = positions * weights[:, None]
     size = grid_size(grid_step(lattice.half_step(bound)))
     stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
-    if named or weights is not None:
+    if named or weights is not None or motion.skeleton is not None:
         return LatticePlan(found, stride, alone=False)
     transform = _transform_bytes(motion, source, some, bound, step)
     rise = ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
@@ -98,17 +101,19 @@ class EngineTrials:
     def __init__(self, has_transform: bool, has_lattice: bool) -> None:
         self._both = has_transform and has_lattice
         self._has_transform, self._has_lattice = has_transform, has_lattice
-        self._ratio = 1.0
-        """Bytes of the lattice to those of the transform in the last chunk for which both were tried."""
+        self._chunks, self._transform_bytes, self._lattice_bytes = 0, 0.0, 0.0
+        """Of the chunks for which both were tried: their number, and bytes that fade."""
 
     def tried(self, number: int) -> tuple[bool, bool]:
         """Whether the transform and the lattice are tried for chunk `number`."""
-        every = not self._both or number % TRIED_EVERY == 0
+        every = not self._both or number % TRIED_EVERY == 0 or self._chunks < FEWEST_TRIED
         return (
-            self._has_transform and (every or self._ratio > 1 / HOPELESS),
-            self._has_lattice and (every or self._ratio < HOPELESS),
+            self._has_transform and (every or self._transform_bytes < HOPELESS * self._lattice_bytes),
+            self._has_lattice and (every or self._lattice_bytes < HOPELESS * self._transform_bytes),
         )
 
     def learn(self, transform_bytes: float, lattice_bytes: float) -> None:
         """What both took in a chunk."""
-        self._ratio = lattice_bytes / max(transform_bytes, 1e-9)
+        self._chunks += 1
+        self._transform_bytes = MEMORY * self._transform_bytes + transform_bytes
+        self._lattice_bytes = MEMORY * self._lattice_bytes + lattice_bytes

@@ -25,9 +25,9 @@ AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
-MOST_ON_BONES = 200
+MOST_ON_BONES = 400
 """More points than a marker set has are not tried on the prior's bones beside a stored basis."""
-WORTH_PRIOR = 0.45
+WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
