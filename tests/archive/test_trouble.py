@@ -283,3 +283,67 @@ def test_a_dead_worker_costs_its_own_task() -> None:
     assert found.pop(deadly) == "its process ended unexpectedly; memory may not suffice"
     assert found.pop(wrong) == "ZeroDivisionError: division by zero"
     assert found == {task: int(task) for task in ("1", "2", "4", "6", "7")}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "shard = '../../elsewhere'", "shard = 0", "shard = -1", "start = -5", "start = 'x'", "bytes = 1 << 62",
+        "frames = 'many'", "frames = -1", "rate = 9e999", "rate = 0", "rate = NULL", "seconds = 9e999",
+        "labels = 3 || char(0)", "labels = NULL", "path = CAST(x'ff' AS TEXT)", "kind = 'film'", "prior = '../x'",
+        "mean_error = 9e999", "ratio = 'x'", "side_bytes = bytes + 1", "content = x'00'", "frames = 59", "rate = 61",
+        "points = points + 1", "codec = 'raw'", "points = x'00'",
+    ],
+)  # fmt: skip
+def test_a_wrong_row_is_damaged_and_the_others_are_not(vault: Path, change: str) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute(f"UPDATE recordings SET {change} WHERE name = '07/FastWalk_01'")
+    connection.close()
+    with mc.open_archive(vault / "db") as db:
+        assert [name for name, _ in archive.damage(db)] == ["07/FastWalk_01"]
+        if change not in ("frames = 59", "rate = 61", "points = points + 1", "codec = 'raw'"):
+            with pytest.raises(mc.Corrupt, match=r"catalogue is damaged \(wrong .* of recording 07/FastWalk_01"):
+                list(db)
+            with pytest.raises(mc.Corrupt, match="catalogue is damaged"):
+                db["07/FastWalk_01"]
+        assert len(db["08/FastWalk_01"]) == 60
+
+
+@pytest.mark.parametrize("column", ["frames", "seconds", "bytes", "max_error"])
+def test_sums_of_what_is_no_number(vault: Path, column: str) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute(f"UPDATE recordings SET {column} = 9e999 WHERE name = '07/FastWalk_01'")
+    connection.close()
+    with mc.open_archive(vault / "db") as db:
+        with pytest.raises(mc.Corrupt, match="catalogue is damaged"):
+            db.sums()
+        assert db.query("subject == 8").sums()["recordings"] == 2
+        assert db.query("subject == 99").sums()["recordings"] == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("ALTER TABLE recordings RENAME TO r", "CREATE VIEW recordings AS SELECT * FROM r"),
+        ("DROP TABLE shards",),
+        ("CREATE TRIGGER t AFTER DELETE ON recordings BEGIN DELETE FROM shards; END",),
+    ],
+)
+def test_tables_that_are_none(vault: Path, change: tuple[str, ...]) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        for statement in change:
+            connection.execute(statement)
+    connection.close()
+    with pytest.raises(mc.Corrupt, match="archive repair"):
+        mc.open_archive(vault / "db")
+    assert len(archive.repair(vault / "db").added) == 4
+
+
+def test_a_repair_of_a_sound_catalogue_keeps_errors_and_sources(vault: Path) -> None:
+    with mc.open_archive(vault / "db") as db:
+        before = list(db.rows())
+    assert all(row.max_error for row in before)
+    assert len(archive.repair(vault / "db").added) == 4
+    with mc.open_archive(vault / "db") as db:
+        assert list(db.rows()) == before
+    assert len(archive.build(vault / "raw", vault / "db", OPTIONS).unchanged) == 4

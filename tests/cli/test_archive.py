@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -85,6 +86,37 @@ def test_names_that_lead_out_of_the_folder(command: Command, tmp_path: Path) -> 
     )
     assert built.code == 0
     assert command("archive", "extract", tmp_path / "vault", "-o", tmp_path / "out").code == 3
+
+
+def test_extract_lists_what_it_cannot_write(command: Command, vault: Path) -> None:
+    out = vault.parent / "out"
+    with mc.open_archive(vault) as db:
+        place = db.entry("walk_01").place
+    data = bytearray(Path(place.path).read_bytes())
+    data[place.start + place.size // 2] ^= 4
+    Path(place.path).write_bytes(data)
+    for format_ in ("mocz", "trc"):
+        result = command("archive", "extract", vault, "-o", out, "--format", format_)
+        assert result.code == 4
+        failed = [line for line in result.err.splitlines() if not line.startswith("note: ")]
+        assert [line[:19] for line in failed] == ["failed: 07/walk_01:"]
+        assert sorted(path.stem for path in out.rglob(f"*.{format_}")) == ["run_01", "walk_02"]
+    unsuited = command("archive", "extract", vault, "walk_02", "run_01", "-o", out, "--format", "ply")
+    assert unsuited.code == 3
+    assert [line[:8] for line in unsuited.err.splitlines()] == ["failed: "] * 2
+    for format_ in ("../../zz", "zz", "", "."):
+        assert command("archive", "extract", vault, "-o", out, "--format", format_).code == 2
+
+
+def test_a_line_break_in_a_name_makes_no_line(command: Command, vault: Path) -> None:
+    with sqlite3.connect(vault / "catalogue.sqlite") as connection:
+        connection.execute("UPDATE recordings SET name = ?, labels = ? WHERE stem = 'run_01'", ["a\nb", " c\nd "])
+    connection.close()
+    assert len(command("archive", "list", vault).out.splitlines()) == 4
+    assert len(command("archive", "query", vault, "seconds > 0", "--names").out.splitlines()) == 3
+    (vault / "shards/000001.mocs").write_bytes(b"")
+    assert len(command("archive", "verify", vault).out.splitlines()) == 4
+    assert len(command("archive", "extract", vault, "-o", vault / "out").err.splitlines()) == 3
 
 
 def test_index_similar_and_duplicates(command: Command, vault: Path) -> None:

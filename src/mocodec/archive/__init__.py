@@ -12,11 +12,12 @@ from .building import Report, build
 from .catalogue import COLUMNS, Row
 from .database import Archive, Entry, Recordings, open_archive
 from .encoding import Options
-from .maintenance import damage, merge, remove, repair, unused_bytes
+from .maintenance import damage, merge, remove, repair, unused_bytes, whole_bytes
 from .pool import dask_cluster
 from .similarity import Hit, Pair, duplicates, index, search
 
 __all__ = [
     "COLUMNS", "Archive", "Entry", "Hit", "Options", "Pair", "Recordings", "Report", "Row", "build", "damage",
     "dask_cluster", "duplicates", "index", "merge", "open_archive", "remove", "repair", "search", "unused_bytes",
+    "whole_bytes",
 ]  # fmt: skip

@@ -11,12 +11,13 @@ after the change.
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ..errors import BadInput, Corrupt, TooNew
 
@@ -94,6 +95,18 @@ _TEXT = (
     "prior",
 )
 _REAL = ("rate", "seconds", "mean_error", "max_error", "ratio")
+_OPTIONAL = ("subject", "trial", "mean_error", "max_error", "ratio")
+_OF_A_FOLDER = ("source_bytes", "source_time_ns")
+"""Columns that are -1 for a folder of files; a file's time may be before 1970."""
+_SUMMED = ("frames", "seconds", "bytes", "side_bytes", "raw_bytes")
+HUGE = 1 << 62
+SUMS_ARE_SOUND = "coalesce(min({}), 1)".format(
+    " AND ".join(
+        [f"typeof({c}) IN ('integer', 'real') AND {c} >= 0 AND {c} < {HUGE}" for c in _SUMMED]
+        + [f"({c} IS NULL OR typeof({c}) = 'real' AND {c} >= 0 AND {c} < {HUGE})" for c in ("mean_error", "max_error")]
+    )
+)
+"""SQL: 1 if all values that `sums` adds up are numbers of a plausible size."""
 
 
 def _column(name: str) -> str:
@@ -113,9 +126,45 @@ SCHEMA = (
 )
 
 
+def _text(data: bytes) -> str:
+    """Text of the catalogue; bytes that are no UTF-8 as surrogates, which no sound column has."""
+    return data.decode("utf-8", "surrogateescape")
+
+
 def whole(value: object) -> bool:
     """Whether a value is a whole number that can be a size or a place."""
-    return isinstance(value, int) and 0 <= value < 1 << 62
+    return isinstance(value, int) and 0 <= value < HUGE
+
+
+def is_sound(name: str, value: object) -> bool:
+    """Whether a column can have this value: text without NUL, or a number that is finite and not negative."""
+    if value is None:
+        return name in _OPTIONAL
+    if name in _TEXT:
+        return isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value)
+    if name in _REAL:
+        return isinstance(value, float) and 0 <= value < math.inf
+    if name in _OF_A_FOLDER:
+        return isinstance(value, int)
+    return whole(value)
+
+
+def problem_of(values: Sequence[Any]) -> str:
+    """The column of a row whose value cannot be, or ""."""
+    for name, value in zip(COLUMNS, values, strict=True):
+        if not is_sound(name, value):
+            return name
+    row = Row(*values)
+    checks = {
+        "name": row.name != "",
+        "kind": row.kind in ("motion", "clouds"),
+        "rate": row.rate > 0,
+        "rotations": row.rotations in (0, 1),
+        "side_bytes": row.side_bytes <= row.bytes,
+        "prior": row.prior == "" or (row.prior.isascii() and row.prior.isalnum()),
+        "shard": 0 < row.shard < MOST_SHARDS,
+    }
+    return next((name for name, is_right in checks.items() if not is_right), "")
 
 
 class Catalogue:
@@ -135,6 +184,7 @@ class Catalogue:
             self.connection = sqlite3.connect(
                 uri, uri=True, timeout=SECONDS_TO_WAIT, isolation_level=None, check_same_thread=False
             )
+            self.connection.text_factory = _text
             self._prepare(create)
 
     def _prepare(self, create: bool) -> None:
@@ -155,9 +205,22 @@ class Catalogue:
                     f"{self.path}: a catalogue of version {version}; this mocodec reads up to version {VERSION}: "
                     "upgrade it"
                 )
+            else:
+                self._require_tables()
         except BaseException:
             self.connection.close()
             raise
+
+    def _require_tables(self) -> None:
+        """Raises Corrupt if a table is missing, or is a view, or if anything but tables and indices is there."""
+        found = self.connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+        tables = {
+            name for type_, name, sql in found if type_ == "table" and str(sql).upper().startswith("CREATE TABLE")
+        }
+        if not {"recordings", "shards", "options", "failures"} <= tables:
+            raise self.damaged("a table is missing")
+        if any(type_ not in ("table", "index") for type_, _, _ in found):
+            raise self.damaged("it has a view or a trigger")
 
     @contextmanager
     def _errors(self) -> Generator[None, None, None]:
@@ -183,19 +246,32 @@ class Catalogue:
                 raise
 
     def rows(self, where: str = "1", constants: Sequence[Any] = (), order: str = "name") -> Iterator[Row]:
-        """The rows that meet a condition, in order of names."""
+        """The rows that meet a condition, in order of names. Raises Corrupt for one that cannot be."""
+        for found in self.rows_or_problems(where, constants, order):
+            if isinstance(found, tuple):
+                raise self.damaged(f"{found[1]} of recording {found[0]}")
+            yield found
+
+    def rows_or_problems(
+        self, where: str = "1", constants: Sequence[Any] = (), order: str = "name"
+    ) -> Iterator[Row | tuple[str, str]]:
+        """The rows that meet a condition; for one that cannot be, its name and what is wrong."""
         with self._errors():
             cursor = self.connection.execute(
                 f"SELECT {_SELECT} FROM recordings WHERE {where} ORDER BY {order}", constants
             )
             for values in cursor:
-                yield Row(*values)
+                problem = problem_of(values)
+                yield (str(values[0]), f"wrong {problem}") if problem else Row(*values)
 
     def names(self, where: str = "1", constants: Sequence[Any] = ()) -> list[str]:
-        """The names of the rows that meet a condition, sorted."""
+        """The names of the rows that meet a condition, sorted. Raises Corrupt."""
         with self._errors():
             found = self.connection.execute(f"SELECT name FROM recordings WHERE {where} ORDER BY name", constants)
-            return [name for (name,) in found]
+            names = [name for (name,) in found]
+        if not all(name and is_sound("name", name) for name in names):
+            raise self.damaged("a name is no text")
+        return names
 
     def row(self, name: str) -> Row | None:
         """The row of exactly this name."""
@@ -234,13 +310,22 @@ class Catalogue:
     def failures(self) -> list[tuple[str, str]]:
         """Path and reason of each source that failed."""
         with self._errors():
-            return self.connection.execute("SELECT path, reason FROM failures ORDER BY path").fetchall()
+            found = self.connection.execute("SELECT path, reason FROM failures ORDER BY path").fetchall()
+        if not all(isinstance(text, str) for failure in found for text in failure):
+            raise self.damaged("its table of failures has no texts")
+        return found
 
     def options(self, number: int) -> dict[str, Any]:
         """What recordings with this number were coded with."""
         with self._errors():
             found = self.connection.execute("SELECT text FROM options WHERE number = ?", [number]).fetchone()
-        return {} if found is None else json.loads(found[0])
+        try:
+            options: Any = {} if found is None else json.loads(found[0])
+        except (TypeError, ValueError, RecursionError):
+            options = None
+        if not isinstance(options, dict):
+            raise self.damaged(f"its options {number}")
+        return cast("dict[str, Any]", options)
 
     def option_number(self, options: Mapping[str, Any]) -> int:
         """The number of these options, which are stored if they are new."""

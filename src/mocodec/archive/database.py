@@ -23,7 +23,7 @@ from ..errors import BadInput
 from ..file_range import FileRange
 from ..selection import counted
 from . import remote
-from .catalogue import COLUMNS, Catalogue, Row
+from .catalogue import COLUMNS, SUMS_ARE_SOUND, Catalogue, Row
 from .encoding import PRIORS, bytes_of
 from .expressions import Constant, to_sql
 
@@ -83,6 +83,10 @@ class Recordings:
         """What the catalogue says about each recording."""
         return self._archive.catalogue.rows(self._where, self._constants)
 
+    def rows_or_problems(self) -> Iterator[Row | tuple[str, str]]:
+        """The same; for a row that cannot be, the recording's name and what is wrong, where `rows` raises Corrupt."""
+        return self._archive.catalogue.rows_or_problems(self._where, self._constants)
+
     def query(self, text: str) -> Recordings:
         """Those that meet a condition: "subject == 86 and seconds > 10 and 'walk' in labels".
 
@@ -97,12 +101,15 @@ class Recordings:
 
     def sums(self) -> dict[str, Any]:
         """Over all recordings: recordings, frames, seconds, bytes, side_bytes, raw_bytes, mean_error (of all samples)
-        and max_error (m; None if unknown)."""
+        and max_error (m; None if unknown). Raises Corrupt if one of these is no number in the catalogue."""
         names = ("recordings", "frames", "seconds", "bytes", "side_bytes", "raw_bytes", "mean_error", "max_error")
         what = "count(*), total(frames), total(seconds), total(bytes), total(side_bytes), total(raw_bytes)"
         what += ", sum(mean_error * raw_bytes) / sum(CASE WHEN mean_error IS NULL THEN NULL ELSE raw_bytes END)"
-        found = self._archive.catalogue.values(f"{what}, max(max_error)", self._where, self._constants)
-        values = dict(zip(names, found, strict=True))
+        catalogue = self._archive.catalogue
+        found = catalogue.values(f"{what}, max(max_error), {SUMS_ARE_SOUND}", self._where, self._constants)
+        if not found[-1]:
+            raise catalogue.damaged("a size or an error of a recording is no number")
+        values = dict(zip(names, found[:-1], strict=True))
         whole = ("frames", "bytes", "side_bytes", "raw_bytes")
         return {name: int(value) if name in whole else value for name, value in values.items()}
 

@@ -21,23 +21,47 @@ from .database import Entry, Recordings, open_archive
 from .encoding import Options
 from .lock import only_builder
 
+COMPARED = ("kind", "frames", "rate", "points", "codec", "bytes")
+"""Columns that the header of a `.mocz` says too."""
+KEPT = (
+    "path", "origin", "format", "mean_error", "max_error", "source_hash", "source_bytes", "source_time_ns", "prior"
+)  # fmt: skip
+"""Columns that a `.mocz` does not say: a repair takes them from the old catalogue."""
+
 Path_ = str | PathLike[str]
 
 
 def damage(recordings: Recordings, decode: bool = False) -> Iterator[tuple[str, str]]:
-    """Name of each recording whose bytes are not what was written, and why. decode: also decode all frames."""
-    for entry in recordings:
+    """Name of each recording that is not what was written, and why. decode: also decode all frames.
+
+    The catalogue must agree: a row with values that cannot be, or with others than its `.mocz` has, is damaged too.
+    """
+    for row in recordings.rows_or_problems():
+        if isinstance(row, tuple):
+            yield row[0], f"the catalogue is damaged ({row[1]})"
+            continue
+        entry = Entry(recordings.folder, row)
         try:
-            blob = entry.read()
-            with api.open(blob) as f:
-                f.verify()
-                if decode:
-                    for _ in f:
-                        pass
-            if encoding.content_hash(blob) != entry.row.content:
-                raise Corrupt("these are not the bytes that were written")
+            whole_bytes(entry, decode)
         except MocodecError as error:
-            yield entry.row.name, str(error).removeprefix(f"{entry.place.label}: ")
+            yield row.name, str(error).removeprefix(f"{entry.place.label}: ")
+
+
+def whole_bytes(entry: Entry, decode: bool = False) -> bytes:
+    """The bytes of a recording's `.mocz`, after all checks of `damage`. Raises MocodecError."""
+    blob = entry.read()
+    with api.open(blob) as f:
+        f.verify()
+        if decode:
+            for _ in f:
+                pass
+        facts = encoding.facts_of(f)
+    if encoding.content_hash(blob) != entry.row.content:
+        raise Corrupt("these are not the bytes that were written")
+    for column in COMPARED:
+        if facts[column] != getattr(entry.row, column):
+            raise Corrupt(f"the catalogue says {column} {getattr(entry.row, column)}, and the file {facts[column]}")
+    return blob
 
 
 def unused_bytes(recordings: Recordings) -> int:
@@ -126,24 +150,24 @@ def _copy(entry: Entry, writer: Builder, seen: dict[str, str], options: dict[str
 def repair(where: Path_) -> Report:
     """Make a new catalogue from the shards, in place of one that is lost or damaged, which is kept beside it.
 
-    What only the catalogue said is lost: where recordings came from, and their errors; so a build codes the sources
-    again. Removed recordings come back; of a name that occurs twice, the last stays. Raises BadInput.
+    What only the catalogue said, where recordings came from and their errors, is kept where the old catalogue can be
+    read and the recording is the same, and lost otherwise: then a build codes the sources again. Removed recordings
+    come back; of a name that occurs twice, the last stays. Raises BadInput.
     """
     folder = existing(where, "shards")
     with only_builder(folder):
         new, report = folder / "repairing", Report()
         shutil.rmtree(new, ignore_errors=True)
         new.mkdir()
-        catalogue = Catalogue(new, create=True)
+        catalogue, known = Catalogue(new, create=True), _known(folder)
         try:
             with catalogue.transaction():
-                options = catalogue.option_number(Options().stored())
                 for number, path in shards.numbered(folder).items():
                     counted = 0
                     try:
                         shards.require_file(path)
                         for name, place in shards.entries(path):
-                            _recover(catalogue, name, place, number, options, report)
+                            _recover(catalogue, name, place, number, known, report)
                             counted = place.start + place.size
                     except MocodecError as error:
                         report.failed.append((path.name, str(error)))
@@ -159,17 +183,39 @@ def repair(where: Path_) -> Report:
     return report
 
 
-def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, options: int, report: Report) -> None:
+Known = dict[str, tuple[catalogue_.Row, dict[str, Any]]]
+
+
+def _known(folder: Path) -> Known:
+    """The sound rows of the old catalogue by name, with the options of their coding; none if it is damaged."""
+    known: Known = {}
+    try:
+        with open_archive(folder) as old:
+            for row in old.rows_or_problems():
+                if not isinstance(row, tuple):
+                    known[row.name] = row, old.catalogue.options(row.options)
+    except MocodecError:
+        return {}
+    return known
+
+
+def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, known: Known, report: Report) -> None:
     """Put the row of one entry of a shard into the new catalogue."""
     try:
         with api.open(place) as file:
             facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
+        content = encoding.content_hash(encoding.bytes_of(place))
     except MocodecError as error:
         report.failed.append((name, str(error)))
         return
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
-    content = encoding.content_hash(encoding.bytes_of(place))
-    catalogue.put(catalogue_.Row(**facts, options=options, content=content, shard=shard, start=place.start))
+    row, options = known.get(name, (None, Options().stored()))
+    if row is not None and row.content == content:
+        facts |= {column: getattr(row, column) for column in KEPT}
+    else:
+        options = Options().stored()
+    number = catalogue.option_number(options)
+    catalogue.put(catalogue_.Row(**facts, options=number, content=content, shard=shard, start=place.start))
     report.added.append(name)
 
 

@@ -15,11 +15,11 @@ from typing import Any
 
 import click
 
-from .. import api, archive, codecs
-from ..archive import Options, Recordings, Report, Row
+from .. import api, archive, codecs, formats
+from ..archive import Entry, Options, Recordings, Report, Row
 from ..encoded import TARGETS
-from ..errors import BadInput
-from . import DAMAGED, archive_search, debug_option, files, quantities
+from ..errors import BadInput, Corrupt, MocodecError
+from . import DAMAGED, archive_search, debug_option, files, message_and_code, quantities
 from .quantities import setting
 
 TABLE = ("name", "frames", "rate", "points", "seconds", "bytes", "ratio", "mean_error", "max_error", "labels")
@@ -166,11 +166,11 @@ def print_report(output: str, report: Report, as_json: bool, quiet: bool) -> int
         counts += [f"{len(report.replaced):,} replaced"] if report.replaced else []
         counts += [f"{len(report.unchanged):,} unchanged"] if report.unchanged else []
         counts += [f"{len(report.failed):,} failed"] if report.failed else []
-        files.echo(f"{output}: {', '.join(counts)}; {totals(sums)}", err=True)
+        files.line(f"{output}: {', '.join(counts)}; {totals(sums)}", err=True)
         for path, reason in report.failed[:MAX_FAILURES]:
-            files.echo(f"failed: {path}: {reason}", err=True)
+            files.line(f"failed: {path}: {reason}", err=True)
         if len(report.failed) > MAX_FAILURES:
-            files.echo(f"… and {len(report.failed) - MAX_FAILURES:,} more: mocodec archive stats", err=True)
+            files.line(f"… and {len(report.failed) - MAX_FAILURES:,} more: mocodec archive stats", err=True)
     return 3 if report.failed else 0
 
 
@@ -214,7 +214,7 @@ def query(db: str, condition: str, as_json: bool, names: bool) -> None:
         found = opened.query(condition)
         if names:
             for row in found.rows():
-                files.echo(row.name)
+                files.line(row.name)
         else:
             print_rows(found.rows(), as_json)
 
@@ -223,7 +223,7 @@ def print_rows(rows: Iterable[Row], as_json: bool) -> None:
     """Rows as a table, or as lines of JSON."""
     if as_json:
         for row in rows:
-            files.echo(json.dumps(asdict(row)))
+            files.line(json.dumps(asdict(row)))
         return
     lines = [TABLE, *(tuple(cell(row, column) for column in TABLE) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(TABLE))]
@@ -232,7 +232,7 @@ def print_rows(rows: Iterable[Row], as_json: bool) -> None:
             text.ljust(w) if c in ("name", "labels") else text.rjust(w)
             for c, text, w in zip(TABLE, line, widths, strict=True)
         )
-        files.echo("  ".join(padded).rstrip())
+        files.line("  ".join(padded).rstrip())
 
 
 def cell(row: Row, column: str) -> str:
@@ -255,23 +255,43 @@ def cell(row: Row, column: str) -> str:
 @click.option(
     "--format", "format_", default="mocz", help="mocz (default: the bytes as they are), c3d, trc, bvh, npz, …"
 )
-def extract(db: str, names: tuple[str, ...], output: str, condition: str | None, format_: str) -> None:
+def extract(db: str, names: tuple[str, ...], output: str, condition: str | None, format_: str) -> int:
     """Write recordings to files.
 
-    Those with these NAMES, those of a --query, or all recordings of the archive DB.
+    Those with these NAMES, those of a --query, or all recordings of the archive DB. Every byte is checked; recordings
+    that are damaged, or that the format cannot store, are listed, and the others are written.
     """
+    suffix = "." + format_.lower().lstrip(".")
+    if suffix != files.SUFFIX and suffix not in formats.FORMATS:
+        known = ", ".join(known[1:] for known in (files.SUFFIX, *formats.FORMATS))
+        raise click.UsageError(f"--format is one of {known}, not {format_[:40]!r}")
+    code = 0
     with archive.open_archive(db) as opened:
         chosen: Recordings = opened.query(condition) if condition else opened
-        entries = [chosen.entry(name) for name in names] if names else chosen
-        for entry in entries:
-            target = Path(output, *safe_parts(entry.row.name)).with_name(
-                f"{safe_parts(entry.row.name)[-1]}.{format_.lower().lstrip('.')}"
-            )
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if target.suffix == files.SUFFIX:
-                files.write_bytes(str(target), entry.read())
-            else:
-                files.write(str(target), api.decode(entry.place))
+        rows = (chosen.entry(name).row for name in names) if names else chosen.rows_or_problems()
+        for row in list(rows) if names else rows:
+            name = row[0] if isinstance(row, tuple) else row.name
+            try:
+                if isinstance(row, tuple):
+                    raise Corrupt(f"the catalogue is damaged ({row[1]})")
+                extract_one(Entry(chosen.folder, row), Path(output), suffix)
+            except MocodecError as error:
+                reason, this = message_and_code(error)
+                code = max(code, this)
+                files.line(f"failed: {name}: {reason.removeprefix(f'{chosen.folder}: {name}: ')}", err=True)
+    return code
+
+
+def extract_one(entry: Entry, folder: Path, suffix: str) -> None:
+    """Check a recording's bytes, and write it below a folder. Raises MocodecError."""
+    parts = safe_parts(entry.row.name)
+    target = Path(folder, *parts).with_name(parts[-1] + suffix)
+    blob = archive.whole_bytes(entry)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if suffix == files.SUFFIX:
+        files.write_bytes(str(target), blob)
+    else:
+        files.write(str(target), api.decode(blob))
 
 
 def safe_parts(name: str) -> list[str]:
@@ -293,8 +313,8 @@ def verify(db: str, decode: bool, condition: str | None) -> int:
         count, damaged = len(chosen), 0
         for name, reason in archive.damage(chosen, decode):
             damaged += 1
-            files.echo(f"{name}: {reason}")
-    files.echo(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
+            files.line(f"{name}: {reason}")
+    files.line(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
     return DAMAGED if damaged else 0
 
 
@@ -311,10 +331,10 @@ def stats(db: str, as_json: bool) -> None:
     if as_json:
         files.echo(json.dumps({**sums, "unused_bytes": unused, "failures": failures}, indent=2))
         return
-    files.echo(f"{db}: {totals(sums)}")
-    files.echo(f"{sums['seconds'] / 3600:.2f} hours of motion; {quantities.size(unused)} unused in shards")
+    files.line(f"{db}: {totals(sums)}")
+    files.line(f"{sums['seconds'] / 3600:.2f} hours of motion; {quantities.size(unused)} unused in shards")
     for path, reason in failures:
-        files.echo(f"failed: {path}: {reason}")
+        files.line(f"failed: {path}: {reason}")
 
 
 @command.command("merge")
@@ -346,7 +366,7 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
     with archive.open_archive(db) as opened:
         chosen = list(names) if condition is None else opened.query(condition).names
     removed = archive.remove(db, chosen)
-    files.echo(f"{db}: removed {len(removed):,} recordings", err=True)
+    files.line(f"{db}: removed {len(removed):,} recordings", err=True)
 
 
 @command.command("repair")
@@ -354,7 +374,8 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
 def repair(db: str) -> int:
     """Make a lost or damaged catalogue again from the shards.
 
-    Names and recordings come back; measured errors and where recordings came from were only in the catalogue.
+    Names and recordings come back. Measured errors and where recordings came from are only in the catalogue: they are
+    kept if it can still be read.
     """
     report = archive.repair(db)
     return print_report(db, report, False, False)

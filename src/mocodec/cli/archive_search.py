@@ -22,7 +22,7 @@ def index(db: str, quiet: bool) -> None:
     with files.progress_line(quiet) as show:
         windows = archive.index(db, show)
     if not quiet:
-        files.echo(f"{db}: {windows:,} windows in the index", err=True)
+        files.line(f"{db}: {windows:,} windows in the index", err=True)
 
 
 @click.command("similar")
@@ -54,7 +54,7 @@ def similar(
         files.echo(json.dumps([asdict(hit) for hit in hits], indent=2))
         return
     for hit in hits:
-        files.echo(f"{hit.name}  {hit.start:.1f} to {hit.stop:.1f} s  {quantities.length(hit.distance)}")
+        files.line(f"{hit.name}  {hit.start:.1f} to {hit.stop:.1f} s  {quantities.length(hit.distance)}")
 
 
 @click.command("duplicates")
@@ -65,7 +65,7 @@ def duplicates(db: str, within: float) -> None:
     with archive.open_archive(db) as opened:
         for pair in archive.duplicates(opened, within):
             how = "equal" if pair.equal else f"{100 * pair.share:.0f} % within {quantities.length(pair.distance)}"
-            files.echo(f"{pair.one}  {pair.other}  {how}")
+            files.line(f"{pair.one}  {pair.other}  {how}")
 
 
 COMMANDS = (index, similar, duplicates)

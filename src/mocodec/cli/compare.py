@@ -65,7 +65,11 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     if not isinstance(original, Motion) or not isinstance(other, Motion):
         raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")
     comparison = metrics.compare(original, other, stored_bytes(b) or stored_bytes(a), shell)
-    files.echo(comparison.to_json() if as_json else "\n".join(table(comparison)))
+    if as_json:
+        files.echo(comparison.to_json())
+    else:
+        for text in table(comparison):
+            files.line(text)
     for path in (plot, poses):
         if path:
             draw = plots.errors if path == plot else plots.recording

@@ -61,8 +61,8 @@ def command(
         files.write(name, recording, to_format, quiet, **writer_options, **more)
     if not quiet:
         for note in notes:
-            click.echo(f"note: {note}", err=True)
-        click.echo(summary(name, recording), err=True)
+            files.line(f"note: {note}", err=True)
+        files.line(summary(name, recording), err=True)
 
 
 def read(source: str, suffix: str, options: dict[str, Any]) -> tuple[Recording, dict[str, Any]]:

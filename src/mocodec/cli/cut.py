@@ -78,7 +78,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
                 files.write(output, opened[start:stop], quiet=quiet)
                 how = "decoded"
     if not quiet:
-        files.echo(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
+        files.line(f"{output}: frames {start} to {stop - 1} of {source}, {how}", err=True)
 
 
 def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple[int, int]:

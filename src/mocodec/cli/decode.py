@@ -80,9 +80,9 @@ def command(
     with files.working(f"writing {output}"):
         files.write(output, recording, format_, quiet, **writer_options, **more)
     for note in [] if quiet else notes:
-        files.echo(f"note: {note}", err=True)
+        files.line(f"note: {note}", err=True)
     for line in lost:
-        files.echo(f"mocodec: {source}: {line}", err=True)
+        files.line(f"mocodec: {source}: {line}", err=True)
     return DAMAGED if lost else None
 
 

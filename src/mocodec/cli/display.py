@@ -22,7 +22,7 @@ class Display:
         if self.quiet:
             return self
         if self.skipped:
-            files.echo(f"{self.skipped} of {self.total + self.skipped} files are done already", err=True)
+            files.line(f"{self.skipped} of {self.total + self.skipped} files are done already", err=True)
         if self.total and sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -55,7 +55,7 @@ class Display:
         if self.quiet:
             return
         if self._bars is None:
-            files.echo(f"[{self.finished}/{self.total}] {summary.line(record)}", err=True)
+            files.line(f"[{self.finished}/{self.total}] {summary.line(record)}", err=True)
             return
         if record["file"] in self._of_file:
             self._bars.remove_task(self._of_file.pop(record["file"]))

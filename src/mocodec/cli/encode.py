@@ -120,7 +120,7 @@ def command(
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
-        files.echo(summary(output, record), err=True)
+        files.line(summary(output, record), err=True)
     return None
 
 
@@ -158,7 +158,7 @@ def encoded(
         recording = replace(recording, extras={})
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
     if (lost := api.not_kept(recording, chosen)) and not quiet:
-        files.echo(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
+        files.line(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)
     with files.working(f"encoding {source} with {chosen.name}"), own_prior.used(prior):
         with progress.phase(0.0, 0.9):
             blob = api.pack(chosen, recording, signal_error)

@@ -165,14 +165,19 @@ def note(name: str, text: str) -> None:
     context = click.get_current_context(silent=True)
     if context is not None and isinstance(context.obj, dict) and not context.params.get("quiet"):
         shown: list[str] = context.obj.setdefault("notes", [])
-        line = f"note: {name}: {printable(text)}"
-        if line not in shown:
-            shown.append(line)
+        noted = f"note: {name}: {printable(text)}"
+        if noted not in shown:
+            shown.append(noted)
 
 
 def echo(text: str, err: bool = False) -> None:
     """Print text on standard output or error; control characters, which files may put into names, are replaced."""
     click.echo("\n".join(map(printable, text.split("\n"))), err=err)
+
+
+def line(text: str, err: bool = False) -> None:
+    """Print text as one line, as `echo`: a line break in a name cannot begin another."""
+    click.echo(printable(text), err=err)
 
 
 def write(
@@ -202,7 +207,7 @@ def print_dropped(suffix: str, motion: Motion | PointClouds, quiet: bool) -> Non
     if quiet or suffix.lower() == SUFFIX:
         return
     if left_out := formats.dropped(f"motion{suffix}", motion):
-        echo(f"note: {suffix.lower()} cannot store {', '.join(left_out)}", err=True)
+        line(f"note: {suffix.lower()} cannot store {', '.join(left_out)}", err=True)
 
 
 def write_bytes(name: str, data: bytes) -> None:

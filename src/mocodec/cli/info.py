@@ -34,7 +34,11 @@ def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **o
         found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
         return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, again, as_json))
     facts = facts_of_source(sources[0], **options)
-    files.echo(json.dumps(facts, indent=2) if as_json else "\n".join(shown(facts)))
+    if as_json:
+        files.echo(json.dumps(facts, indent=2))
+    else:
+        for text in shown(facts):
+            files.line(text)
     return None
 
 

@@ -189,11 +189,12 @@ def run(
     except KeyboardInterrupt:
         done = sum(record["status"] != FAILED for record in records)
         again = "; the same command goes on from there" if outputs else ""
-        files.echo(f"mocodec: stopped after {done} of {len(sources)} files{again}", err=True)
+        files.line(f"mocodec: stopped after {done} of {len(sources)} files{again}", err=True)
         raise
     report = summary.report(command, sorted(records, key=lambda r: r["file"]), time.monotonic() - started)
     if settings.as_json:
         files.echo(json.dumps(report, indent=2))
     elif not settings.quiet:
-        files.echo("\n".join(summary.lines(command, report)))
+        for text in summary.lines(command, report):
+            files.line(text)
     return max((record["code"] for record in records if record["status"] == FAILED), default=0)

@@ -53,7 +53,11 @@ def command(
         each = {path: {"original": original} for path, original in originals.items()}
         return many.run("verify", found, {}, "", many.Settings(chosen, jobs, again, as_json), each)
     report = checked(sources[0], against, **options)
-    files.echo(json.dumps(report, indent=2) if as_json else "\n".join(lines(report, against)))
+    if as_json:
+        files.echo(json.dumps(report, indent=2))
+    else:
+        for text in lines(report, against):
+            files.line(text)
     return PROMISE_BROKEN if report.get("broken") else None
 
 
