@@ -347,3 +347,12 @@ def test_a_repair_of_a_sound_catalogue_keeps_errors_and_sources(vault: Path) -> 
     with mc.open_archive(vault / "db") as db:
         assert list(db.rows()) == before
     assert len(archive.build(vault / "raw", vault / "db", OPTIONS).unchanged) == 4
+
+
+@pytest.mark.parametrize("text", ["{", "5", '{"colour": 1}', None])
+def test_options_that_are_none(vault: Path, text: str | None) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute("UPDATE options SET text = ?", [text])
+    connection.close()
+    with pytest.raises(mc.Corrupt, match="its options 1"):
+        archive.build(vault / "raw", vault / "db", prefix="more/")

@@ -125,9 +125,12 @@ def make_folder(folder: Path) -> None:
 
 
 def last_options(catalogue: Catalogue) -> Options:
-    """The options of the last build; the defaults in an archive without one."""
+    """The options of the last build; the defaults in an archive without one. Raises Corrupt."""
     (number,) = catalogue.values("max(options)")
-    return Options(**(catalogue.options(number) if number else {}))
+    try:
+        return Options(**(catalogue.options(number) if number else {}))
+    except TypeError as error:
+        raise catalogue.damaged(f"its options {number}") from error
 
 
 class Builder:
