@@ -145,3 +145,12 @@ def test_damaged_runs_are_corrupt_or_positions():
     for head in ([0, 0, 0, 0], [0, 0, 1 << 60, 0], [0, 1 << 60, 1, 0], [0, 0, 1, 1 << 60], [0, 0, 1, 0]):
         with contextlib.suppress(Corrupt):
             frozen.restore(motion.positions, varint.write(head))
+
+
+def test_a_motion_that_repeats_is_not_frozen() -> None:
+    """Loops come back to the same exact positions, at speed and from the same places: nothing is parked there."""
+    rng = np.random.default_rng(4)
+    once = rng.normal(size=(90, 5, 3)).cumsum(axis=0) * rng.uniform(0.001, 0.05, (90, 1, 1))
+    once[40:42, 1] = once[40, 1]  # a frame that repeats another, so that the search begins
+    for loop in (np.tile(once, (8, 1, 1)), np.tile(np.concatenate([once, once[::-1]]), (6, 1, 1))):
+        assert not frozen.split(loop).frozen.any()

@@ -174,11 +174,17 @@ def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> 
 
 def _parking_values(runs: _Runs, values: Floats, constant: Booleans, between_jumps: Booleans) -> Integers:
     """Bit patterns (n, 3) of values where points are parked: those of constant runs, and those to which points jump
-    in at least two runs of `SHORTEST_RUN` samples together."""
+    in at least two runs of `SHORTEST_RUN` samples together, mostly from different places. A motion that repeats as a
+    loop comes to its values from the same places each time.
+    """
     patterns = _bits(values)
     repeated, which, counts = np.unique(patterns[between_jumps], axis=0, return_inverse=True, return_counts=True)
-    samples = np.bincount(which.ravel(), runs.length[between_jumps], minlength=len(counts))
-    again = repeated[(counts >= 2) & (samples >= SHORTEST_RUN)]
+    which = which.ravel()
+    samples = np.bincount(which, runs.length[between_jumps], minlength=len(counts))
+    before = np.roll(patterns, 1, axis=0)[between_jumps]
+    arrivals = np.unique(np.column_stack([which.astype(before.dtype), before]), axis=0)[:, 0]
+    places = np.bincount(arrivals.astype(np.int64), minlength=len(counts))
+    again = repeated[(counts >= 2) & (samples >= SHORTEST_RUN) & (places >= np.maximum(2, counts / 2))]
     return np.unique(np.concatenate([patterns[constant], again]), axis=0)
 
 
