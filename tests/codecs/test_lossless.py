@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -71,3 +72,14 @@ def test_damaged_header_or_payload_raises_corrupt() -> None:
         Lossless.decode(replace(encoded, shared=(b"x",)))
     with pytest.raises(Corrupt):
         Lossless.decode(replace(encoded, chunks=(replace(encoded.chunks[0], payload=b"\xff"),)))
+
+
+def test_a_predictor_whose_fit_overflows_is_left_out() -> None:
+    """Two values, of which one occurs only in the frames that the predictor begins with: its errors are all zero."""
+    positions = np.zeros((46, 7, 3))
+    positions[1, :, :] = 10.0
+    motion = Motion(positions, 30, source={"unit_m": 0.001})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        decoded = Lossless.decode(Lossless().encode(motion))
+    np.testing.assert_array_equal(decoded.positions, positions)

@@ -270,11 +270,16 @@ def fit_predictor(values: Floats) -> Integers:
     smallest_error = max(float(np.abs(target).mean()) * 1e-5, 1e-300)
     taps = np.zeros(ORDER - 1)
     weight = np.ones_like(target)
-    for _ in range(FIT_ITERATIONS):
-        gram = (differences * weight) @ differences.T
-        ridge = 1e-12 * np.trace(gram) / len(gram) + 1e-300
-        taps = np.linalg.solve(gram + ridge * np.eye(len(gram)), (differences * weight) @ target)
-        weight = 1 / (np.abs(target - taps @ differences) + smallest_error)
+    with np.errstate(all="ignore"):
+        for _ in range(FIT_ITERATIONS):
+            gram = (differences * weight) @ differences.T
+            if not np.isfinite(gram).all():  # weights or differences whose products leave the range of float64
+                return np.zeros(ORDER - 1, np.int64)
+            ridge = 1e-12 * np.trace(gram) / len(gram) + 1e-300
+            taps = np.linalg.solve(gram + ridge * np.eye(len(gram)), (differences * weight) @ target)
+            weight = 1 / (np.abs(target - taps @ differences) + smallest_error)
+    if not np.isfinite(taps).all():
+        return np.zeros(ORDER - 1, np.int64)
     return np.rint(np.clip(taps, -15, 15) * (1 << TAP_BITS)).astype(np.int64)
 
 
