@@ -55,3 +55,14 @@ def test_comparison_locates_the_largest_error_and_matches_points_by_name() -> No
 def test_motions_of_different_sizes_are_not_compared() -> None:
     with pytest.raises(BadInput, match="frames"):
         compare(Motion(A, rate=10), Motion(B[:1], rate=10))
+
+
+def test_a_comparison_shows_itself_in_notebooks() -> None:
+    hostile = "<script>alert(1)</script>"
+    rng = np.random.default_rng(0)
+    original = Motion(rng.normal(size=(20, 2, 3)), 60, (hostile, "b"))
+    moved = Motion(original.positions + np.array([0.003, 0, 0]), 60, original.names)
+    made = compare(original, moved)._repr_html_()
+    assert "3 mm" in made
+    assert hostile not in made
+    assert "&lt;script&gt;" in made

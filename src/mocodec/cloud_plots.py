@@ -6,6 +6,7 @@ side_by_side    the original above, the decoded points below, at a few times
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +21,13 @@ if TYPE_CHECKING:
 VIEW_PIXELS = 320
 
 
-def errors(original: PointClouds, decoded: PointClouds, title: str = "") -> Figure:
-    """D1 and the largest distance between nearest points of each frame, over time. Raises BadInput, MissingExtra."""
+def errors(
+    original: PointClouds, decoded: PointClouds, title: str = "", promise: Mapping[str, float] | None = None
+) -> Figure:
+    """D1 and the largest distance between nearest points of each frame, over time; promised errors as lines.
+
+    promise: of the compressed file; `max_error` and `mean_error`, metres. Raises BadInput, MissingExtra.
+    """
     found = point_clouds.errors(original, decoded)
     picture = plots.figure(9, 3.5)
     picture.suptitle(title, fontsize=10)
@@ -29,6 +35,7 @@ def errors(original: PointClouds, decoded: PointClouds, title: str = "") -> Figu
     seconds = np.array(found.frames) / original.rate
     axes.plot(seconds, 1000 * found.max_of_frame, color=plots.FAINT, linewidth=0.8, label="largest of the frame")
     axes.plot(seconds, 1000 * found.d1_of_frame, color=plots.OURS, linewidth=1.2, label="D1")
+    plots.draw_promise(axes.axhline, promise)
     axes.set_xlabel("time, s")
     axes.set_ylabel("error, mm")
     axes.set_ylim(bottom=0)

@@ -6,7 +6,7 @@ recording   stick figures of the original and the decoded motion, with the error
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -95,14 +95,20 @@ def draw_error_of_points(axes: Axes, mm: Floats, names: list[str], promise: Mapp
     axes.set_ylim(len(order) - 0.4, -0.6)
     axes.set_xlim(left=0)
     axes.set_xlabel("errors of each point, mm")
-    for name, bound in (promise or {}).items():
-        if name in BOUNDS:
-            axes.axvline(1000 * bound, color=INK, linewidth=0.8, linestyle=BOUNDS[name])
+    draw_promise(axes.axvline, promise, labelled=False)
     legend_above(axes, columns=4)
 
 
 BOUNDS = {"max_error": (0, (4, 3)), "mean_error": (0, (1, 2))}
 """Promises that are drawn as lines, and how these are dashed."""
+
+
+def draw_promise(line: Callable[..., Any], promise: Mapping[str, float] | None, labelled: bool = True) -> None:
+    """Promised errors as dashed lines, in millimetres. line: `axhline` or `axvline` of the axes."""
+    for name, bound in (promise or {}).items():
+        if name in BOUNDS:
+            label = f"promised {'maximum' if name == 'max_error' else 'mean'}" if labelled else None
+            line(1000 * bound, color=INK, linewidth=0.8, linestyle=BOUNDS[name], label=label)
 
 
 def nan_quantile(columns: Floats, share: float) -> Floats:
@@ -134,10 +140,7 @@ def draw_error_over_time(
     axes.fill_between(
         times, in_runs(seconds, rms, np.fmin)[1], most, color=OURS, linewidth=0.8, label="root mean square"
     )
-    for name, bound in (promise or {}).items():
-        if name in BOUNDS:
-            label = f"promised {'maximum' if name == 'max_error' else 'mean'}"
-            axes.axhline(1000 * bound, color=INK, linewidth=0.8, linestyle=BOUNDS[name], label=label)
+    draw_promise(axes.axhline, promise)
     axes.set_xlabel("time, s")
     axes.set_ylabel("error, mm")
     axes.set_ylim(bottom=0)

@@ -59,8 +59,11 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
         files.echo(clouds.as_text(result, as_json))
         heading = f"{Path(b).name} against {Path(a).name}: {len(original):,} frames of points"
         for path in filter(None, (plot, poses)):
-            draw = cloud_plots.errors if path == plot else cloud_plots.side_by_side
-            plots.save(draw(original, other, heading), path)
+            if path == plot:
+                drawn = cloud_plots.errors(original, other, heading, promise(b) or promise(a))
+            else:
+                drawn = cloud_plots.side_by_side(original, other, heading)
+            plots.save(drawn, path)
         return
     if not isinstance(original, Motion) or not isinstance(other, Motion):
         raise BadInput(f"cannot compare a motion with point clouds: {a} holds {kind(original)}, {b} {kind(other)}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from html import escape
 from typing import Any, cast
 
 import numpy as np
@@ -70,6 +72,35 @@ class Comparison:
         import json
 
         return json.dumps({**asdict(self), **extra}, indent=2)
+
+    def _repr_html_(self) -> str:
+        """The errors as tables, for notebooks: of the whole, then of each point, the largest first."""
+        whole = [
+            ("frames, points", f"{self.frames:,}, {self.points:,}"),
+            ("mean error", _millimetres(self.mean_error)),
+            ("99 % below", _millimetres(self.p99_error)),
+            ("largest error", _millimetres(self.max_error) + (f" at frame {self.max_at[0]}" if self.max_at else "")),
+            ("gaps", "equal" if self.gaps_equal else "not equal"),
+        ]
+        whole += [("ratio to float32", f"{self.ratio:.1f} : 1")] if self.ratio is not None else []
+        points = sorted(self.per_point.items(), key=lambda item: -item[1]["max_error"])
+        rows = [
+            (name, *(_millimetres(e[key]) for key in ("mean_error", "p99_error", "max_error"))) for name, e in points
+        ]
+        head = ("point", "mean", "99 % below", "largest")
+        return _html_table(whole) + (
+            f"<details><summary>points</summary>{_html_table([head, *rows])}</details>" if rows else ""
+        )
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1000 * metres:.3g} mm"
+
+
+def _html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of text as an HTML table; names in it are text, whatever they contain."""
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    return f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
 
 def in_order_of(original: Motion, decoded: Motion) -> Motion:
