@@ -144,9 +144,9 @@ def similar(vault: Path, frames: int, names: list[str]) -> tuple[Motion, similar
 
 def catalogues(vault: Path, folder: Path, count: int) -> dict[str, Any]:
     """SQLite and Parquet with the same rows: bytes, opening and a query, adding one row."""
-    import pyarrow
-    import pyarrow.compute as compute
-    import pyarrow.parquet as parquet
+    import pyarrow  # pyright: ignore[reportMissingImports]
+    import pyarrow.compute as compute  # pyright: ignore[reportMissingImports]
+    import pyarrow.parquet as parquet  # pyright: ignore[reportMissingImports]
 
     rows = list(varied_rows(vault, count=count))
     where = folder / f"rows_{count}"

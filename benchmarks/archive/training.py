@@ -58,7 +58,7 @@ def originals(vault: Path, folder: Path, people: Path) -> None:
 
 def trained(windows: learning.WindowSet, read: Callable[[Any], Any]) -> dict[str, Any]:
     """Train, and return the loss of each epoch and the time of reading and of all."""
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(SEED)
     torch.set_num_threads(1)

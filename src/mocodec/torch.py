@@ -13,8 +13,8 @@ from .errors import MissingExtra
 from .learning import WindowSet
 
 try:
-    import torch
-    from torch.utils.data import Dataset, Sampler
+    import torch  # pyright: ignore[reportMissingImports]
+    from torch.utils.data import Dataset, Sampler  # pyright: ignore[reportMissingImports]
 except ImportError:
     raise MissingExtra("mocodec.torch", "torch") from None
 

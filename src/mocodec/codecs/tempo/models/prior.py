@@ -223,7 +223,8 @@ def unpack_own(data: bytes) -> tuple[bytes, bytes]:
             if sum(info.file_size for info in packed.infolist()) > MOST_OWN_BYTES:
                 raise ValueError("it is too large")
             points, directions = packed.read(POINTS_FILE), packed.read(DIRECTIONS_FILE)
-        read(points), read(directions)
+        for file in (points, directions):
+            read(file)
         return points, directions
     except Exception as error:  # whatever damaged .zip and .npz files raise
         raise BadInput(f"this is not a prior that `mocodec prior train` wrote ({error})") from error
