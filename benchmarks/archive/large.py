@@ -44,7 +44,7 @@ def milliseconds(work: Callable[[], Any]) -> float:
 
 
 def varied_rows(vault: Path, count: int | None = None, frames: int | None = None) -> Iterator[Row]:
-    """Rows like those of an archive, `count` of them or until they have so many frames."""
+    """Rows like those of an archive, `count` of them or until their frames are `frames` in all."""
     random = np.random.default_rng(0)
     with archive.open_archive(vault) as db:
         rows = list(db.rows())

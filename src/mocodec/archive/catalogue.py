@@ -347,7 +347,7 @@ class Catalogue:
         self.connection.execute("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", [path, name, reason])
 
     def put_shards(self, sizes: Mapping[int, int]) -> None:
-        """From now on, so many bytes of the shards count."""
+        """From now on, these numbers of bytes of the shards count."""
         self.connection.executemany("INSERT OR REPLACE INTO shards VALUES (?, ?)", sorted(sizes.items()))
 
     def remove(self, name: str) -> None:
