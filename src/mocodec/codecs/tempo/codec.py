@@ -45,7 +45,6 @@ FALLBACK_MODEL = "hou2014"
 LATTICE_MODEL = "lattice"
 MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
 MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
-LEAST_CHUNK_FRAMES = 16
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
 COARSER_MODELS = 7
 """Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
@@ -375,7 +374,7 @@ class Tempo:
 
     def _seconds(self, motion: Motion, times: float = 1.0) -> float:
         """Length of chunks: times longer than asked for, LEAST_CHUNK_FRAMES or more, within the limit of the format."""
-        asked = max(min(times * self.chunk_seconds, MOST_CHUNK_SECONDS), LEAST_CHUNK_FRAMES / motion.rate)
+        asked = max(min(times * self.chunk_seconds, MOST_CHUNK_SECONDS), fallback.LEAST_CHUNK_FRAMES / motion.rate)
         return min(asked, most_chunk_frames(motion.points) / 2 / motion.rate)
 
     def _to_target(

@@ -27,9 +27,8 @@ from .header import StreamHeader
 from .pose import heading
 from .preparation import prepare
 
-LONGEST_CHUNK = 2.5
-"""Chunks may be this many times as long as asked for, though no longer than"""
-LONGEST_SECONDS = 10.0
+LONGEST_CHUNK, LONGEST_SECONDS, LEAST_CHUNK_FRAMES = 2.5, 10.0, 16
+"""Chunks may be LONGEST_CHUNK times as long as asked for, up to LONGEST_SECONDS, and always LEAST_CHUNK_FRAMES."""
 
 LONGEST_FRAMES = 60_000
 """Longer recordings are too varied for one basis, and the trial takes too long."""
@@ -148,7 +147,7 @@ def _stretch(encoded: Encoded[Motion]) -> slice:
 
 def _longest_chunk(motion: Motion, seconds: float) -> int:
     """Frames that a chunk may have."""
-    wanted = round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate)
+    wanted = max(round(min(LONGEST_CHUNK * seconds, LONGEST_SECONDS) * motion.rate), LEAST_CHUNK_FRAMES)
     return max(1, min(wanted, most_chunk_frames(motion.points)))
 
 
