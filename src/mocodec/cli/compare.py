@@ -48,9 +48,8 @@ def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, 
     """
     if a == b == "-":
         raise click.UsageError("A and B cannot both be standard input")
-    for path in filter(None, (plot, poses)):
-        if Path(path).suffix.lower() not in plots.SUFFIXES:
-            raise click.UsageError(f"{path}: the suffix of a picture must be one of {', '.join(plots.SUFFIXES)}")
+    for path in (plot, poses):
+        files.require_suffix(path, "a picture", plots.SUFFIXES)
     with files.working(f"reading {a} and {b}"):
         original, other = read_both(a, b, options)
     if isinstance(original, PointClouds) and isinstance(other, PointClouds):

@@ -146,6 +146,13 @@ def require_no_options(name: str, options: dict[str, Any]) -> None:
         raise BadInput(f"{name}: {listed} cannot be used with a .mocz, which says all of this itself")
 
 
+def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> None:
+    """Raises a usage error for an output with another suffix; None is no output."""
+    if path is not None and Path(path).suffix.lower() not in suffixes:
+        choice = suffixes[0] if len(suffixes) == 1 else f"one of {', '.join(suffixes)}"
+        raise click.UsageError(f"{path}: the suffix of {what} must be {choice}")
+
+
 def takes(name: str, format_: str | None, option: str) -> bool:
     """Whether the reader of a file has an option. format_: that of standard input."""
     if is_url(name) or is_mocz(name) or (name == "-" and not format_):

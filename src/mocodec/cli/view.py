@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import webbrowser
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
@@ -62,12 +61,12 @@ def command(
     """Show recordings in the browser: figures, markers or point clouds, with the error against an original.
 
     FILE is a .mocz or any format that can be read; several are shown beside each other. Of an archive, the page lists
-    the recordings and finds them by name or condition. The page is served to this
-    computer only, until Ctrl-C. Reader options such as --asf and --unit apply to each file whose format takes them.
+    the recordings and finds them by name or condition. The page is served to this computer only, until Ctrl-C. Reader
+    options such as --asf and --unit apply to each file whose format takes them.
     """
-    require_suffix(html_path, "a page", (".html", ".htm"))
-    require_suffix(png_path, "a picture", plots.SUFFIXES)
-    require_suffix(mp4_path, "a film", (".mp4",))
+    files.require_suffix(html_path, "a page", (".html", ".htm"))
+    files.require_suffix(png_path, "a picture", plots.SUFFIXES)
+    files.require_suffix(mp4_path, "a film", (".mp4",))
     if (png_path or mp4_path) and len(sources) > 1:
         raise click.UsageError("--png and --mp4 show one recording; name one FILE")
     if len(sources) == 1 and is_archive(sources[0]):
@@ -112,25 +111,14 @@ def listening(kind: type[ServerT], content: Any, title: str, port: int) -> Serve
 
 
 def serve(server: Server, in_browser: bool) -> None:
-    """Print the address, open the browser, and answer until Ctrl-C."""
-    files.echo(f"{server.url}\nShown until you press Ctrl-C.")
-    if in_browser:
-        webbrowser.open(server.url)
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        files.echo("closed", err=True)
+    """Show the page until Ctrl-C."""
+    server.show(in_browser)
+    files.echo("closed", err=True)
 
 
 def is_archive(name: str) -> bool:
     """Whether a folder is an archive."""
     return (Path(name) / catalogue.NAME).is_file()
-
-
-def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> None:
-    """Raises a usage error for an output with another suffix."""
-    if path is not None and Path(path).suffix.lower() not in suffixes:
-        raise click.UsageError(f"{path}: the suffix of {what} must be {' or '.join(suffixes)}")
 
 
 def picture(shown: Shown, original: Shown | None) -> Any:

@@ -172,7 +172,7 @@ class Reader:
             end = self.source.size
         most = most_frames(len(self.header["names"]) if self.header["kind"] == "motion" else None)
         if frames.max(initial=0) > most:
-            raise Corrupt(f"a chunk of {frames.max()} frames; with so many points, a chunk has at most {most}")
+            raise Corrupt(f"a chunk of {frames.max()} frames; at this number of points the limit is {most}")
         self.layout = Layout(header_end, signals_at, chunks_at, index, end)
         self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
         self.encoded: Encoded[Any] = Encoded(

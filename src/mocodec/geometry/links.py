@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ..motion import Motion
-from ..typing import Floats
+from ..typing import Floats, Integers
 
 MOST_POINTS = 600
 """Motions of more points are drawn without links: every pair is looked at."""
@@ -33,7 +33,7 @@ def links(motion: Motion, sample: Floats | None = None) -> list[tuple[int, int]]
     if motion.skeleton is not None:
         return [(min(p, j), max(p, j)) for j, p in enumerate(motion.skeleton.parents) if p >= 0]
     if sample is None:
-        sample = motion.positions[np.unique(np.linspace(0, max(0, len(motion) - 1), 40).astype(int))]
+        sample = motion.positions[sample_frames(len(motion))]
     if len(sample) < 2 or not 2 <= motion.points <= MOST_POINTS:
         return []
     mean, spread = pair_distances(sample)
@@ -45,6 +45,11 @@ def links(motion: Motion, sample: Floats | None = None) -> list[tuple[int, int]]
     for point, others in enumerate(np.argsort(firm, axis=1)[:, :2].tolist()):
         chosen |= {(min(point, o), max(point, o)) for o in others if np.isfinite(firm[point, o])}
     return sorted(chosen)
+
+
+def sample_frames(frames: int) -> Integers:
+    """Numbers of up to 40 of `frames` frames, spread evenly: distances are measured in these."""
+    return np.unique(np.linspace(0, max(0, frames - 1), min(40, frames)).astype(int))
 
 
 def pair_distances(sample: Floats) -> tuple[Floats, Floats]:

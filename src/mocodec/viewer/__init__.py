@@ -9,7 +9,6 @@ The page is built from web/viewer (TypeScript, three.js) into static/viewer.html
 
 from __future__ import annotations
 
-import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
 from html import escape
@@ -80,10 +79,7 @@ def view(
     with ExitStack() as opened:
         pairs = pairs_of(sources, against, opened, **options)
         with Server(pairs, pairs[0][0].name, port) as server:
-            print(f"{server.url}\nShown until you press Ctrl-C.", flush=True)
-            if browser:
-                webbrowser.open(server.url)
-            server.serve_forever()
+            server.show(browser)
 
 
 def for_notebook(source: Motion | PointClouds | api.File[Any], name: str = "recording") -> str:

@@ -66,10 +66,10 @@ def damage_notes(shown: Shown) -> list[str]:
 
 def motion_links(shown: Shown, about: Motion) -> list[list[int]]:
     """Links between points, from forty frames of the recording where there is no skeleton."""
-    if about.skeleton is not None or not 2 <= about.points <= links.MOST_POINTS or not shown.frames:
-        return [list(pair) for pair in links.links(about)] if about.skeleton is not None else []
-    sample = [shown.positions(f, f + 1) for f in np.unique(np.linspace(0, shown.frames - 1, 40).astype(int)).tolist()]
-    return [list(pair) for pair in links.links(about, np.concatenate(sample))]
+    sample = None
+    if about.skeleton is None and 2 <= about.points <= links.MOST_POINTS and shown.frames:
+        sample = np.concatenate([shown.positions(f, f + 1) for f in links.sample_frames(shown.frames).tolist()])
+    return [list(pair) for pair in links.links(about, sample)]
 
 
 def ratio(shown: Shown, original: Shown | None) -> float | None:

@@ -18,6 +18,7 @@ import json
 import re
 import secrets
 import threading
+import webbrowser
 from collections.abc import Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -61,6 +62,14 @@ class Server(ThreadingHTTPServer):
     def url(self) -> str:
         """The address of the page."""
         return f"http://127.0.0.1:{self.server_address[1]}/{self.token}/?{self.query}"
+
+    def show(self, in_browser: bool) -> None:
+        """Print the address, open the browser, and answer until Ctrl-C."""
+        print(f"{self.url}\nShown until you press Ctrl-C.", flush=True)
+        if in_browser:
+            webbrowser.open(self.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            self.serve_forever()
 
     def resource(self, place: str, asked: Query) -> tuple[str, bytes]:
         """Type and bytes of what is at a place. Raises KeyError, IndexError, ValueError, MocodecError."""
