@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..entropy import bits
 from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
 from ..entropy.varint import signed as zigzag
@@ -192,6 +193,33 @@ class _Record:
     lanes: tuple[Lane, ...]
     lower: bytes
     items: bytes | None = None
+
+
+class Decoder:
+    """Decodes chunks of a signal with these forms: in the compiled module all channels of a chunk in one call."""
+
+    def __init__(self, channel_forms: Sequence[Form], dtype: np.dtype[Any]) -> None:
+        self.forms = channel_forms
+        self.dtype = dtype
+        kernel = native.kernel("SignalDecoder") if dtype.isnative and dtype != np.float16 else None
+        self._compiled = (
+            None
+            if kernel is None
+            else kernel(*forms.as_arrays(channel_forms, dtype), dtype.kind, inflate, unlzma2, *residuals.tables())
+        )
+
+    def decode(self, payload: bytes, samples: int, first: int, wanted: Sequence[int], out: Array) -> None:
+        """Put samples from `first` on of the wanted channels, in a chunk of so many, into `out` (rows, wanted).
+
+        Raises Corrupt.
+        """
+        if self._compiled is not None and out.size:
+            rows = out.view(np.uint8).reshape(len(out), -1)
+            if self._compiled.decode(payload, samples, first, np.array(wanted, np.int64), rows):
+                return
+        columns = decode(payload, self.forms, self.dtype, samples, wanted)
+        for place, i in enumerate(wanted):
+            out[:, place] = columns[i][first : first + len(out)]
 
 
 def decode(

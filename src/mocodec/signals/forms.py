@@ -127,6 +127,25 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
     raise cursor.corrupt("a channel's form is out of range")
 
 
+def as_arrays(channel_forms: Sequence[Form], dtype: np.dtype[Any]) -> tuple[Array, ...]:
+    """Forms as the compiled module takes them.
+
+    Of each channel: its kind; step and offset (channels, 2); exponent, or the channel that it copies; the item of a
+    constant (channels, bytes); then all palettes one after the other, and where that of each channel starts.
+    """
+    palettes = [form.palette for form in channel_forms]
+    return (
+        np.array([form.kind for form in channel_forms], np.uint8),
+        np.array([(form.step, form.offset) for form in channel_forms]).reshape(-1, 2),
+        np.array([form.channel if form.kind == COPY else form.exponent for form in channel_forms], np.int64),
+        np.frombuffer(b"".join(form.item or bytes(dtype.itemsize) for form in channel_forms), np.uint8).reshape(
+            -1, dtype.itemsize
+        ),
+        np.array([entry for palette in palettes for entry in palette], np.uint64),
+        np.cumsum([0, *map(len, palettes)]),
+    )
+
+
 def suits(dtype: np.dtype[Any]) -> bool:
     """Whether channels of this type have a form."""
     return dtype.kind in "biu" or (dtype.kind == "f" and dtype.itemsize in MANTISSA_BITS)
