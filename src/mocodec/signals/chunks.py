@@ -34,6 +34,9 @@ KEPT, REPEATS, SPECIAL = 0, 1, 2
 HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
 ITEMS_GAIN = 1.3
 """LZMA2 is not expected to save more than this against zlib's fastest level."""
+ITEMS_SAMPLE = 4096
+MOST_DISTINCT = 0.9
+"""Floats of which more than this share of a sample are distinct are not tried as items."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
 WITHOUT_RECORD = (CONSTANT, COPY)
 REPEATS_SHARE = 0.3
@@ -73,12 +76,12 @@ def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) ->
         else fitting.Channel(source.held, source.codes == KEPT, ranks[i], source.form.kind in EXACT_COUNTS)
         for i, source in enumerate(sources)
     ]
-    predictors = fitting.choose(channels, alone)
-    held = {i: channel.samples for i, channel in enumerate(channels) if channel is not None}
+    choices = fitting.choose(channels, alone)
+    predictors = [choice and choice.predictor for choice in choices]
     streams: list[Integers] = []
-    for source, predictor in zip(sources, predictors, strict=True):
-        if source is not None and len(source.integers):
-            streams.append(_residuals_of(source, predictor, held))
+    for source, choice in zip(sources, choices, strict=True):
+        if source is not None and choice is not None:
+            streams.append(choice.residuals)
             streams += [source.extra] if source.form.kind == CORRECTED else []
     lanes = iter(residuals.encode(streams))
     referred = {channel for predictor in predictors if predictor for channel, _ in predictor.references}
@@ -99,6 +102,9 @@ def _items(values: Array, form: Form, record_bytes: int) -> bytes | None:
     """The record of a channel as plain items, for floats of which many occur more than once; None if a fast compressor
     shows that it is longer than the record that there is."""
     if form.kind in EXACT_COUNTS:
+        return None
+    some = forms.words(values[:: max(1, len(values) // ITEMS_SAMPLE)])
+    if len(np.unique(some)) > MOST_DISTINCT * len(some):
         return None
     data = values.tobytes()
     if len(zlib.compress(data, 1)) > ITEMS_GAIN * record_bytes:
@@ -138,13 +144,6 @@ def _held(integers: Integers, codes: Bytes) -> Integers:
     distinct = np.zeros(max(1, int(present.sum())), np.int64)
     distinct[: present.sum()][codes[present] == KEPT] = integers
     return distinct[np.maximum(np.cumsum(present) - 1, 0)]
-
-
-def _residuals_of(source: _Source, predictor: Predictor | None, held: dict[int, Integers]) -> Integers:
-    if predictor is None:
-        return source.integers - source.integers[0]
-    sums = prediction.known_sums(predictor, held, source.codes == KEPT)
-    return prediction.forward(source.integers, predictor, sums)
 
 
 def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: bytes) -> bytes:

@@ -170,7 +170,7 @@ def fit(values: Array, known: list[Form]) -> Form | None:
     binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
     for form in _giving_back([form for form in known if form.step > 0.9 * binary], values):
         return form
-    candidates = count_forms(values)
+    candidates = count_forms(values, binary or None)
     best = _largest_step(list(_giving_back(candidates, values)), values)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
 
@@ -396,7 +396,7 @@ def _are_few(special: Booleans, values: Array) -> bool:
     return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
 
 
-def count_forms(values: Array) -> list[Form]:
-    """Forms of counts that may give a channel of floats back."""
-    usable = steps.candidates(values, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
+def count_forms(values: Array, exact: float | None) -> list[Form]:
+    """Forms of counts that may give a channel of floats back; exact: a step of which all are multiples."""
+    usable = steps.candidates(values, exact, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
     return [Form(COUNTS, step, offset) for step, offset in usable]
