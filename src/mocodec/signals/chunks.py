@@ -122,7 +122,7 @@ def _ranks(channel_forms: Sequence[Form]) -> list[int]:
 
 
 def _source(values: Array, form: Form) -> _Source:
-    integers, special = forms.forward(form, values)
+    integers, special, extra = forms.forward(form, values)
     codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
     plain = forms.words(values)
     repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
@@ -132,7 +132,6 @@ def _source(values: Array, form: Form) -> _Source:
         if 8 * len(deflate(trial.tobytes())) < REPEAT_BITS * repeats.sum():
             codes = trial
     kept = codes == KEPT
-    extra = forms.extra_bits(form, values) if form.kind in (GRID, CORRECTED) else integers
     return _Source(form, codes, values[codes == SPECIAL], integers[kept], extra[kept])
 
 

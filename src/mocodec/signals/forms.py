@@ -15,13 +15,14 @@ bits are stored as they are.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..entropy import bits
 from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
@@ -177,7 +178,7 @@ def fit(values: Array, known: list[Form]) -> Form | None:
 
 def _largest_step(exact: list[Form], values: Array) -> Form | None:
     """The form with the fewest special samples; among equal ones the first of about the largest step."""
-    special = [int(_nearest(form, values)[1].sum()) for form in exact]
+    special = [int(forward(form, values)[1].sum()) for form in exact]
     fewest = [form for form, count in zip(exact, special, strict=True) if count == min(special)]
     largest = max((form.step for form in fewest), default=0.0)
     return next((form for form in fewest if form.step > 0.99 * largest), None)
@@ -204,18 +205,19 @@ def palette(values: Array) -> Form | None:
     return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
 
 
-def forward(form: Form, values: Array) -> tuple[Integers, Booleans]:
-    """Integers of a channel (samples,), and which samples are special: their integers are 0."""
-    if form.kind == INTEGERS:
-        step = int(form.step)
-        whole = values.astype(np.int64)
-        return whole // step, np.zeros(len(values), bool)
+def forward(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
+    """Integers of a channel (samples,), which samples are special (their integers are 0), and what forms of more than
+    integers store beside them: the lower bits on a grid, the corrections of counts."""
     if form.kind == GRID:
-        return _truncated(form, values)[:2]
+        return _truncated(form, values)
+    if form.kind in (COUNTS, CORRECTED):
+        integers, special, extra = _nearest_all([form], values)
+        return integers[0], special[0], extra[0]
     if form.kind == PALETTE:
-        palette = np.array(form.palette, np.uint64)
-        return np.searchsorted(palette, _sortable(values)), np.zeros(len(values), bool)
-    return _nearest(form, values)
+        places = np.searchsorted(np.array(form.palette, np.uint64), _sortable(values))
+        return places, np.zeros(len(values), bool), places
+    counts = values.astype(np.int64) // int(form.step)
+    return counts, np.zeros(len(values), bool), counts
 
 
 def inverse(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any]) -> Array:
@@ -250,14 +252,6 @@ def extra_widths(form: Form, integers: Integers, dtype: np.dtype[Any]) -> Intege
     return np.where(integers == 0, 0, _last_bit(form, np.abs(integers), dtype)[1])
 
 
-def extra_bits(form: Form, values: Array) -> Integers:
-    """The lower bits (samples,) of values on a grid, or the corrections of counts."""
-    if form.kind == GRID:
-        return _truncated(form, values)[2]
-    integers, special = _nearest(form, values)
-    return np.where(special, 0, _corrections([form], integers[None], values)[0])
-
-
 def _sortable(values: Array) -> NDArray[np.uint64]:
     """Bits of floats as integers in the same order."""
     size = 8 * values.dtype.itemsize
@@ -290,21 +284,9 @@ def _from_rank(rank: Integers, dtype: np.dtype[Any]) -> Array:
     return plain.astype(f"u{dtype.itemsize}").view(dtype.newbyteorder("=")).astype(dtype)
 
 
-def _counts(forms: Sequence[Form], integers: Integers, dtype: np.dtype[Any]) -> Array:
-    """The values (forms, samples) of counts (forms, samples), in forms of counts, each of its own."""
-    step, offset = _columns(forms)
-    with np.errstate(all="ignore"):
-        return (integers * step + offset).astype(dtype)
-
-
 def _columns(forms: Sequence[Form]) -> NDArray[np.float64]:
     """Steps and offsets (2, forms, 1)."""
     return np.array([[form.step for form in forms], [form.offset for form in forms]])[..., None]
-
-
-def _corrections(forms: Sequence[Form], integers: Integers, values: Array) -> Integers:
-    """How many floats values (samples,) are above their counts (forms, samples)."""
-    return _rank(values) - _rank(_counts(forms, integers, values.dtype))
 
 
 def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integers, Integers]:
@@ -316,6 +298,8 @@ def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integer
 
 def _truncated(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
     """Integers, special samples and lower bits of values on a grid."""
+    if (kernel := _kernel("signals_truncated", values)) is not None:
+        return kernel(values, form.exponent)
     mantissa_bits, least = MANTISSA_BITS[values.dtype.itemsize], LEAST_EXPONENT[values.dtype.itemsize]
     plain = words(values).astype(np.int64)
     exponent = plain >> mantissa_bits & ((1 << (8 * values.dtype.itemsize - 1 - mantissa_bits)) - 1)
@@ -337,27 +321,33 @@ def _grid(values: Array) -> Form:
     return Form(GRID, exponent=leading - min(MANTISSA_BITS[values.dtype.itemsize] + 1, GRID_BITS))
 
 
-def _nearest(form: Form, values: Array) -> tuple[Integers, Booleans]:
-    """Counts of values (samples,), and which samples the counts do not give back."""
-    integers, special = _nearest_all([form], values)
-    return integers[0], special[0]
+def _kernel(name: str, values: Array) -> Callable[..., Any] | None:
+    """The compiled function for the type of floats of these values."""
+    is_usual = values.dtype in (np.float32, np.float64) and values.dtype.isnative
+    return native.kernel(f"{name}_{values.dtype.itemsize}") if is_usual else None
 
 
-def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans]:
-    """`_nearest` in several forms, all COUNTS or all CORRECTED: (forms, samples)."""
+def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans, Integers]:
+    """Counts of values (samples,) in several forms, all COUNTS or all CORRECTED: (forms, samples).
+
+    Then which samples they do not give back, and by how many floats the others are above their counts.
+    """
     step, offset = _columns(forms)
+    is_corrected = forms[0].kind == CORRECTED
+    if (kernel := _kernel("signals_nearest", values)) is not None:
+        return kernel(values, step[:, 0], offset[:, 0], is_corrected)
     with np.errstate(all="ignore"):
         counts = np.rint((values.astype(np.float64) - offset) / step)
         usable = np.abs(counts) < MAX_INTEGER
         integers = np.where(usable, counts, 0).astype(np.int64)
-    back = _counts(forms, integers, values.dtype)
-    if forms[0].kind == CORRECTED:
-        extra = _rank(values) - _rank(back)
+        back = (integers * step + offset).astype(values.dtype)
+    extra = _rank(values) - _rank(back)
+    if is_corrected:
         usable &= np.abs(extra) < MAX_CORRECTION
         back = _from_rank(_rank(back) + extra, values.dtype)
     special = ~usable | (words(back) != words(values))
     integers[special] = 0
-    return integers, special
+    return integers, special, extra
 
 
 def _corrected(values: Array, candidates: list[Form]) -> Form | None:
@@ -368,14 +358,14 @@ def _corrected(values: Array, candidates: list[Form]) -> Form | None:
     grid = _grid(values)
     some = values[:: -(-len(values) // SAMPLE)]
     lower = extra_widths(grid, forward(grid, some)[0], some.dtype).mean()
-    integers, special = _nearest_all(forms, some)
-    sizes = np.abs(_corrections(forms, integers, some))
+    _, special, extra = _nearest_all(forms, some)
+    sizes = np.abs(extra)
     kept = np.maximum((~special).sum(axis=1), 1)
     bits = np.where(special, 0.0, np.log2(2.0 * np.minimum(sizes, MAX_CORRECTION) + 1)).sum(axis=1) / kept
     unusual = (special & (some != 0) & np.isfinite(some)).mean(axis=1)
     costs = bits + CORRECTION_COST - (np.log2([form.step for form in forms]) - grid.exponent) + 40 * unusual
     best = int(costs.argmin())
-    is_shorter = costs[best] < lower and _are_few(_nearest(forms[best], values)[1], values)
+    is_shorter = costs[best] < lower and _are_few(forward(forms[best], values)[1], values)
     return forms[best] if is_shorter else None
 
 
@@ -386,7 +376,7 @@ def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
         return
     special = _nearest_all(forms, usual)[1].sum(axis=1)
     for form, count in zip(forms, special, strict=True):
-        if count <= MOST_SPECIAL * len(usual) and _are_few(_nearest(form, values)[1], values):
+        if count <= MOST_SPECIAL * len(usual) and _are_few(forward(form, values)[1], values):
             yield form
 
 
