@@ -140,8 +140,7 @@ private:
         std::vector<size_t> counts;
         for (size_t i = 0; i < lanes.size(); ++i) {
             const Lane &lane = *lanes[i].first;
-            const int64_t start = int64_t(4 + (lane.start & 3)) << (lane.start >> 2);
-            decoders.emplace_back(Model(high_.data(), low_.data(), start), lanes[i].second->data(), lane.state,
+            decoders.emplace_back(Model(high_.data(), low_.data(), start_of(lane.start)), lanes[i].second->data(), lane.state,
                                   lane.words, lane.word_count, BitReader{lane.raw.at, lane.raw.left()});
             counts.push_back(lanes[i].second->size());
             if (decoders.size() < 4 && i + 1 < lanes.size()) continue;

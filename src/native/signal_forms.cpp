@@ -81,11 +81,30 @@ nb::tuple signals_truncated(Input<T, 1> values, int64_t exponent) {
     return out.give({count});
 }
 
+// forms.lower_bits: those of each integer on a grid, as many as its value has below it, packed in bytes.
+template <class T>
+Output<uint8_t> signals_lower_bits(Input<int64_t, 1> integers, Input<int64_t, 1> extra, int64_t exponent) {
+    if (integers.shape(0) != extra.shape(0)) throw std::invalid_argument("signals_lower_bits: shapes differ");
+    const Form form{GRID, 1, 0, exponent, nullptr, 0};
+    BitWriter bits;
+    for (size_t t = 0; t < integers.shape(0); ++t) {
+        int width;
+        last_bit<T>(form, size_of(integers.data()[t]), width);
+        bits.put(uint64_t(extra.data()[t]), integers.data()[t] ? width : 0);
+    }
+    bits.finish();
+    Fresh<uint8_t> out(bits.bytes.size());
+    std::copy(bits.bytes.begin(), bits.bytes.end(), out.data.get());
+    return out.give({bits.bytes.size()});
+}
+
 }  // namespace
 
 void bind_signal_forms(nb::module_ &m) {
     m.def("signals_nearest_4", &signals_nearest<float>);
     m.def("signals_nearest_8", &signals_nearest<double>);
+    m.def("signals_lower_bits_4", &signals_lower_bits<float>);
+    m.def("signals_lower_bits_8", &signals_lower_bits<double>);
     m.def("signals_truncated_4", &signals_truncated<float>);
     m.def("signals_truncated_8", &signals_truncated<double>);
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
+#include <utility>
 #include <vector>
 
 #if defined(__SSE2__)  // part of every x86-64 processor
@@ -14,7 +15,7 @@ namespace signals {
 
 // residuals.py has the same constants and the reasons.
 constexpr int CONTEXTS = 44, FIRST_SCALED = 40;
-constexpr int HIGH = 16, LOW = 4, HALF = 32, MAX_ZEROS = 30;
+constexpr int HIGH = 16, LOW = 4, HALF = 32, MAX_ZEROS = 30, START_CODES = 144;
 constexpr int64_t TOTAL = 1 << 15, LIMIT = int64_t(1) << 30;
 constexpr uint32_t LOWEST = 1u << 16;
 
@@ -38,6 +39,9 @@ inline int lowest_bit(uint32_t x) {
     return top_bit(x & (0u - x));
 #endif
 }
+
+// residuals.start_of: the first value of the running means.
+inline int64_t start_of(int code) { return int64_t(4 + (code & 3)) << (code >> 2); }
 
 // Where adaptation moves the starts of a table to after each symbol, with `floor` left for every other symbol.
 template <int N>
@@ -147,6 +151,27 @@ void adapt(int16_t *starts, int symbol, uint16_t &seen, const Targets<N> &target
 
 #endif
 
+// Numbers of different widths as bytes, highest bit first.
+struct BitWriter {
+    std::vector<uint8_t> bytes;
+    uint64_t open = 0;  // the bits that fill no byte yet
+    int open_bits = 0;
+
+    void put(uint64_t number, int width) {
+        for (int left = width; left > 0;) {
+            const int part = std::min(left, 32);
+            left -= part;
+            open = open << part | (number >> left & ((uint64_t(1) << part) - 1));
+            for (open_bits += part; open_bits >= 8; open_bits -= 8) bytes.push_back(uint8_t(open >> (open_bits - 8)));
+        }
+    }
+
+    void finish() {
+        if (open_bits) bytes.push_back(uint8_t(open << (8 - open_bits)));
+        open_bits = 0;
+    }
+};
+
 struct CodedLane {
     uint32_t state;
     std::vector<uint16_t> words;  // in the order of the encoder, the last is the decoder's first
@@ -156,19 +181,9 @@ struct CodedLane {
 // residuals.encode for one lane.
 inline CodedLane encode_lane(const int64_t *residuals, size_t count, Model &model) {
     std::vector<uint32_t> intervals;  // frequency · 2^16 + start; the frequency of 2^15 fits
-    std::vector<uint8_t> raw;
-    uint64_t open = 0;  // the raw bits that fill no byte yet, and how many
-    int open_bits = 0;
-    const auto put = [&](uint64_t bits, int width) {
-        for (int left = width; left > 0;) {
-            const int part = std::min(left, 32);
-            left -= part;
-            open = open << part | (bits >> left & ((uint64_t(1) << part) - 1));
-            for (open_bits += part; open_bits >= 8; open_bits -= 8) raw.push_back(uint8_t(open >> (open_bits - 8)));
-        }
-    };
+    BitWriter raw;
     intervals.reserve(2 * count);
-    raw.reserve(count);
+    raw.bytes.reserve(count);
     for (size_t t = 0; t < count; ++t) {
         int shift, c;
         model.context(shift, c);
@@ -178,18 +193,18 @@ inline CodedLane encode_lane(const int64_t *residuals, size_t count, Model &mode
         adapt<HIGH>(model.high[c], high, model.seen_high[c], HIGH_TARGETS);
         if (high == 0 || high == HIGH - 1) {
             const int64_t beyond = high ? place - (2 * HALF - LOW) + 1 : LOW - place;
-            put(uint64_t(beyond), 2 * top_bit(uint64_t(beyond)) + 1);
+            raw.put(uint64_t(beyond), 2 * top_bit(uint64_t(beyond)) + 1);
         } else {
             const int low = int(place & 3);
             int16_t *starts = model.low[c][high];
             intervals.push_back(frequency<LOW>(starts, low) << 16 | uint32_t(starts[low]));
             adapt<LOW>(starts, low, model.seen_low[c][high], LOW_TARGETS);
         }
-        put(uint64_t(residuals[t]), shift);
+        raw.put(uint64_t(residuals[t]), shift);
         model.observe(residuals[t]);
     }
-    if (open_bits) raw.push_back(uint8_t(open << (8 - open_bits)));
-    CodedLane lane{LOWEST, {}, std::move(raw)};
+    raw.finish();
+    CodedLane lane{LOWEST, {}, std::move(raw.bytes)};
     lane.words.reserve(count);
     for (size_t i = intervals.size(); i-- > 0;) {
         const uint32_t f = intervals[i] >> 16, start = intervals[i] & 0xFFFF;

@@ -13,7 +13,7 @@ namespace signals {
 enum Code { KEPT, REPEATS, SPECIAL };
 constexpr int HAS_REMOVED = 1, SAME_REMOVED = 2, EQUAL_SPECIALS = 4, HAS_PREDICTOR = 8, ITEMS = 16;
 constexpr size_t MAX_ORDER = 32, MAX_REFERENCES = 16, REFERENCE_TAPS = 3;
-constexpr int MAX_SHIFT = 48, START_CODES = 144;
+constexpr int MAX_SHIFT = 48;
 constexpr int64_t MAX_INTEGER = int64_t(1) << 29, MAX_TAP = int64_t(1) << 52;
 
 struct Damaged {};  // bytes that are not as they should be

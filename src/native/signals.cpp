@@ -19,16 +19,27 @@ void check_tables(const Input<int16_t, 2> &high, const Input<int16_t, 3> &low) {
         throw std::invalid_argument("signals: tables of another size");
 }
 
-// residuals.encode: the final state, words in the order of the decoder, raw bits packed in bytes.
-nb::tuple signals_encode(Numbers residuals, int64_t start, Input<int16_t, 2> high, Input<int16_t, 3> low) {
+// residuals.start_code
+int start_code(const int64_t *residuals, size_t count) {
+    int64_t sum = 0;
+    count = std::min<size_t>(count, 32);
+    for (size_t t = 0; t < count; ++t) sum += residuals[t] < 0 ? -residuals[t] : residuals[t];
+    const int64_t mean = std::max<int64_t>(4, count ? int64_t(double(sum) / double(count) * 256) : 0);
+    const int octave = top_bit(uint64_t(mean)) - 2;
+    return std::min<int>(START_CODES - 1, int(4 * octave + (mean >> octave) - 4));
+}
+
+// residuals.encode: the start code, the final state, words in the order of the decoder, raw bits packed in bytes.
+nb::tuple signals_encode(Numbers residuals, Input<int16_t, 2> high, Input<int16_t, 3> low) {
     check_tables(high, low);
-    Model model(high.data(), low.data(), start);
+    const int start = start_code(residuals.data(), residuals.shape(0));
+    Model model(high.data(), low.data(), start_of(start));
     const CodedLane lane = encode_lane(residuals.data(), residuals.shape(0), model);
     Fresh<uint16_t> words(lane.words.size());
     std::reverse_copy(lane.words.begin(), lane.words.end(), words.data.get());
     Fresh<uint8_t> raw(lane.raw.size());
     std::copy(lane.raw.begin(), lane.raw.end(), raw.data.get());
-    return nb::make_tuple(lane.state, words.give({lane.words.size()}), raw.give({lane.raw.size()}));
+    return nb::make_tuple(start, lane.state, words.give({lane.words.size()}), raw.give({lane.raw.size()}));
 }
 
 // residuals.decode: the residuals of each lane, or nothing if the bytes of one are no lane of this many.

@@ -23,7 +23,7 @@ from ..entropy.varint import signed as zigzag
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Bytes, Integers
-from . import fitting, forms, prediction, residuals
+from . import fitting, forms, prediction, residuals, steps
 from .forms import CONSTANT, COPY, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
 from .residuals import Lane
@@ -104,7 +104,7 @@ def _items(values: Array, form: Form, record_bytes: int) -> bytes | None:
     if form.kind in EXACT_COUNTS:
         return None
     some = forms.words(values[:: max(1, len(values) // ITEMS_SAMPLE)])
-    if len(np.unique(some)) > MOST_DISTINCT * len(some):
+    if len(steps.distinct_of(some)) > MOST_DISTINCT * len(some):
         return None
     data = values.tobytes()
     if len(zlib.compress(data, 1)) > ITEMS_GAIN * record_bytes:
@@ -161,8 +161,7 @@ def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: byte
         body += _pack_lane(next(lanes))
         body += _pack_lane(next(lanes)) if source.form.kind == CORRECTED else b""
         if source.form.kind == GRID:
-            widths = forms.extra_widths(source.form, source.integers, source.specials.dtype)
-            body += blob(np.packbits(bits.pack(source.extra, widths)).tobytes())
+            body += blob(forms.lower_bits(source.form, source.integers, source.extra, source.specials.dtype))
     return bytes([flags]) + body
 
 

@@ -30,9 +30,9 @@ MOST_REFERENCES = 8
 BLOCK = 32
 TAP_BITS = 12.0
 MIN_SAMPLES = 24
-FIT_SAMPLES = 3072
+FIT_SAMPLES = 2048
 """Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
-PURSUIT_SAMPLES = 1024
+PURSUIT_SAMPLES = 768
 """Other channels are chosen from about so many samples, likewise."""
 RIDGE = 1e-13
 LEAST_PIVOT = 1e-14

@@ -84,7 +84,8 @@ def pack(form: Form) -> bytes:
 def _pack_palette(palette: tuple[int, ...]) -> bytes:
     """Their number, then of the differences the bits of each (deflated bytes) and all bits below the highest."""
     steps = np.diff(np.array(palette, np.uint64), prepend=np.uint64(0))
-    lengths = np.array([int(step).bit_length() for step in steps], np.uint8)
+    upper, lower_half = (np.frexp((steps >> shift & 0xFFFFFFFF).astype(np.float64))[1] for shift in (np.uint64(32), 0))
+    lengths = np.where(upper > 0, 32 + upper, lower_half).astype(np.uint8)
     below = np.maximum(lengths.astype(np.int64) - 1, 0)
     lower = steps.astype(np.int64) & ((1 << below) - 1)
     return varint(len(palette)) + blob(deflate(lengths.tobytes())) + np.packbits(bits.pack(lower, below)).tobytes()
@@ -188,7 +189,7 @@ def _common_step(values: Array) -> int:
     """The greatest common divisor of integers."""
     step = 0
     for part in (values[: steps.SAMPLE], values[steps.SAMPLE :]):
-        step = int(np.gcd(step, np.gcd.reduce(np.unique(part.astype(np.int64))))) if len(part) else step
+        step = int(np.gcd(step, np.gcd.reduce(steps.distinct_of(part.astype(np.int64))))) if len(part) else step
         if step == 1:
             break
     return step
@@ -199,9 +200,9 @@ def palette(values: Array) -> Form | None:
     if values.dtype.kind != "f":
         return None
     most = min(MAX_PALETTE, int(PALETTE_SHARE * len(values)))
-    if len(np.unique(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
+    if len(steps.distinct_of(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
         return None
-    distinct = np.unique(_sortable(values))
+    distinct = steps.distinct_of(_sortable(values))
     return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
 
 
@@ -252,6 +253,13 @@ def extra_widths(form: Form, integers: Integers, dtype: np.dtype[Any]) -> Intege
     return np.where(integers == 0, 0, _last_bit(form, np.abs(integers), dtype)[1])
 
 
+def lower_bits(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any]) -> bytes:
+    """The lower bits of integers (samples,) on a grid as a bit field."""
+    if (kernel := _kernel("signals_lower_bits", dtype)) is not None:
+        return kernel(integers, extra, form.exponent).tobytes()
+    return np.packbits(bits.pack(extra, extra_widths(form, integers, dtype))).tobytes()
+
+
 def _sortable(values: Array) -> NDArray[np.uint64]:
     """Bits of floats as integers in the same order."""
     size = 8 * values.dtype.itemsize
@@ -298,7 +306,7 @@ def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integer
 
 def _truncated(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
     """Integers, special samples and lower bits of values on a grid."""
-    if (kernel := _kernel("signals_truncated", values)) is not None:
+    if (kernel := _kernel("signals_truncated", values.dtype)) is not None:
         return kernel(values, form.exponent)
     mantissa_bits, least = MANTISSA_BITS[values.dtype.itemsize], LEAST_EXPONENT[values.dtype.itemsize]
     plain = words(values).astype(np.int64)
@@ -321,10 +329,9 @@ def _grid(values: Array) -> Form:
     return Form(GRID, exponent=leading - min(MANTISSA_BITS[values.dtype.itemsize] + 1, GRID_BITS))
 
 
-def _kernel(name: str, values: Array) -> Callable[..., Any] | None:
-    """The compiled function for the type of floats of these values."""
-    is_usual = values.dtype in (np.float32, np.float64) and values.dtype.isnative
-    return native.kernel(f"{name}_{values.dtype.itemsize}") if is_usual else None
+def _kernel(name: str, dtype: np.dtype[Any]) -> Callable[..., Any] | None:
+    """The compiled function for a type of floats."""
+    return native.kernel(f"{name}_{dtype.itemsize}") if dtype.isnative and dtype.itemsize > 2 else None
 
 
 def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans, Integers]:
@@ -334,7 +341,7 @@ def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Boolea
     """
     step, offset = _columns(forms)
     is_corrected = forms[0].kind == CORRECTED
-    if (kernel := _kernel("signals_nearest", values)) is not None:
+    if (kernel := _kernel("signals_nearest", values.dtype)) is not None:
         return kernel(values, step[:, 0], offset[:, 0], is_corrected)
     with np.errstate(all="ignore"):
         counts = np.rint((values.astype(np.float64) - offset) / step)

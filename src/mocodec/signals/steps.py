@@ -33,7 +33,7 @@ def candidates(values: Array, exact: float | None, mantissa_bits: int, most: int
     finite = values[np.isfinite(values)].astype(np.float64)
     if len(finite) < 2:
         return []
-    distinct = np.unique(finite[:: max(1, len(finite) // SAMPLE)])
+    distinct = distinct_of(finite[:: max(1, len(finite) // SAMPLE)])
     known = [] if exact is None else [(exact, 0.0)]
     gaps = np.diff(distinct)
     gaps = gaps[gaps > np.abs(distinct).max() * 2.0 ** (FINEST - mantissa_bits)]
@@ -75,6 +75,12 @@ def _multiples(values: NDArray[np.float64], mantissa_bits: int) -> float | None:
         return None
     step = float(np.ldexp(float(np.gcd.reduce(np.ldexp(values, -last).astype(np.int64))), last))
     return step if step >= least else None
+
+
+def distinct_of(values: Array) -> Array:
+    """The distinct ones of values (n,) that are no NaN, ascending."""
+    ordered = np.sort(values)
+    return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])[: len(ordered)]]
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
