@@ -184,3 +184,16 @@ def test_a_channel_that_repeats_another_takes_no_bytes() -> None:
         broken = replace(head, forms=(*head.forms[:2], *[forms.Form(forms.COPY, channel=bad)] * 3))
         with pytest.raises(Corrupt, match="copies"):
             codec.unpack(Cursor(codec.pack(broken), "test"), head.dtype, head.shape)
+
+
+def test_zeros_that_fill_gaps_do_not_disturb_the_prediction() -> None:
+    smooth = (5 + slow(400, 0.3)).astype(np.float32)
+    filled = smooth.copy()
+    filled[:8], filled[200:220], filled[-3:] = 0, 0, 0
+    sizes = [sum(map(len, coded(values[:, None])[1])) for values in (smooth, filled)]
+    assert sizes[1] < sizes[0] + 60
+    head, chunks = coded(filled[:, None])
+    assert codec.decode(head, chunks.__getitem__).tobytes() == filled.tobytes()
+    crossing = np.rint(slow(4000, 300) + noise(4000, 3)).astype(np.float32)
+    assert not (crossing == 0).all()
+    assert coded(crossing[:, None])[1][0][0] & 1 == 0  # no sample is removed

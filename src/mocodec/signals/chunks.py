@@ -22,7 +22,7 @@ from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
 from ..entropy.varint import signed as zigzag
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
-from ..typing import Bytes, Integers
+from ..typing import Booleans, Bytes, Integers
 from . import fitting, forms, prediction, residuals, steps
 from .forms import CONSTANT, COPY, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
@@ -39,6 +39,8 @@ MOST_DISTINCT = 0.9
 """Floats of which more than this share of a sample are distinct are not tried as items."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
 WITHOUT_RECORD = (CONSTANT, COPY)
+FILL_JUMP = 64.0
+"""Zeros fill gaps where the samples beside them are more than this many usual steps away."""
 REPEATS_SHARE = 0.3
 REPEAT_BITS = 2.0
 """Repeats are removed where their places take less than this for each of them."""
@@ -123,6 +125,7 @@ def _ranks(channel_forms: Sequence[Form]) -> list[int]:
 
 def _source(values: Array, form: Form) -> _Source:
     integers, special, extra = forms.forward(form, values)
+    special = special | _fills(integers, forms.words(values) == 0)
     codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
     plain = forms.words(values)
     repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
@@ -133,6 +136,21 @@ def _source(values: Array, form: Form) -> _Source:
             codes = trial
     kept = codes == KEPT
     return _Source(form, codes, values[codes == SPECIAL], integers[kept], extra[kept])
+
+
+def _fills(integers: Integers, zero: Booleans) -> Booleans:
+    """Which samples (n,) are zeros that fill gaps: both ends of their run are far from the samples beside it."""
+    if not zero.any() or zero.all():
+        return np.zeros(len(zero), bool)
+    steps = np.abs(np.diff(integers))
+    inside = steps[~zero[1:] & ~zero[:-1]]
+    least = FILL_JUMP * (1 + (np.median(inside) if len(inside) else np.inf))
+    start = np.flatnonzero(zero & ~np.concatenate([[False], zero[:-1]]))
+    end = np.flatnonzero(zero & ~np.concatenate([zero[1:], [False]]))
+    beside = np.concatenate([[np.inf], steps, [np.inf]])
+    is_fill = np.minimum(beside[start], beside[end + 1]) > least
+    run = np.cumsum(np.bincount(start, minlength=len(zero)))  # from one on, the last run that has started
+    return zero & np.concatenate([[False], is_fill])[run]
 
 
 def _held(integers: Integers, codes: Bytes) -> Integers:
