@@ -189,7 +189,7 @@ def test_a_channel_that_repeats_another_takes_no_bytes() -> None:
 def test_zeros_that_fill_gaps_do_not_disturb_the_prediction() -> None:
     smooth = (5 + slow(400, 0.3)).astype(np.float32)
     filled = smooth.copy()
-    filled[:8], filled[200:220], filled[-3:] = 0, 0, 0
+    filled[:8], filled[-3:] = 0, 0
     sizes = [sum(map(len, coded(values[:, None])[1])) for values in (smooth, filled)]
     assert sizes[1] < sizes[0] + 60
     head, chunks = coded(filled[:, None])

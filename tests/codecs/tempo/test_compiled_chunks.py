@@ -71,6 +71,15 @@ def test_positions_are_those_of_numpy(encoded: dict[str, Encoded[Motion]]):
             np.testing.assert_array_equal(Tempo.decode(stream, slice(start, stop)).positions, found[start:stop])
 
 
+def test_numpy_encodes_to_the_same_bytes(encoded: dict[str, Encoded[Motion]]):
+    """Trials of a step: quantisation, errors, corrections; and coordinates of bones."""
+    for name, motion, codec in encodings():
+        with native.without():
+            expected = codec.encode(motion)
+        assert expected.shared == encoded[name].shared, name
+        assert [c.payload for c in expected.chunks] == [c.payload for c in encoded[name].chunks], name
+
+
 def test_threads_decode_the_same(encoded: dict[str, Encoded[Motion]]):
     stream = encoded["markers, stored"]
     chunks = [Chunk(c.start + turn * stream.frames, c.frames, c.payload) for turn in range(6) for c in stream.chunks]
