@@ -194,6 +194,6 @@ def test_zeros_that_fill_gaps_do_not_disturb_the_prediction() -> None:
     assert sizes[1] < sizes[0] + 60
     head, chunks = coded(filled[:, None])
     assert codec.decode(head, chunks.__getitem__).tobytes() == filled.tobytes()
-    crossing = np.rint(slow(4000, 300) + noise(4000, 3)).astype(np.float32)
-    assert not (crossing == 0).all()
+    crossing = (np.rint(slow(4000, 300) + noise(4000, 3)) + 0.0).astype(np.float32)
+    assert (crossing == 0).any()
     assert coded(crossing[:, None])[1][0][0] & 1 == 0  # no sample is removed
