@@ -40,6 +40,7 @@ PARTS(DECLARE)
 
 #define BIND(name) bind_##name(m);
 NB_MODULE(_native, m) {
+    nb::set_leak_warnings(false);  // caches may outlive the module when the interpreter ends
     m.doc() = "The compiled accelerator of mocodec; docs/architecture.md says what it may do.";
     PARTS(BIND)
 }
