@@ -12,6 +12,8 @@
 //   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/; signal_fitting.cpp chooses the predictors
+//   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
+//   splines.cpp     natural cubic splines, for stages/spline.py
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
 //                   chunk_synthesis.h (integers to positions); contexts.h is for coefficients.cpp too
@@ -30,7 +32,7 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(chunk_decoder)  \
-    PART(bulk) PART(bone_coordinates) PART(point_octree) PART(point_colours) PART(clustered_icp)
+    PART(bulk) PART(bone_coordinates) PART(point_octree) PART(point_colours) PART(clustered_icp) PART(splines) PART(householder)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
