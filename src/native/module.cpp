@@ -7,6 +7,7 @@
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
+//   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
 //   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
@@ -29,7 +30,7 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(chunk_decoder)  \
-    PART(bulk) PART(point_octree) PART(point_colours) PART(clustered_icp)
+    PART(bulk) PART(point_octree) PART(point_colours) PART(clustered_icp) PART(surface_memory)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

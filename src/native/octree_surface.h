@@ -250,28 +250,23 @@ private:
         static constexpr int STEPS[3] = {0, 1, -1};
         const int32_t side = int32_t(1) << level;
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
-        uint64_t spread[3][3];  // bits of the coordinates one step away
-        bool inside[3][3];
-        for (int d = 0; d < 3; ++d)
-            for (int s = 0; s < 3; ++s) {
-                const int32_t v = place[size_t(d)] - STEPS[s];
-                inside[d][s] = v >= 0 && v < side;
-                spread[d][s] = inside[d][s] ? spread_bits(uint64_t(v)) << d : 0;
+        const auto search = [&](int32_t x, int32_t y, int32_t z) {
+            if (x < 0 || y < 0 || z < 0 || x >= side || y >= side || z >= side) return;
+            const int32_t cell = cells.at.find(morton_code(x, y, z));
+            if (cell < 0) return;
+            for (int32_t other : cells.first[size_t(cell)]) {
+                if (other < 0) break;
+                const int64_t own = square(centre, other);
+                if (own < best) best = own, row = other;
             }
+        };
+        search(place[0], place[1], place[2]);
         const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
-        for (int x = 0; x < 3; ++x)
-            for (int y = 0; y < 3; ++y)
-                for (int z = 0; z < 3; ++z) {
-                    if (!inside[0][x] || !inside[1][y] || !inside[2][z]) continue;
-                    if (((x > 0) + (y > 0) + (z > 0)) * quarter >= best) continue;  // all of the cell is as far
-                    const int32_t cell = cells.at.find(spread[0][x] | spread[1][y] | spread[2][z]);
-                    if (cell < 0) continue;
-                    for (int32_t other : cells.first[size_t(cell)]) {
-                        if (other < 0) break;
-                        const int64_t own = square(centre, other);
-                        if (own < best) best = own, row = other;
-                    }
-                }
+        for (int k = 1; k < 27 && quarter < best; ++k) {
+            const int x = k / 9, y = k / 3 % 3, z = k % 3;
+            if (((x > 0) + (y > 0) + (z > 0)) * quarter >= best) continue;  // all of the cell is as far
+            search(place[0] - STEPS[x], place[1] - STEPS[y], place[2] - STEPS[z]);
+        }
         return row;
     }
 
