@@ -89,16 +89,20 @@ class StateDecoder:
 
     def next(self, tables: Tables, table: AnyInteger) -> AnyInteger:
         """The next symbols (n,), each under the table of its number (n,)."""
-        return np.array([self._one(tables, t) for t in table.tolist()], tables.symbol.dtype)
-
-    def _one(self, tables: Tables, table: int) -> int:
         frequency, start, symbols = tables.lists
-        slot = self.x & MASK
-        symbol = symbols[table << PRECISION | slot]
-        at = table * tables.width + symbol
-        self.x = frequency[at] * (self.x >> PRECISION) + slot - start[at]
-        self._refill()
-        return symbol
+        x, at, words, width = self.x, self.at, self.words, tables.width
+        found = list[int]()
+        for own in table.tolist():
+            slot = x & MASK
+            symbol = symbols[own << PRECISION | slot]
+            row = own * width + symbol
+            x = frequency[row] * (x >> PRECISION) + slot - start[row]
+            if x < LOW and at < len(words):
+                x = x << WORD_BITS | words[at]
+                at += 1
+            found.append(symbol)
+        self.x, self.at = x, at
+        return np.array(found, tables.symbol.dtype)
 
     def _refill(self) -> None:
         if self.x < LOW and self.at < len(self.words):
