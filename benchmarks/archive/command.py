@@ -4,7 +4,8 @@
                                         ├─ windows against .npz and memory-mapped .npy
                                         ├─ training from the archive and from the originals
                                         ├─ catalogue and index of a million frames: opening, queries
-                                        └─ retrieval of labelled clips
+                                        ├─ retrieval of labelled clips
+                                        └─ priors of one's own people
 
 Times are those of the processor, in one process, so that other work on the machine changes them little.
 """
@@ -23,12 +24,12 @@ from mocodec.errors import BadInput
 
 from .. import datasets, results
 from ..machine import machine_description
-from . import large, retrieval, tables, training, windows
+from . import large, priors, retrieval, tables, training, windows
 
 RESULTS = Path("docs/results/archive.json")
 PEOPLE = datasets.SHARED / "cmu" / "asfamc"
 MEAN_ERROR_M = 0.003
-PARTS = ("sizes", "windows", "training", "large", "retrieval")
+PARTS = ("sizes", "windows", "training", "large", "retrieval", "priors")
 
 
 @click.command("archive")
@@ -57,6 +58,8 @@ def measured(part: str, folder: Path) -> Any:
     """The results of one part."""
     if part == "sizes":
         return [sizes(folder, kind) for kind in ("positions", "rotations")]
+    if part == "priors":
+        return priors.measure(built(folder, "rotations"))
     vault = built(folder, "positions")
     if part == "windows":
         return windows.measure(vault, folder)

@@ -23,6 +23,7 @@ def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
         ("large", "archive_large.md", large),
         ("large", "archive_catalogue.md", catalogues),
         ("retrieval", "archive_retrieval.md", retrieval),
+        ("priors", "archive_prior.md", priors),
     ):
         if part in found:
             text = (
@@ -141,4 +142,27 @@ def retrieval(rows: list[dict[str, Any]]) -> str:
             )
             for r in rows
         ],
+    )
+
+
+def priors(rows: list[dict[str, Any]]) -> str:
+    head = ("mean error", "people", "recordings", "frames", "general prior", "own prior", "prior of both")
+    cases = {(r["mean_error"], tuple(r["people"])): r for r in rows}
+    body = []
+    for (mean_error, people), one in sorted(cases.items()):
+        found = {r["prior"]: r for r in rows if (r["mean_error"], tuple(r["people"])) == (mean_error, people)}
+        sizes_ = [found[kind]["bytes"] for kind in ("general", "own", "both")]
+        body.append(
+            (
+                f"{1e3 * mean_error:g} mm",
+                ", ".join(people),
+                one["unseen"],
+                f"{one['unseen_frames']:,}",
+                f"{sizes_[0]:,} bytes",
+                *(f"{100 * (size / sizes_[0] - 1):+.1f} %" for size in sizes_[1:]),
+            )
+        )
+    return (
+        f"{markdown.table(head, body)}\n\nThe general prior is learned from all other people, the own one from every "
+        "second recording of these people, the third from both. Recordings are encoded without rotations."
     )
