@@ -21,7 +21,6 @@ from . import chunk, chunk_decoding
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
 from .coding import coefficients, direct, lattice, quantise
 from .coding.contexts import OCTAVE
-from .coding.rows import step_size
 from .engine_choice import LEAST_SAVING, EngineTrials
 
 Result = TypeVar("Result")
@@ -33,8 +32,6 @@ SAMPLED = 4
 """At most this many chunks are used for the first searches of a mean error."""
 USUAL_STEP = 140
 """For people, step ≈ 140 · mean_error^1.5 (metres): more coefficients are zero in coarser steps."""
-MEAN_OF_RMS = 0.81
-"""Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
 AIM, NEAR_SAMPLE, NEAR = -0.38, 1.5, 0.37
 """Excess of the mean error over the target, 1/32 octave: the search aims at −0.38 (0.8 % below the target), so that the
 target holds; it ends within 1.5 of the aim among a sample of chunks, and within 0.37 among all."""
@@ -173,8 +170,8 @@ def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[F
 def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     """Payloads at a common step whose mean error is at most the target (metres), and near it.
 
-    The step is searched among some of the chunks first, by the error of their coefficients alone; then all chunks are
-    coded in it, and again where their mean differs.
+    The step is searched among some of the chunks first; then all chunks are coded in it, and again where their mean
+    differs.
     """
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
@@ -184,14 +181,8 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
 
-    def estimate(step: int) -> tuple[float, None]:
-        squared = sum(e.bits_and_error(step)[1] for e in some) / sum(e.gap_mask.size for e in some)
-        return _excess(MEAN_OF_RMS * float(np.sqrt(squared) * step_size(step)), target), None
-
     some = encoders[:: -(-len(encoders) // SAMPLED)]
     step = step_for_mean(target)
-    if encoders[0].spectrum is not None:
-        step = int(_nearest(estimate, step, NEAR_SAMPLE)[0].setting)
     if len(some) < len(encoders):
         step = int(_nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting)
     found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
