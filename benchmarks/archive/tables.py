@@ -24,11 +24,12 @@ def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
         ("large", "archive_catalogue.md", catalogues),
         ("retrieval", "archive_retrieval.md", retrieval),
         ("priors", "archive_prior.md", priors),
+        ("parallel", "archive_parallel.md", parallel),
+        ("clusters", "archive_clusters.md", clusters),
     ):
         if part in found:
-            text = (
-                f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of the processor, in one process.\n"
-            )
+            times = "the clock" if part == "parallel" else "the processor, in one process"
+            text = f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of {times}.\n"
             formats.replace_whole(folder / name, text.encode())
             paths.append(folder / name)
     return paths
@@ -166,3 +167,41 @@ def priors(rows: list[dict[str, Any]]) -> str:
         f"{markdown.table(head, body)}\n\nThe general prior is learned from all other people, the own one from every "
         "second recording of these people, the third from both. Recordings are encoded without rotations."
     )
+
+
+def parallel(rows: list[dict[str, Any]]) -> str:
+    head = ("work", "one worker", "two workers", "times faster", "efficiency")
+    body = [
+        (
+            r["work"],
+            f"{r['one_s']:.1f} s",
+            f"{r['two_s']:.1f} s",
+            f"{r['one_s'] / r['two_s']:.2f}",
+            f"{r['efficiency']:.2f}",
+        )
+        for r in rows
+    ]
+    return markdown.table(head, body)
+
+
+def clusters(found: dict[str, Any]) -> str:
+    head = (
+        "search of",
+        "clusters looked at",
+        "vectors compared",
+        "time",
+        "same nearest part",
+        "same of the nearest ten",
+    )
+    body = [
+        (
+            f"{found['frames']:,} frames",
+            f"{r['probed']} of {found['clusters']:,}" if r["probed"] else "all, without clusters",
+            f"{100 * r['compared']:.1f} %",
+            f"{r['ms']:.0f} ms",
+            f"{100 * r['nearest']:.0f} %",
+            f"{100 * r['ten']:.0f} %",
+        )
+        for r in found["rows"]
+    ]
+    return markdown.table(head, body)

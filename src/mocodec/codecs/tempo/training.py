@@ -374,8 +374,9 @@ def _magnitudes(joints: JointSet, motion: Motion) -> tuple[Floats, Floats, Float
     for s in spectra:
         millihertz = np.arange(1, len(s)) * motion.rate * 500 / len(s)
         near = np.abs(np.log(millihertz[:, None] / nodes)).argmin(axis=1)
-        np.add.at(total.T, near, np.abs(s[1:]) * weight * np.sqrt(120 / motion.rate))
-        np.add.at(count, near, weight)
+        of_node = near[:, None] == np.arange(len(nodes))
+        total += np.abs(s[1:]).T @ (of_node * (weight * np.sqrt(120 / motion.rate)))
+        count += weight * of_node.sum(axis=0)
         means += np.abs(s[0]) * weight / np.sqrt(len(s))
     return total, count, means, weight * len(spectra)
 
@@ -399,7 +400,8 @@ def _symbol_counts(joints: JointSet, steps: Sequence[int], motion: Motion) -> Fl
             known = (expected > UNLIKELY).any(axis=1).sum()
             symbol = symbols.of_magnitudes(np.abs(values[:known]))
             tables = contexts.all_tables(contexts.base(expected[:known]), symbols.SMALLEST[symbol])
-            np.add.at(counts, (tables.ravel(), symbol.ravel()), 1)
+            both = tables.ravel() * symbols.SYMBOLS + symbol.ravel()
+            counts += np.bincount(both, minlength=counts.size).reshape(counts.shape)
     return counts
 
 
