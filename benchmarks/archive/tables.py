@@ -32,6 +32,10 @@ def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
             text = f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of {times}.\n"
             formats.replace_whole(folder / name, text.encode())
             paths.append(folder / name)
+    if {"sizes", "large", "clusters"} <= found.keys():
+        path = folder / "archive_scale.md"
+        formats.replace_whole(path, f"{scale(found)}\n".encode())
+        paths.append(path)
     return paths
 
 
@@ -205,3 +209,32 @@ def clusters(found: dict[str, Any]) -> str:
         for r in found["rows"]
     ]
     return markdown.table(head, body)
+
+
+BILLION = 1_000_000_000
+
+
+def scale(found: dict[str, Any]) -> str:
+    """What grows with the frames, and what does not: measured, and 100 times as many frames."""
+    steps, rows = found["large"]["steps"][-1], found["large"]["catalogues"][-1]
+    times = BILLION / steps["frames"]
+    sizes_ = found["sizes"][0]
+    bytes_ = [sizes_["stored_bytes"] / sizes_["frames"] * frames for frames in (steps["frames"], BILLION)]
+    per_row, recordings = rows["sqlite_bytes"] / rows["rows"], steps["recordings"]
+    query = rows["sqlite_query_ms"] / rows["rows"]
+    few = next(r for r in found["clusters"]["rows"] if r["probed"])
+    body = [
+        ("recordings", f"{recordings:,}", f"{times * recordings:,.0f}"),
+        ("shards", f"{bytes_[0] / 1e6:.0f} MB", f"{bytes_[1] / 1e9:.1f} GB, {-(-bytes_[1] // (256 << 20)):.0f} files"),
+        ("catalogue", f"{per_row * recordings / 1e6:.1f} MB", f"{times * per_row * recordings / 1e6:.0f} MB"),
+        ("open; a recording by name", f"{steps['open_ms']:.1f} ms; {steps['by_name_ms']:.2f} ms", "the same"),
+        ("query of all rows", f"{query * recordings:.1f} ms", f"{times * query * recordings / 1e3:.2f} s"),
+        ("similarity index", f"{steps['index_bytes'] / 1e6:.0f} MB", f"{times * steps['index_bytes'] / 1e9:.1f} GB"),
+        ("search of the whole index", f"{steps['search_ms']:.0f} ms", f"{times * steps['search_ms'] / 1e3:.0f} s"),
+        (
+            f"vectors that a search of {few['probed']} clusters of {found['clusters']['clusters']:,} compares",
+            f"{few['compared'] * found['clusters']['vectors']:,.0f}",
+            f"{times * few['compared'] * found['clusters']['vectors']:,.0f}",
+        ),
+    ]
+    return markdown.table(("", f"{steps['frames']:,} frames, measured", "1,000,000,000 frames, in proportion"), body)
