@@ -66,7 +66,7 @@ def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) ->
 
     alone: no channel refers to another.
     """
-    columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
+    columns = np.ascontiguousarray(values.T)
     sources = [
         None if form.kind in WITHOUT_RECORD else _source(column, form)
         for column, form in zip(columns, channel_forms, strict=True)

@@ -78,10 +78,10 @@ def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | 
     known: list[Form] = []
     result: list[Form] = []
     places: dict[bytes, int] = {}
-    for column in table.T:
+    for column in np.ascontiguousarray(table.T):
         place = places.setdefault(column.tobytes(), len(result))
         is_copy = place < len(result) and result[place].kind != forms.CONSTANT
-        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(np.ascontiguousarray(column), known)
+        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(column, known)
         if form is None:
             return None
         result.append(form)
