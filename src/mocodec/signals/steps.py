@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-SAMPLE = 1 << 14
+SAMPLE = 1 << 13
 """Steps are found from about so many samples."""
 FINEST = 2
 """Steps below 2 to this power last bits of the largest value are no counts, but the last bits of floats."""
