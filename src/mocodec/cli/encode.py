@@ -220,7 +220,7 @@ def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any])
 
 
 def summary(output: str, record: Mapping[str, Any]) -> str:
-    """One line: bytes and ratio, also of the parts where motion is not nearly all of the file, and the measured error."""
+    """One line: bytes, ratio, the parts where motion is not nearly all of the file, and the measured error."""
     name = "standard output" if output == "-" else output
     stored, raw, source = record["bytes"], record["raw_bytes"], record.get("source_bytes")
     line = f"{name}: {quantities.size(stored)}"
