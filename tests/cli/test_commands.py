@@ -34,7 +34,10 @@ def test_encode_prints_a_summary_on_standard_error(command: Command, walk_trc: P
     assert command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "-q").err == ""
 
 
-def test_the_summary_names_the_parts_of_a_file_with_signals(command: Command, walk: mc.Motion) -> None:
+def test_the_summary_names_the_parts_of_a_file_with_signals(
+    command: Command, walk: mc.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     force = mc.Signal(np.arange(2400, dtype=np.int16)[:, None] % 97, rate=1200.0, labels=("Fz1",))
     mc.write("walk.c3d", mc.Motion(walk.positions, walk.rate, walk.names, extras={"analog": force}))
     text = command("encode", "walk.c3d", "-o", "x.mocz", "--codec", LOSSY, "--max-error", "0.2cm").err
