@@ -8,7 +8,7 @@
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
-//   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
+//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/; signal_fitting.cpp chooses the predictors
 //   varints.cpp     many varints at once, for fields/cursor.py

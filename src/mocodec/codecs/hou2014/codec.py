@@ -23,7 +23,7 @@ from ... import metrics, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
-from ...stages import bounded, frozen, gaps, quantise, search
+from ...stages import bounded, frozen, gaps, lattice, quantise, search
 from ...typing import Floats, Integers
 from .. import base, rescue
 from . import clip_segmentation, left_transform, parameters, quantised_motion, stream
@@ -46,6 +46,11 @@ FROZEN_SHARE = 1 / 8
 
 STRIDES = (quantise.LADDER // 2, quantise.LADDER // 5)
 """Under a bound the step is searched in half octaves, then in fifths of an octave around the best."""
+
+COARSE_RUNGS, COARSE_STRIDES = 5 * quantise.LADDER, (quantise.LADDER, quantise.LADDER // 2)
+"""Where the lattice engine codes the corrections, a coarser step may be best: from where it is searched, and how."""
+COARSE_PROMISING = 1.1
+"""Coarser steps are searched if the first of them takes up to this many times the bytes of the best fine step."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class Hou2014:
         base.require_usual_lengths(self, moving)
         filled = gaps.fill(moving)[0]
         if self.mean_error is None:
-            return self.encode_smoothed(motion, filled)
+            return self.encode_smoothed(motion, filled, by_engine=True)
         return self._encode_to_mean(motion, filled, self.mean_error)
 
     def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
@@ -115,15 +120,15 @@ class Hou2014:
         rescue.require_kept(motion, {"mean_error": target}, encoded, Hou2014.decode)
         return encoded
 
-    def encode_smoothed(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
+    def encode_smoothed(self, motion: Motion, smooth: Floats, by_engine: bool = False) -> Encoded[Motion]:
         """`encode`, where the transform codes `smooth` in place of the motion's positions.
 
         smooth (frames, points, 3): the positions with gaps filled. With `max_error`, outliers of single frames may be
-        smoothed too, since corrections restore them.
+        smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections.
         """
         base.require_frames(motion)
         self._check(motion)
-        encoder = _MotionEncoder(self, motion, smooth)
+        encoder = _MotionEncoder(self, motion, smooth, by_engine)
         if self.max_error is not None:
             return encoder.for_max_error(self.max_error)
         if self.mean_error is not None:
@@ -192,11 +197,12 @@ class _MotionEncoder:
     quantised(rung), encoded(rung): the motion at this step; cached.
     """
 
-    def __init__(self, codec: Hou2014, motion: Motion, filled: Floats) -> None:
+    def __init__(self, codec: Hou2014, motion: Motion, filled: Floats, by_engine: bool = False) -> None:
         self.codec, self.motion, self.apart = codec, motion, split(codec, motion)
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
+        self.neighbours = lattice.neighbours(filled) if by_engine and codec.max_error and lattice.is_fast() else None
         self.prepared = self._prepare(filled)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
@@ -291,7 +297,7 @@ class _MotionEncoder:
         corrections = b""
         if header.max_error is not None:
             moving, prediction = self.moving[start:stop], stream.reconstruct(clips, header)
-            corrections = bounded.pack(moving, prediction, header.max_error)
+            corrections = bounded.pack(moving, prediction, header.max_error, self.neighbours)
         packed = stream.pack_clips(clips, header)
         return stream.pack_payload(packed, self.apart[start:stop].pack(), corrections)
 
@@ -338,8 +344,13 @@ class _MotionEncoder:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """At the step where coefficients and corrections together are smallest. Checks the bound by decoding."""
-        size = progress.attempts(self.sampled_size, share=0.15)
-        encoded = self.encoded(search.minimum(size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
+        size = cache(progress.attempts(self.sampled_size, share=0.15))
+        rung = search.minimum(size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS)
+        first_coarse = self.first_rung + COARSE_RUNGS
+        if self.neighbours is not None and size(first_coarse) < COARSE_PROMISING * size(rung):
+            coarse = search.minimum(size, first_coarse, COARSE_STRIDES, farthest=FARTHEST_RUNGS)
+            rung = min(rung, coarse, key=size)
+        encoded = self.encoded(rung)
         decoded = Hou2014.decode(encoded).positions
         largest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not largest <= bound:

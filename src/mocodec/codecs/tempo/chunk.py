@@ -22,10 +22,10 @@ import numpy as np
 
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
-from ...stages import frozen
+from ...stages import frozen, lattice
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
-from .coding import coefficients, corrections, direct, lattice, quantise, rows
+from .coding import coefficients, corrections, direct, quantise, rows
 from .coding.contexts import OCTAVE
 from .models.model import Model
 from .preparation import Prepared

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ... import native
 from ...errors import Corrupt
 from ...motion import Motion
+from ...stages import lattice
 from ...typing import Floats
 from .chunk import FIRST_OFFSET, ChunkEncoder, grid_size, grid_step
-from .coding import lattice
 from .models import Recording, points
 from .preparation import Prepared
 
@@ -74,11 +73,6 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     alone = bool(cost < (ALONE + rise) * transform)
     certain = len(positions) >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
     return LatticePlan(found, stride, alone, certain or (alone and motion.points > MANY_POINTS))
-
-
-def available() -> bool:
-    """Whether an encoder uses the lattice engine: without the compiled module it would take minutes."""
-    return native.kernel("tempo_lattice_encode") is not None
 
 
 def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float, step: int) -> float:

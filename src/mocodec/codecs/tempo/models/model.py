@@ -14,9 +14,9 @@ import numpy as np
 
 from ....entropy.lanes import StaticTables
 from ....stages import dct
+from ....stages.lattice import Neighbours
 from ....typing import Floats, Integers
 from ..coding import contexts
-from ..coding.lattice import Neighbours
 from ..coding.rows import HEADING, PLACE, POSE, heading_step, step_size
 from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
