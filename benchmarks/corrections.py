@@ -34,7 +34,9 @@ from .machine import machine_description
 from .tempo import geometric
 
 RESULTS, TABLE = Path("docs/results/corrections.json"), Path("docs/results/corrections.md")
-BOUNDS_M = (0.00005, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01)
+BOUNDS_M = (0.0001, 0.0005, 0.001, 0.005)
+MOST_FRAMES = 400
+"""From the middle of each recording."""
 SAVED_BITS = float(np.log2(32 / 5**1.5) - np.log2((4 / 3) ** 1.5))
 NEVER = 2.0
 """A share of samples that is not reached."""
@@ -141,6 +143,8 @@ def command(data: Path, only: str, draw: bool) -> None:
         ]
         records: list[dict[str, Any]] = []
         for name, kind, motion in recordings:
+            first = max(0, (len(motion) - MOST_FRAMES) // 2)
+            motion = motion[first : first + MOST_FRAMES]
             for record in of_recording(name, kind, motion) if only in name else ():
                 records.append(record)
                 click.echo(
