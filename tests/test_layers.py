@@ -20,7 +20,7 @@ LAYERS = (
     ("testing", "plots", "cloud_plots"),
     ("torch", "learning", "arrays"),
     ("archive",),
-    ("api", "opened", "packing", "decoded_chunks"),
+    ("api", "opened", "packing", "in_pieces", "decoded_chunks"),
     ("codecs", "container"),
     ("signals",),
     ("stages", "entropy", "fields", "geometry", "formats", "metrics"),

@@ -17,7 +17,8 @@ import numpy as np
 
 from mocodec import archive
 from mocodec.archive import similarity
-from mocodec.archive.catalogue import Catalogue, Row
+from mocodec.archive.catalogue import Catalogue
+from mocodec.archive.rows import Row
 from mocodec.motion import Motion
 
 FRAMES = (1_000_000, 10_000_000)

@@ -34,8 +34,8 @@ def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
 
 
 def sizes(rows: list[dict[str, Any]]) -> str:
-    head = ("archive", "recordings", "frames", "bytes", "of float32 positions", "signals and extras", "catalogue")
-    head += ("mean error", "largest", "built, frames/s")
+    head = ("archive", "recordings", "frames", "in shards", "of float32 positions", "as .mocz files")
+    head += ("signals and extras", "names and lengths", "catalogue", "mean error", "largest", "built, frames/s")
     return markdown.table(
         head,
         [
@@ -43,9 +43,11 @@ def sizes(rows: list[dict[str, Any]]) -> str:
                 "positions" if r["kind"] == "positions" else "with rotations",
                 f"{r['recordings']:,}",
                 f"{r['frames']:,}",
+                f"{r['stored_bytes']:,}",
+                f"{r['percent']:.3f} %",
                 f"{r['bytes']:,}",
-                f"{r['percent']:.2f} %",
                 f"{r['side_bytes']:,}",
+                f"{r['shard_bytes'] - r['stored_bytes']:,}",
                 f"{r['catalogue_bytes']:,}",
                 f"{1e3 * r['mean_error']:.2f} mm",
                 f"{1e3 * r['max_error']:.0f} mm",

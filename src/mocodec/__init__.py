@@ -12,7 +12,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .api import File, compare, decode, encode, not_kept, open, read, write
+from .api import File, compare, decode, encode, encode_blocks, not_kept, open, read, read_blocks, write
 from .errors import (
     BadInput,
     CannotEncode,
@@ -75,5 +75,5 @@ __all__ = [
     "Archive", "BadInput", "Bodycast", "CannotEncode", "Corrupt", "File", "FrameOutOfRange", "Hou2014",
     "Hou2014Database", "Lien2006", "Limits", "Liu2006", "Lossless", "MissingExtra", "MocodecError", "Motion",
     "PointClouds", "Signal", "Skeleton", "Tempo", "TooNew", "Truncated", "UnknownCodec", "compare", "decode", "encode",
-    "not_kept", "open", "open_archive", "read", "tempo", "view", "write",
+    "encode_blocks", "not_kept", "open", "open_archive", "read", "read_blocks", "tempo", "view", "write",
 ]  # fmt: skip

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Iterable
 from os import PathLike
-from typing import Any, cast, overload
+from typing import TYPE_CHECKING, Any, cast, overload
 
 from . import formats
 from . import progress as progress_
@@ -25,7 +26,13 @@ from .packing import default_codec, pack, with_options
 from .pointcloud import PointClouds
 from .progress import Callback
 
-__all__ = ["File", "compare", "decode", "encode", "not_kept", "open", "read", "write"]
+if TYPE_CHECKING:  # imported where they are used: they import a codec
+    from .codecs.tempo import Tempo
+    from .in_pieces import Written
+
+__all__ = [
+    "File", "compare", "decode", "encode", "encode_blocks", "not_kept", "open", "read", "read_blocks", "write",
+]  # fmt: skip
 
 AnyPath = str | PathLike[str]
 
@@ -50,6 +57,15 @@ def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> 
             raise BadInput(f"{os.fspath(path)}: reading a .mocz takes no options, but got {', '.join(options)}")
         return decode(path, kind)
     return of_kind(formats.read(path, **options), kind, path)
+
+
+def read_blocks(path: AnyPath, **options: Any) -> formats.Blocks:
+    """A recording that does not fit into memory, in pieces: for `encode_blocks`, or for your own loop over motions.
+
+    Reads .npy, .npz and what docs/howto/long.md lists. The options are those of `read`; unit and vertical axis are
+    guessed from the first frames where the file does not say. Raises BadInput.
+    """
+    return formats.read_blocks(path, **options)
 
 
 def write(path: AnyPath, recording: Recording, **options: Any) -> None:
@@ -130,6 +146,32 @@ def encode(
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
     with progress_.listening(progress):
         return pack(chosen, recording, signal_error)
+
+
+def encode_blocks(
+    blocks: Iterable[Motion],
+    path: AnyPath,
+    codec: str | Tempo = "tempo",
+    *,
+    frames: int | None = None,
+    progress: Callback | None = None,
+    **settings: Any,
+) -> Written:
+    """Write a .mocz of a recording that comes in blocks and need not fit into memory; returns its size and errors.
+
+    blocks: motions that follow each other, of the same points and rate and of any lengths: `read_blocks(path)`, or your
+    own generator. Names, skeleton and `source` are those of the first block; extras are those of `read_blocks`, and
+    left out of other sources. Targets and settings are those of `encode`; `ratio` and `size` need the number of frames
+    (`frames`, or the source's). The model is fitted to the first minutes, or to parts from everywhere where the source
+    can be read anywhere. Every chunk is decoded and measured; the file appears complete or not at all. A recording of
+    less than some minutes is encoded as by `encode`. Rotations are kept under `max_error`, of motions without gaps.
+    Raises BadInput, also for codecs other than tempo; CannotEncode.
+    """
+    from . import in_pieces
+
+    chosen = with_options(codec, **without_empty_targets(settings))
+    with progress_.listening(progress):
+        return in_pieces.write(blocks, path, chosen, frames)
 
 
 def not_kept(recording: Recording, codec: str | Codec[Any] | None = None) -> list[str]:

@@ -8,9 +8,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FileRange:
-    """`size` bytes of the file at `path` from byte `start` on. label: what error messages call it."""
+    """`size` bytes of the file at `path` from byte `start` on. label: what error messages call it.
+
+    block: what the bytes need to become a `.mocz` (`container.compact`), or None if they are one.
+    """
 
     path: str
     start: int
     size: int
     label: str = ""
+    block: bytes | None = None

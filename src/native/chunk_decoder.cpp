@@ -1,6 +1,6 @@
-// A chunk of codecs/tempo from its bytes to positions in the caller's array, without the interpreter: for
-// codecs/tempo/compiled_chunks.py. Its parts are chunk_symbols.h (bytes to integers) and chunk_synthesis.h (integers to
-// positions).
+// Chunks of codecs/tempo without the interpreter, for codecs/tempo/compiled_chunks.py: from bytes to positions in the
+// caller's array, and from coefficients to integers and what these decode to. Its parts are chunk_symbols.h (bytes to
+// integers), chunk_synthesis.h (integers to positions), chunk_quantiser.h (coefficients to integers) and chunk_errors.h.
 
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -8,6 +8,8 @@
 #include <stdexcept>
 
 #include "arrays.h"
+#include "chunk_errors.h"
+#include "chunk_quantiser.h"
 #include "chunk_synthesis.h"
 
 namespace {
@@ -144,6 +146,58 @@ public:
         if (!expectations_.unpack(data, size, integers) ||
             !corrections_of(integers.lists, cosines_.frames, shape_->points, corrections))
             return false;
+        positions(integers, to);
+        apply(corrections, *shape_, cosines_.frames, correction_step, to);
+        return true;
+    }
+
+    // A chunk in one step: codecs/tempo/trial.py. spectrum (frames, rows); wanted (frames, points, 3); apart (frames,
+    // points), or empty; size: the step in metres; bound: 0 for none; correction_step: metres; keeps: whether the decoded
+    // positions are returned. None for errors too large to correct, or values (frequencies, rows), threshold, bits, sum of
+    // distances, sum of squared distances, corrections as starts, lengths and vectors, decoded positions.
+    nb::object trial(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step, double size,
+                     double slope, size_t free, Input<double, 1> prices, double bound, double correction_step,
+                     bool keeps) const {
+        const size_t frames = cosines_.frames, rows = expectations_.rows, points = shape_->points;
+        if (spectrum.shape(0) != frames || spectrum.shape(1) != rows || wanted.shape(0) != frames ||
+            wanted.shape(1) != points || wanted.shape(2) != 3 || (apart.size() && apart.size() != frames * points) ||
+            prices.size() < 3 * CLASSES * SYMBOLS)
+            throw std::invalid_argument("ChunksOfLength.trial: shapes differ");
+        Fresh<double> decoded(3 * frames * points);
+        Quantised found;
+        Sums sums;
+        Found corrections;
+        bool fits = true;
+        {
+            nb::gil_scoped_release release;
+            const Quantisation asked{step, heading_step_, size, slope, INWARD, prices.data(), free};
+            Quantiser(expectations_).run(spectrum.data(), asked, found);
+            positions(found.integers, {decoded.data.get(), 0, frames, {0, 1, 2}});
+            const double *weights = shape_->weights.empty() ? nullptr : shape_->weights.data();
+            const Samples samples{wanted.data(), decoded.data.get(), apart.size() ? apart.data() : nullptr, weights, frames,
+                                  points};
+            if (bound > 0) fits = find_corrections(samples, bound, correction_step, corrections);
+            else sums = sums_of(samples);
+        }
+        if (!fits) return nb::none();
+        Fresh<int64_t> values(found.frequencies * rows);
+        std::fill_n(values.data.get(), found.frequencies * rows, 0);
+        for (const Coefficient &c : found.integers.coefficients) values.data[c.frequency * rows + c.row] = c.value;
+        const size_t n = corrections.start.size();
+        return nb::make_tuple(values.give({found.frequencies, rows}), found.threshold, found.bits, sums.distance,
+                              sums.squared, given(corrections.start, {n}), given(corrections.length, {n}),
+                              given(corrections.by, {n, 3}),
+                              keeps ? nb::cast(decoded.give({frames, points, 3})) : nb::none());
+    }
+
+private:
+    static Output<int64_t> given(const std::vector<int64_t> &numbers, std::initializer_list<size_t> shape) {
+        Fresh<int64_t> out(numbers.size());
+        std::copy(numbers.begin(), numbers.end(), out.data.get());
+        return out.give(shape);
+    }
+
+    void positions(const Integers &integers, const Target &to) const {
         const double step_m = std::pow(2.0, double(integers.step) / 32);
         const Synthesis synthesis(*shape_, cosines_, band_ends_.data(), step_m, heading_step_);
 #ifdef HAS_AVX2_TWIN
@@ -152,11 +206,8 @@ public:
         else
 #endif
             synthesise(synthesis, integers, to);
-        apply(corrections, *shape_, cosines_.frames, correction_step, to);
-        return true;
     }
 
-private:
     std::shared_ptr<const Shape> shape_;
     const Expectations expectations_;
     const Cosines cosines_;
@@ -173,5 +224,6 @@ void bind_chunk_decoder(nb::module_ &m) {
         .def("set_tree", &ChunkDecoder::set_tree);
     nb::class_<ChunksOfLength>(m, "ChunksOfLength")
         .def(nb::init<const ChunkDecoder &, Input<int64_t, 2>, std::vector<size_t>, double>())
-        .def("decode", &ChunksOfLength::decode, nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg(), nb::arg());
+        .def("decode", &ChunksOfLength::decode, nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg(), nb::arg())
+        .def("trial", &ChunksOfLength::trial);
 }

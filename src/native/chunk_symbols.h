@@ -127,6 +127,8 @@ public:
     const size_t frames, rows, points;
 
 private:
+    friend class Quantiser;
+
     using Base = std::vector<int16_t>;
 
     struct Lanes {

@@ -11,15 +11,16 @@
 #include <vector>
 
 #include "chunk_symbols.h"
-#include "vectors.h"
+#include "rotations4.h"
 
 namespace chunks {
+
+using namespace rotations4;
 
 // coding/rows.py, coding/quantise.py
 constexpr size_t HEADING = 0, POSE = 4;
 constexpr double INWARD = 0.05;
 constexpr size_t PANEL = 8, TILE = 4;  // columns and frames that the inverse DCT computes at a time
-constexpr double LARGEST_SERIES_ANGLE_2 = 10;
 
 // pose/bone_tree.py, BoneSchedule.program and what turns directions into poses.
 struct Tree {
@@ -109,7 +110,7 @@ public:
         static thread_local Scratch scratch;
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         spectrum(integers, known, scratch);
-        curves(known, scratch);
+        curves(known, scratch, out);
         poses(scratch, out);
     }
 
@@ -160,11 +161,17 @@ private:
         }
     }
 
-    // stages/dct.py, inverse: (frames, columns).
-    ALWAYS_INLINE void curves(size_t known, Scratch &scratch) const {
+    // stages/dct.py, inverse: (frames, columns), of the frames that `poses` takes four at a time; of all frames if `out`
+    // has none, which is for timing.
+    ALWAYS_INLINE void curves(size_t known, Scratch &scratch, const Target &out) const {
         const size_t columns = of_.columns, frames = cosines_.frames, half = cosines_.half;
+        const size_t last = std::min(frames, out.first + (out.last - out.first + 3) / 4 * 4);
         scratch.curves.resize((frames + 3) * columns);
         for (size_t block = 0; block < cosines_.blocks; ++block) {
+            const size_t t0 = block * TILE, t1 = std::min(half, t0 + TILE);
+            const bool in_head = t0 < last && out.first < t1;
+            const bool in_tail = frames - t1 < last && out.first < frames - t0;
+            if (!in_head && !in_tail && out.first < out.last) continue;
             const double *even = cosines_.block(block, 0), *odd = cosines_.block(block, 1);
             for (size_t panel = 0; panel < columns / PANEL; ++panel) {
                 const double *of_panel = scratch.panels.data() + panel * known * PANEL;
@@ -245,40 +252,6 @@ private:
         for (size_t i = 0; i < 4; ++i) into[i] = at[i * of_.columns];
     }
 
-    // rotations.SinCos
-    ALWAYS_INLINE static void sin_cos(const Four &squared, Four &sine, Four &cosine, Four &versed) {
-        constexpr double S[] = {1.0,          1.0 / 6,          1.0 / 120,          1.0 / 5040,
-                                1.0 / 362880, 1.0 / 39916800.0, 1.0 / 6227020800.0, 1.0 / 1307674368000.0};
-        constexpr double C[] = {1.0,           1.0 / 2,           1.0 / 24,           1.0 / 720,           1.0 / 40320,
-                                1.0 / 3628800, 1.0 / 479001600.0, 1.0 / 87178291200.0, 1.0 / 20922789888000.0};
-        Four share, half;
-        if (squared[0] <= LARGEST_SERIES_ANGLE_2 && squared[1] <= LARGEST_SERIES_ANGLE_2 &&
-            squared[2] <= LARGEST_SERIES_ANGLE_2 && squared[3] <= LARGEST_SERIES_ANGLE_2) {
-            const Four quarter = squared * (-1.0 / 16);
-            share = quarter * S[7], half = quarter * C[8];
-            for (int i = 6; i > 0; --i) share = (share + S[i]) * quarter;
-            for (int i = 7; i > 0; --i) half = (half + C[i]) * quarter;
-            share += S[0], half += C[0];
-            share *= half;
-            half = half * half * 2.0 - 1.0;
-        } else {
-            for (int i = 0; i < 4; ++i) {
-                const double angle = std::max(std::sqrt(squared[i]) * 0.5, 1e-150);
-                share[i] = std::sin(angle) / angle, half[i] = std::cos(angle);
-            }
-        }
-        versed = share * share * 0.5;
-        sine = share * half;
-        cosine = 1.0 - versed * squared;
-    }
-
-    // out = frame · vector; a frame is its three axes, one after another.
-    template <class Frame>
-    ALWAYS_INLINE static void out_of(const Frame *frame, const Four *vector, Four *out) {
-        for (size_t a = 0; a < 3; ++a)
-            out[a] = frame[a] * vector[0] + frame[3 + a] * vector[1] + frame[6 + a] * vector[2];
-    }
-
     // pose/bone_directions.py, inverse: four poses, their mean in the origin.
     ALWAYS_INLINE void directions(const Tree &tree, const double *curves, Scratch &scratch) const {
         scratch.frames.resize(36 * tree.slots);
@@ -306,51 +279,29 @@ private:
 
     ALWAYS_INLINE void bone(const Tree &tree, const int64_t *p, const double *curves, const Four *reference, Four *own,
                             Four *direction) const {
-        Four x, y, sine, cosine, versed;
+        Four x, y, local[9];
         column(x, curves, size_t(2 * tree.order[size_t(p[1])]));
         column(y, curves, size_t(2 * tree.order[size_t(p[1])] + 1));
-        sin_cos(x * x + y * y, sine, cosine, versed);
         const double *rest = tree.rests.data() + 9 * p[1];
-        Four local[9];
-        for (size_t a = 0; a < 3; ++a) {
-            Four tilt = x * rest[a] + y * rest[3 + a];
-            local[6 + a] = tilt * sine + cosine * rest[6 + a];
-            if (!own) continue;
-            tilt = tilt * versed + sine * rest[6 + a];
-            local[a] = rest[a] - x * tilt;
-            local[3 + a] = rest[3 + a] - y * tilt;
+        if (!own) {
+            tilted_direction(rest, x, y, reference ? local : direction);
+            if (reference) out_of(reference, local, direction);
+            return;
         }
-        const Four *axes = local;
-        if (own && reference) {
-            for (size_t axis = 0; axis < 9; axis += 3) out_of(reference, local + axis, own + axis);
-            axes = own;
-        } else if (own) {
-            std::copy_n(local, 9, own);
-        }
-        if (!own && reference) out_of(reference, local + 6, direction);
-        else std::copy_n(axes + 6, 3, direction);
+        tilted_frame(rest, x, y, reference ? local : own);
+        for (size_t axis = 0; reference && axis < 9; axis += 3) out_of(reference, local + axis, own + axis);
+        std::copy_n(own + 6, 3, direction);
     }
 
     ALWAYS_INLINE void hub(const Tree &tree, const int64_t *p, const double *curves, const Four *reference, Four *own,
                            Four *found) const {
-        constexpr size_t PLUS[] = {5, 6, 1}, MINUS[] = {7, 2, 3};
-        Four vector[3], sine, cosine, versed, local[9], home[3];
+        Four vector[3], local[9], home[3];
         for (size_t k = 0; k < 3; ++k) column(vector[k], curves, 2 * tree.bones + 3 * size_t(p[1]) + k);
-        sin_cos(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2], sine, cosine, versed);
-        for (size_t a = 0; a < 3; ++a)
-            for (size_t b = 0; b < 3; ++b) local[3 * a + b] = vector[a] * (vector[b] * versed);
-        for (size_t a = 0; a < 3; ++a) {
-            const Four across = vector[a] * sine;
-            local[4 * a] += cosine;
-            local[PLUS[a]] += across;
-            local[MINUS[a]] -= across;
+        frame_of(vector, reference ? local : own);
+        for (size_t axis = 0; reference && axis < 9; axis += 3) {
+            out_of(tree.homes.data() + 9 * p[1], local + axis, home);
+            out_of(reference, home, own + axis);
         }
-        if (reference)
-            for (size_t axis = 0; axis < 9; axis += 3) {
-                out_of(tree.homes.data() + 9 * p[1], local + axis, home);
-                out_of(reference, home, own + axis);
-            }
-        else std::copy_n(local, 9, own);
         for (size_t child = size_t(p[4]); child < size_t(p[5]); ++child) {
             const double *v = tree.ends.data() + 3 * (child - tree.bones);
             for (size_t a = 0; a < 3; ++a) found[3 * child + a] = own[a] * v[0] + own[3 + a] * v[1] + own[6 + a] * v[2];

@@ -4,6 +4,7 @@
 //   bulk.cpp        long arrays of tokens, for entropy/bulk.py
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
+//   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
@@ -29,13 +30,14 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(varints) PART(chunk_decoder)  \
-    PART(bulk) PART(point_octree) PART(point_colours) PART(clustered_icp)
+    PART(bulk) PART(bone_coordinates) PART(point_octree) PART(point_colours) PART(clustered_icp)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
 
 #define BIND(name) bind_##name(m);
 NB_MODULE(_native, m) {
+    nb::set_leak_warnings(false);  // caches may outlive the module when the interpreter ends
     m.doc() = "The compiled accelerator of mocodec; docs/architecture.md says what it may do.";
     PARTS(BIND)
 }

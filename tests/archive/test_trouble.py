@@ -195,10 +195,10 @@ def test_unreadable_sources_are_listed_and_tried_again(tmp_path: Path) -> None:
 
 def test_a_later_version_says_so(vault: Path) -> None:
     connection = sqlite3.connect(vault / "db/catalogue.sqlite")
-    connection.execute("PRAGMA user_version = 2")
+    connection.execute("PRAGMA user_version = 3")
     connection.close()
     for call in (lambda: mc.open_archive(vault / "db"), lambda: archive.build(vault / "raw", vault / "db")):
-        with pytest.raises(mc.TooNew, match=r"version 2.*upgrade"):
+        with pytest.raises(mc.TooNew, match=r"version 3.*upgrade"):
             call()
 
 

@@ -54,8 +54,8 @@ def test_the_idle_table_changes_nothing():
 
 
 def test_cost_in_bits():
-    assert TABLES.cost()[1].tolist() == [2.0] * 4
-    assert TABLES.cost()[2, 0] == lanes.UNCODABLE_BITS
+    assert TABLES.cost[1].tolist() == [2.0] * 4
+    assert TABLES.cost[2, 0] == lanes.UNCODABLE_BITS
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint32])

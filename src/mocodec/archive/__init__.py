@@ -9,11 +9,11 @@ damage, remove, merge, repair    check and change an archive
 from __future__ import annotations
 
 from .building import Report, build
-from .catalogue import COLUMNS, Row
 from .database import Archive, Entry, Recordings, open_archive
 from .encoding import Options
 from .maintenance import damage, merge, remove, repair, unused_bytes, whole_bytes
 from .pool import dask_cluster
+from .rows import COLUMNS, Row
 from .similarity import Hit, Pair, duplicates, index, search
 
 __all__ = [

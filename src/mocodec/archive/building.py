@@ -13,16 +13,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from ..errors import BadInput, MocodecError
 from . import encoding, pool, remote, shards, sources
-from .catalogue import Catalogue, Row
+from .catalogue import Catalogue
 from .encoding import Options, Outcome, Task
 from .lock import only_builder
+from .rows import Row
+from .shards import Place
 from .sources import Source
 
 COMMIT_SECONDS = 2.0
@@ -141,10 +143,12 @@ class Builder:
         self.report = Report()
         catalogue.require_counted()
         with self._disk():
-            self.appender = shards.Appender(folder, catalogue.shards(), shard_bytes)
+            sizes = catalogue.shards()
+            blocks = {number: list(catalogue.blocks(number)) for number in [max(sizes, default=0)] if number}
+            self.appender = shards.Appender(folder, sizes, blocks, shard_bytes)
         self.waiting: list[Row] = []
         self.failures: list[tuple[str, str, str]] = []
-        self.places: dict[str, tuple[int, int]] = {}
+        self.places: dict[str, Place] = {}
         """Where the recordings of `waiting` are, by the hash of their content."""
         self.waiting_bytes = 0
         self.committed_at = time.monotonic()
@@ -222,25 +226,24 @@ class Builder:
         facts: dict[str, Any] = {**encoding.facts_of_name(name), **outcome.facts, "source_hash": outcome.source_hash}
         facts |= {"path": source.path, "origin": source.where, "content": content, "options": self.option_number}
         facts |= {"source_bytes": source.stamp[0], "source_time_ns": source.stamp[1]}
-        number, start = self.place(name, content, outcome.blob)
-        self.waiting.append(Row(**facts, shard=number, start=start))
+        self.waiting.append(Row(**facts, **asdict(self.place(name, content, outcome.blob))))
         self.report.frames += outcome.facts.get("frames", 0)
 
     def copy(self, row: Row, blob: bytes, options: Mapping[str, Any]) -> None:
         """Append the `.mocz` of another archive, with its row there and the options that it was coded with."""
-        shard, start = self.place(row.name, row.content, blob)
+        place = self.place(row.name, row.content, blob)
         with self.catalogue.transaction():
             number = self.catalogue.option_number(options)
-        self.waiting.append(replace(row, shard=shard, start=start, options=number))
+        self.waiting.append(replace(row, options=number, **asdict(place)))
         self._commit_in_time()
 
-    def place(self, name: str, content: str, blob: bytes) -> tuple[int, int]:
-        """Shard and byte of a `.mocz` with this hash, which is appended if the archive does not have it."""
+    def place(self, name: str, content: str, blob: bytes) -> Place:
+        """Where the archive has a `.mocz` with this hash, which is appended if it does not have it."""
         if content in self.places:
             return self.places[content]
         same = next(self.catalogue.rows("content = ?", [content]), None)
         if same is not None:
-            return same.shard, same.start
+            return Place(same.shard, same.start, same.stored_bytes, same.block)
         with self._disk():
             self.places[content] = self.appender.append(name, blob)
         self.waiting_bytes += len(blob)
@@ -260,6 +263,7 @@ class Builder:
                     self.catalogue.put(row)
                 for failure in self.failures:
                     self.catalogue.put_failure(*failure)
+                self.catalogue.put_blocks(self.appender.blocks)
                 self.catalogue.put_shards(self.appender.sizes)
         self.waiting, self.failures, self.waiting_bytes = [], [], 0
         self.places.clear()

@@ -3,6 +3,7 @@
 
     recordings   one row each (COLUMNS)          shards     committed length of each shard
     options      what recordings were coded with  failures   sources that could not be read or coded, and why
+    blocks       heads that recordings of a shard share (`container.compact`), as in the shard
 
 A change is one transaction. The bytes it refers to are on the disk before it: a reader sees the archive before or
 after the change.
@@ -11,114 +12,41 @@ after the change.
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, cast
 
 from ..errors import BadInput, Corrupt, TooNew
+from .rows import COLUMNS, MOST_SHARDS, Row, column, is_sound, is_whole, problem_of
 
 NAME = "catalogue.sqlite"
 APPLICATION_ID = 0x6D6F6361
 """SQLite's field for the program that a database belongs to: "moca"."""
-VERSION = 1
-MOST_SHARDS = 10**9
+VERSION = 2
+"""Version 1 has no blocks, and no columns that say how a recording is stored: every content is a whole `.mocz`."""
 SECONDS_TO_WAIT = 10.0
 """How long a reader waits while a builder commits."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """What the catalogue says about a recording.
-
-    name: unique, with folders: "86/86_02"; stem: its last part. subject, trial, labels: read from the name; labels are
-    words between spaces. path: of the source, relative to what was named; origin: where that was. format: its suffix.
-    kind: "motion" or "clouds". frames, rate (Hz), seconds, points, joints (points with a skeleton), rotations (0 or 1).
-    layout: hash of the names of the points, equal where these are equal. codec. mean_error, max_error: measured on all
-    samples, metres; None where the source was a .mocz. bytes: of the .mocz; side_bytes: of these, extras and signals;
-    raw_bytes: as float32 positions; ratio: raw_bytes / (bytes − side_bytes). source_hash: of the source, 128 bits of
-    SHA-256; source_bytes, source_time_ns: its size and time of change. options: number in the table `options`.
-    content: hash of the .mocz. shard, start: where the .mocz begins. prior: id of the prior of its own that it needs,
-    or "".
-    """
-
-    name: str
-    stem: str
-    subject: int | None
-    trial: int | None
-    labels: str
-    path: str
-    origin: str
-    format: str
-    kind: str
-    frames: int
-    rate: float
-    seconds: float
-    points: int
-    joints: int
-    rotations: int
-    layout: str
-    codec: str
-    mean_error: float | None
-    max_error: float | None
-    bytes: int
-    side_bytes: int
-    raw_bytes: int
-    ratio: float | None
-    source_hash: str
-    source_bytes: int
-    source_time_ns: int
-    options: int
-    content: str
-    shard: int
-    start: int
-    prior: str = ""
-
-
-COLUMNS = tuple(field.name for field in fields(Row))
 _SELECT = ", ".join(f'"{name}"' for name in COLUMNS)
-_TEXT = (
-    "name",
-    "stem",
-    "labels",
-    "path",
-    "origin",
-    "format",
-    "kind",
-    "layout",
-    "codec",
-    "source_hash",
-    "content",
-    "prior",
+_BLOCKS = "CREATE TABLE blocks (shard INTEGER, number INTEGER, bytes BLOB, PRIMARY KEY (shard, number))"
+_RECORDINGS_1 = "(SELECT *, bytes AS stored_bytes, 0 AS block FROM recordings)"
+"""The rows of a catalogue of version 1, with the columns of this version."""
+_FROM_1_TO_2 = (
+    "ALTER TABLE recordings ADD COLUMN stored_bytes INTEGER",
+    "ALTER TABLE recordings ADD COLUMN block INTEGER",
+    "UPDATE recordings SET stored_bytes = bytes, block = 0",
+    _BLOCKS,
+    f"PRAGMA user_version = {VERSION}",
 )
-_REAL = ("rate", "seconds", "mean_error", "max_error", "ratio")
-_OPTIONAL = ("subject", "trial", "mean_error", "max_error", "ratio")
-_OF_A_FOLDER = ("source_bytes", "source_time_ns")
-"""Columns that are -1 for a folder of files; a file's time may be before 1970."""
-_SUMMED = ("frames", "seconds", "bytes", "side_bytes", "raw_bytes")
-HUGE = 1 << 62
-SUMS_ARE_SOUND = "coalesce(min({}), 1)".format(
-    " AND ".join(
-        [f"typeof({c}) IN ('integer', 'real') AND {c} >= 0 AND {c} < {HUGE}" for c in _SUMMED]
-        + [f"({c} IS NULL OR typeof({c}) = 'real' AND {c} >= 0 AND {c} < {HUGE})" for c in ("mean_error", "max_error")]
-    )
-)
-"""SQL: 1 if all values that `sums` adds up are numbers of a plausible size."""
-
-
-def _column(name: str) -> str:
-    kind = "TEXT" if name in _TEXT else "REAL" if name in _REAL else "INTEGER"
-    return f'"{name}" {kind}' + (" PRIMARY KEY" if name == "name" else "")
-
-
 SCHEMA = (
-    f"CREATE TABLE recordings ({', '.join(map(_column, COLUMNS))}) WITHOUT ROWID",
+    f"CREATE TABLE recordings ({', '.join(map(column, COLUMNS))}) WITHOUT ROWID",
     "CREATE INDEX by_stem ON recordings (stem)",
     "CREATE INDEX by_content ON recordings (content)",
     "CREATE TABLE shards (number INTEGER PRIMARY KEY, bytes INTEGER)",
+    _BLOCKS,
     "CREATE TABLE options (number INTEGER PRIMARY KEY, text TEXT UNIQUE)",
     "CREATE TABLE failures (path TEXT PRIMARY KEY, name TEXT, reason TEXT)",
     f"PRAGMA application_id = {APPLICATION_ID}",
@@ -131,49 +59,16 @@ def _text(data: bytes) -> str:
     return data.decode("utf-8", "surrogateescape")
 
 
-def whole(value: object) -> bool:
-    """Whether a value is a whole number that can be a size or a place."""
-    return isinstance(value, int) and 0 <= value < HUGE
-
-
-def is_sound(name: str, value: object) -> bool:
-    """Whether a column can have this value: text without NUL, or a number that is finite and not negative."""
-    if value is None:
-        return name in _OPTIONAL
-    if name in _TEXT:
-        return isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value)
-    if name in _REAL:
-        return isinstance(value, float) and 0 <= value < math.inf
-    if name in _OF_A_FOLDER:
-        return isinstance(value, int)
-    return whole(value)
-
-
-def problem_of(values: Sequence[Any]) -> str:
-    """The column of a row whose value cannot be, or ""."""
-    for name, value in zip(COLUMNS, values, strict=True):
-        if not is_sound(name, value):
-            return name
-    row = Row(*values)
-    checks = {
-        "name": row.name != "",
-        "kind": row.kind in ("motion", "clouds"),
-        "rate": row.rate > 0,
-        "rotations": row.rotations in (0, 1),
-        "side_bytes": row.side_bytes <= row.bytes,
-        "prior": row.prior == "" or (row.prior.isascii() and row.prior.isalnum()),
-        "shard": 0 < row.shard < MOST_SHARDS,
-    }
-    return next((name for name, is_right in checks.items() if not is_right), "")
-
-
 class Catalogue:
     """An open catalogue. Raises BadInput where there is none, TooNew for a later version, Corrupt if it is damaged.
 
-    create: make one where there is none; Corrupt if there are shards, which a catalogue without rows would give up.
+    create: make one where there is none, and bring one of an earlier version to this one; Corrupt if there are shards,
+    which a catalogue without rows would give up.
     """
 
     def __init__(self, folder: Path, create: bool = False) -> None:
+        self._blocks: dict[int, list[bytes]] = {}
+        self._table = "recordings"
         self.path = folder / NAME
         self.folder = folder
         if not create and not self.path.is_file():
@@ -206,18 +101,26 @@ class Catalogue:
                     "upgrade it"
                 )
             else:
-                self._require_tables()
+                self._require_tables(version)
+                if version < VERSION and create:
+                    with self.transaction():
+                        for statement in _FROM_1_TO_2:
+                            self.connection.execute(statement)
+                elif version < VERSION:
+                    self._table = _RECORDINGS_1
         except BaseException:
             self.connection.close()
             raise
 
-    def _require_tables(self) -> None:
+    def _require_tables(self, version: int) -> None:
         """Raises Corrupt if a table is missing, or is a view, or if anything but tables and indices is there."""
         found = self.connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
         tables = {
             name for type_, name, sql in found if type_ == "table" and str(sql).upper().startswith("CREATE TABLE")
         }
-        if not {"recordings", "shards", "options", "failures"} <= tables:
+        if not {"recordings", "shards", "options", "failures"} <= tables or (
+            version >= VERSION and "blocks" not in tables
+        ):
             raise self.damaged("a table is missing")
         if any(type_ not in ("table", "index") for type_, _, _ in found):
             raise self.damaged("it has a view or a trigger")
@@ -258,7 +161,7 @@ class Catalogue:
         """The rows that meet a condition; for one that cannot be, its name and what is wrong."""
         with self._errors():
             cursor = self.connection.execute(
-                f"SELECT {_SELECT} FROM recordings WHERE {where} ORDER BY {order}", constants
+                f"SELECT {_SELECT} FROM {self._table} WHERE {where} ORDER BY {order}", constants
             )
             for values in cursor:
                 problem = problem_of(values)
@@ -267,7 +170,7 @@ class Catalogue:
     def names(self, where: str = "1", constants: Sequence[Any] = ()) -> list[str]:
         """The names of the rows that meet a condition, sorted. Raises Corrupt."""
         with self._errors():
-            found = self.connection.execute(f"SELECT name FROM recordings WHERE {where} ORDER BY name", constants)
+            found = self.connection.execute(f"SELECT name FROM {self._table} WHERE {where} ORDER BY name", constants)
             names = [name for (name,) in found]
         if not all(name and is_sound("name", name) for name in names):
             raise self.damaged("a name is no text")
@@ -280,13 +183,51 @@ class Catalogue:
     def values(self, what: str, where: str = "1", constants: Sequence[Any] = ()) -> tuple[Any, ...]:
         """Sums and counts over the rows that meet a condition: one tuple."""
         with self._errors():
-            return self.connection.execute(f"SELECT {what} FROM recordings WHERE {where}", constants).fetchone()
+            return self.connection.execute(f"SELECT {what} FROM {self._table} WHERE {where}", constants).fetchone()
+
+    def blocks(self, shard: int) -> list[bytes]:
+        """The blocks of a shard, in order of their numbers. Raises Corrupt if one is missing."""
+        if shard not in self._blocks:
+            found: list[Any] = []
+            if self._table == "recordings":
+                with self._errors():
+                    found = self.connection.execute(
+                        "SELECT number, bytes FROM blocks WHERE shard = ? ORDER BY number", [shard]
+                    ).fetchall()
+            if [number for number, _ in found] != list(range(len(found))) or not all(
+                isinstance(block, bytes) for _, block in found
+            ):
+                raise self.damaged(f"the blocks of shard {shard}")
+            self._blocks[shard] = [block for _, block in found]
+        return self._blocks[shard]
+
+    def block_of(self, row: Row) -> bytes | None:
+        """The block that a recording needs, or None. Raises Corrupt."""
+        if not row.block:
+            return None
+        if row.block > len(self.blocks(row.shard)):
+            self._blocks.pop(row.shard)  # a builder may have added some
+        blocks = self.blocks(row.shard)
+        if row.block > len(blocks):
+            raise self.damaged(f"wrong block of recording {row.name}")
+        return blocks[row.block - 1]
+
+    def block_bytes(self, where: str = "1", constants: Sequence[Any] = ()) -> int:
+        """Bytes of the blocks that the rows which meet a condition need, each once."""
+        with self._errors():
+            rows = f"SELECT DISTINCT shard, block FROM {self._table} WHERE block > 0 AND ({where})"
+            found = self.connection.execute(rows, constants).fetchall()
+        return sum(len(block) for shard in {s for s, _ in found} for block in self._used(shard, found))
+
+    def _used(self, shard: int, found: Sequence[tuple[Any, Any]]) -> list[bytes]:
+        numbers = {number for s, number in found if s == shard}
+        return [block for number, block in enumerate(self.blocks(shard), 1) if number in numbers]
 
     def shards(self) -> dict[int, int]:
         """Bytes of each shard that count, by number. Raises Corrupt if these are no numbers."""
         with self._errors():
             found = self.connection.execute("SELECT number, bytes FROM shards").fetchall()
-        if not all(isinstance(number, int) and 0 < number < MOST_SHARDS and whole(size) for number, size in found):
+        if not all(isinstance(number, int) and 0 < number < MOST_SHARDS and is_whole(size) for number, size in found):
             raise self.damaged("its table of shards has no sizes")
         return dict(found)
 
@@ -295,7 +236,7 @@ class Catalogue:
         with self._errors():
             found = self.connection.execute(
                 "SELECT recordings.name FROM recordings LEFT JOIN shards ON number = shard "
-                "WHERE NOT coalesce(start + recordings.bytes <= shards.bytes, 0) LIMIT 1"
+                "WHERE NOT coalesce(start + stored_bytes <= shards.bytes, 0) LIMIT 1"
             ).fetchone()
         if found is not None:
             raise self.damaged(f"the recording {found[0]} lies outside the bytes of its shard that count")
@@ -345,6 +286,11 @@ class Catalogue:
     def put_failure(self, path: str, name: str, reason: str) -> None:
         """Note why a source failed."""
         self.connection.execute("INSERT OR REPLACE INTO failures VALUES (?, ?, ?)", [path, name, reason])
+
+    def put_blocks(self, blocks: Mapping[int, Sequence[bytes]]) -> None:
+        """Have these blocks of each shard, in order of their numbers."""
+        rows = [(shard, number, block) for shard, found in blocks.items() for number, block in enumerate(found)]
+        self.connection.executemany("INSERT OR REPLACE INTO blocks VALUES (?, ?, ?)", rows)
 
     def put_shards(self, sizes: Mapping[int, int]) -> None:
         """From now on, these numbers of bytes of the shards count."""

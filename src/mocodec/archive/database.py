@@ -23,9 +23,10 @@ from ..errors import BadInput
 from ..file_range import FileRange
 from ..selection import counted
 from . import remote
-from .catalogue import COLUMNS, SUMS_ARE_SOUND, Catalogue, Row
+from .catalogue import Catalogue
 from .encoding import PRIORS, bytes_of
 from .expressions import Constant, to_sql
+from .rows import COLUMNS, SUMS_ARE_SOUND, Row
 
 MAX_LISTED = 5
 """Names in an error message, at most."""
@@ -37,6 +38,8 @@ class Entry:
 
     folder: str
     row: Row
+    block: bytes | None = None
+    """What the stored bytes need to become a `.mocz`."""
 
     def __getattr__(self, name: str) -> Any:
         """The columns of the row: `entry.subject`, `entry.seconds`, …"""
@@ -47,7 +50,7 @@ class Entry:
     @property
     def place(self) -> FileRange:
         """Where the bytes of the `.mocz` are: a source for `mocodec.open` and `mocodec.decode`."""
-        return remote.place_of(self.folder, self.row)
+        return remote.place_of(self.folder, self.row, self.block)
 
     def open(self, salvage: bool = False) -> File[Any]:
         """The recording, open for random access, as by `mocodec.open`. Raises what that raises."""
@@ -100,17 +103,21 @@ class Recordings:
         return Recordings(self._archive, joined, (*self._constants, *constants), both)
 
     def sums(self) -> dict[str, Any]:
-        """Over all recordings: recordings, frames, seconds, bytes, side_bytes, raw_bytes, mean_error (of all samples)
-        and max_error (m; None if unknown). Raises Corrupt if one of these is no number in the catalogue."""
-        names = ("recordings", "frames", "seconds", "bytes", "side_bytes", "raw_bytes", "mean_error", "max_error")
-        what = "count(*), total(frames), total(seconds), total(bytes), total(side_bytes), total(raw_bytes)"
+        """Over all recordings: recordings, frames, seconds, bytes (as .mocz files), stored_bytes (in the shards, with
+        the blocks that the recordings share), side_bytes, raw_bytes, mean_error (of all samples) and max_error (m; None
+        if unknown). Raises Corrupt if one of these is no number in the catalogue."""
+        names = ("recordings", "frames", "seconds", "bytes", "stored_bytes", "side_bytes", "raw_bytes")
+        names += ("mean_error", "max_error")
+        what = "count(*), total(frames), total(seconds), total(bytes), total(stored_bytes), total(side_bytes)"
+        what += ", total(raw_bytes)"
         what += ", sum(mean_error * raw_bytes) / sum(CASE WHEN mean_error IS NULL THEN NULL ELSE raw_bytes END)"
         catalogue = self._archive.catalogue
         found = catalogue.values(f"{what}, max(max_error), {SUMS_ARE_SOUND}", self._where, self._constants)
         if not found[-1]:
             raise catalogue.damaged("a size or an error of a recording is no number")
         values = dict(zip(names, found[:-1], strict=True))
-        whole = ("frames", "bytes", "side_bytes", "raw_bytes")
+        values["stored_bytes"] += catalogue.block_bytes(self._where, self._constants)
+        whole = ("frames", "bytes", "stored_bytes", "side_bytes", "raw_bytes")
         return {name: int(value) if name in whole else value for name, value in values.items()}
 
     def entry(self, name: str) -> Entry:
@@ -120,7 +127,7 @@ class Recordings:
         if not rows:
             rows = list(catalogue.rows(f"({self._where}) AND stem = ?", (*self._constants, name)))
         if len(rows) == 1:
-            return Entry(self.folder, rows[0])
+            return self.entry_of(rows[0])
         if rows:
             listed = ", ".join(row.name for row in rows[:MAX_LISTED]) + ", …" * (len(rows) > MAX_LISTED)
             raise BadInput(f"{self.folder}: {counted(len(rows), 'recording')} named {name}: {listed}")
@@ -140,7 +147,11 @@ class Recordings:
 
     def __iter__(self) -> Iterator[Entry]:
         for row in self.rows():
-            yield Entry(self.folder, row)
+            yield self.entry_of(row)
+
+    def entry_of(self, row: Row) -> Entry:
+        """The recording of a row. Raises Corrupt."""
+        return Entry(self.folder, row, self._archive.catalogue.block_of(row))
 
     def __len__(self) -> int:
         """The number of recordings."""

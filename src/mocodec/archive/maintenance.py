@@ -6,13 +6,13 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from .. import api
 from ..errors import BadInput, Corrupt, MocodecError
-from ..file_range import FileRange
 from . import catalogue as catalogue_
 from . import encoding, remote, shards
 from .building import Builder, Report, make_folder
@@ -20,6 +20,7 @@ from .catalogue import Catalogue
 from .database import Entry, Recordings, open_archive
 from .encoding import Options
 from .lock import only_builder
+from .rows import Row
 
 COMPARED = ("kind", "frames", "rate", "points", "codec", "bytes")
 """Columns that the header of a `.mocz` says too."""
@@ -40,11 +41,10 @@ def damage(recordings: Recordings, decode: bool = False) -> Iterator[tuple[str, 
         if isinstance(row, tuple):
             yield row[0], f"the catalogue is damaged ({row[1]})"
             continue
-        entry = Entry(recordings.folder, row)
         try:
-            whole_bytes(entry, decode)
+            whole_bytes(recordings.entry_of(row), decode)
         except MocodecError as error:
-            yield row.name, str(error).removeprefix(f"{entry.place.label}: ")
+            yield row.name, str(error).removeprefix(f"{recordings.folder}: {row.name}: ")
 
 
 def whole_bytes(entry: Entry, decode: bool = False) -> bytes:
@@ -72,7 +72,9 @@ def unused_bytes(recordings: Recordings) -> int:
     for row in catalogue.rows():
         if (row.shard, row.start) not in stored:
             stored.add((row.shard, row.start))
-            unused -= row.bytes + len(shards.entry_head(row.name, row.bytes))
+            unused -= row.stored_bytes + len(shards.entry_head(row.name, row.stored_bytes))
+    for block in (block for shard in sizes for block in catalogue.blocks(shard)):
+        unused -= len(block) + len(shards.entry_head("", len(block)))
     catalogue.close()
     return max(0, unused)
 
@@ -163,14 +165,15 @@ def repair(where: Path_) -> Report:
         try:
             with catalogue.transaction():
                 for number, path in shards.numbered(folder).items():
-                    counted = 0
+                    counted, blocks = 0, list[bytes]()
                     try:
                         shards.require_file(path)
-                        for name, place in shards.entries(path):
-                            _recover(catalogue, name, place, number, known, report)
-                            counted = place.start + place.size
+                        for found in shards.entries(path, blocks):
+                            _recover(catalogue, found, known, report)
+                            counted = found.place.start + found.place.stored_bytes
                     except MocodecError as error:
                         report.failed.append((path.name, str(error)))
+                    catalogue.put_blocks({number: blocks})
                     catalogue.put_shards({number: counted})
         finally:
             catalogue.close()
@@ -183,7 +186,7 @@ def repair(where: Path_) -> Report:
     return report
 
 
-Known = dict[str, tuple[catalogue_.Row, dict[str, Any]]]
+Known = dict[str, tuple[Row, dict[str, Any]]]
 
 
 def _known(folder: Path) -> Known:
@@ -199,12 +202,13 @@ def _known(folder: Path) -> Known:
     return known
 
 
-def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, known: Known, report: Report) -> None:
+def _recover(catalogue: Catalogue, found: shards.Found, known: Known, report: Report) -> None:
     """Put the row of one entry of a shard into the new catalogue."""
+    name = found.name
     try:
-        with api.open(place) as file:
+        with api.open(found.bytes) as file:
             facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
-        content = encoding.content_hash(encoding.bytes_of(place))
+        content = encoding.content_hash(encoding.bytes_of(found.bytes))
     except MocodecError as error:
         report.failed.append((name, str(error)))
         return
@@ -215,7 +219,7 @@ def _recover(catalogue: Catalogue, name: str, place: FileRange, shard: int, know
     else:
         options = Options().stored()
     number = catalogue.option_number(options)
-    catalogue.put(catalogue_.Row(**facts, options=number, content=content, shard=shard, start=place.start))
+    catalogue.put(Row(**facts, options=number, content=content, **asdict(found.place)))
     report.added.append(name)
 
 

@@ -19,7 +19,8 @@ from ..container.remote_sources import MOST_AHEAD_BYTES
 from ..errors import BadInput, Corrupt
 from ..file_range import FileRange
 from . import encoding, shards
-from .catalogue import NAME, Row
+from .catalogue import NAME
+from .rows import Row
 
 __all__ = ["LocalCopy", "is_url", "local_folder", "place_of"]
 
@@ -72,11 +73,11 @@ def local_folder(where: str | os.PathLike[str], purpose: str) -> Path:
     return Path(where)
 
 
-def place_of(folder: str, row: Row) -> FileRange:
-    """Where the `.mocz` of a recording is. folder: the path or URL of the archive."""
+def place_of(folder: str, row: Row, block: bytes | None) -> FileRange:
+    """Where the bytes of a recording are. folder: the path or URL of the archive. block: what they need."""
     path = shards.path_of(Path(), row.shard)
     where = f"{folder}/{path.as_posix()}" if is_url(folder) else str(Path(folder) / path)
-    return FileRange(where, row.start, row.bytes, f"{folder}: {row.name}")
+    return FileRange(where, row.start, row.stored_bytes, f"{folder}: {row.name}", block)
 
 
 def _priors(catalogue: Path) -> list[str]:

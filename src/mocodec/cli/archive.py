@@ -176,9 +176,9 @@ def print_report(output: str, report: Report, as_json: bool, quiet: bool) -> int
 
 def totals(sums: dict[str, Any]) -> str:
     """The sums over recordings, in words."""
-    line = f"{sums['recordings']:,} recordings, {sums['frames']:,} frames, {quantities.size(sums['bytes'])}"
-    if sums["raw_bytes"] and sums["bytes"]:
-        plain = sums["bytes"] - sums["side_bytes"]
+    line = f"{sums['recordings']:,} recordings, {sums['frames']:,} frames, {quantities.size(sums['stored_bytes'])}"
+    if sums["raw_bytes"] and sums["stored_bytes"]:
+        plain = sums["stored_bytes"] - sums["side_bytes"]
         line += f", {100 * plain / sums['raw_bytes']:.2f} % of float32 positions"
         line += f" and {quantities.size(sums['side_bytes'])} of signals and extras" if sums["side_bytes"] else ""
     if sums["mean_error"] is not None:
@@ -274,7 +274,7 @@ def extract(db: str, names: tuple[str, ...], output: str, condition: str | None,
             try:
                 if isinstance(row, tuple):
                     raise Corrupt(f"the catalogue is damaged ({row[1]})")
-                extract_one(Entry(chosen.folder, row), Path(output), suffix)
+                extract_one(chosen.entry_of(row), Path(output), suffix)
             except MocodecError as error:
                 reason, this = message_and_code(error)
                 code = max(code, this)

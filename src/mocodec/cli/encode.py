@@ -11,13 +11,13 @@ from typing import Any
 import click
 
 from .. import api, codecs, formats, metrics, progress
-from ..codecs.base import Codec
 from ..codecs.tempo.models import prior as own_prior
 from ..encoded import TARGETS, Recording
-from ..errors import BadInput, CannotEncode
+from ..errors import CannotEncode
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS
-from . import clouds, files, many, quantities, verify
+from . import clouds, files, in_pieces, many, quantities, verify
+from .codec_options import codec_with
 
 
 @click.command("encode")
@@ -70,6 +70,12 @@ from . import clouds, files, many, quantities, verify
     "'exact' keeps every bit (both with bodycast).",
 )
 @click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
+@click.option(
+    "--in-pieces/--at-once",
+    "pieces",
+    default=None,
+    help="Encode block by block, in some hundred MB of memory; by default for .npy .npz .bvh .trc .amc above 256 MB.",
+)
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
@@ -82,6 +88,7 @@ def command(
     settings: tuple[str, ...],
     signal_error: str | None,
     prior: str | None,
+    pieces: bool | None,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -115,8 +122,10 @@ def command(
         files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
-    _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
-    files.write_bytes(output, blob)
+    record = in_pieces.encoded(source, output, pieces, chosen, files.given(**options))
+    if record is None:
+        _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
+        files.write_bytes(output, blob)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
@@ -189,15 +198,6 @@ def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[st
         else:
             return
     raise problems[0]
-
-
-def codec_with(codec: str, settings: Sequence[str], targets: dict[str, float]) -> Codec[Any]:
-    """The codec with these settings and targets. Raises a usage error for settings that it does not have."""
-    kind = codecs.codec_class(codec)
-    try:
-        return api.with_options(codec, **dict(quantities.setting(kind, text) for text in settings), **targets)
-    except (BadInput, TypeError) as error:
-        raise click.UsageError(str(error)) from error
 
 
 def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,11 +8,13 @@ from __future__ import annotations
 import io
 import os
 import re
+from dataclasses import replace
 from threading import Lock
 from typing import Any, BinaryIO, Protocol, cast
 
-from ..errors import BadInput, Truncated
+from ..errors import BadInput, Corrupt, Truncated
 from ..file_range import FileRange
+from . import compact
 from .remote_sources import remote_file
 
 
@@ -34,6 +36,8 @@ def byte_source(where: Any) -> ByteSource:
 
     A URL is http or https, or of a store that fsspec knows; that raises MissingExtra without fsspec.
     """
+    if isinstance(where, FileRange) and where.block is not None:
+        return _joined(where, where.block)
     if isinstance(where, FileRange):
         return remote_file(where.path, where) if is_url(where.path) else OpenRange(where)
     if isinstance(where, (bytes, bytearray, memoryview)):
@@ -47,6 +51,19 @@ def byte_source(where: Any) -> ByteSource:
     raise BadInput(f"open a .mocz from a path, URL, bytes or a binary file object, not from {type(where).__name__}")
 
 
+def _joined(part: FileRange, block: bytes) -> ByteSource:
+    """A short recording in an archive, read at once. Raises Corrupt, Truncated, BadInput."""
+    stored = byte_source(replace(part, block=None))
+    try:
+        packed = stored.read(0, stored.size)
+    finally:
+        stored.close()
+    try:
+        return InMemory(compact.join(block, packed), part.label)
+    except Corrupt as error:
+        raise Corrupt(f"{part.label or part.path}: {error}") from None
+
+
 def is_url(path: str) -> bool:
     """Whether this is a URL; a path otherwise."""
     return re.match(r"[a-z][a-z0-9+.-]+://", path, re.IGNORECASE) is not None
@@ -55,8 +72,8 @@ def is_url(path: str) -> bool:
 class InMemory:
     """Bytes in memory."""
 
-    def __init__(self, data: bytes) -> None:
-        self.name = ""
+    def __init__(self, data: bytes, name: str = "") -> None:
+        self.name = name
         self.data = data
         self.size = len(data)
 

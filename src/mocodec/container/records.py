@@ -121,7 +121,8 @@ def _write_skeleton(value: tuple[Skeleton, bool], record: Mapping[str, Any]) -> 
     return pack(skeleton, record["names"], exact=record["codec"] == "lossless")
 
 
-def _write_shared(blobs: tuple[bytes, ...], _: Mapping[str, Any]) -> bytes:
+def pack_shared(blobs: tuple[bytes, ...]) -> bytes:
+    """The last field of a header: the shared bytes."""
     return varint(len(blobs)) + b"".join(varint(len(data) << 1) + data for data in blobs)
 
 
@@ -197,7 +198,7 @@ HEADER = Record(
         "bytes of the extras section, bytes that it unpacks to, and bytes of the signals behind it",
         when=_with_bit(EXTRAS),
     ),
-    Field("shared", _write_shared, _read_shared, "bytes that all chunks need"),
+    Field("shared", lambda value, _: pack_shared(value), _read_shared, "bytes that all chunks need"),
 )
 
 CHUNK = Record(

@@ -70,6 +70,7 @@ class StaticTables:
         """A place in `symbols` that holds symbol 0."""
         return self.idle << PRECISION
 
+    @cached_property
     def cost(self) -> Floats:
         """Bits of each symbol in each table, (tables, symbols)."""
         bits = PRECISION - np.log2(np.maximum(self.frequencies, 1))

@@ -6,19 +6,25 @@ docs/formats.md lists what each format stores, what is kept and what is not.
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..errors import BadInput
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
+from .blocks import Blocks
 from .conventions import UNITS_M, metres_in, with_start
 from .decisions import notes
 
-__all__ = ["CLOUDS", "FORMATS", "dropped", "is_images", "notes", "read", "read_options", "replace_whole", "write"]
+__all__ = [
+    "CLOUDS", "FORMATS", "Blocks", "can_read_blocks", "dropped", "is_images", "notes", "read", "read_blocks",
+    "read_options", "replace_whole", "write", "writing_whole",
+]  # fmt: skip
 
 FORMATS = {
     ".c3d": "mocodec.formats.c3d",
@@ -34,6 +40,14 @@ FORMATS = {
     ".mot": "mocodec.formats.opensim",
     ".csv": "mocodec.formats.delimited",
 }
+BLOCKS = {
+    ".npy": "mocodec.formats.npy",
+    ".npz": "mocodec.formats.npz",
+    ".bvh": "mocodec.formats.bvh.blocks",
+    ".trc": "mocodec.formats.trc_blocks",
+    ".amc": "mocodec.formats.amc_blocks",
+}
+"""Modules with `read_blocks`: the formats that can be read in pieces."""
 IMAGES = "mocodec.formats.rgbd"
 """Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
@@ -62,6 +76,26 @@ def read(path: str | PathLike[str], **options: Any) -> Motion | PointClouds:
     if not path.exists():
         raise BadInput(f"{path}: no such file")
     return _read(module, path, options)
+
+
+def read_blocks(path: str | PathLike[str], **options: Any) -> Blocks:
+    """A recording in pieces, for files that do not fit into memory: motions that follow each other (`formats.blocks`).
+
+    The options are those of `read`, without `salvage`. Raises BadInput for a format that is read as a whole only, and
+    what `read` raises.
+    """
+    path = Path(path)
+    _module(path)
+    if not can_read_blocks(path):
+        raise BadInput(f"{path}: {path.suffix.lower()} is read as a whole only; in pieces: {', '.join(BLOCKS)}")
+    if not path.exists():
+        raise BadInput(f"{path}: no such file")
+    return _call(BLOCKS[path.suffix.lower()], "read_blocks", path, **options)
+
+
+def can_read_blocks(path: str | PathLike[str]) -> bool:
+    """Whether the format of a path can be read in pieces."""
+    return Path(path).suffix.lower() in BLOCKS
 
 
 def is_images(path: str | PathLike[str]) -> bool:
@@ -202,21 +236,29 @@ def replace_whole(path: str | PathLike[str], data: bytes) -> None:
     Links are followed and stay links; an existing file keeps its permissions; pipes and devices are written directly.
     Raises BadInput if the file cannot be written.
     """
+    with writing_whole(path) as file:
+        file.write(data)
+
+
+@contextmanager
+def writing_whole(path: str | PathLike[str]) -> Generator[BinaryIO, None, None]:
+    """As `replace_whole`, with a file to write to: the file appears at the end of the context, unless it raises."""
     path = Path(path)
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise BadInput(f"{path}: this is a folder; name a file in it")
     try:
         if target.exists() and not target.is_file():
-            target.write_bytes(data)
+            with target.open("wb") as file:
+                yield file
             return
         temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}.part")
         descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
     except OSError as error:
         raise BadInput(f"{path}: cannot write here ({error.strerror})") from error
     try:
-        with os.fdopen(descriptor, "wb") as f:
-            f.write(data)
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
         if target.exists():
             os.chmod(temporary, target.stat().st_mode & 0o7777)
         os.replace(temporary, target)

@@ -56,10 +56,17 @@ def read(
     salvage: read the complete frames of a truncated file. Raises BadInput.
     """
     path = Path(path)
+    return motion_of(read_text(path), path, acclaim_for(path, asf, unit), rate, salvage)
+
+
+def acclaim_for(path: Path, asf: str | Path | None, unit: str | float | None) -> Acclaim:
+    """The skeleton of an AMC; the arguments are those of `read`. Raises BadInput."""
     acclaim = read_asf(find_asf(path) if asf is None else asf)
-    if unit is not None:
-        acclaim = replace(acclaim, length=0.0254 / unit_option(unit)[1])
-    text = read_text(path)
+    return acclaim if unit is None else replace(acclaim, length=0.0254 / unit_option(unit)[1])
+
+
+def motion_of(text: str, path: Path, acclaim: Acclaim, rate: float | None, salvage: bool = False) -> Motion:
+    """As `read`, of the text of an AMC; path: for messages."""
     header = _header(text, path)
     is_degrees = acclaim.degrees if header.is_degrees is None else header.is_degrees
     notes: list[str] = []

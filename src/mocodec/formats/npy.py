@@ -13,17 +13,21 @@ joints, as that data set defines them:
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole, smpl
+from .blocks import Blocks, block_frames, of_ranges
 from .conventions import guess_up, unit_option
-from .numpy_files import MAX_ARRAY_BYTES, array_of, bytes_of, reading
+from .numpy_files import MAX_ARRAY_BYTES, MAX_HEADER_BYTES, array_of, bytes_of, header_of, reading
 
 LACKS = ("frame rate", "names", "vertical axis")
 """What an NPY never stores."""
@@ -48,6 +52,43 @@ def read(path: str | Path, rate: float | None = None, unit: str | float | None =
         values = array_of(path.read_bytes(), f"{path}: its array")
     if values.dtype.kind not in "fiu" or values.size == 0:
         raise BadInput(f"{path}: must be numbers (frames, joints, 3), not {values.dtype} {values.shape}")
+    return _motion_of(values, path, rate, unit, up)
+
+
+def read_blocks(
+    path: str | Path, rate: float | None = None, unit: str | float | None = None, up: str | None = None
+) -> Blocks:
+    """As `read`, in pieces. Raises BadInput, also for feature vectors, whose root is a sum over all frames."""
+    path = Path(path)
+    with reading(path, "an NPY"), path.open("rb") as file:
+        header = header_of(file.read(MAX_HEADER_BYTES))
+    shape, dtype = header.shape, header.dtype
+    if len(shape) != 3 or shape[2] != 3 or dtype.kind not in "fiu" or not shape[0] or header.is_fortran:
+        raise BadInput(f"{path}: only numbers (frames, joints, 3) in C order are read in pieces")
+    size = header.size + math.prod(shape) * dtype.itemsize
+    if path.stat().st_size != size:
+        raise BadInput(f"{path}: its array is cut off or damaged")
+    row_bytes, each = shape[1] * 3 * dtype.itemsize, block_frames(shape[1])
+
+    def rows(start: int, stop: int) -> NDArray[Any]:
+        with path.open("rb") as file:
+            file.seek(header.size + start * row_bytes)
+            return np.frombuffer(file.read((stop - start) * row_bytes), dtype).reshape(-1, shape[1], 3)
+
+    head = _motion_of(rows(0, min(each, shape[0])), path, rate, unit, up)
+
+    def between(start: int, stop: int) -> Motion:
+        positions = rows(start, stop) * float(head.source["unit_m"])
+        positions[np.isnan(positions).any(axis=2)] = np.nan
+        return replace(head, positions=positions)
+
+    return of_ranges(head[:0], shape[0], between, each)
+
+
+def _motion_of(
+    values: NDArray[Any], path: Path, rate: float | None, unit: str | float | None, up: str | None
+) -> Motion:
+    """The motion of an array of joints or feature vectors. Raises BadInput."""
     source: dict[str, Any] = {"format": "npy"}
     if values.ndim == 2 and values.shape[1] == HUMANML_FEATURES:
         if not np.abs(values).max(initial=0.0) < MOST_FEATURE:

@@ -12,6 +12,8 @@ Arrays are read without pickle, and each is checked against the size of the arch
 from __future__ import annotations
 
 import json
+import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +26,10 @@ from ..motion import Limits, Motion, Skeleton
 from ..pointcloud import PointClouds
 from ..typing import Floats
 from . import amass, smpl
+from .blocks import Blocks, block_frames
 from .conventions import guess_up, unit_option
 from .npz_salvage import archive_of
-from .numpy_files import Archive, reading, save
+from .numpy_files import Archive, Rows, reading, save
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an NPZ stores beside the positions."""
@@ -73,6 +76,40 @@ def read(
         source = {**recording.source, "notes": [*recording.source.get("notes", ()), *notes]}
         recording = replace(recording, source=source)
     return recording
+
+
+def read_blocks(
+    path: str | Path,
+    rate: float | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
+) -> Blocks:
+    """Positions of an NPZ as a motion, as `read`, in pieces. Raises BadInput, also for archives of other data."""
+    with reading(path), zipfile.ZipFile(path) as archive:
+        arrays = Archive(archive, path)
+        key = arrays.first(POSITIONS)
+        is_body = amass.is_body_motion(arrays.names) and key in (None, "markers")
+        if key is None or is_body or {"points", "counts"} <= arrays.names.keys():
+            raise BadInput(f"{path}: only positions are read in pieces")
+        shape = arrays.header(key).shape
+        if len(shape) != 3:
+            raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {shape}")
+        by_frame = (key, "rotations") if "rotations" in arrays.names else (key,)
+        each = block_frames(shape[1])
+        head = _motion(Rows(archive, path, by_frame, each), rate, unit, up)
+        first = Rows(archive, path, by_frame, each).load(key).astype(np.float64)
+        unit_m = _unit(arrays, key, first, unit)[1]
+
+    def parts() -> Iterator[Motion]:
+        with reading(path), zipfile.ZipFile(path) as archive:
+            rows = Rows(archive, path, by_frame, each)
+            for start in range(0, shape[0], each):
+                block = _motion(rows, head.rate, unit_m, head.up)
+                if len(block) != min(each, shape[0] - start):
+                    raise BadInput(f"{path}: array {key!r} is cut off or damaged")
+                yield replace(block, names=head.names, skeleton=head.skeleton, source=head.source)
+
+    return Blocks(head[:0], shape[0], parts)
 
 
 def _recording(

@@ -26,11 +26,12 @@ MAX_HEADER_BYTES = 1 << 16
 
 
 class Header(NamedTuple):
-    """What an array's bytes begin with. size: bytes of the header itself."""
+    """What an array's bytes begin with. size: bytes of the header itself. is_fortran: the first index runs fastest."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     size: int
+    is_fortran: bool = False
 
 
 @contextmanager
@@ -97,13 +98,46 @@ class Archive:
         return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+class Rows(Archive):
+    """The arrays of an .npz in pieces: those with a row for each frame give the next `count` rows when they are loaded.
+
+    Each is read from front to back, once. frames: rows of the arrays named in `by_frame`.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile, path: str | Path, by_frame: tuple[str, ...], count: int) -> None:
+        super().__init__(archive, path)
+        self.count = count
+        self._open = {name: self._opened(name) for name in by_frame}
+        self._whole: dict[str, NDArray[Any]] = {}
+
+    def _opened(self, name: str) -> tuple[Any, Header]:
+        header = self.header(name)
+        if header.dtype.hasobject or header.is_fortran or not header.shape:
+            raise BadInput(f"{self.path}: array {name!r} cannot be read in pieces: save it as numbers in C order")
+        member = self.archive.open(self._member(name))
+        member.read(header.size)
+        return member, header
+
+    def load(self, name: str) -> NDArray[Any]:
+        if name not in self._open:
+            if name not in self._whole:
+                self._whole[name] = super().load(name)
+            return self._whole[name]
+        member, header = self._open[name]
+        row_bytes = math.prod(header.shape[1:]) * header.dtype.itemsize
+        data = member.read(self.count * row_bytes)
+        if row_bytes and len(data) % row_bytes:
+            raise BadInput(f"{self.path}: array {name!r} is cut off or damaged")
+        return np.frombuffer(data, header.dtype).reshape(-1, *header.shape[1:])
+
+
 def header_of(data: bytes) -> Header:
     """The header of an array's bytes. Raises ValueError where there is none."""
     stream = io.BytesIO(data[:MAX_HEADER_BYTES])
     version = np.lib.format.read_magic(stream)
     parse = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = parse(stream)
-    return Header(shape, dtype, stream.tell())
+    shape, is_fortran, dtype = parse(stream)
+    return Header(shape, dtype, stream.tell(), is_fortran)
 
 
 def array_of(data: bytes, what: str) -> NDArray[Any]:

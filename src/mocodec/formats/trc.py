@@ -88,9 +88,22 @@ def read(
     Markers at exactly (0, 0, 0) are gaps unless gaps="keep". salvage: read the complete rows of a truncated file.
     Raises BadInput.
     """
-    zeros = zeros_are_gaps(gaps)
+    return motion_of(read_text(path), path, up, unit, rate, zeros_are_gaps(gaps), salvage)
+
+
+def motion_of(
+    text: str,
+    path: str | Path,
+    up: str | None,
+    unit: str | float | None,
+    rate: float | None,
+    zeros: bool,
+    salvage: bool = False,
+    is_part: bool = False,
+) -> Motion:
+    """As `read`, of the text of a file; path: for messages. is_part: some rows, not as many as the header declares."""
     try:
-        lines = _unquoted(read_text(path)).split("\n")
+        lines = _unquoted(text).split("\n")
         if not lines[0].startswith("PathFileType"):
             raise BadInput("not a TRC: it does not begin with PathFileType")
         names_at = next((i for i, line in enumerate(lines[:20]) if NAMES.match(line)), None)
@@ -103,7 +116,7 @@ def read(
         body = _body(lines, names_at)
         if salvage:
             header, body = _salvaged(header, body, is_cut_in_line, notes)
-        header = header._replace(frames=len(body.rows)) if header.frames is None else header
+        header = header._replace(frames=len(body.rows)) if header.frames is None or is_part else header
         names, table, decimals = _rows(header, body, str(path), notes)
         clock = _clock(table[:, :2], decimals, header, rate, notes)
     except BadInput as error:
@@ -160,6 +173,13 @@ def _header(keys: str, values: str) -> _Header:
     frames, markers = (_number(fields, name) for name in ("numframes", "nummarkers"))
     frames, markers = (None if count is None else int(count) for count in (frames, markers))
     return _Header(rate, frames, markers, fields.get("units") or None)
+
+
+def declared_frames(head: list[str]) -> int | None:
+    """The frames that the lines of a header declare. Raises BadInput."""
+    if len(head) < 4:
+        raise BadInput("cut off or not a TRC: it has no line of marker names")
+    return _header(head[1], head[2]).frames
 
 
 def _number(fields: dict[str, str], name: str) -> float | None:

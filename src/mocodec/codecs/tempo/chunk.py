@@ -20,15 +20,18 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ... import native
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen, lattice
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
-from .coding import coefficients, corrections, direct, quantise, rows
+from . import trial
+from .coding import coefficients, corrections, direct, quantise
 from .coding.contexts import OCTAVE
 from .models.model import Model
 from .preparation import Prepared
+from .trial import Trial
 
 Result = TypeVar("Result")
 
@@ -148,8 +151,8 @@ class ChunkEncoder:
         none = np.zeros(positions.shape[:2], bool)
         self.apart = frozen.Split(positions, none, none, none) if apart is None else apart
         self.model = model
-        self.positions = np.asfortranarray(positions)  # the frames of a point next to each other
-        self.smooth = self.positions if smooth is None else smooth
+        self.positions = _in_order(positions)
+        self.smooth = self.positions if smooth is None or smooth is positions else _in_order(smooth)
         self.gap_mask = self.apart.apart
         self.spikes = none if spikes is None else spikes
         self.gaps = self.apart.pack()
@@ -193,36 +196,22 @@ class ChunkEncoder:
 
     def _refill_gaps(self, step: int) -> None:
         for _ in range(REFILLS if self.gap_mask.any() and self.spectrum is not None else 0):
-            decoded = self.transformed(step)[1]
+            assert self.spectrum is not None
+            found = trial.of_step(
+                self.model, self.spectrum, self.smooth, self.gap_mask, step, quantise.SLOPE, keeps=True
+            )
+            decoded = found.decoded
+            assert decoded is not None
             self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
 
-    def quantised(self, step: int, slope: float = quantise.SLOPE) -> quantise.Quantised:
-        return quantise.quantise(self.model, self._scaled(step), step, slope)
-
-    def bits_and_error(self, step: int) -> tuple[float, float]:
-        """Estimate of the coefficients' bits, and the sum of their squared errors, in squared steps."""
-        scaled = self._scaled(step)
-        found = quantise.quantise(self.model, scaled, step)
-        error = (scaled - quantise.dequantise(found.values, np.ones(self.model.rows)))[:, rows.HEADING + 1 :]
-        return found.bits, float((error**2).sum())
-
-    def bits_and_point_error(self, step: int) -> tuple[float, float]:
-        """Estimate of the coefficients' bits, and the sum of the points' squared errors, in squared steps."""
-        found, decoded = self.transformed(step)
-        return found.bits, float(((self.smooth - decoded) ** 2).sum() / rows.step_size(step) ** 2)
-
-    def transformed(self, step: int, slope: float = quantise.SLOPE) -> tuple[quantise.Quantised, Floats]:
-        """Integers (frequencies in the coded zone, rows), and the positions that they decode to."""
-        found = self.quantised(step, slope)
-        known = coefficients.plan(self.model, self.frames, step, found.threshold, 0).frequencies
-        found = found._replace(values=found.values[:known])
-        sizes = rows.sizes(self.model.rows, self.frames, step)
-        return found, self.model.synthesise(quantise.dequantise(found.values, sizes), self.frames)
+    def trial(self, step: int, slope: float = quantise.SLOPE) -> Trial:
+        """The chunk without its spikes in one step (log₂ in 1/32 octave)."""
+        assert self.spectrum is not None
+        return trial.of_step(self.model, self.spectrum, self.smooth, self.gap_mask, step, slope)
 
     def errors(self, decoded: Floats) -> Floats:
         """Distances (frames, points) of decoded positions times the points' weights, 0 where samples are set apart."""
-        d = np.where(self.gap_mask, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=2)))
-        return d if self.model.weights is None else d * self.model.weights
+        return trial.errors(self.model, self.positions, decoded, self.gap_mask)
 
     @property
     def samples(self) -> int:
@@ -251,6 +240,7 @@ class ChunkEncoder:
         return found or (Draft(grid=grid_step(direct.cell(bound))), offset)
 
     def _transform_within(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
+        assert self.spectrum is not None
         grid = grid_step(direct.cell(bound))
         centre = round(np.log2(bound) * OCTAVE)
         costs: list[float] = []
@@ -259,10 +249,15 @@ class ChunkEncoder:
             if len(costs) > 1 and min(costs[1:]) < costs[0]:
                 break
             step = centre + offset + change
-            found, decoded = self.transformed(step, BOUND_SLOPE)
-            moved = corrections.numbers(self._corrections(decoded, bound))
-            costs.append(found.bits + coefficients.list_bits(self.model, moved))
-            drafts.append(Draft(self._numbers(found, step, moved), grid if moved.size else None, bits=costs[-1]))
+            found = trial.within_bound(
+                self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE,
+                bound * (1 - 1e-9), grid_size(grid),
+            )  # fmt: skip
+            assert found.corrections is not None
+            moved = corrections.numbers(found.corrections)
+            costs.append(found.quantised.bits + coefficients.list_bits(self.model, moved))
+            numbers = self._numbers(found.quantised, step, moved)
+            drafts.append(Draft(numbers, grid if moved.size else None, bits=costs[-1]))
         best = int(np.argmin(costs))
         return drafts[best], offset + changes[best]
 
@@ -300,9 +295,14 @@ class ChunkEncoder:
         return drafted
 
     def _transform_draft(self, step: int, slope: float) -> Draft:
-        found, decoded = self.transformed(step, slope)
-        moved, grid = self._restored_spikes(decoded, step)
-        return Draft(self._numbers(found, step, moved), grid, float(self.errors(decoded).sum()))
+        assert self.spectrum is not None
+        has_spikes = bool(self.spikes.any())
+        found = trial.of_step(self.model, self.spectrum, self.positions, self.gap_mask, step, slope, keeps=has_spikes)
+        if found.decoded is None:
+            return Draft(self._numbers(found.quantised, step, None), None, found.distance, found.quantised.bits)
+        moved, grid = self._restore_spikes(found.decoded, step)
+        distance = float(self.errors(found.decoded).sum())
+        return Draft(self._numbers(found.quantised, step, moved), grid, distance, found.quantised.bits)
 
     def directly(self, grid: int) -> bytes:
         """The payload of the direct engine in this grid step."""
@@ -312,31 +312,22 @@ class ChunkEncoder:
     def _numbers(self, found: quantise.Quantised, step: int, moved: Integers | None) -> coefficients.ChunkNumbers:
         return coefficients.ChunkNumbers(self.frames, found.values, step, found.threshold, moved)
 
-    def _scaled(self, step: int) -> Floats:
-        """Coefficients in steps."""
-        assert self.spectrum is not None
-        return self.spectrum / rows.sizes(self.model.rows, self.frames, step)
-
     def _weighted(self, positions: Floats | None = None) -> Floats:
         positions = self.positions if positions is None else positions
         return positions if self.model.weights is None else positions * self.model.weights[:, None]
 
-    def _corrections(self, decoded: Floats, bound: float) -> corrections.Corrections:
-        error = self.positions - decoded
-        error[self.gap_mask] = 0.0
-        if self.model.weights is not None:
-            error *= self.model.weights[:, None]
-        return corrections.find(error, bound * (1 - 1e-9), grid_size(grid_step(direct.cell(bound))))
-
-    def _restored_spikes(self, decoded: Floats, step: int) -> tuple[Integers | None, int | None]:
+    def _restore_spikes(self, decoded: Floats, step: int) -> tuple[Integers, int]:
         """Corrections of the spikes, applied to `decoded` in place, and their grid step."""
-        if not self.spikes.any():
-            return None, None
         grid = step * GRID_OCTAVE // OCTAVE
         error = np.where(self.spikes[..., None], self.positions - decoded, 0.0)
         found = corrections.find(error, grid_size(grid), grid_size(grid))
         corrections.apply(decoded, found, grid_size(grid))
         return corrections.numbers(found), grid
+
+
+def _in_order(positions: Floats) -> Floats:
+    """Positions (frames, points, 3) in the order of memory that is fastest: NumPy's loops run along the frames."""
+    return np.ascontiguousarray(positions) if native.available() else np.asfortranarray(positions)
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:

@@ -1,10 +1,11 @@
-"""Whole chunks of the transform, from bytes to positions, by the compiled module.
+"""Whole chunks of the transform by the compiled module: from bytes to positions, and trials of a step.
 
     payload ─integers, contexts─► coefficients ─bases, inverse DCT─► poses ─corrections─► the caller's array
+    coefficients, step ─quantise─► integers ─bases, inverse DCT─► poses ─► errors, corrections            `trial`
 
-`coding.coefficients` and `Model.synthesise` define the result: the integers are the same, positions agree to rounding.
-Bytes that no encoder writes are left to them, since they say what is wrong. The interpreter is free meanwhile, so that
-chunks decode in several threads.
+`coding.coefficients`, `Model.synthesise` and `trial` define the result: the integers are the same, positions agree to
+rounding. Bytes that no encoder writes are left to them, since they say what is wrong. The interpreter is free meanwhile, so
+that chunks are coded and decoded in several threads.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import numpy as np
 
 from ... import native
 from ...stages import dct
-from ...typing import Floats
-from .coding import contexts
+from ...typing import Booleans, Floats
+from .coding import contexts, quantise
 from .coding.rows import heading_step, step_size
 from .models.coordinates import DirectionCoordinates
 from .models.model import Model
@@ -37,6 +38,29 @@ def decode(
     y up go to.
     """
     return _of_length(model, frames).decode(numbers, step_m, out, first, axes)
+
+
+def trial(
+    model: Model,
+    spectrum: Floats,
+    wanted: Floats,
+    apart: Booleans,
+    step: int,
+    slope: float,
+    bound: float = 0.0,
+    grid: float = 0.0,
+    keeps: bool = False,
+) -> tuple[Any, ...] | None:
+    """What `ChunksOfLength.trial` returns; None if NumPy has to do it. Arguments as in `trial`; bound: 0 for none."""
+    compiled = _of_length(model, len(spectrum))
+    if compiled is None:
+        return None
+    mask = np.ascontiguousarray(apart, np.uint8) if apart.any() else _NOTHING_APART
+    prices, free = quantise.prices(model), quantise.FIRST_FREE_ROW
+    return compiled.trial(spectrum, wanted, mask, step, float(step_size(step)), slope, free, prices, bound, grid, keeps)
+
+
+_NOTHING_APART = np.zeros((0, 0), np.uint8)
 
 
 def decodes(model: Model, frames: int) -> bool:

@@ -16,6 +16,7 @@ from ...typing import Floats
 from .chunk import ChunkEncoder
 from .coding import coefficients, quantise
 from .coding.contexts import OCTAVE
+from .coding.rows import step_size
 from .header import StreamHeader
 from .models import MODELS, Recording, points, prior
 from .models.model import Model
@@ -111,7 +112,9 @@ def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[fl
     """Bytes, with the squared errors of points at their price in bits, from some of the chunks; and the candidate."""
     sample = [recording.chunks[i] for i in numbers]
     encoders = [ChunkEncoder(candidate.model, s) for s in sample]
-    bits = sum(b + e / quantise.SLOPE for b, e in (e.bits_and_point_error(recording.step) for e in encoders))
+    price_of_error = 1 / (quantise.SLOPE * float(step_size(recording.step)) ** 2)
+    trials = [e.trial(recording.step) for e in encoders]
+    bits = sum(t.quantised.bits + price_of_error * t.squared for t in trials)
     scale = recording.frames / max(1, sum(map(len, sample)))
     spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}
     return len(candidate.header.pack()) + scale * bits / 8, replace(candidate, spectra=spectra)
@@ -131,7 +134,7 @@ def _with_refined_step(recording: Recording, mean_error: float) -> Recording:
 
 def _nearer_step(model: Model, sample: Sequence[Floats], step: int, mean_error: float) -> int:
     encoders = [ChunkEncoder(model, s) for s in sample]
-    error = sum(float(e.errors(e.transformed(step)[1]).sum()) for e in encoders)
+    error = sum(e.trial(step).distance for e in encoders)
     found = error / max(1, sum(s.shape[0] * s.shape[1] for s in sample))
     octaves = float(np.log2(max(found, mean_error / 8) / mean_error))
     change = round(OCTAVE * octaves / ERROR_SLOPE)

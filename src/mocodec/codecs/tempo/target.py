@@ -21,7 +21,6 @@ from . import chunk, chunk_decoding
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
 from .coding import coefficients, direct, quantise
 from .coding.contexts import OCTAVE
-from .coding.rows import step_size
 from .engine_choice import LEAST_SAVING, EngineTrials
 
 Result = TypeVar("Result")
@@ -33,8 +32,6 @@ SAMPLED = 4
 """At most this many chunks are used for the first searches of a mean error."""
 USUAL_STEP = 140
 """For people, step ≈ 140 · mean_error^1.5 (metres): more coefficients are zero in coarser steps."""
-MEAN_OF_RMS = 0.81
-"""Mean distance relative to the root mean square: 0.92 if all errors had the same distribution."""
 AIM, NEAR_SAMPLE, NEAR = -0.38, 1.5, 0.37
 """Excess of the mean error over the target, 1/32 octave: the search aims at −0.38 (0.8 % below the target), so that the
 target holds; it ends within 1.5 of the aim among a sample of chunks, and within 0.37 among all."""
@@ -52,8 +49,8 @@ USUAL_SLOPE, SLOPES = 0.75, (0.4, 1.0)
 """Rise of the logarithm of the error per logarithm of the step: at first, and its range."""
 LARGEST_INTEGER = 2.0**40
 """The finest step is the largest sample divided by this, whatever the size asked for."""
-COARSE_STEP_M = 0.004
-"""The search for a size begins at this step."""
+COARSE_STEP = round(np.log2(0.004) * OCTAVE)
+"""The search for a size begins at this step, 4 mm."""
 
 
 def first_step(
@@ -70,6 +67,11 @@ def first_step(
 def step_for_bound(bound: float) -> int:
     """About the step that a bound (metres) needs, log₂ in 1/32 octave."""
     return _log(2.2 * bound)
+
+
+def step_for_mean(mean_error: float) -> int:
+    """About the step that a mean error (metres) of people needs, log₂ in 1/32 octave."""
+    return _log(USUAL_STEP * mean_error**1.5)
 
 
 def _log(size: float) -> int:
@@ -168,8 +170,8 @@ def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[F
 def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     """Payloads at a common step whose mean error is at most the target (metres), and near it.
 
-    The step is searched among some of the chunks first, by the error of their coefficients alone; then all chunks are
-    coded in it, and again where their mean differs.
+    The step is searched among some of the chunks first; then all chunks are coded in it, and again where their mean
+    differs.
     """
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
@@ -179,20 +181,14 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
 
-    def estimate(step: int) -> tuple[float, None]:
-        squared = sum(e.bits_and_error(step)[1] for e in some) / sum(e.gap_mask.size for e in some)
-        return _excess(MEAN_OF_RMS * float(np.sqrt(squared) * step_size(step)), target), None
-
     some = encoders[:: -(-len(encoders) // SAMPLED)]
-    step = _log(USUAL_STEP * target**1.5)
-    if encoders[0].spectrum is not None:
-        step = int(_nearest(estimate, step, NEAR_SAMPLE)[0].setting)
+    step = step_for_mean(target)
     if len(some) < len(encoders):
         step = int(_nearest(lambda s: excess(some, s), step, NEAR_SAMPLE)[0].setting)
     found, tried = _nearest(lambda s: excess(encoders, s), step, NEAR)
     best, over, drafts = int(found.setting), found.value + AIM, found.result
     if min(tried.values()) + AIM > 0:  # finer than the stored bases are exact
-        return _directly_to_mean(encoders, target)
+        return directly_to_mean(encoders, target)
     for lower in range(1, LOWER_STEPS + 1):
         if over <= 0:
             break
@@ -204,11 +200,11 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
         if over < other <= 0 or (over > 0 and other < over):
             over, drafts = other, other_drafts
     if over > 0:
-        return _directly_to_mean(encoders, target)
+        return directly_to_mean(encoders, target)
     return chunk.pack(encoders, drafts)
 
 
-def _directly_to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
+def directly_to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     """Payloads of the direct engine in the coarsest grid tried whose mean error is at most the target (metres)."""
     samples = sum(e.samples for e in encoders)
     apart = sum(e.apart.rounding_error for e in encoders)
@@ -251,7 +247,7 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     finest = int(np.ceil(OCTAVE * np.log2(max(*samples, 1e-9) / LARGEST_INTEGER)))
     step = search.largest_true(
         progress.attempts(fits, share=0.2),
-        -max(finest, _log(COARSE_STEP_M)),
+        -max(finest, COARSE_STEP),
         -LARGEST_STEP,
         -max(finest, SMALLEST_STEP),
     )

@@ -47,7 +47,14 @@ def read(
     which the body is as tall as a person, else cm. rate: hertz, by default 1 / Frame Time. up: the vertical axis, by
     default y unless body and motion say z. salvage: read the complete frames of a truncated file. Raises BadInput.
     """
-    text = plain(read_text(path))
+    return motion_of(read_text(path), path, unit, rate, up, salvage)
+
+
+def motion_of(
+    text: str, path: str | Path, unit: str | float | None, rate: float | None, up: str | None, salvage: bool = False
+) -> Motion:
+    """As `read`, of the text of a file; path: for messages."""
+    text = plain(text)
     head, body = _split(text, path)
     try:
         joints = parse(head)

@@ -162,13 +162,13 @@ def read_head(model: Expectations, frames: int, payload: bytes, fields: int) -> 
 def list_bits(model: Expectations, lists: Integers) -> float:
     """Estimate of the bits of lists (fields, n)."""
     symbol = symbols.of_magnitudes(np.abs(lists))
-    price = model.tables.cost()[LIST_TABLES + _list_tables(model, symbol)[:, None], symbol]
+    price = model.tables.cost[LIST_TABLES + _list_tables(model, symbol)[:, None], symbol]
     return float(price.sum() + len(_raw_of_lists(lists, symbol)))
 
 
 def _list_tables(model: Expectations, symbol: Integers) -> Integers:
     """The class whose table codes each field (fields, n) in the fewest bits."""
-    price = model.tables.cost()[LIST_TABLES : LIST_TABLES + contexts.CLASSES]
+    price = model.tables.cost[LIST_TABLES : LIST_TABLES + contexts.CLASSES]
     return np.array([price[:, field].sum(axis=1).argmin() for field in symbol], np.int64)
 
 

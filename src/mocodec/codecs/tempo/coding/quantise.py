@@ -22,6 +22,8 @@ SLOPE = 0.16
 0.116; more is better where most coefficients are zero."""
 INWARD = 0.05
 """Reconstruction points lie this many steps inside the middle of their cells: small coefficients are likelier."""
+FIRST_FREE_ROW = HEADING + 1
+"""Integers of rows from here on are chosen by error and bits; those before are rounded to the nearest."""
 
 
 class Quantised(NamedTuple):
@@ -49,7 +51,7 @@ def quantise(model: Expectations, scaled: Floats, step: int, slope: float = SLOP
     if (kernel := native.kernel("tempo_quantise")) is not None:
         lookup = contexts.lookup(frequencies)
         some = np.ascontiguousarray(some)
-        values[:frequencies], *rest = kernel(some, base, highest, prices(model), slope, INWARD, HEADING + 1, *lookup)
+        values[:frequencies], *rest = kernel(some, base, highest, prices(model), slope, INWARD, FIRST_FREE_ROW, *lookup)
         return Quantised(values, *rest)
     values[:frequencies], threshold, bits = _quantise(some, nearest[:frequencies], base, highest, prices(model), slope)
     return Quantised(values, threshold, bits)
@@ -62,7 +64,7 @@ def _quantise(
     there = np.flatnonzero(nearest)
     signed = scaled.ravel().take(there)
     size, high = np.abs(signed), nearest.ravel().take(there)
-    free = there % scaled.shape[1] > HEADING
+    free = there % scaled.shape[1] >= FIRST_FREE_ROW
     low = high - (free & (size < high))
     high_symbol, low_symbol = symbols.of_magnitudes(high), symbols.of_magnitudes(low)
     high_error, low_error = (size - _reconstructed(high)) ** 2, (size - _reconstructed(low)) ** 2
@@ -123,4 +125,4 @@ def _prediction(model: Expectations, frames: int, step: int) -> _Prediction:
 @lru_cache(maxsize=4)
 def prices(model: Expectations) -> Floats:
     """Bits of each symbol in each table, with its raw bits, (tables · symbols,)."""
-    return (model.tables.cost() + symbols.RAW_BITS + (np.arange(symbols.SYMBOLS) > 0)).ravel()
+    return (model.tables.cost + symbols.RAW_BITS + (np.arange(symbols.SYMBOLS) > 0)).ravel()

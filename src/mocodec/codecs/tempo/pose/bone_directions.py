@@ -24,6 +24,10 @@ BLOCK = 512
 
 def forward(tree: BoneTree, pose: Floats) -> Floats:
     """Coordinates (frames, dimensions), radians, of poses (frames, points, 3): tilts of bones, then hub rotations."""
+    if (kernel := native.kernel("tempo_bone_coordinates")) is not None:
+        points, schedule = np.ascontiguousarray(pose.T), tree.schedule
+        parents = np.array(tree.parents, np.int64)
+        return kernel(points, parents, *schedule.program[:3], schedule.order, schedule.points, *schedule.hub_pairs).T
     out = np.empty((tree.dimensions, len(pose)))
     tilts, hubs = tree.schedule.split(out)
     for block in _blocks(len(pose)):

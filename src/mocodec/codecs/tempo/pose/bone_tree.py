@@ -204,6 +204,15 @@ class BoneSchedule:
         rest = np.ascontiguousarray(self.rest[..., 0].transpose(2, 0, 1))
         return np.array(rows, np.int64).reshape(-1, 6), rest, homes, np.ascontiguousarray(self.hub_directions[..., 0].T)
 
+    @cached_property
+    def hub_pairs(self) -> tuple[Integers, Floats]:
+        """`pair` (hubs, 2) and `pair_frame` (hubs, 3, 3) of the hubs by number, for the compiled module."""
+        pairs, frames = np.zeros((len(self.hubs), 2), np.int64), np.zeros((len(self.hubs), 3, 3))
+        for level in self.levels:
+            for hub in level.hubs:
+                pairs[hub.number], frames[hub.number] = hub.pair, hub.pair_frame
+        return pairs, frames
+
 
 def _schedule(tree: BoneTree) -> BoneSchedule:
     hub_bones = _hub_bones(tree)

@@ -1,0 +1,81 @@
+"""A chunk in one step: its integers, what they decode to, and how far that is from the samples.
+
+    coefficients, step ─quantise─► integers ─synthesise─► positions ─errors─► distances · corrections within a bound
+
+The compiled module does all of it in one call, without the interpreter; NumPy's integers are the same.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...typing import Booleans, Floats
+from . import compiled_chunks
+from .coding import coefficients, corrections, quantise, rows
+from .models.model import Model
+
+
+class Trial(NamedTuple):
+    """quantised: integers (frequencies in the coded zone, rows), threshold, bits.
+
+    distance: sum of the distances of samples that are not apart, times the points' weights, metres. squared: sum of the
+    squared distances of all samples, m². Both are 0 where corrections were found instead. decoded: positions (frames,
+    points, 3), None unless they were asked for.
+    """
+
+    quantised: quantise.Quantised
+    distance: float
+    squared: float
+    corrections: corrections.Corrections | None
+    decoded: Floats | None
+
+
+def errors(model: Model, wanted: Floats, decoded: Floats, apart: Booleans) -> Floats:
+    """Distances (frames, points) times the points' weights, 0 where samples are set apart."""
+    d = np.where(apart, 0.0, np.sqrt(((wanted - decoded) ** 2).sum(axis=2)))
+    return d if model.weights is None else d * model.weights
+
+
+def of_step(
+    model: Model, spectrum: Floats, wanted: Floats, apart: Booleans, step: int, slope: float, keeps: bool = False
+) -> Trial:
+    """The trial of a step (log₂ in 1/32 octave), with distances.
+
+    spectrum: coefficients (frames, rows), metres. wanted: positions (frames, points, 3). apart (frames, points): mask
+    of samples without an error. slope: λ. keeps: whether the decoded positions are wanted too.
+    """
+    if (found := compiled_chunks.trial(model, spectrum, wanted, apart, step, slope, keeps=keeps)) is not None:
+        values, threshold, bits, distance, squared, *_, decoded = found
+        return Trial(quantise.Quantised(values, threshold, bits), distance, squared, None, decoded)
+    found, decoded = _decoded(model, spectrum, step, slope)
+    distance = float(errors(model, wanted, decoded, apart).sum())
+    return Trial(found, distance, float(((wanted - decoded) ** 2).sum()), None, decoded if keeps else None)
+
+
+def within_bound(
+    model: Model, spectrum: Floats, wanted: Floats, apart: Booleans, step: int, slope: float, bound: float, grid: float
+) -> Trial:
+    """The trial of a step, with the corrections in steps of `grid` metres that bring all samples within the bound.
+
+    The rest as in `of_step`. Raises CannotEncode for errors too large to correct.
+    """
+    if (found := compiled_chunks.trial(model, spectrum, wanted, apart, step, slope, bound, grid)) is not None:
+        values, threshold, bits, _, _, start, length, by, _ = found
+        moved = corrections.Corrections(start, length, by)
+        return Trial(quantise.Quantised(values, threshold, bits), 0.0, 0.0, moved, None)
+    found, decoded = _decoded(model, spectrum, step, slope)
+    error = wanted - decoded
+    error[apart] = 0.0
+    if model.weights is not None:
+        error *= model.weights[:, None]
+    return Trial(found, 0.0, 0.0, corrections.find(error, bound, grid), None)
+
+
+def _decoded(model: Model, spectrum: Floats, step: int, slope: float) -> tuple[quantise.Quantised, Floats]:
+    sizes, frames = rows.sizes(model.rows, len(spectrum), step), len(spectrum)
+    found = quantise.quantise(model, spectrum / sizes, step, slope)
+    known = coefficients.plan(model, frames, step, found.threshold, 0).frequencies
+    found = found._replace(values=found.values[:known])
+    return found, model.synthesise(quantise.dequantise(found.values, sizes), frames)

@@ -1,0 +1,60 @@
+"""`mocodec encode` block by block."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocodec as mc
+from mocodec import in_pieces
+from mocodec.testing import synthetic
+
+from .conftest import Command
+
+
+@pytest.fixture
+def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An .npz of some minutes, of which five seconds are the sample."""
+    monkeypatch.setattr(in_pieces, "SAMPLED_SECONDS", 5.0)
+    path = tmp_path / "day.npz"
+    mc.write(path, synthetic.markers(frames=5000, seed=4))
+    return path
+
+
+def test_pieces_when_asked_for(command: Command, recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "day.mocz"
+    done = command("encode", recording, "-o", out, "--max-error", "3mm", "--in-pieces", "--json")
+    assert done.code == 0, done.err
+    record = json.loads(done.out)
+    assert record["frames"] == 5000
+    assert record["bytes"] == out.stat().st_size
+    assert 0 < record["max_error"] <= 0.003
+    assert command("verify", out, "--against", recording).code == 0
+
+
+def test_large_files_without_asking(
+    command: Command, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mocodec.cli.in_pieces.LARGE_BYTES", 1000)
+    out, whole = tmp_path / "day.mocz", tmp_path / "whole.mocz"
+    assert command("encode", recording, "-o", out).code == 0
+    assert command("encode", recording, "-o", whole, "--at-once").code == 0
+    assert out.read_bytes() != whole.read_bytes()
+    np.testing.assert_allclose(mc.read(out, mc.Motion).positions, mc.read(whole, mc.Motion).positions, atol=0.011)
+    assert command("encode", recording, "-o", out, "--codec", "liu2006").code == 0
+    with mc.open(out) as f:
+        assert f.encoded.codec == "liu2006"
+
+
+def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> None:
+    for arguments in (("--codec", "hou2014"), ("--signal-error", "12bit")):
+        done = command("encode", recording, "-o", tmp_path / "x.mocz", "--in-pieces", *arguments)
+        assert done.code == 2
+        assert "--in-pieces takes" in done.err
+    done = command("encode", recording, "-o", tmp_path / "x.mocz", "--in-pieces", "--set", "model=hou2014")
+    assert done.code == 3
+    assert "whole recording at once" in done.err
+    assert not (tmp_path / "x.mocz").exists()
