@@ -147,10 +147,12 @@ def _decompose(basis: Floats, precision: Integers) -> Integers:
 def _compose(entries: Integers, n: int) -> Floats:
     """The orthonormal basis of rounded entries."""
     k = entries.shape[1]
-    basis = np.eye(n, k)
-    for i in reversed(range(k)):
-        _reflect(basis[i:, i:], _mirror(entries[i:, i]))
-    return basis
+    mirrors = np.zeros((n, k))
+    for i in range(k):
+        mirrors[i:, i] = _mirror(entries[i:, i])
+    # The product of reflections I − 2uuᵀ is I − U T Uᵀ, with T⁻¹ + T⁻ᵀ = UᵀU and T upper triangular.
+    inverse = np.triu(mirrors.T @ mirrors, 1) + 0.5 * np.eye(k)
+    return np.eye(n, k) - mirrors @ np.linalg.solve(inverse, mirrors[:k].T)
 
 
 def _differences(entries: Integers, alike: Integers | None) -> Integers:

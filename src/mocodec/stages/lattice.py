@@ -36,8 +36,8 @@ LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
 """Frames that neighbours are chosen by."""
-CANDIDATES = 64
-"""Of many points, this many of the nearest are considered as neighbours."""
+CANDIDATES, MANY_POINTS, CANDIDATES_OF_MANY = 64, 128, 24
+"""This many of the nearest points are considered as neighbours of each; fewer of many points, which lie closer."""
 LEAST_DISTANCE_M = 0.005
 """Points nearer than this to each other have no direction from one to the other."""
 
@@ -118,7 +118,7 @@ def neighbours(positions: Floats) -> Neighbours:
 def _candidates(some: Floats) -> Integers:
     """(points, k): the points nearest to each on the whole, itself left out."""
     points = some.shape[1]
-    count = min(CANDIDATES, points - 1)
+    count = min(CANDIDATES if points <= MANY_POINTS else CANDIDATES_OF_MANY, points - 1)
     flat = np.ascontiguousarray(some[:: max(1, len(some) // 8)].swapaxes(0, 1)).reshape(points, -1)
     squares = (flat**2).sum(axis=1)
     distance = squares[:, None] + squares - 2 * flat @ flat.T

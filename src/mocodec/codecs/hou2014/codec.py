@@ -156,18 +156,24 @@ class Hou2014:
         return (self.max_error, self.mean_error, self.ratio) != (None, None, None)
 
     def estimate(
-        self, motion: Motion, smooth: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS
+        self,
+        motion: Motion,
+        smooth: Floats,
+        times: float = 1.0,
+        chunks: int = SAMPLED_CHUNKS,
+        limit: float = math.inf,
     ) -> tuple[float, float]:
         """Estimated payload bytes of `encode_smoothed`, and the mean error in metres, at the first step of the search.
 
         Costs one encoding of at most `chunks` chunks. With `max_error` the mean error is not measured, but NaN. times:
-        factor for the size of the chunks, if `motion` is a part of the motion to estimate. Raises as `encode`.
+        factor for the size of the chunks, if `motion` is a part of the motion to estimate. limit: bytes beyond which
+        the estimate may be too low. Raises as `encode`.
         """
         base.require_frames(motion)
         self._check(motion)
         encoder = _MotionEncoder(self, motion, smooth)
         rung = encoder.first_rung
-        size = encoder.sampled_size(rung, times, chunks)
+        size = encoder.sampled_size(rung, times, chunks, limit)
         return size, math.nan if self.max_error is not None else encoder.mean_error(rung)
 
     def _check(self, motion: Motion) -> None:
@@ -292,27 +298,43 @@ class _MotionEncoder:
             settings=base.settings(replace(self.codec, transforms=())),
         )
 
-    def _payload(self, clips: stream.QuantisedClips, header: stream.SharedHeader, start: int, stop: int) -> bytes:
-        """The payload of one chunk, frames [start, stop)."""
+    def _payload(
+        self,
+        clips: stream.QuantisedClips,
+        header: stream.SharedHeader,
+        start: int,
+        stop: int,
+        packed: bytes | None = None,
+    ) -> bytes:
+        """The payload of one chunk, frames [start, stop). packed: its clips, if they are packed."""
         corrections = b""
         if header.max_error is not None:
             moving, prediction = self.moving[start:stop], stream.reconstruct(clips, header)
             corrections = bounded.pack(moving, prediction, header.max_error, self.neighbours)
-        packed = stream.pack_clips(clips, header)
+        packed = stream.pack_clips(clips, header) if packed is None else packed
         return stream.pack_payload(packed, self.apart[start:stop].pack(), corrections)
 
-    def sampled_size(self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
+    def sampled_size(
+        self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS, limit: float = math.inf
+    ) -> float:
         """Estimated payload bytes at this step, from at most `chunks` chunks; infinite if it is too small to code.
 
-        times: factor for the size of the chunks.
+        times: factor for the size of the chunks. Where coefficients alone exceed the limit, they alone are counted.
         """
         try:
             quantised = self.quantised(rung)
             groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
             starts = np.cumsum([0, *(clips.lengths.sum() for clips in groups)]).tolist()
             sampled = range(0, len(groups), -(-len(groups) // chunks))
-            sizes = [len(self._payload(groups[i], quantised.header, starts[i], starts[i + 1])) for i in sampled]
-            return len(quantised.header.pack(self.parents)) + times * sum(sizes) * len(groups) / len(sizes)
+            packed = [stream.pack_clips(groups[i], quantised.header) for i in sampled]
+            shared, scale = len(quantised.header.pack(self.parents)), times * len(groups) / len(packed)
+            if (least := shared + scale * sum(map(len, packed))) > limit:
+                return least
+            payloads = [
+                self._payload(groups[i], quantised.header, starts[i], starts[i + 1], clips)
+                for i, clips in zip(sampled, packed, strict=True)
+            ]
+            return shared + scale * sum(map(len, payloads))
         except CannotEncode:
             return math.inf
 
