@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import native
 from ..entropy import coder, varint
 from ..errors import CannotEncode, Corrupt
 from ..typing import Floats, Integers
@@ -146,13 +147,13 @@ def _decompose(basis: Floats, precision: Integers) -> Integers:
 
 def _compose(entries: Integers, n: int) -> Floats:
     """The orthonormal basis of rounded entries."""
+    if (kernel := native.kernel("basis_compose")) is not None:
+        return kernel(entries)
     k = entries.shape[1]
-    mirrors = np.zeros((n, k))
-    for i in range(k):
-        mirrors[i:, i] = _mirror(entries[i:, i])
-    # The product of reflections I − 2uuᵀ is I − U T Uᵀ, with T⁻¹ + T⁻ᵀ = UᵀU and T upper triangular.
-    inverse = np.triu(mirrors.T @ mirrors, 1) + 0.5 * np.eye(k)
-    return np.eye(n, k) - mirrors @ np.linalg.solve(inverse, mirrors[:k].T)
+    basis = np.eye(n, k)
+    for i in reversed(range(k)):
+        _reflect(basis[i:, i:], _mirror(entries[i:, i]))
+    return basis
 
 
 def _differences(entries: Integers, alike: Integers | None) -> Integers:
@@ -192,4 +193,4 @@ def _mirror(entries: Integers) -> Floats:
 
 def _reflect(columns: Floats, mirror: Floats) -> None:
     """Apply I − 2uuᵀ to the columns, in place."""
-    columns -= np.outer(2 * mirror, mirror @ columns)
+    columns -= (2 * mirror)[:, None] * (mirror @ columns)
