@@ -205,7 +205,9 @@ class ChunkEncoder:
             self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
 
     def trial(self, step: int, slope: float = quantise.SLOPE) -> Trial:
-        """The chunk without its spikes in one step (log₂ in 1/32 octave)."""
+        """The chunk without its spikes in one step (log₂ in 1/32 octave). Raises what made its analysis fail."""
+        if self.spectrum is None and self.failure is not None:
+            raise self.failure
         assert self.spectrum is not None
         return trial.of_step(self.model, self.spectrum, self.smooth, self.gap_mask, step, slope)
 
