@@ -107,6 +107,7 @@ class Page {
     const { facts } = this.views[number];
     $("title").textContent = facts.name;
     $("title").title = facts.name;
+    $("title").hidden = this.views.length > 1; // the tabs say it
     showTabs($("tabs"), this.views.map((view) => view.facts.name), number, (other) => this.choose(other));
     this.here = showNumbers($("numbers"), facts);
     this.list.show(facts);

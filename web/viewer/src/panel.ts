@@ -12,31 +12,35 @@ export function element<K extends keyof HTMLElementTagNameMap>(tag: K, text: str
 
 /** The numbers of a recording. */
 export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElement; max: HTMLElement } | null {
-  const rows: [string, string, boolean?][] = [];
-  if (facts.bytes !== null) rows.push(["size", bytes(facts.bytes)]);
-  if (facts.codec !== null) rows.push(["codec", facts.codec]);
-  if (facts.codec !== null) rows.push(["promise", promise(facts.promise)]);
-  if (facts.originalBytes !== null) rows.splice(1, 0, ["original", bytes(facts.originalBytes)]);
-  const errors = facts.errors;
-  if (errors) {
-    const bound = facts.promise.max_error;
-    rows.push(["mean error", length(errors.mean)]);
-    rows.push(["99 % below", length(errors.p99)]);
-    rows.push(["largest", length(errors.max), bound !== undefined && errors.max > bound * 1.0001]);
-  }
-  rows.push(["", `${time(facts.frames / facts.rate)} · ${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`]);
+  const { errors } = facts;
   target.replaceChildren();
-  const ofFile = facts.signals.length && facts.bytes && facts.originalBytes ? facts.originalBytes / facts.bytes : null;
-  if (facts.ratio !== null) {
-    const big = element("div", ratio(ofFile ?? facts.ratio), "big");
+  // without the size of the original file, nothing tells how small signals became
+  const ofFile = facts.signals.length > 0;
+  const large = ofFile ? facts.bytes && facts.originalBytes && facts.originalBytes / facts.bytes : facts.ratio;
+  if (large) {
+    const big = element("div", ratio(large), "big");
     big.append(element("small", ofFile ? " to the whole file" : " to float32"));
     target.append(big);
   }
-  for (const [name, value, broken] of rows) target.append(element("dt", name), element("dd", value, broken ? "broken" : ""));
-  if (!errors && !facts.original) return null;
+  const add = (name: string, value: string, className = "") => target.append(element("dt", name, className), element("dd", value, className));
+  if (facts.bytes !== null) add("size", bytes(facts.bytes), "minor");
+  if (facts.originalBytes !== null) add("original", bytes(facts.originalBytes), "minor");
+  if (facts.codec !== null) add("codec", facts.codec, "minor");
+  if (facts.codec !== null) add("promise", promise(facts.promise));
+  if (errors) {
+    const bound = facts.promise.max_error;
+    add("mean error", length(errors.mean));
+    add("99 % below", length(errors.p99), "minor");
+    add("largest", length(errors.max), bound !== undefined && errors.max > bound * 1.0001 ? "broken" : "");
+  }
+  const about = `${time(facts.frames / facts.rate)} · ${whole(facts.frames)} frames · ${facts.points ? `${whole(facts.points)} points · ` : ""}${Number(facts.rate.toPrecision(6))} Hz`;
+  if (!errors && !facts.original) {
+    target.append(element("p", about));
+    return null;
+  }
   const mean = element("dd", "–");
   const max = element("dd", "–");
-  target.append(element("dt", "here, mean"), mean, element("dt", "here, largest"), max);
+  target.append(element("dt", "here, mean"), mean, element("dt", "here, largest"), max, element("p", about));
   return { mean, max };
 }
 

@@ -31,6 +31,8 @@ export interface Facts {
   promise: Record<string, number>;
   /** First frame and bytes of chunks, or of runs of chunks in a long file. */
   chunks: [number, number][];
+  /** Kinds of frames at which the codec begins something (clip, segment, key frame), each with its frames. */
+  marks: { label: string; frames: number[] }[];
   events: { label: string; seconds: number }[];
   signals: SignalFacts[];
   /** Share of points missing in equal parts of the recording. */

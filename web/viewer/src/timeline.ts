@@ -74,7 +74,7 @@ export class Timeline {
   /** Draw everything anew, after a change of size, theme or data. */
   refresh(): void {
     const hasErrors = this.facts?.errors != null;
-    const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
+    const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps) + (this.facts?.marks.length ?? 0)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
     this.canvas.style.height = `${height}px`;
     const scale = Math.min(2, devicePixelRatio);
     this.width = Math.max(1, this.canvas.clientWidth);
@@ -107,6 +107,7 @@ export class Timeline {
       const bin = Math.floor(frame / facts.errors.binFrames);
       parts.push(`max ${length(facts.errors.binMax[bin])} · mean ${length(facts.errors.binMean[bin])}`);
     }
+    parts.push(...this.marksAt(frame));
     const near = facts.events.filter((event) => Math.abs(this.x(event.seconds * facts.rate) - x) < 5);
     parts.push(...near.slice(0, 3).map((event) => event.label));
     this.tip.textContent = parts.join("\n");
@@ -138,6 +139,10 @@ export class Timeline {
     }
     this.drawBytes(pen, top, width);
     top += RIBBON + GUTTER;
+    for (const { frames } of facts.marks) {
+      this.drawMarks(pen, top, frames);
+      top += RIBBON + GUTTER;
+    }
     if (this.hasGaps) {
       this.drawGaps(pen, top, width);
       top += RIBBON + GUTTER;
@@ -240,6 +245,26 @@ export class Timeline {
       pen.fillRect(left, top, span, RIBBON);
     });
     pen.globalAlpha = 1;
+  }
+
+  private drawMarks(pen: CanvasRenderingContext2D, top: number, frames: number[]): void {
+    pen.fillStyle = css("--raised");
+    pen.fillRect(0, top, this.width, RIBBON);
+    pen.fillStyle = css("--muted");
+    for (const frame of frames) pen.fillRect(Math.round(this.x(frame)), top, 1, RIBBON);
+  }
+
+  /** Numbers of the clip, segment and key frame at a frame, as text. */
+  private marksAt(frame: number): string[] {
+    return this.facts!.marks.flatMap(({ label, frames }) => {
+      let before = 0;
+      for (let high = frames.length; before < high; ) {
+        const middle = (before + high) >> 1;
+        if (frames[middle] <= frame) before = middle + 1;
+        else high = middle;
+      }
+      return before ? [`${label} ${before} of ${frames.length}`] : [];
+    });
   }
 
   private drawGaps(pen: CanvasRenderingContext2D, top: number, width: number): void {
