@@ -15,11 +15,11 @@ import numpy as np
 from ... import progress
 from ...encoded import Chunk
 from ...errors import CannotEncode
-from ...stages import search
+from ...stages import lattice, search
 from ...typing import Floats
 from . import chunk, chunk_decoding
 from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
-from .coding import coefficients, direct, lattice, quantise
+from .coding import coefficients, direct, quantise
 from .coding.contexts import OCTAVE
 from .engine_choice import LEAST_SAVING, EngineTrials
 
