@@ -68,6 +68,18 @@ def test_a_chunk_is_decoded_once(data: bytes, cache: ChunkCache, monkeypatch: py
         assert [(s.start, s.stop) for s in seen] == [(120, 240), (240, 360)]
 
 
+def test_the_first_window_of_a_chunk_is_decoded_alone(cache: ChunkCache):
+    motion = replace(synthetic.joints(1200), rotations=None)
+    blob = mc.encode(motion, max_error=0.002, chunk_seconds=1.0, model="transform")
+    whole = mc.decode(blob, mc.Motion).positions
+    with mc.open(blob, mc.Motion) as f:
+        np.testing.assert_array_equal(f[130:160].positions, whole[130:160])
+        assert cache.bytes == 0
+        np.testing.assert_array_equal(f[150:171].positions, whole[150:171])
+        assert cache.bytes > 0
+    assert cache.first_use(f._number, range(12))
+
+
 def test_a_window_may_be_written_to(data: bytes, cache: ChunkCache):
     with mc.open(data, mc.Motion) as f:
         before = f[0:120].positions.copy()

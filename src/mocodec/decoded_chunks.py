@@ -2,7 +2,8 @@
 """Decoded chunks of open files, so that windows of a few frames are cut from memory.
 
     f[a:b] ─► chunks of frames [a, b) ──in the cache──► frames of these
-                     └──not yet──► decoded whole ──► cache, the least recently used chunks leave it
+                     ├──used before──► decoded whole ──► cache, the least recently used chunks leave it
+                     └──never used──► frames [a, b) decoded alone, where the codec can: a single window is fastest so
 
 One cache serves all open files of a process. It holds 64 MB of positions and rotations; MOCODEC_CACHE_MB in the
 environment sets another size, 0 turns it off. It may be used from several threads.
@@ -55,6 +56,7 @@ class ChunkCache:
         self.most_bytes = most_bytes
         self.bytes = 0
         self._chunks: OrderedDict[tuple[int, int], DecodedChunk] = OrderedDict()
+        self._used = set[tuple[int, int]]()
         self._lock = Lock()
 
     def get(self, file: int, number: int) -> DecodedChunk | None:
@@ -64,6 +66,14 @@ class ChunkCache:
             if found is not None:
                 self._chunks.move_to_end((file, number))
             return found
+
+    def first_use(self, file: int, numbers: range) -> bool:
+        """Whether none of these chunks of a file was used before; from now on they were."""
+        keys = [(file, number) for number in numbers]
+        with self._lock:
+            unused = self._used.isdisjoint(keys)
+            self._used.update(keys)
+            return unused
 
     def put(self, file: int, number: int, chunk: DecodedChunk) -> None:
         """Keep a chunk, and drop the least recently used ones beyond `most_bytes`."""
@@ -79,11 +89,13 @@ class ChunkCache:
         with self._lock:
             for key in [key for key in self._chunks if key[0] == file]:
                 self._remove(key)
+            self._used -= {key for key in self._used if key[0] == file}
 
     def forget_all(self) -> None:
         """Empty, with a lock of its own: for a forked process, whose copy of the lock may be held for ever."""
         self._lock = Lock()
         self._chunks.clear()
+        self._used.clear()
         self.bytes = 0
 
     def _remove(self, key: tuple[int, int]) -> None:
@@ -109,17 +121,21 @@ if hasattr(os, "register_at_fork"):
 Decode = Callable[[Encoded[Motion], slice], Motion]
 
 
-def window(file: int, decode: Decode, encoded: Encoded[Motion], starts: Integers, frames: slice) -> Motion:
+def window(
+    file: int, decode: Decode, encoded: Encoded[Motion], starts: Integers, frames: slice, frames_alone: bool = False
+) -> Motion:
     """Frames [start, stop) of an open file, by way of the cache. Raises what `decode` raises.
 
     file: its number. decode: the codec's. starts (chunks + 1,): the first frame of each chunk, then the number of
-    all frames.
+    all frames. frames_alone: whether decoding some frames of a chunk is faster than the whole chunk.
     """
     start, stop = frames.start, frames.stop
     if start >= stop:
         return decode(encoded, frames)
-    first, past = np.searchsorted(starts, (start, stop - 1), side="right").tolist()
+    first, past = starts.searchsorted((start, stop - 1), side="right").tolist()
     first -= 1
+    if frames_alone and CACHE.first_use(file, range(first, past)):
+        return decode(encoded, frames)
     size = (starts[past] - starts[first]) * encoded.about.points * BYTES_PER_SAMPLE
     if past - first > MOST_CHUNKS or size > CACHE.most_bytes // 2:
         return decode(encoded, frames)

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 from .motion import Motion, extras_between, source_from
 from .pointcloud import PointClouds
 from .selection import frame_range
-from .typing import Floats
+from .typing import Floats, Integers
 
 TARGETS = ("max_error", "mean_error", "ratio", "size", "psnr")
 """Settings that are promises: errors in metres, ratio to float32 positions, bytes of the file, dB of colours."""
@@ -102,9 +102,19 @@ class Encoded(Generic[RecordingT]):
 
     def covering(self, start: int, stop: int) -> Sequence[Chunk]:
         """The chunks that frames [start, stop) need, margins included; no other payload is read."""
+        if stop <= start:
+            return ()
+        first, last = self._numbers(start, stop)
+        return self.chunks[max(0, first - self.margin) : last + self.margin]
+
+    def _numbers(self, start: int, stop: int) -> tuple[int, int]:
+        """Numbers of the first chunk with frames of [start, stop), and of the one behind the last."""
+        starts: Integers | None = getattr(self.chunks, "starts", None)  # those of a file are an array
+        if starts is not None:
+            first, last = starts.searchsorted((start, stop - 1), side="right").tolist()
+            return first - 1, last
         first = bisect_right(self.chunks, start, key=lambda chunk: chunk.stop)
-        last = bisect_left(self.chunks, stop, key=lambda chunk: chunk.start)
-        return self.chunks[max(0, first - self.margin) : last + self.margin] if stop > start else ()
+        return first, bisect_left(self.chunks, stop, key=lambda chunk: chunk.start)
 
 
 def about(motion: Motion, has_rotations: bool = False) -> Motion:

@@ -174,7 +174,9 @@ class File(Generic[RecordingT]):
                 return decode(self.encoded, frames)
             encoded, starts = cast("Encoded[Motion]", self.encoded), self._reader.chunks.starts
             of_motion = cast("decoded_chunks.Decode", decode)
-            return cast("RecordingT", decoded_chunks.window(self._number, of_motion, encoded, starts, frames))
+            frames_alone = getattr(self.codec, "decodes_frames_alone", False)
+            found = decoded_chunks.window(self._number, of_motion, encoded, starts, frames, frames_alone)
+            return cast("RecordingT", found)
 
     def positions(
         self,

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import metrics
 from .errors import BadInput, MissingExtra
-from .geometry import links
+from .geometry import links, views
 from .metrics import skeletal
 from .motion import Motion
 from .selection import point_columns
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TILT = np.radians(6.0)
+"""Of the view of poses, from above."""
 SUFFIXES = (".png", ".svg", ".pdf")
 INK, OURS, FAINT, SHELL = "#333333", "#c8442e", "#bbbbbb", "#7a8fb8"
 
@@ -212,7 +214,7 @@ def poses(motion: Motion, title: str = "", count: int = 7) -> Figure:
 def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) -> None:
     """Poses of both motions at these frames side by side, with their times below."""
     links_ = links.links(original)
-    view = view_of(original)
+    view = views.directions(original.positions, original.up, TILT)[:2]
     heights = [np.ptp(pose[~np.isnan(pose)]) for pose in (original.positions[frames] @ view[1])[:, None] if pose.size]
     spacing = 0.75 * max(heights, default=1.0)
     styles = ((original, {"color": FAINT, "linewidth": 3.5}), (decoded, {"color": OURS, "linewidth": 1.0}))
@@ -240,28 +242,6 @@ def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) 
         legend_above(axes)
     axes.set_aspect("equal")
     axes.set_axis_off()
-
-
-TURN, TILT = np.radians(25.0), np.radians(6.0)
-"""The view is turned by TURN from where the points spread most, so that left and right are apart, and from above."""
-
-
-def view_of(motion: Motion) -> Floats:
-    """Directions to the right and up in the picture, (2, 3)."""
-    up = "xyz".index(motion.up)
-    level = [axis for axis in range(3) if axis != up]
-    frames = motion.positions[~np.isnan(motion.positions).all(axis=(1, 2))]
-    sample = frames[:: max(1, len(frames) // 50)][:, :, level]
-    spread = sample - np.nanmean(sample, axis=1, keepdims=True) if len(sample) else np.zeros((1, 1, 2))
-    flat = np.nan_to_num(spread.reshape(-1, 2))
-    _, directions = np.linalg.eigh(flat.T @ flat)
-    a, b = directions[:, -1]
-    a, b = (np.cos(TURN) * a - np.sin(TURN) * b, np.sin(TURN) * a + np.cos(TURN) * b)
-    view = np.zeros((2, 3))
-    view[0, level] = a, b
-    view[1, level] = -np.sin(TILT) * b, np.sin(TILT) * a
-    view[1, up] = np.cos(TILT)
-    return view
 
 
 def draw_pose(axes: Axes, flat: Floats, links_: list[tuple[int, int]], style: dict[str, Any]) -> None:

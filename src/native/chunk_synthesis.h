@@ -110,7 +110,7 @@ public:
         static thread_local Scratch scratch;
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         spectrum(integers, known, scratch);
-        curves(known, scratch);
+        curves(known, scratch, out);
         poses(scratch, out);
     }
 
@@ -161,11 +161,17 @@ private:
         }
     }
 
-    // stages/dct.py, inverse: (frames, columns).
-    ALWAYS_INLINE void curves(size_t known, Scratch &scratch) const {
+    // stages/dct.py, inverse: (frames, columns), of the frames that `poses` takes four at a time; of all frames if `out`
+    // has none, which is for timing.
+    ALWAYS_INLINE void curves(size_t known, Scratch &scratch, const Target &out) const {
         const size_t columns = of_.columns, frames = cosines_.frames, half = cosines_.half;
+        const size_t last = std::min(frames, out.first + (out.last - out.first + 3) / 4 * 4);
         scratch.curves.resize((frames + 3) * columns);
         for (size_t block = 0; block < cosines_.blocks; ++block) {
+            const size_t t0 = block * TILE, t1 = std::min(half, t0 + TILE);
+            const bool in_head = t0 < last && out.first < t1;
+            const bool in_tail = frames - t1 < last && out.first < frames - t0;
+            if (!in_head && !in_tail && out.first < out.last) continue;
             const double *even = cosines_.block(block, 0), *odd = cosines_.block(block, 1);
             for (size_t panel = 0; panel < columns / PANEL; ++panel) {
                 const double *of_panel = scratch.panels.data() + panel * known * PANEL;

@@ -124,6 +124,20 @@ nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols
     return nb::make_tuple(out.give({steps, lanes}), x, at);
 }
 
+// The loop of one_state.StateDecoder.raw: whole bytes, then the bits that are left, from the low end of the state; in the
+// order in which they leave it, with the state and how many words were used.
+nb::tuple entropy_raw(uint64_t x, size_t at, Input<uint16_t, 1> words, size_t bits) {
+    Fresh<uint8_t> out(bits / 8 + 1);
+    const size_t end = words.shape(0);
+    for (size_t i = 0; i <= bits / 8; ++i) {
+        const unsigned width = i < bits / 8 ? 8 : unsigned(bits % 8);
+        out.data[i] = uint8_t(x & ((1u << width) - 1));
+        x >>= width;
+        if (x < LOWEST && at < end) x = x << 16 | words.data()[at++];
+    }
+    return nb::make_tuple(out.give({bits / 8 + 1}), x, at);
+}
+
 }  // namespace
 
 void bind_entropy(nb::module_ &m) {
@@ -132,4 +146,5 @@ void bind_entropy(nb::module_ &m) {
     m.def("entropy_means", &entropy_means);
     m.def("entropy_encode", &entropy_encode);
     m.def("entropy_decode", &entropy_decode);
+    m.def("entropy_raw", &entropy_raw);
 }

@@ -45,7 +45,10 @@ inline uint64_t morton_code(int64_t x, int64_t y, int64_t z) {
     return spread_bits(uint64_t(x)) | spread_bits(uint64_t(y)) << 1 | spread_bits(uint64_t(z)) << 2;
 }
 
-// Rows by 64-bit key: open addressing with linear probing.
+// A cell's coordinates below 2^21 as one number.
+inline uint64_t cell_key(int64_t x, int64_t y, int64_t z) { return uint64_t(x) | uint64_t(y) << 21 | uint64_t(z) << 42; }
+
+// Rows by 64-bit key: open addressing with linear probing, behind a filter that knows most keys that are not there.
 class KeyTable {
 public:
     explicit KeyTable(size_t keys) {
@@ -56,7 +59,9 @@ public:
     }
 
     void add(uint64_t key, int32_t row) {
-        size_t at = slot(key);
+        const uint64_t hash = key * HASH;
+        filter_[hash >> 54] |= uint64_t(1) << (hash >> 48 & 63);
+        size_t at = slot(hash);
         while (keys_[at] != EMPTY) at = (at + 1) & (keys_.size() - 1);
         keys_[at] = key;
         rows_[at] = row;
@@ -64,15 +69,19 @@ public:
 
     // The row of this key, −1 without one.
     int32_t find(uint64_t key) const {
-        for (size_t at = slot(key); keys_[at] != EMPTY; at = (at + 1) & (keys_.size() - 1))
+        const uint64_t hash = key * HASH;
+        if (!(filter_[hash >> 54] >> (hash >> 48 & 63) & 1)) return -1;
+        for (size_t at = slot(hash); keys_[at] != EMPTY; at = (at + 1) & (keys_.size() - 1))
             if (keys_[at] == key) return rows_[at];
         return -1;
     }
 
 private:
-    static constexpr uint64_t EMPTY = ~uint64_t(0);
+    static constexpr uint64_t EMPTY = ~uint64_t(0), HASH = 0x9E3779B97F4A7C15u;
 
-    size_t slot(uint64_t key) const { return (key * 0x9E3779B97F4A7C15u >> 32) & (keys_.size() - 1); }
+    size_t slot(uint64_t hash) const { return (hash >> 32) & (keys_.size() - 1); }
+
+    std::array<uint64_t, 1024> filter_{};  // a bit for each of the upper 16 bits of a hash
 
     std::vector<uint64_t> keys_;
     std::vector<int32_t> rows_;
@@ -204,6 +213,13 @@ private:
         std::vector<std::array<int32_t, SEARCHED>> first;
     };
 
+    // The cell of a level that a sample within the octree lies in.
+    uint64_t key_of_sample(int32_t row, int level) const {
+        const Place &v = points_[size_t(row)];
+        const int bits = SUBUNIT_BITS + depth_ - level;
+        return cell_key((v[0] + HALF_UNIT) >> bits, (v[1] + HALF_UNIT) >> bits, (v[2] + HALF_UNIT) >> bits);
+    }
+
     Cells cells_of_level(int level) const {
         const std::vector<uint64_t> codes = sample_codes(level);
         size_t count = 0;
@@ -216,7 +232,7 @@ private:
             const auto end = std::partial_sort_copy(sorted_rows_.begin() + start, sorted_rows_.begin() + stop,
                                                     first.begin(), first.end());
             std::fill(end, first.end(), NOWHERE);
-            cells.at.add(codes[start], int32_t(cells.first.size()));
+            cells.at.add(key_of_sample(sorted_rows_[start], level), int32_t(cells.first.size()));
             cells.first.push_back(first);
         }
         return cells;
@@ -250,28 +266,23 @@ private:
         static constexpr int STEPS[3] = {0, 1, -1};
         const int32_t side = int32_t(1) << level;
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
-        uint64_t spread[3][3];  // bits of the coordinates one step away
-        bool inside[3][3];
-        for (int d = 0; d < 3; ++d)
-            for (int s = 0; s < 3; ++s) {
-                const int32_t v = place[size_t(d)] - STEPS[s];
-                inside[d][s] = v >= 0 && v < side;
-                spread[d][s] = inside[d][s] ? spread_bits(uint64_t(v)) << d : 0;
+        const auto search = [&](int32_t x, int32_t y, int32_t z) {
+            if (x < 0 || y < 0 || z < 0 || x >= side || y >= side || z >= side) return;
+            const int32_t cell = cells.at.find(cell_key(x, y, z));
+            if (cell < 0) return;
+            for (int32_t other : cells.first[size_t(cell)]) {
+                if (other < 0) break;
+                const int64_t own = square(centre, other);
+                if (own < best) best = own, row = other;
             }
+        };
+        search(place[0], place[1], place[2]);
         const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
-        for (int x = 0; x < 3; ++x)
-            for (int y = 0; y < 3; ++y)
-                for (int z = 0; z < 3; ++z) {
-                    if (!inside[0][x] || !inside[1][y] || !inside[2][z]) continue;
-                    if (((x > 0) + (y > 0) + (z > 0)) * quarter >= best) continue;  // all of the cell is as far
-                    const int32_t cell = cells.at.find(spread[0][x] | spread[1][y] | spread[2][z]);
-                    if (cell < 0) continue;
-                    for (int32_t other : cells.first[size_t(cell)]) {
-                        if (other < 0) break;
-                        const int64_t own = square(centre, other);
-                        if (own < best) best = own, row = other;
-                    }
-                }
+        for (int k = 1; k < 27 && quarter < best; ++k) {
+            const int x = k / 9, y = k / 3 % 3, z = k % 3;
+            if (((x > 0) + (y > 0) + (z > 0)) * quarter >= best) continue;  // all of the cell is as far
+            search(place[0] - STEPS[x], place[1] - STEPS[y], place[2] - STEPS[z]);
+        }
         return row;
     }
 

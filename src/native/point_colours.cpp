@@ -16,13 +16,18 @@ constexpr int64_t PLACE_WEIGHT = int64_t(1) << 40, PLACE_SOFTENING = 2000;
 constexpr int64_t CELL_WEIGHT = 1 << 20, CELL_SOFTENING = 2, WINDOW = 16;
 constexpr int UNARY = 24, WIDE_BITS = 11, FIRST_MAGNITUDE = 2, WIDE_KIND = FIRST_MAGNITUDE + UNARY;
 constexpr int KINDS = WIDE_KIND + WIDE_BITS, CLASSES = 6, ACTIVITIES = 9, LEVELS = 7;
+constexpr int CLASS_EDGES[] = {1, 2, 4, 8, 16}, ACTIVITY_EDGES[] = {1, 2, 3, 5, 8, 12, 18, 28};
+constexpr int SHARE_BITS = 4, ROUNDING = 96, GREY = 128;
+constexpr int64_t LARGEST = 511;
+constexpr size_t FIRST_STRIDE = 64;
 
 using Numbers = Input<int64_t, 2>;
 using Rows = Input<int64_t, 1>;
 
 int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
-int64_t square_between(const int64_t *a, const int64_t *b) {
+template <class Number>
+int64_t square_between(const Number *a, const int64_t *b) {
     int64_t sum = 0;
     for (int d = 0; d < 3; ++d) sum += (a[d] - b[d]) * (a[d] - b[d]);
     return sum;
@@ -48,8 +53,8 @@ void require(bool good, const char *what) {
 }
 
 // ColourMemory._expected: rows (n), places (n, 3); of the memory: neighbours (m, k), places and colours (m, kept, 3).
-Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, Input<int64_t, 3> known,
-                                 Input<int64_t, 3> colours) {
+Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, Input<int32_t, 3> known,
+                                 Input<int32_t, 3> colours) {
     const size_t n = rows.shape(0), samples = known.shape(0), kept = known.shape(1), around = neighbours.shape(1);
     require(places.shape(0) == n && places.shape(1) == 3 && neighbours.shape(0) == samples && known.shape(2) == 3 &&
                 colours.shape(0) == samples && colours.shape(1) == kept && colours.shape(2) == 3,
@@ -78,105 +83,202 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
     return out.give({n, 3});
 }
 
-// colour_lifting._around for a stride above 0: base, correction, activity and spread (n, 3) of each row.
-nb::tuple colour_neighbourhoods(Numbers known, Numbers bases, Numbers cells, Rows rows, int64_t stride, Numbers expected,
-                                Input<uint8_t, 1> is_expected) {
-    const int64_t points = int64_t(cells.shape(0));
-    for (const Numbers *each : {&known, &bases, &cells, &expected})
-        require(each->shape(0) == size_t(points) && each->shape(1) == 3, "colour_neighbourhoods: shapes differ");
-    require(is_expected.shape(0) == size_t(points) && stride > 0, "colour_neighbourhoods: shapes differ");
-    const size_t n = rows.shape(0);
-    const int64_t count = (points + stride - 1) / stride, width = std::min(WINDOW, count);
-    Fresh<int64_t> base(3 * n), correction(3 * n), activity(3 * n), spread(3 * n);
-    for (size_t i = 0; i < n; ++i) {
-        const int64_t row = rows.data()[i];
-        require(row >= 0 && row < points, "colour_neighbourhoods: a row beyond the points");
-        const int64_t first = std::clamp<int64_t>(row / stride + 1 - WINDOW / 2, 0, count - width);
+// What is known around a point before it is coded, as colour_lifting.Neighbourhood.
+struct Neighbourhood {
+    std::array<int32_t, 3> base, correction, activity, spread;
+};
+
+int64_t classes(const int *edges, int count, int64_t value) {
+    int found = 0;
+    while (found < count && edges[found] <= value) ++found;
+    return found;
+}
+
+// ColourLifting.code_frame: the colours of a frame's points, pass after pass.
+class Frame {
+public:
+    std::vector<std::array<int32_t, 3>> known;
+    std::array<int64_t, 3> products{}, squares{};  // sums over the points whose colours are expected
+    enum { GOOD, CUT_OFF, OUT_OF_RANGE } outcome = GOOD;
+
+    Frame(Numbers cells, Numbers expected, Input<uint8_t, 1> is_expected, Rows shares, Rows steps)
+        : known(cells.shape(0)), cells_(cells), expected_(expected), is_expected_(is_expected), shares_(shares),
+          steps_(steps), bases_(cells.shape(0)) {
+        require(cells.shape(1) == 3 && expected.shape(0) == cells.shape(0) && expected.shape(1) == 3 &&
+                    is_expected.shape(0) == cells.shape(0) && shares.shape(0) == 3 && steps.shape(0) == 3,
+                "colour_frame: shapes differ");
+        for (int d = 0; d < 3; ++d) require(steps.data()[d] > 0, "colour_frame: a step below 1");
+    }
+
+    // wanted: YCoCg of each point, null in the decoder.
+    template <class Coder>
+    void code(Coder &coder, const int64_t *wanted) {
+        for (size_t level = 0, stride = FIRST_STRIDE; stride; ++level, stride /= 2) {
+            rows_.clear();
+            for (size_t i = level ? stride : 0; i < known.size(); i += level ? 2 * stride : stride) rows_.push_back(i);
+            if (rows_.empty()) continue;
+            code_pass(coder, wanted, level, level ? 2 * stride : 0);
+            if (outcome != GOOD) return;
+        }
+    }
+
+private:
+    template <class Coder>
+    void code_pass(Coder &coder, const int64_t *wanted, size_t level, size_t stride) {
+        const size_t n = rows_.size();
+        around_.resize(n);
+        coded_.assign(n, 0);
+        for (size_t k = 0; k < n; ++k) around_[k] = around(rows_[k], stride);
+        for (size_t k = 0; k < n; ++k) bases_[rows_[k]] = around_[k].base;
+        place_.resize(n);
+        differences_.resize(n);
+        for (size_t channel = 0; channel < 3; ++channel) {
+            const int64_t step = steps_.data()[channel], rounding = step > 1 ? step * ROUNDING >> 8 : 0;
+            for (size_t k = 0; k < n; ++k) {
+                const Neighbourhood &near = around_[k];
+                place_[k] = {uint32_t(channel), uint32_t(classes(ACTIVITY_EDGES, ACTIVITIES - 1, 2 * near.activity[channel] / step)),
+                             uint32_t(classes(ACTIVITY_EDGES, ACTIVITIES - 1, near.spread[channel] / step)), coded_[k]};
+                if (!wanted) continue;
+                const int64_t apart = wanted[3 * rows_[k] + channel] - predicted(k, channel);
+                const int64_t size = (std::abs(apart) + rounding) / step;
+                differences_[k] = apart < 0 ? -size : size;
+            }
+            code_integers(coder, wanted ? differences_.data() : nullptr, uint32_t(level));
+            if (is_cut_off(coder)) outcome = CUT_OFF;
+            for (size_t k = 0; k < n && outcome == GOOD; ++k)
+                if (std::abs(found_[k]) >= int64_t(1) << WIDE_BITS) outcome = OUT_OF_RANGE;
+            if (outcome != GOOD) return;
+            for (size_t k = 0; k < n; ++k) {
+                const int64_t value = std::clamp(predicted(k, channel) + found_[k] * step, -LARGEST - 1, LARGEST);
+                known[rows_[k]][channel] = int32_t(value);
+                coded_[k] = std::max(coded_[k], uint32_t(classes(CLASS_EDGES, CLASSES - 1, std::abs(found_[k]))));
+                if (!is_expected_.data()[rows_[k]]) continue;
+                const int64_t correction = around_[k].correction[channel];
+                products[channel] += (value - around_[k].base[channel]) * correction;
+                squares[channel] += correction * correction;
+            }
+        }
+    }
+
+    int64_t predicted(size_t k, size_t channel) const {
+        const int64_t share = is_expected_.data()[rows_[k]] ? shares_.data()[channel] : 0;
+        return around_[k].base[channel] + (around_[k].correction[channel] * share >> SHARE_BITS);
+    }
+
+    // Points 0, stride, 2 · stride, … are known; none with a stride of 0.
+    Neighbourhood around(size_t row, size_t stride) const {
+        Neighbourhood result{};
+        const bool is_expected = is_expected_.data()[row];
+        if (!stride) result.base = {GREY, 0, 0};
+        if (is_expected)
+            for (size_t d = 0; d < 3; ++d) result.base[d] = int32_t(expected_.data()[3 * row + d]);
+        if (!stride) return result;
+        const int64_t count = int64_t((known.size() + stride - 1) / stride), width = std::min(WINDOW, count);
+        const int64_t first = std::clamp<int64_t>(int64_t(row / stride) + 1 - WINDOW / 2, 0, count - width);
         Nearest nearest;
-        for (int64_t k = first; k < first + width; ++k)
-            nearest.add(square_between(cells.data() + 3 * k * stride, cells.data() + 3 * row), size_t(k * stride));
+        for (size_t at = size_t(first) * stride, end = size_t(first + width) * stride; at < end; at += stride)
+            nearest.add(square_between(cells_.data() + 3 * at, cells_.data() + 3 * row), at);
         int64_t total = 0, mean[3] = {0, 0, 0}, error[3] = {0, 0, 0}, magnitude[3] = {0, 0, 0};
         for (size_t k = 0; k < nearest.count; ++k) {
-            const int64_t weight = std::max<int64_t>(CELL_WEIGHT / (nearest.square[k] + CELL_SOFTENING), 1);
+            const int64_t square = nearest.square[k] + CELL_SOFTENING;
+            const int64_t weight = square < CELL_WEIGHT ? int64_t(uint32_t(CELL_WEIGHT) / uint32_t(square)) : 1;
             total += weight;
             for (size_t d = 0; d < 3; ++d) {
-                const int64_t colour = known.data()[3 * nearest.at[k] + d];
-                const int64_t own = colour - bases.data()[3 * nearest.at[k] + d];
+                const int64_t colour = known[nearest.at[k]][d], own = colour - bases_[nearest.at[k]][d];
                 mean[d] += weight * colour;
                 error[d] += weight * own;
                 magnitude[d] += weight * std::abs(own);
             }
         }
         for (size_t d = 0; d < 3; ++d) {
-            const int64_t middle = floor_division(mean[d], total);
-            base.data[3 * i + d] = is_expected.data()[row] ? expected.data()[3 * row + int64_t(d)] : middle;
-            correction.data[3 * i + d] = floor_division(error[d], total);
-            activity.data[3 * i + d] = magnitude[d] / total;
-            int64_t farthest = 0;
+            const int32_t middle = int32_t(floor_division(mean[d], total));
+            if (!is_expected) result.base[d] = middle;
+            result.correction[d] = int32_t(floor_division(error[d], total));
+            result.activity[d] = int32_t(magnitude[d] / total);
             for (size_t k = 0; k < nearest.count; ++k)
-                farthest = std::max<int64_t>(farthest, std::abs(known.data()[3 * nearest.at[k] + d] - middle));
-            spread.data[3 * i + d] = farthest;
+                result.spread[d] = std::max(result.spread[d], std::abs(known[nearest.at[k]][d] - middle));
         }
+        return result;
     }
-    return nb::make_tuple(base.give({n, 3}), correction.give({n, 3}), activity.give({n, 3}), spread.give({n, 3}));
+
+    // Integers of the points whose classes are in `place_`, kind after kind of bits. wanted: null in the decoder.
+    template <class Coder>
+    void code_integers(Coder &coder, const int64_t *wanted, uint32_t level) {
+        const size_t n = place_.size();
+        const auto code = [&](uint32_t kind, size_t row, int bit) {
+            const auto &[channel, activity, spread, coded] = place_[row];
+            const uint32_t base = channel * KINDS + kind;
+            const uint32_t contexts[bits::INPUTS] = {
+                base * ACTIVITIES + activity, base * CLASSES + coded, (base * ACTIVITIES + spread) * LEVELS + level,
+                (base * ACTIVITIES + activity) * CLASSES + coded, (base * ACTIVITIES + spread) * ACTIVITIES + activity};
+            return coder.code(contexts, base * CLASSES + coded, bit);
+        };
+        const auto magnitude = [&](size_t row) { return wanted ? std::abs(wanted[row]) : 0; };
+        found_.assign(n, 0);
+        rest_.clear();
+        for (size_t i = 0; i < n; ++i) {
+            found_[i] = code(0, i, magnitude(i) > 0);
+            if (found_[i]) rest_.push_back(i);
+        }
+        negative_.clear();
+        for (size_t row : rest_)
+            if (code(1, row, wanted && wanted[row] < 0)) negative_.push_back(row);
+        for (int size = 0; size < UNARY && !rest_.empty(); ++size) {
+            size_t left = 0;
+            for (size_t row : rest_)
+                if (code(uint32_t(FIRST_MAGNITUDE + size), row, magnitude(row) > size + 1)) rest_[left++] = row;
+            rest_.resize(left);
+            for (size_t row : rest_) ++found_[row];
+        }
+        for (int digit = 0; digit < WIDE_BITS; ++digit)
+            for (size_t row : rest_)
+                found_[row] += int64_t(code(uint32_t(WIDE_KIND + digit), row, (magnitude(row) - UNARY - 1) >> digit & 1)) << digit;
+        for (size_t row : negative_) found_[row] = -found_[row];
+    }
+
+    static bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
+    static bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
+
+    const Numbers cells_, expected_;
+    const Input<uint8_t, 1> is_expected_;
+    const Rows shares_, steps_;
+    std::vector<std::array<int32_t, 3>> bases_;
+    std::vector<size_t> rows_, rest_, negative_;
+    std::vector<Neighbourhood> around_;
+    std::vector<std::array<uint32_t, 4>> place_;  // channel, classes of activity and of spread, of the channels before
+    std::vector<uint32_t> coded_;
+    std::vector<int64_t> differences_, found_;
+};
+
+// (decoded colours, products, squares, 0), or (None, None, None, what is wrong).
+nb::tuple result_of(const Frame &frame) {
+    if (frame.outcome != Frame::GOOD) return nb::make_tuple(nb::none(), nb::none(), nb::none(), int(frame.outcome));
+    Fresh<int64_t> known(3 * frame.known.size()), products(3), squares(3);
+    for (size_t i = 0; i < frame.known.size(); ++i) std::copy_n(frame.known[i].data(), 3, known.data.get() + 3 * i);
+    std::copy_n(frame.products.data(), 3, products.data.get());
+    std::copy_n(frame.squares.data(), 3, squares.data.get());
+    return nb::make_tuple(known.give({frame.known.size(), 3}), products.give({3}), squares.give({3}), 0);
 }
 
-// Integers of the points whose classes are in `place` (n, 4), kind after kind of bits. wanted: null in the decoder.
-template <class Coder>
-Output<int64_t> code_integers(Coder &coder, const int64_t *wanted, const Numbers &place, uint32_t level) {
-    require(place.shape(1) == 4 && level < LEVELS, "colour_integers: shapes differ");
-    const size_t n = place.shape(0);
-    const auto code = [&](uint32_t kind, size_t row, int bit) {
-        const int64_t *of = place.data() + 4 * row;
-        const uint32_t base = uint32_t(of[0]) * KINDS + kind, activity = uint32_t(of[1]);
-        const uint32_t spread = uint32_t(of[2]), coded = uint32_t(of[3]);
-        const uint32_t contexts[bits::INPUTS] = {
-            base * ACTIVITIES + activity, base * CLASSES + coded, (base * ACTIVITIES + spread) * LEVELS + level,
-            (base * ACTIVITIES + activity) * CLASSES + coded, (base * ACTIVITIES + spread) * ACTIVITIES + activity};
-        return coder.code(contexts, base * CLASSES + coded, bit);
-    };
-    const auto magnitude = [&](size_t row) { return wanted ? std::abs(wanted[row]) : 0; };
-    Fresh<int64_t> found(n);
-    std::vector<size_t> rows;
-    for (size_t i = 0; i < n; ++i) {
-        found.data[i] = code(0, i, magnitude(i) > 0);
-        if (found.data[i]) rows.push_back(i);
-    }
-    std::vector<size_t> negative;
-    for (size_t row : rows)
-        if (code(1, row, wanted && wanted[row] < 0)) negative.push_back(row);
-    // The rows whose bit of this kind is 1.
-    const auto filtered = [&](uint32_t kind, int64_t limit) {
-        std::vector<size_t> left;
-        for (size_t row : rows)
-            if (code(kind, row, magnitude(row) > limit)) left.push_back(row);
-        return left;
-    };
-    for (int size = 0; size < UNARY && !rows.empty(); ++size) {
-        rows = filtered(uint32_t(FIRST_MAGNITUDE + size), size + 1);
-        for (size_t row : rows) ++found.data[row];
-    }
-    for (int digit = 0; digit < WIDE_BITS; ++digit)
-        for (size_t row : rows)
-            found.data[row] += int64_t(code(uint32_t(WIDE_KIND + digit), row, (magnitude(row) - UNARY - 1) >> digit & 1)) << digit;
-    for (size_t row : negative) found.data[row] = -found.data[row];
-    return found.give({n});
+nb::tuple encode_frame(bit_arrays::BitArrayEncoder &coder, Numbers wanted, Numbers cells, Numbers expected,
+                       Input<uint8_t, 1> is_expected, Rows shares, Rows steps) {
+    Frame frame(cells, expected, is_expected, shares, steps);
+    require(wanted.shape(0) == cells.shape(0) && wanted.shape(1) == 3, "colour_frame: shapes differ");
+    frame.code(coder, wanted.data());
+    return result_of(frame);
 }
 
-Output<int64_t> encode_integers(bit_arrays::BitArrayEncoder &coder, Rows wanted, Numbers place, uint32_t level) {
-    require(wanted.shape(0) == place.shape(0), "colour_integers: shapes differ");
-    return code_integers(coder, wanted.data(), place, level);
-}
-
-Output<int64_t> decode_integers(bit_arrays::BitArrayDecoder &coder, Numbers place, uint32_t level) {
-    return code_integers(coder, nullptr, place, level);
+nb::tuple decode_frame(bit_arrays::BitArrayDecoder &coder, Numbers cells, Numbers expected, Input<uint8_t, 1> is_expected,
+                       Rows shares, Rows steps) {
+    Frame frame(cells, expected, is_expected, shares, steps);
+    frame.code(coder, nullptr);
+    return result_of(frame);
 }
 
 }  // namespace
 
 void bind_point_colours(nb::module_ &m) {
     m.def("expected_colours", &expected_colours);
-    m.def("colour_neighbourhoods", &colour_neighbourhoods);
-    m.def("colour_integers_encode", &encode_integers);
-    m.def("colour_integers_decode", &decode_integers);
+    m.def("colour_frame_encode", &encode_frame);
+    m.def("colour_frame_decode", &decode_frame);
 }

@@ -1,294 +1,296 @@
-// The encoder's choice of predictors (signals/fitting.py): which channels explain another, and least squares. Floats,
-// in the order of the NumPy code: sums from the first row to the last.
+// The encoder's choice of predictors for all channels of a chunk, for signals/fitting.py, whose NumPy code does the same.
 
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
 #include <stdexcept>
-#include <vector>
+#include <utility>
 
 #include "arrays.h"
+#include "signal_least_squares.h"
+#include "signal_prediction.h"
 
 namespace {
 
-using Numbers = Input<int64_t, 1>;
-using Floats = std::vector<double>;
+using namespace signals;
 
 // fitting.py has the same constants and the reasons.
-constexpr size_t BLOCK = 32, FIRST_ORDER = 8, REFERENCE_TAPS = 3;
-constexpr size_t ORDERS[] = {0, 1, 2, 4, 8, 16};
-constexpr double RIDGE = 1e-13, LEAST_PIVOT = 1e-14, TAP_BITS = 12.0, TINY = 1e-300;
+constexpr size_t FIT_SAMPLES = 2048, PURSUIT_SAMPLES = 768, MIN_SAMPLES = 24, MOST_REFERENCES = 8;
+constexpr int MAX_DEPTHS[] = {6, 3};  // of channels of a grid, of counts
+constexpr int MOST_SUM_BITS = 58;
+constexpr double MAX_TAP = double(int64_t(1) << 52);
 
-// fitting._log2
-double log2_of(double value) {
-    int exponent;
-    const double m = std::frexp(value, &exponent);
-    return ((1.2556887796 * m + -4.1961258395) * m + 6.0966363124) * m + -3.1560362794 + exponent;
-}
-
-// fitting._code_bits: sizes at(t) of `count` residuals.
-template <class At>
-double code_bits(size_t count, At at) {
-    double bits = 0;
-    for (size_t start = 0; start < count; start += BLOCK) {
-        const size_t end = std::min(count, start + BLOCK);
-        double sum = 0;
-        for (size_t t = start; t < end; ++t) sum += at(t);
-        const double length = double(end - start);
-        bits += length * log2_of(sum / length + 0.3);
-    }
-    return bits;
-}
-
-double signals_code_bits(Numbers residuals) {
-    return code_bits(residuals.shape(0), [&](size_t t) { return std::abs(double(residuals.data()[t])); });
-}
-
-// fitting._weights
-Floats weights_of(const Floats &residuals) {
-    const size_t count = residuals.size(), blocks = (count + BLOCK - 1) / BLOCK;
-    Floats means(blocks), weights(count);
-    double usual = 0;
-    for (size_t b = 0; b < blocks; ++b) {
-        const size_t end = std::min(count, (b + 1) * BLOCK);
-        double sum = 0;
-        for (size_t t = b * BLOCK; t < end; ++t) sum += std::abs(residuals[t]);
-        means[b] = sum / double(end - b * BLOCK);
-        usual += means[b];
-    }
-    usual /= double(blocks);
-    for (size_t b = 0; b < blocks; ++b) {
-        const double smooth = (means[b ? b - 1 : 0] + means[b] + means[std::min(b + 1, blocks - 1)]) / 3;
-        const double weight = 1.0 / (smooth + 0.3 + 1e-3 * usual);
-        std::fill(weights.begin() + std::ptrdiff_t(b * BLOCK),
-                  weights.begin() + std::ptrdiff_t(std::min(count, (b + 1) * BLOCK)), weight);
-    }
-    return weights;
-}
-
-// fitting._pursuit_in_numpy. One pass over the rows for each sum, all channels of a row at a time.
-nb::list signals_pursuit(Input<int64_t, 2> samples, size_t target, Numbers candidates, Numbers rows, double least,
-                         size_t most) {
-    const size_t count = rows.shape(0), width = candidates.shape(0), length = samples.shape(1);
-    if (target >= samples.shape(0) || !count || !width) throw std::invalid_argument("signals_pursuit: nothing to fit");
-    for (size_t i = 0; i < count; ++i)
-        if (uint64_t(rows.data()[i]) >= length) throw std::invalid_argument("signals_pursuit: a row out of range");
-    for (size_t j = 0; j < width; ++j)
-        if (uint64_t(candidates.data()[j]) >= samples.shape(0))
-            throw std::invalid_argument("signals_pursuit: a channel out of range");
-    const auto difference = [&](size_t channel, size_t i) {
-        const int64_t *line = samples.data() + channel * length, t = rows.data()[i];
-        return double(line[t] - line[std::max<int64_t>(t - 1, 0)]);
-    };
-    Floats left(count), others(count * width), start(width), sizes, products(width), direction(count);
-    for (size_t i = 0; i < count; ++i) left[i] = difference(target, i);
-    const Floats weights = weights_of(left);
-    for (size_t i = 0; i < count; ++i) left[i] *= weights[i];
-    for (size_t j = 0; j < width; ++j)
-        for (size_t i = 0; i < count; ++i)
-            others[i * width + j] = difference(size_t(candidates.data()[j]), i) * weights[i];
-    for (size_t i = 0; i < count; ++i)
-        for (size_t j = 0; j < width; ++j) start[j] += others[i * width + j] * others[i * width + j];
-    sizes = start;
-    double floor = 0;
-    for (double x : left) floor += x * x;
-    floor *= 1e-13;
-    nb::list chosen;
-    while (chosen.size() < most) {
-        double energy = 0, best_gain = -1;
-        size_t best = 0;
-        std::fill(products.begin(), products.end(), 0.0);
-        for (size_t i = 0; i < count; ++i) {
-            energy += left[i] * left[i];
-            for (size_t j = 0; j < width; ++j) products[j] += others[i * width + j] * left[i];
-        }
-        for (size_t j = 0; j < width; ++j) {
-            const double gain =
-                sizes[j] > 1e-9 * start[j] ? products[j] * products[j] / std::max(sizes[j], TINY) : 0.0;
-            if (gain > best_gain) best_gain = gain, best = j;
-        }
-        const double after = std::max(std::max(energy - best_gain, floor), TINY);
-        if (energy <= floor || log2_of(energy / after) < least) break;
-        chosen.append(candidates.data()[best]);
-        const double size = std::sqrt(sizes[best]);
-        double along = 0;
-        std::fill(products.begin(), products.end(), 0.0);
-        for (size_t i = 0; i < count; ++i) {
-            direction[i] = others[i * width + best] / size;
-            along += left[i] * direction[i];
-            for (size_t j = 0; j < width; ++j) products[j] += others[i * width + j] * direction[i];
-        }
-        std::fill(sizes.begin(), sizes.end(), 0.0);
-        for (size_t i = 0; i < count; ++i) {
-            left[i] -= along * direction[i];
-            for (size_t j = 0; j < width; ++j) {
-                double &x = others[i * width + j];
-                x -= products[j] * direction[i];
-                sizes[j] += x * x;
-            }
-        }
-    }
-    return chosen;
-}
-
-// Columns of a design matrix (rows, width), the last of which the others sum up to.
-struct Matrix {
-    size_t width;
-    Floats data;
-
-    size_t rows() const { return data.size() / width; }
-    const double *row(size_t i) const { return data.data() + i * width; }
+struct Reference {
+    size_t place;  // of the channel among those of the chunk
+    int64_t taps[REFERENCE_TAPS];
 };
 
-// fitting._gram, the lower triangle. weights: of the rows, or none.
-Floats gram_of(const Matrix &matrix, const Floats &weights) {
-    const size_t width = matrix.width;
-    Floats sums(width * width), row(width);
-    for (size_t i = 0; i < matrix.rows(); ++i) {
-        for (size_t j = 0; j < width; ++j) row[j] = weights.empty() ? matrix.row(i)[j] : matrix.row(i)[j] * weights[i];
-        for (size_t j = 0; j < width; ++j) {
-            const double x = row[j];
-            double *line = sums.data() + j * width;
-            for (size_t k = 0; k <= j; ++k) line[k] += x * row[k];
-        }
-    }
-    return sums;
-}
-
-struct Triangle {
-    size_t width;
-    Floats lower, scale;
+// prediction.Predictor
+struct Predictor {
+    int shift = 0;
+    int64_t bias = 0;
+    std::vector<int64_t> own;
+    std::vector<Reference> references;
 };
 
-// fitting._cholesky, from the lower triangle of the Gram matrix.
-Triangle cholesky(const Floats &gram, size_t width) {
-    Triangle result{width, Floats(width * width), Floats(width)};
-    Floats &lower = result.lower, &scale = result.scale, left(width * width);
-    for (size_t j = 0; j < width; ++j) scale[j] = 1.0 / std::sqrt(std::max(gram[j * width + j], TINY));
-    for (size_t j = 0; j < width; ++j)
-        for (size_t k = 0; k <= j; ++k) left[j * width + k] = gram[j * width + k] * scale[j] * scale[k];
-    for (size_t j = 0; j + 1 < width; ++j) left[j * width + j] += RIDGE;
-    Floats column(width);
-    for (size_t k = 0; k + 1 < width; ++k) {
-        const double pivot = std::sqrt(std::max(left[k * width + k], LEAST_PIVOT));
-        for (size_t j = k; j < width; ++j) lower[j * width + k] = column[j] = left[j * width + k] / pivot;
-        for (size_t j = k + 1; j < width; ++j)
-            for (size_t i = k + 1; i <= j; ++i) left[j * width + i] -= column[j] * column[i];
-    }
-    return result;
+struct Channel {
+    std::vector<int64_t> own;  // the samples that are kept
+    std::vector<size_t> places;  // of them in the chunk
+    int64_t rank;
+    bool is_counts;
+};
+
+// fitting._rows
+std::vector<size_t> rows_of(size_t count, size_t most) {
+    const size_t blocks = (count + BLOCK - 1) / BLOCK, step = (blocks * BLOCK + most - 1) / most;
+    std::vector<size_t> rows;
+    for (size_t block = 0; block < blocks; block += step)
+        for (size_t t = block * BLOCK; t < std::min(count, (block + 1) * BLOCK); ++t) rows.push_back(t);
+    return rows;
 }
 
-// fitting._taps
-Floats taps_of(const Triangle &of, size_t size) {
-    const size_t width = of.width;
-    Floats taps(of.lower.end() - std::ptrdiff_t(width), of.lower.end() - std::ptrdiff_t(width - size));
-    for (size_t k = size; k-- > 0;) {
-        taps[k] /= of.lower[k * width + k];
-        for (size_t j = 0; j < k; ++j) taps[j] -= of.lower[k * width + j] * taps[k];
-    }
-    for (size_t k = 0; k < size; ++k) taps[k] = taps[k] * of.scale[k] / of.scale[width - 1];
-    return taps;
-}
-
-// fitting._best_size
-size_t best_size(const Triangle &of, size_t fixed, size_t order, size_t count) {
-    const double *last = of.lower.data() + (of.width - 1) * of.width;
-    size_t best = fixed;
-    double least = HUGE_VAL, error = 1;
-    for (size_t size = 0; size <= fixed + order; ++size) {
-        if (size >= fixed && std::count(std::begin(ORDERS), std::end(ORDERS), size - fixed)) {
-            const double bits =
-                double(count) / 2 * log2_of(std::max(error, 1e-12)) + TAP_BITS * double(size - fixed);
-            if (bits < least) least = bits, best = size;
-        }
-        if (size < fixed + order) error -= last[size] * last[size];
-    }
-    return best;
-}
-
-// fitting._left
-Floats left_of(const Matrix &matrix, const Floats &taps) {
-    Floats left(matrix.rows());
-    for (size_t i = 0; i < left.size(); ++i) {
-        const double *row = matrix.row(i);
-        double sum = 0;
-        for (size_t j = 0; j < taps.size(); ++j) sum += row[j] * taps[j];
-        left[i] = row[matrix.width - 1] - sum;
-    }
-    return left;
-}
-
-nb::tuple fit(const Matrix &matrix, const Floats &gram, size_t order, size_t count) {
-    const Triangle of = cholesky(gram, matrix.width);
-    const Floats taps = taps_of(of, best_size(of, matrix.width - 1 - order, order, count));
-    const Floats left = left_of(matrix, taps);
-    double largest = 1;
-    for (size_t i = 0; i < matrix.rows(); ++i) {
-        for (size_t j = 1; j < taps.size(); ++j) largest = std::max(largest, std::abs(matrix.row(i)[j]));
-        largest = std::max(largest, std::abs(matrix.row(i)[matrix.width - 1]));
-    }
-    const double bits = code_bits(left.size(), [&](size_t t) { return std::abs(left[t]); }) / double(left.size());
-    Fresh<double> out(taps.size());
-    std::copy(taps.begin(), taps.end(), out.data.get());
-    return nb::make_tuple(out.give({taps.size()}), bits, largest);
-}
-
-// The matrix without columns [begin, end), and likewise of its Gram matrix.
-Matrix without(const Matrix &matrix, size_t begin, size_t end) {
-    Matrix result{matrix.width - (end - begin), {}};
-    result.data.reserve(matrix.rows() * result.width);
-    for (size_t i = 0; i < matrix.rows(); ++i)
-        for (size_t j = 0; j < matrix.width; ++j)
-            if (j < begin || j >= end) result.data.push_back(matrix.row(i)[j]);
-    return result;
-}
-
-Matrix design(Numbers own, Numbers places, Input<int64_t, 2> others, Numbers rows, size_t order) {
-    const size_t count = rows.shape(0), channels = others.shape(0), length = others.shape(1);
-    Matrix matrix{2 + REFERENCE_TAPS * channels + order, Floats(count * (2 + REFERENCE_TAPS * channels + order))};
-    const int64_t *samples = own.data(), first = samples[0];
-    for (size_t i = 0; i < count; ++i) {
-        const int64_t t = rows.data()[i];
-        if (uint64_t(t) >= own.shape(0) || (channels && uint64_t(places.data()[t]) >= length))
-            throw std::invalid_argument("signals_fit: a row out of range");
-        double *out = matrix.data.data() + i * matrix.width;
+Matrix design(const Channel &channel, const Samples &samples, const std::vector<size_t> &others,
+              const std::vector<size_t> &rows, size_t order) {
+    Matrix matrix{2 + REFERENCE_TAPS * others.size() + order, {}};
+    matrix.data.resize(rows.size() * matrix.width);
+    const int64_t *own = channel.own.data(), first = own[0];
+    double *out = matrix.data.data();
+    for (const size_t t : rows) {
+        const size_t place = channel.places[t];
         *out++ = 1;
-        for (size_t channel = 0; channel < channels; ++channel)
-            for (size_t j = 0; j < REFERENCE_TAPS; ++j) {
-                const int64_t *line = others.data() + channel * length;
-                *out++ = double(line[std::max<int64_t>(places.data()[t] - int64_t(j), 0)] - line[0]);
-            }
-        for (size_t j = 1; j <= order; ++j) *out++ = t >= int64_t(j) ? double(samples[t - int64_t(j)] - first) : 0.0;
-        *out = double(samples[t] - first);
+        for (const size_t other : others) {
+            const int64_t *line = samples.line(other);
+            for (size_t j = 0; j < REFERENCE_TAPS; ++j) *out++ = double(line[place > j ? place - j : 0] - line[0]);
+        }
+        for (size_t j = 1; j <= order; ++j) *out++ = t >= j ? double(own[t - j] - first) : 0.0;
+        *out++ = double(own[t] - first);
     }
     return matrix;
 }
 
-// fitting._fits_in_numpy
-nb::list signals_fit(Numbers own, Numbers places, Input<int64_t, 2> others, Numbers rows, size_t order) {
-    if (!own.shape(0) || !rows.shape(0) || places.shape(0) != own.shape(0) || order > 32)
-        throw std::invalid_argument("signals_fit: nothing to fit");
-    const Matrix matrix = design(own, places, others, rows, order);
-    const size_t past = 1 + REFERENCE_TAPS * others.shape(0), last = matrix.width - 1;
-    const Matrix alone = without(matrix, 1, past);
-    const size_t short_order = std::min(FIRST_ORDER, order);
-    const Matrix shorter = without(alone, 1 + short_order, alone.width - 1);
-    const Triangle of = cholesky(gram_of(shorter, {}), shorter.width);
-    const Floats gram = gram_of(matrix, weights_of(left_of(shorter, taps_of(of, shorter.width - 1))));
-    nb::list result;
-    result.append(fit(matrix, gram, order, own.shape(0)));
-    Floats inside;
-    for (size_t j = 0; j <= last; ++j)
-        for (size_t k = 0; k <= last; ++k)
-            if ((j < 1 || j >= past) && (k < 1 || k >= past)) inside.push_back(gram[j * matrix.width + k]);
-    if (others.shape(0)) result.append(fit(alone, inside, order, own.shape(0)));
+// fitting._Fit
+struct Fit {
+    Floats taps;
+    double size_log2, largest;
+};
+
+Fit fit(const Matrix &matrix, const Columns &columns, const Floats &gram, const Floats &largest, size_t order,
+        size_t count) {
+    const Triangle of = cholesky(gram, columns.size());
+    Fit result{taps_of(of, best_size(of, columns.size() - 1 - order, order, count)), 0, 1};
+    const Floats left = left_of(matrix, columns, result.taps);
+    for (size_t j = 1; j < result.taps.size(); ++j) result.largest = std::max(result.largest, largest[columns[j]]);
+    result.largest = std::max(result.largest, largest[columns.back()]);
+    result.size_log2 =
+        code_bits(left.size(), [&](size_t t) { return std::abs(left[t]); }) / double(left.size());
     return result;
+}
+
+// fitting._fits_in_numpy
+std::vector<Fit> fits(const Matrix &matrix, size_t others, size_t order, size_t count) {
+    const size_t past = 1 + REFERENCE_TAPS * others, short_order = std::min(FIRST_ORDER, order);
+    Columns all(matrix.width), alone{0}, shorter{0};
+    for (size_t j = 0; j < matrix.width; ++j) all[j] = j;
+    for (size_t j = past; j < matrix.width; ++j) {
+        alone.push_back(j);
+        if (j < past + short_order || j + 1 == matrix.width) shorter.push_back(j);
+    }
+    Floats largest(matrix.width);
+    for (size_t i = 0; i < matrix.rows(); ++i)
+        for (size_t j = 0; j < matrix.width; ++j) {
+            const double size = std::abs(matrix.row(i)[j]);
+            largest[j] = largest[j] < size ? size : largest[j];
+        }
+    const Triangle of = cholesky(gram_of(matrix, shorter, {}), shorter.size());
+    const Floats gram = gram_of(matrix, all, weights_of(left_of(matrix, shorter, taps_of(of, shorter.size() - 1))));
+    std::vector<Fit> result{fit(matrix, all, gram, largest, order, count)};
+    if (others) {
+        Floats inside;
+        for (const size_t j : alone)
+            for (const size_t k : alone) inside.push_back(gram[j * matrix.width + k]);
+        result.push_back(fit(matrix, alone, inside, largest, order, count));
+    }
+    return result;
+}
+
+int bit_length(uint64_t x) {
+    int bits = 0;
+    for (; x; x >>= 1) ++bits;
+    return bits;
+}
+
+uint64_t size_of(int64_t x) { return x < 0 ? 0 - uint64_t(x) : uint64_t(x); }
+
+// The part of a predictor that follows from a fit and a shift; false if its numbers are too large.
+bool scale(const Fit &fit, const std::vector<size_t> &others, const Samples &samples, int64_t first, int shift,
+           Predictor &out) {
+    const double unit = std::ldexp(1.0, shift);
+    std::vector<int64_t> whole;
+    bool is_small = true;
+    for (size_t j = 0; j < fit.taps.size(); ++j) {
+        const double tap = std::nearbyint(fit.taps[j] * unit);
+        is_small = is_small && std::abs(tap) < (j ? MAX_TAP : 256 * MAX_TAP * 2);
+        whole.push_back(is_small ? int64_t(tap) : 0);
+    }
+    if (!is_small) return false;
+    const size_t split = 1 + REFERENCE_TAPS * others.size();
+    out = {shift, 0, {whole.begin() + std::ptrdiff_t(split), whole.end()}, {}};
+    uint64_t bias = uint64_t(whole[0]) + (uint64_t(first) << shift);  // modulo 2^64
+    double about = double(whole[0]) + double(first) * unit;
+    const auto subtract = [&](int64_t sample, int64_t tap) {
+        bias -= uint64_t(sample) * uint64_t(tap);
+        about -= double(sample) * double(tap);
+    };
+    for (const int64_t tap : out.own) subtract(first, tap);
+    for (size_t i = 0; i < others.size(); ++i) {
+        Reference reference{others[i], {}};
+        for (size_t j = 0; j < REFERENCE_TAPS; ++j) {
+            reference.taps[j] = whole[1 + REFERENCE_TAPS * i + j];
+            subtract(samples.line(others[i])[0], reference.taps[j]);
+        }
+        out.references.push_back(reference);
+    }
+    out.bias = int64_t(bias);
+    return std::abs(about) < 256 * MAX_TAP;
+}
+
+// fitting._rounded
+Predictor rounded(const Fit &fit, const std::vector<size_t> &others, const Samples &samples, int64_t first) {
+    uint64_t reach = size_of(first);
+    for (const size_t other : others)
+        for (size_t t = 0; t < samples.count; ++t) reach = std::max(reach, size_of(samples.line(other)[t]));
+    reach += uint64_t(fit.largest);
+    const double wanted = std::ceil(log2_of(fit.largest) - fit.size_log2) + 3;
+    int shift = int(std::min(std::max(wanted, 4.0), double(MOST_SUM_BITS - bit_length(reach))));
+    Predictor result;
+    while (!scale(fit, others, samples, first, shift, result) && shift > 0) --shift;
+    return result;
+}
+
+size_t varint_bytes(int64_t number) {
+    uint64_t folded = number >= 0 ? uint64_t(number) << 1 : (size_of(number) << 1) - 1;
+    size_t bytes = 1;
+    for (; folded > 127; folded >>= 7) ++bytes;
+    return bytes;
+}
+
+// The bytes of prediction.pack. numbers: of the channels in the signal.
+size_t packed_bytes(const Predictor &predictor, const int64_t *numbers) {
+    size_t bytes = 3 + varint_bytes(predictor.bias);
+    for (const int64_t tap : predictor.own) bytes += varint_bytes(tap);
+    for (const Reference &reference : predictor.references) {
+        for (uint64_t number = uint64_t(numbers[reference.place]); ; number >>= 7) {
+            ++bytes;
+            if (number < 128) break;
+        }
+        for (const int64_t tap : reference.taps) bytes += varint_bytes(tap);
+    }
+    return bytes;
+}
+
+// prediction.known_sums and prediction.forward
+std::vector<int64_t> residuals_of(const Predictor &predictor, const Channel &channel, const Samples &samples) {
+    const uint64_t half = uint64_t(1) << predictor.shift >> 1;
+    std::vector<int64_t> sums(samples.count, int64_t(uint64_t(predictor.bias) + half));
+    for (const Reference &reference : predictor.references)
+        add_taps(sums.data(), samples.line(reference.place), samples.count, reference.taps, REFERENCE_TAPS, 0);
+    const size_t count = channel.own.size();
+    for (size_t t = 0; t < count; ++t) sums[t] = sums[channel.places[t]];
+    sums.resize(count);
+    add_taps(sums.data(), channel.own.data(), count, predictor.own.data(), predictor.own.size(), 1);
+    for (size_t t = 0; t < count; ++t)
+        sums[t] = channel.own[t] - clamp_prediction(uint64_t(sums[t]), predictor.shift);
+    return sums;
+}
+
+double bits_of(const std::vector<int64_t> &residuals) {
+    return code_bits(residuals.size(), [&](size_t t) { return std::abs(double(residuals[t])); });
+}
+
+// fitting._pursuit
+std::vector<size_t> explaining(const Samples &samples, size_t target, const std::vector<size_t> &candidates,
+                               const Channel &channel) {
+    std::vector<size_t> usable;
+    for (size_t i = 0; i < channel.places.size(); ++i)
+        if (!channel.places[i] || (i && channel.places[i - 1] + 1 == channel.places[i]))
+            usable.push_back(channel.places[i]);
+    std::vector<size_t> rows;
+    for (const size_t i : rows_of(usable.size(), PURSUIT_SAMPLES)) rows.push_back(usable[i]);
+    if (candidates.empty() || rows.size() < MIN_SAMPLES) return {};
+    const double least = TAP_BITS * REFERENCE_TAPS / (double(samples.count) / 2);
+    return pursuit(samples, target, candidates, rows, least, std::min(MOST_REFERENCES, candidates.size()));
+}
+
+template <class T>
+nb::object array_of(const std::vector<T> &values) {
+    Fresh<T> out(values.size());
+    std::copy(values.begin(), values.end(), out.data.get());
+    return nb::cast(out.give({values.size()}));
+}
+
+// fitting._fit: the predictor as a tuple, or none, and the residuals.
+nb::tuple choose_one(const Channel &channel, const std::vector<size_t> &others, const Samples &samples,
+                     const int64_t *numbers, bool &has_references) {
+    const int64_t first = channel.own[0];
+    const size_t count = channel.own.size();
+    std::vector<int64_t> best(channel.own);
+    for (int64_t &sample : best) sample -= first;
+    double best_bits = bits_of(best);
+    Predictor chosen;
+    bool is_chosen = false;
+    size_t order = 1;
+    for (const size_t p : ORDERS)
+        if (p && p <= std::max<size_t>(1, count / 8)) order = p;
+    const Matrix matrix = design(channel, samples, others, rows_of(count, FIT_SAMPLES), order);
+    const std::vector<Fit> found = fits(matrix, others.size(), order, count);
+    for (size_t i = 0; i < found.size(); ++i) {
+        const Predictor predictor = rounded(found[i], i ? std::vector<size_t>{} : others, samples, first);
+        std::vector<int64_t> residuals = residuals_of(predictor, channel, samples);
+        const double bits = bits_of(residuals) + double(8 * packed_bytes(predictor, numbers));
+        if (bits < best_bits) best_bits = bits, best = std::move(residuals), chosen = predictor, is_chosen = true;
+    }
+    has_references = is_chosen && !chosen.references.empty();
+    if (!is_chosen) return nb::make_tuple(nb::none(), array_of(best));
+    nb::list references;
+    for (const Reference &reference : chosen.references)
+        references.append(nb::make_tuple(numbers[reference.place],
+                                         nb::make_tuple(reference.taps[0], reference.taps[1], reference.taps[2])));
+    nb::list own;
+    for (const int64_t tap : chosen.own) own.append(tap);
+    return nb::make_tuple(nb::make_tuple(chosen.shift, chosen.bias, nb::tuple(own), nb::tuple(references)),
+                          array_of(best));
+}
+
+// fitting.choose. samples, kept: (channels, samples); numbers: of the channels in the signal; alone: without others.
+nb::list signals_choose(Input<int64_t, 2> samples, Input<uint8_t, 2> kept, Input<int64_t, 1> numbers,
+                        Input<int64_t, 1> ranks, Input<uint8_t, 1> is_counts, bool alone) {
+    const size_t channels = samples.shape(0), count = samples.shape(1);
+    if (kept.shape(0) != channels || kept.shape(1) != count || numbers.shape(0) != channels ||
+        ranks.shape(0) != channels || is_counts.shape(0) != channels)
+        throw std::invalid_argument("signals_choose: shapes differ");
+    const Samples all{samples.data(), count};
+    std::vector<size_t> by_rank(channels);
+    std::vector<int> depth(channels);
+    for (size_t i = 0; i < channels; ++i) by_rank[i] = i;
+    std::stable_sort(by_rank.begin(), by_rank.end(),
+                     [&](size_t a, size_t b) { return ranks.data()[a] < ranks.data()[b]; });
+    std::vector<nb::object> result(channels);
+    for (const size_t i : by_rank) {
+        Channel channel{{}, {}, ranks.data()[i], is_counts.data()[i] != 0};
+        for (size_t t = 0; t < count; ++t)
+            if (kept.data()[i * count + t]) channel.own.push_back(all.line(i)[t]), channel.places.push_back(t);
+        if (channel.own.empty()) throw std::invalid_argument("signals_choose: a channel without samples");
+        std::vector<size_t> earlier;
+        for (size_t j = 0; j < channels && !alone; ++j)
+            if (ranks.data()[j] < channel.rank && depth[j] < MAX_DEPTHS[channel.is_counts]) earlier.push_back(j);
+        const std::vector<size_t> others = explaining(all, i, earlier, channel);
+        bool has_references = false;
+        result[i] = choose_one(channel, others, all, numbers.data(), has_references);
+        for (const size_t j : others)
+            if (has_references) depth[i] = std::max(depth[i], depth[j] + 1);
+    }
+    nb::list out;
+    for (const nb::object &choice : result) out.append(choice);
+    return out;
 }
 
 }  // namespace
 
-void bind_signal_fitting(nb::module_ &m) {
-    m.def("signals_code_bits", &signals_code_bits);
-    m.def("signals_pursuit", &signals_pursuit);
-    m.def("signals_fit", &signals_fit);
-}
+void bind_signal_fitting(nb::module_ &m) { m.def("signals_choose", &signals_choose); }

@@ -7,6 +7,7 @@ import contextlib
 import numpy as np
 import pytest
 
+from mocodec import native
 from mocodec.entropy import models, rans
 from mocodec.entropy.coder import StateDecoder, StateEncoder, Tables
 from mocodec.errors import Corrupt
@@ -109,3 +110,23 @@ def test_damaged_bytes_are_corrupt_or_decode():
             for table, _ in calls:
                 decoder.next(TABLES, table)
             decoder.raw(bits)
+
+
+def test_compiled_raw_bits_are_those_of_python() -> None:
+    if native.kernel("entropy_raw") is None:
+        pytest.skip("the compiled module is not built")
+    random = np.random.default_rng(5)
+    for count in (0, 1, 7, 8, 9, 500):
+        bits = random.integers(0, 40, count)
+        values = random.integers(0, 1 << 40, count) & (1 << bits) - 1
+        encoder = StateEncoder()
+        encoder.put(TABLES, np.array([0, 1]), np.array([4, 1]))
+        encoder.raw(values, bits)
+        data, found = encoder.finish(), []
+        for context in (contextlib.nullcontext(), native.without()):
+            with context:
+                decoder = StateDecoder(data)
+                decoder.next(TABLES, np.array([0, 1]))
+                found.append(decoder.raw(bits).astype(np.int64))
+        np.testing.assert_array_equal(found[0], values)
+        np.testing.assert_array_equal(found[1], values)

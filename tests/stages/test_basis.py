@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.errors import Corrupt
 from mocodec.stages import basis
 from mocodec.testing import corruption
@@ -145,3 +146,17 @@ def test_damaged_bytes_are_a_basis_or_corrupt():
         except Corrupt:
             continue
         assert back.shape == (24, 6)
+
+
+def test_the_compiled_basis_is_numpys_to_rounding() -> None:
+    if native.kernel("basis_compose") is None:
+        pytest.skip("the compiled module is not built")
+    random = np.random.default_rng(3)
+    for n, k in ((1, 1), (3, 2), (93, 40), (60, 60)):
+        entries = random.integers(-1000, 1000, (n, k))
+        entries[np.triu_indices(n, 1, k)] = 0
+        entries[:, k // 2] = 0
+        compiled = basis._compose(entries, n)
+        with native.without():
+            np.testing.assert_allclose(compiled, basis._compose(entries, n), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(compiled.T @ compiled, np.eye(k), atol=1e-12)

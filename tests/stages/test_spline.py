@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.errors import Corrupt
 from mocodec.stages import spline
 
@@ -75,3 +76,16 @@ def test_bits_that_end_too_early_are_corrupt() -> None:
     bits = spline.splits(spline.keyframes(trajectory(200), 1e-3))
     with pytest.raises(Corrupt):
         spline.from_splits(bits[:-1], 200)
+
+
+def test_the_compiled_spline_is_numpys_to_rounding() -> None:
+    if native.kernel("spline_interpolate") is None:
+        pytest.skip("the compiled module is not built")
+    random = np.random.default_rng(2)
+    for frames, count, k in ((2, 2, 1), (3, 3, 2), (60, 9, 4), (500, 130, 17), (9, 4, 0)):
+        keys = np.sort(random.choice(frames, count, replace=False))
+        values = random.normal(size=(count, k))
+        at = random.integers(keys[0], keys[-1] + 1, 80)
+        compiled = spline.interpolate(keys, values, at)
+        with native.without():
+            np.testing.assert_allclose(compiled, spline.interpolate(keys, values, at), rtol=0, atol=1e-12)

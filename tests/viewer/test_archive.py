@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import quote
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import mocodec as mc
+from mocodec import viewer
 from mocodec.archive import Options, build, open_archive
 from mocodec.testing import synthetic
 from mocodec.viewer.server import ArchiveServer
@@ -71,3 +73,14 @@ def test_wrong_questions_get_one_line(server: ArchiveServer, place: str) -> None
     with error.value as answer:
         assert answer.code in (404, 500)
         assert b"Traceback" not in answer.read()
+
+
+def test_one_recording_of_an_archive(server: ArchiveServer) -> None:
+    folder = Path(server.archive.path)
+    with ExitStack() as opened:
+        shown = viewer.shown(folder / "07_02", opened)
+        assert (shown.name, shown.frames, shown.codec) == ("07_02", 60, "tempo")
+    with pytest.raises(mc.BadInput, match="no recording named 09_01"), ExitStack() as opened:
+        viewer.shown(folder / "09_01", opened)
+    assert viewer.in_archive(folder / "catalogue.sqlite") is None
+    assert viewer.in_archive(folder.parent / "raw" / "x") is None

@@ -33,6 +33,7 @@ pytestmark = [
 ]
 
 LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0"}
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "cmu" / "c3d" / "85_12.c3d"
 HOSTILE = "<img src=x onerror=\"document.title='broken'\">"
 
 
@@ -200,6 +201,93 @@ def test_every_codec_is_decoded_in_the_page(server: Server, tmp_path: Path) -> N
     for state, (motion, data) in zip(answers, made.values(), strict=True):
         shown = np.array(state["positions"], float).reshape(-1, 3)[: motion.points]
         np.testing.assert_allclose(shown, mc.decode(data, mc.Motion).positions[50][: len(shown)], atol=1e-5)
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason="needs the recording 85_12 in ../shared/data")
+@pytest.mark.parametrize("codec", ["tempo", "hou2014", "liu2006", "lossless"])
+def test_a_real_recording_shows_its_errors(codec: str, tmp_path: Path) -> None:
+    m = mc.read(REAL, mc.Motion)[1000:2200]
+    data = mc.encode(m, codec) if codec == "lossless" else mc.encode(m, codec, max_error=0.005)
+    decoded = mc.decode(data, mc.Motion)
+    (tmp_path / "85_12.mocz").write_bytes(data)
+    viewer.save(tmp_path / "85_12.html", viewer.html(tmp_path / "85_12.mocz", against=m))
+    answers = drive(
+        [
+            {"do": "open", "url": (tmp_path / "85_12.html").as_uri()},
+            LOADED,
+            {"do": "click", "selector": "#worst"},
+            {"do": "eval", "code": "mocodecViewer.state().frame"},
+            *seek(600),
+            {"do": "eval", "code": "document.getElementById('numbers').innerText"},
+        ],
+        tmp_path,
+    )
+    measured = mc.compare(m, decoded, len(data))
+    assert measured.max_at is not None
+    if codec != "lossless":
+        assert answers[3] == measured.max_at[0]
+        assert f"{1000 * measured.max_error:.2f} mm" in answers[7]
+    shown = np.array(answers[6]["positions"], float).reshape(-1, 3)
+    np.testing.assert_allclose(shown, decoded.positions[600][: len(shown)], atol=1e-3)
+
+
+def test_the_worst_error_is_named_on_the_first_screen(
+    server: Server, original: mc.Motion, blob: bytes, tmp_path: Path
+) -> None:
+    answers = drive(
+        [
+            {"do": "open", "url": server.url},
+            LOADED,
+            {"do": "eval", "code": "document.getElementById('worst').innerText"},
+            {"do": "click", "selector": "#worst"},
+            {"do": "wait", "for": "mocodecViewer.state().shownFrame === mocodecViewer.state().frame"},
+            {"do": "eval", "code": "[mocodecViewer.state().frame, document.getElementById('mark').textContent]"},
+        ],
+        tmp_path,
+    )
+    measured = mc.compare(original, mc.decode(blob, mc.Motion), len(blob))
+    assert measured.max_at is not None
+    frame, name = measured.max_at
+    worst = f"{1000 * measured.max_error:.2f} mm"
+    assert answers[2] == f"Largest error {worst}, {name} at {frame / original.rate:.2f} s"
+    assert answers[5][0] == frame
+    assert worst in answers[5][1]
+    assert str(name) in answers[5][1]
+
+
+def test_marks_that_turn_the_direction_of_text_are_shown(original: mc.Motion, tmp_path: Path) -> None:
+    names = ("\u202eSILH", "LB\u2066", *original.names[2:])
+    viewer.save(tmp_path / "page.html", viewer.html(mc.Motion(original.positions, 60, names), title="\u200fwalk"))
+    answers = drive(
+        [
+            {"do": "open", "url": (tmp_path / "page.html").as_uri()},
+            LOADED,
+            {"do": "eval", "code": "document.body.innerText + document.title"},
+        ],
+        tmp_path,
+    )
+    assert "⟨202E⟩SILH" in answers[2]
+    assert "LB⟨2066⟩" in answers[2]
+    assert "⟨200F⟩walk" in answers[2]
+
+
+def test_units_and_the_vertical_axis_are_chosen(server: Server, tmp_path: Path) -> None:
+    choose = (
+        "(() => { const s = document.getElementById('%s'); s.value = '%s'; s.dispatchEvent(new Event('change')); })()"
+    )
+    answers = drive(
+        [
+            {"do": "open", "url": server.url},
+            LOADED,
+            {"do": "eval", "code": choose % ("unit", "in")},
+            {"do": "eval", "code": "document.getElementById('worst').innerText"},
+            {"do": "eval", "code": choose % ("up", "z")},
+            {"do": "eval", "code": "mocodecViewer.view.facts.up"},
+        ],
+        tmp_path,
+    )
+    assert " in, " in answers[3]
+    assert answers[5] == "z"
 
 
 def test_point_clouds_and_force_plates(original: mc.Motion, clouds: mc.PointClouds, tmp_path: Path) -> None:

@@ -7,8 +7,11 @@ import gzip
 import html
 import json
 import re
+import socket
 import threading
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -20,7 +23,7 @@ import mocodec as mc
 from mocodec import viewer
 from mocodec.viewer import page, session
 from mocodec.viewer.recording import Shown, of_file
-from mocodec.viewer.server import Server
+from mocodec.viewer.server import MOST_CONNECTIONS, Server
 
 HOSTILE = '</script><img src=x onerror="alert(1)"><!--'
 
@@ -135,3 +138,21 @@ def test_foreign_names_and_guessed_addresses_are_refused(server: Server) -> None
     assert status(server, "session.json", host="evil.example") == 403
     assert status(server, "../guess/session.json") == 404
     assert server.server_address[0] == "127.0.0.1"
+
+
+def test_connections_are_limited(server: Server) -> None:
+    address = ("127.0.0.1", server.server_address[1])
+    with ExitStack() as opened:
+        idle = [opened.enter_context(socket.create_connection(address, 10)) for _ in range(MOST_CONNECTIONS)]
+        over = opened.enter_context(socket.create_connection(address, 10))
+        assert over.recv(1) == b""
+        for connection in idle:
+            connection.close()
+    for _ in range(100):
+        try:
+            assert get(server, "").startswith(b"<!doctype html>")
+            break
+        except OSError:  # the threads of the closed connections have not ended yet
+            time.sleep(0.05)
+    else:
+        pytest.fail("connections stay taken")

@@ -14,6 +14,7 @@ import pytest
 import mocodec as mc
 from mocodec.geometry import links
 from mocodec.viewer import facts, packed, session
+from mocodec.viewer.marks import marks
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.session import Limit
 
@@ -194,3 +195,24 @@ def test_links_of_markers_join_limbs(original: mc.Motion) -> None:
 def test_links_of_a_skeleton_are_its_bones() -> None:
     skeleton = mc.Skeleton(("a", "b", "c"), (-1, 0, 1), np.ones((3, 3)))
     assert links.links(mc.Motion(np.zeros((1, 3, 3)), 30, skeleton.names, skeleton=skeleton)) == [(0, 1), (1, 2)]
+
+
+def test_clips_segments_and_key_frames_are_marked(original: mc.Motion, blob: bytes) -> None:
+    with mc.open(blob, mc.Motion) as f:
+        segments, keys = marks(of_file("walk.mocz", f))
+        starts = [chunk.start for chunk in f.encoded.chunks]
+    assert (segments["label"], keys["label"]) == ("segment", "key frame")
+    assert segments["frames"] == starts
+    assert set(starts) <= set(keys["frames"])
+    assert keys["frames"] == sorted(set(keys["frames"]))
+    assert keys["frames"][0] >= 0
+    assert keys["frames"][-1] == 599
+    clips = mc.encode(original, mc.Hou2014(clip_frames=70, components=6))
+    with mc.open(clips, mc.Motion) as f:
+        (found,) = marks(of_file("walk.mocz", f))
+        assert found["label"] == "clip"
+        assert np.diff([*found["frames"], 600]).max() <= 70
+        assert {chunk.start for chunk in f.encoded.chunks} <= set(found["frames"])
+    with mc.open(mc.encode(original, max_error=0.01), mc.Motion) as f:
+        assert marks(of_file("walk.mocz", f)) == []
+    assert marks(Shown("walk", original)) == []

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from .. import cloud_plots, plots, viewer
-from ..archive import catalogue, open_archive
+from ..archive import open_archive
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -61,15 +61,15 @@ def command(
     """Show recordings in the browser: figures, markers or point clouds, with the error against an original.
 
     FILE is a .mocz or any format that can be read; several are shown beside each other. Of an archive, the page lists
-    the recordings and finds them by name or condition. The page is served to this computer only, until Ctrl-C. Reader
-    options such as --asf and --unit apply to each file whose format takes them.
+    the recordings and finds them by name or condition; ARCHIVE/NAME is one of them. The page is served to this
+    computer only, until Ctrl-C. Reader options such as --asf and --unit apply to each file whose format takes them.
     """
     files.require_suffix(html_path, "a page", (".html", ".htm"))
     files.require_suffix(png_path, "a picture", plots.SUFFIXES)
     files.require_suffix(mp4_path, "a film", (".mp4",))
     if (png_path or mp4_path) and len(sources) > 1:
         raise click.UsageError("--png and --mp4 show one recording; name one FILE")
-    if len(sources) == 1 and is_archive(sources[0]):
+    if len(sources) == 1 and viewer.is_archive(sources[0]):
         if against or html_path or png_path or mp4_path:
             raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
         with ExitStack() as opened:
@@ -116,11 +116,6 @@ def serve(server: Server, in_browser: bool) -> None:
     files.echo("closed", err=True)
 
 
-def is_archive(name: str) -> bool:
-    """Whether a folder is an archive."""
-    return (Path(name) / catalogue.NAME).is_file()
-
-
 def picture(shown: Shown, original: Shown | None) -> Any:
     """Poses of a recording, over those of its original; without one, the recording alone."""
     recording, before = shown.in_memory, None if original is None else original.in_memory
@@ -133,7 +128,7 @@ def picture(shown: Shown, original: Shown | None) -> Any:
 
 def read(name: str, names: tuple[str, ...], options: dict[str, Any], opened: ExitStack) -> Shown:
     """A recording to show; notes of its reader are shown on the page and on standard error."""
-    if files.is_mocz(name) or files.is_url(name):
+    if files.is_mocz(name) or files.is_url(name) or viewer.in_archive(name):
         return viewer.shown(name, opened)
     both = (name, next((other for other in names if other != name), name))
     return of_path(name, Path(name).name, files.read(name, **compare.options_for(name, both, options)))

@@ -97,8 +97,8 @@ def _index_bytes(room: int) -> int:
     return next((room - n for n in range(1, MAX_VARINT_BYTES + 1) if room > n and len(varint(room - n)) == n), 0)
 
 
-def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[Integers, Integers]:
-    """Frames and payload bytes of every chunk, from the index. Raises Corrupt."""
+def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[Integers, Integers, Integers]:
+    """Frames and payload bytes of every chunk, from the index, and its bytes in the file. Raises Corrupt."""
     data = file.read(index, _index_bytes(end - index - len(END_MAGIC)))
     body = data[:-CHECKSUM_BYTES]
     if checksum(body) != data[-CHECKSUM_BYTES:] or body[0] != 0:
@@ -117,9 +117,10 @@ def read_index(file: ByteSource, chunks_at: int, index: int, end: int) -> tuple[
     frames, lengths = record["frames"], record["lengths"]
     if frames.min(initial=1) < 1 or frames.sum() > records.MAX_FRAMES:
         raise Corrupt("the number of frames is out of range")
-    if lengths.max(initial=0) > index or chunks_at + chunk_bytes(frames, lengths).sum() != index:
+    sizes = chunk_bytes(frames, lengths)
+    if lengths.max(initial=0) > index or chunks_at + sizes.sum() != index:
         raise Corrupt("the index does not match the chunks; they can be salvaged")
-    return frames, lengths
+    return frames, lengths, sizes
 
 
 def walk_chunks(file: ByteSource, chunks_at: int) -> tuple[Integers, Integers, int]:

@@ -86,12 +86,14 @@ class StoredChunks(Sequence[Chunk]):
     of each, and where it begins in the file; then those behind the last chunk.
     """
 
-    def __init__(self, file: ByteSource, offset: int, frames: Integers, lengths: Integers) -> None:
+    def __init__(self, file: ByteSource, offset: int, frames: Integers, lengths: Integers, sizes: Integers) -> None:
         self.source = file
         self.frames = frames
         self.lengths = lengths
-        self.starts = np.concatenate([[0], np.cumsum(frames)])
-        self.offsets = offset + np.concatenate([[0], np.cumsum(chunk_bytes(frames, lengths))])
+        self.starts, self.offsets = np.zeros((2, len(frames) + 1), np.int64)
+        np.cumsum(frames, out=self.starts[1:])
+        np.cumsum(sizes, out=self.offsets[1:])
+        self.offsets += offset
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -163,18 +165,19 @@ class Reader:
         self.problems: list[str] = []
         try:
             index, end = find_index(self.source, chunks_at)
-            frames, lengths = read_index(self.source, chunks_at, index, end)
+            frames, lengths, sizes = read_index(self.source, chunks_at, index, end)
         except MocodecError as error:
             if not salvage:
                 raise
             self.problems.append(str(error))
             frames, lengths, index = walk_chunks(self.source, chunks_at)
+            sizes = chunk_bytes(frames, lengths)
             end = self.source.size
         most = most_frames(len(self.header["names"]) if self.header["kind"] == "motion" else None)
         if frames.max(initial=0) > most:
             raise Corrupt(f"a chunk of {frames.max()} frames; at this number of points the limit is {most}")
         self.layout = Layout(header_end, signals_at, chunks_at, index, end)
-        self.chunks = StoredChunks(self.source, chunks_at, frames, lengths)
+        self.chunks = StoredChunks(self.source, chunks_at, frames, lengths, sizes)
         self.encoded: Encoded[Any] = Encoded(
             codec=self.header["codec"],
             about=cast(Motion, self._about()),

@@ -3,7 +3,7 @@
 read ──in a piece that was fetched──► bytes
   └──not yet──► one request: at least BLOCK_BYTES, and what the caller says that it reads next ──► piece
 
-Opening a file over http asks for its first and last block in one request (RFC 9110, 14.2: several ranges), so that
+Opening a file over http asks for its beginning and its end in one request (RFC 9110, 14.2: several ranges), so that
 header and index are there after it. A server that refuses is asked for one range at a time.
 """
 
@@ -21,6 +21,8 @@ from ..file_range import FileRange
 
 BLOCK_BYTES = 1 << 14
 """The smallest request."""
+END_BYTES = 40 << 10
+"""Of the end of a file, opening asks for so many bytes: they hold the index of ten hours."""
 SMALL_BYTES = 4 * BLOCK_BYTES
 """A file of at most this size is fetched whole."""
 MOST_AHEAD_BYTES = 8 << 20
@@ -161,10 +163,9 @@ class Url(RemoteFile):
             return
         head = f"bytes={self.origin}-{self.origin + BLOCK_BYTES - 1}"
         end = self.origin + self.size
+        tail = f"{max(end - END_BYTES, self.origin + BLOCK_BYTES)}-{end - 1}" if part else f"-{END_BYTES}"
         try:
-            answer = self._answer(
-                f"{head},{f'{end - BLOCK_BYTES}-{end - 1}' if part else f'-{BLOCK_BYTES}'}", WHOLE_BYTES
-            )
+            answer = self._answer(f"{head},{tail}", WHOLE_BYTES)
         except SeveralRangesRefused:
             answer = self._answer(head)
         self.size = answer[0] if part is None else self.size
@@ -214,7 +215,7 @@ class Url(RemoteFile):
         headers = response.headers
         parts = re.match(r"multipart/byteranges", headers.get("Content-Type", ""), re.IGNORECASE)
         if response.status == 206 and parts and most_whole is not None:
-            return several_parts(self._receive(response, 4 * BLOCK_BYTES), self.url)
+            return several_parts(self._receive(response, END_BYTES + 2 * BLOCK_BYTES), self.url)
         found = CONTENT_RANGE.fullmatch(headers.get("Content-Range", ""))
         if response.status == 206 and found is not None:
             start, stop, size = int(found[1]), int(found[2]) + 1, int(found[3])

@@ -89,16 +89,20 @@ class StateDecoder:
 
     def next(self, tables: Tables, table: AnyInteger) -> AnyInteger:
         """The next symbols (n,), each under the table of its number (n,)."""
-        return np.array([self._one(tables, t) for t in table.tolist()], tables.symbol.dtype)
-
-    def _one(self, tables: Tables, table: int) -> int:
         frequency, start, symbols = tables.lists
-        slot = self.x & MASK
-        symbol = symbols[table << PRECISION | slot]
-        at = table * tables.width + symbol
-        self.x = frequency[at] * (self.x >> PRECISION) + slot - start[at]
-        self._refill()
-        return symbol
+        x, at, words, width = self.x, self.at, self.words, tables.width
+        found = list[int]()
+        for own in table.tolist():
+            slot = x & MASK
+            symbol = symbols[own << PRECISION | slot]
+            row = own * width + symbol
+            x = frequency[row] * (x >> PRECISION) + slot - start[row]
+            if x < LOW and at < len(words):
+                x = x << WORD_BITS | words[at]
+                at += 1
+            found.append(symbol)
+        self.x, self.at = x, at
+        return np.array(found, tables.symbol.dtype)
 
     def _refill(self) -> None:
         if self.x < LOW and self.at < len(self.words):
@@ -110,12 +114,20 @@ class StateDecoder:
         total = int(bits.sum(dtype=np.int64))
         if total > 16 * len(self.words) + 32:
             raise Corrupt("coded integers end too early")
-        pieces = []
-        for width in (*[8] * (total // 8), total % 8):
-            pieces.append(self.x & (1 << width) - 1)
-            self.x >>= width
-            self._refill()
+        pieces = self._low_bits(total)
         if self.x != 1 or self.at != len(self.words):
             raise Corrupt("coded integers do not end where they should")
-        stream = np.unpackbits(np.array(pieces[::-1], np.uint8))[8 - total % 8 :]
+        stream = np.unpackbits(pieces[::-1])[8 - total % 8 :]
         return bit_fields.unpack(stream, bits.ravel()).view(np.uint64).reshape(bits.shape)
+
+    def _low_bits(self, total: int) -> Bytes:
+        """So many bits from the low end of the state: whole bytes, then those that are left."""
+        if (kernel := native.kernel("entropy_raw")) is not None:
+            pieces, self.x, self.at = kernel(self.x, self.at, np.array(self.words, np.uint16), total)
+            return pieces
+        found: list[int] = []
+        for width in (*[8] * (total // 8), total % 8):
+            found.append(self.x & (1 << width) - 1)
+            self.x >>= width
+            self._refill()
+        return np.array(found, np.uint8)

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..entropy import bits
 from ..entropy.compressors import deflate, inflate, lzma2, unlzma2
 from ..entropy.varint import signed as zigzag
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
-from ..typing import Bytes, Integers
-from . import fitting, forms, prediction, residuals
+from ..typing import Booleans, Bytes, Integers
+from . import fitting, forms, prediction, residuals, steps
 from .forms import CONSTANT, COPY, CORRECTED, COUNTS, GRID, INTEGERS, Form
 from .prediction import Predictor
 from .residuals import Lane
@@ -33,8 +34,13 @@ KEPT, REPEATS, SPECIAL = 0, 1, 2
 HAS_REMOVED, SAME_REMOVED, EQUAL_SPECIALS, HAS_PREDICTOR, ITEMS = 1, 2, 4, 8, 16
 ITEMS_GAIN = 1.3
 """LZMA2 is not expected to save more than this against zlib's fastest level."""
+ITEMS_SAMPLE = 4096
+MOST_DISTINCT = 0.9
+"""Floats of which more than this share of a sample are distinct are not tried as items."""
 EXACT_COUNTS = (INTEGERS, COUNTS)
 WITHOUT_RECORD = (CONSTANT, COPY)
+FILL_JUMP = 64.0
+"""Zeros fill gaps where the samples beside them are more than this many usual steps away."""
 REPEATS_SHARE = 0.3
 REPEAT_BITS = 2.0
 """Repeats are removed where their places take less than this for each of them."""
@@ -72,12 +78,12 @@ def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) ->
         else fitting.Channel(source.held, source.codes == KEPT, ranks[i], source.form.kind in EXACT_COUNTS)
         for i, source in enumerate(sources)
     ]
-    predictors = fitting.choose(channels, alone)
-    held = {i: channel.samples for i, channel in enumerate(channels) if channel is not None}
+    choices = fitting.choose(channels, alone)
+    predictors = [choice and choice.predictor for choice in choices]
     streams: list[Integers] = []
-    for source, predictor in zip(sources, predictors, strict=True):
-        if source is not None and len(source.integers):
-            streams.append(_residuals_of(source, predictor, held))
+    for source, choice in zip(sources, choices, strict=True):
+        if source is not None and choice is not None:
+            streams.append(choice.residuals)
             streams += [source.extra] if source.form.kind == CORRECTED else []
     lanes = iter(residuals.encode(streams))
     referred = {channel for predictor in predictors if predictor for channel, _ in predictor.references}
@@ -99,6 +105,9 @@ def _items(values: Array, form: Form, record_bytes: int) -> bytes | None:
     shows that it is longer than the record that there is."""
     if form.kind in EXACT_COUNTS:
         return None
+    some = forms.words(values[:: max(1, len(values) // ITEMS_SAMPLE)])
+    if len(steps.distinct_of(some)) > MOST_DISTINCT * len(some):
+        return None
     data = values.tobytes()
     if len(zlib.compress(data, 1)) > ITEMS_GAIN * record_bytes:
         return None
@@ -115,7 +124,8 @@ def _ranks(channel_forms: Sequence[Form]) -> list[int]:
 
 
 def _source(values: Array, form: Form) -> _Source:
-    integers, special = forms.forward(form, values)
+    integers, special, extra = forms.forward(form, values)
+    special = special | _fills(integers, forms.words(values) == 0)
     codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
     plain = forms.words(values)
     repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
@@ -125,8 +135,22 @@ def _source(values: Array, form: Form) -> _Source:
         if 8 * len(deflate(trial.tobytes())) < REPEAT_BITS * repeats.sum():
             codes = trial
     kept = codes == KEPT
-    extra = forms.extra_bits(form, values) if form.kind in (GRID, CORRECTED) else integers
     return _Source(form, codes, values[codes == SPECIAL], integers[kept], extra[kept])
+
+
+def _fills(integers: Integers, zero: Booleans) -> Booleans:
+    """Which samples (n,) are zeros that fill gaps: both ends of their run are far from the samples beside it."""
+    if not zero.any() or zero.all():
+        return np.zeros(len(zero), bool)
+    steps = np.abs(np.diff(integers))
+    inside = steps[~zero[1:] & ~zero[:-1]]
+    least = FILL_JUMP * (1 + (np.median(inside) if len(inside) else np.inf))
+    start = np.flatnonzero(zero & ~np.concatenate([[False], zero[:-1]]))
+    end = np.flatnonzero(zero & ~np.concatenate([zero[1:], [False]]))
+    beside = np.concatenate([[np.inf], steps, [np.inf]])
+    is_fill = np.minimum(beside[start], beside[end + 1]) > least
+    run = np.cumsum(np.bincount(start, minlength=len(zero)))  # from one on, the last run that has started
+    return zero & np.concatenate([[False], is_fill])[run]
 
 
 def _held(integers: Integers, codes: Bytes) -> Integers:
@@ -137,13 +161,6 @@ def _held(integers: Integers, codes: Bytes) -> Integers:
     distinct = np.zeros(max(1, int(present.sum())), np.int64)
     distinct[: present.sum()][codes[present] == KEPT] = integers
     return distinct[np.maximum(np.cumsum(present) - 1, 0)]
-
-
-def _residuals_of(source: _Source, predictor: Predictor | None, held: dict[int, Integers]) -> Integers:
-    if predictor is None:
-        return source.integers - source.integers[0]
-    sums = prediction.known_sums(predictor, held, source.codes == KEPT)
-    return prediction.forward(source.integers, predictor, sums)
 
 
 def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: bytes) -> bytes:
@@ -162,8 +179,7 @@ def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: byte
         body += _pack_lane(next(lanes))
         body += _pack_lane(next(lanes)) if source.form.kind == CORRECTED else b""
         if source.form.kind == GRID:
-            widths = forms.extra_widths(source.form, source.integers, source.specials.dtype)
-            body += blob(np.packbits(bits.pack(source.extra, widths)).tobytes())
+            body += blob(forms.lower_bits(source.form, source.integers, source.extra, source.specials.dtype))
     return bytes([flags]) + body
 
 
@@ -192,6 +208,33 @@ class _Record:
     lanes: tuple[Lane, ...]
     lower: bytes
     items: bytes | None = None
+
+
+class Decoder:
+    """Decodes chunks of a signal with these forms: in the compiled module all channels of a chunk in one call."""
+
+    def __init__(self, channel_forms: Sequence[Form], dtype: np.dtype[Any]) -> None:
+        self.forms = channel_forms
+        self.dtype = dtype
+        kernel = native.kernel("SignalDecoder") if dtype.isnative and dtype != np.float16 else None
+        self._compiled = (
+            None
+            if kernel is None
+            else kernel(*forms.as_arrays(channel_forms, dtype), dtype.kind, inflate, unlzma2, *residuals.tables())
+        )
+
+    def decode(self, payload: bytes, samples: int, first: int, wanted: Sequence[int], out: Array) -> None:
+        """Put samples from `first` on of the wanted channels, in a chunk of so many, into `out` (rows, wanted).
+
+        Raises Corrupt.
+        """
+        if self._compiled is not None and out.size:
+            rows = out.view(np.uint8).reshape(len(out), -1)
+            if self._compiled.decode(payload, samples, first, np.array(wanted, np.int64), rows):
+                return
+        columns = decode(payload, self.forms, self.dtype, samples, wanted)
+        for place, i in enumerate(wanted):
+            out[:, place] = columns[i][first : first + len(out)]
 
 
 def decode(

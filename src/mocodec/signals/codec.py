@@ -166,11 +166,10 @@ def decode(
     out = np.empty((max(0, stop - start), len(wanted)), head.dtype)
     if stop <= start:
         return out
+    decoder = chunks.Decoder(head.forms, head.dtype)
     for number in range(start // head.chunk_samples, -(-stop // head.chunk_samples)):
         first = number * head.chunk_samples
         count = min(head.chunk_samples, head.samples - first)
-        columns = chunks.decode(payload(number), head.forms, head.dtype, count, wanted)
         low, high = max(start, first), min(stop, first + count)
-        for place, i in enumerate(wanted):
-            out[low - start : high - start, place] = columns[i][low - first : high - first]
+        decoder.decode(payload(number), count, low - first, wanted, out[low - start : high - start])
     return out

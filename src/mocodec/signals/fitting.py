@@ -4,7 +4,8 @@ short fit of each channel ─► local size of its residuals ─► weights
 differences of all channels ─► for each, the earlier channels that explain it best (orthogonal matching pursuit)
 own past, other channels ─► nested fits ─► the one of the shortest code
 
-The compiled module gives the same bits: sums run from the first row to the last (`_sum`), logarithms are `_log2`.
+The compiled module chooses for all channels of a chunk in one call and gives the same bits: sums run from the first row
+to the last (`_sum`), logarithms are `_log2`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .. import native
-from ..typing import Booleans, Floats, Integers
+from ..typing import Booleans, Bytes, Floats, Integers
 from . import prediction
 from .prediction import REFERENCE_TAPS, Predictor
 
@@ -29,9 +30,9 @@ MOST_REFERENCES = 8
 BLOCK = 32
 TAP_BITS = 12.0
 MIN_SAMPLES = 24
-FIT_SAMPLES = 3072
+FIT_SAMPLES = 2048
 """Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
-PURSUIT_SAMPLES = 1024
+PURSUIT_SAMPLES = 768
 """Other channels are chosen from about so many samples, likewise."""
 RIDGE = 1e-13
 LEAST_PIVOT = 1e-14
@@ -53,47 +54,70 @@ class Channel:
     is_counts: bool = True
 
 
-def choose(channels: Sequence[Channel | None], alone: bool = False) -> list[Predictor | None]:
-    """A predictor for each channel; None for the first sample of the chunk in place of a prediction.
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The predictor of a channel, None for the first sample of the chunk in its place, and what it leaves of the kept
+    samples (n,)."""
+
+    predictor: Predictor | None
+    residuals: Integers
+
+
+def choose(channels: Sequence[Channel | None], alone: bool = False) -> list[Choice | None]:
+    """The choice for each channel.
 
     alone: predictors refer to no other channel.
     """
-    present = [i for i, channel in enumerate(channels) if channel is not None and channel.kept.sum() >= MIN_SAMPLES]
-    result: list[Predictor | None] = [None] * len(channels)
+    result: list[Choice | None] = [None] * len(channels)
+    numbers: list[int] = []
+    present: list[Channel] = []
+    for i, channel in enumerate(channels):
+        if channel is not None and np.count_nonzero(channel.kept) >= MIN_SAMPLES:
+            numbers.append(i)
+            present.append(channel)
+        elif channel is not None:
+            own = channel.samples[channel.kept]
+            result[i] = Choice(None, own - own[0])
     if not present:
         return result
-    samples = np.array([c.samples for i in present if (c := channels[i])])
-    depth = dict.fromkeys(present, 0)
-    ranks = {i: channel.rank for i in present if (channel := channels[i])}
-    for i in sorted(present, key=ranks.__getitem__):
-        channel = channels[i]
-        assert channel is not None
-        earlier = [
-            place
-            for place, j in enumerate(present)
-            if not alone and ranks[j] < ranks[i] and depth[j] < MAX_DEPTHS[not channel.is_counts]
-        ]
-        named = _pursuit(samples, present.index(i), earlier, channel.kept)
-        predictor = _fit(channel, [present[place] for place in named], samples[named])
-        result[i] = predictor
-        if predictor is not None and predictor.references:
-            depth[i] = 1 + max(depth[j] for j, _ in predictor.references)
+    samples = np.array([channel.samples for channel in present])
+    choose_all = native.kernel("signals_choose") or _choose_in_numpy
+    kept = np.array([channel.kept for channel in present], np.uint8)
+    ranks = np.array([channel.rank for channel in present], np.int64)
+    are_counts = np.array([channel.is_counts for channel in present], np.uint8)
+    chosen = choose_all(samples, kept, np.array(numbers, np.int64), ranks, are_counts, alone)
+    for i, (predictor, residuals) in zip(numbers, chosen, strict=True):
+        result[i] = Choice(None if predictor is None else Predictor(*predictor), residuals)
     return result
 
 
-def code_bits(residuals: Integers) -> float:
-    """About how many bits residuals (n,) take: their size varies slowly."""
-    if not len(residuals):
-        return 0.0
-    if (kernel := native.kernel("signals_code_bits")) is not None:
-        return kernel(residuals)
-    return _code_bits(np.abs(residuals).astype(np.float64))
+def _choose_in_numpy(
+    samples: Integers, kept: Bytes, numbers: Integers, ranks: Integers, are_counts: Bytes, alone: bool
+) -> list[tuple[tuple[Any, ...] | None, Integers]]:
+    """Fields of the predictors, and residuals, of channels (channels, samples) with these numbers in the signal."""
+    depth = [0] * len(samples)
+    result: list[tuple[tuple[Any, ...] | None, Integers]] = [(None, samples[0])] * len(samples)
+    for i in np.argsort(ranks, kind="stable").tolist():
+        used = kept[i] != 0
+        deepest = MAX_DEPTHS[not are_counts[i]]
+        earlier = [j for j in range(len(samples)) if not alone and ranks[j] < ranks[i] and depth[j] < deepest]
+        named = _pursuit(samples, i, earlier, used)
+        predictor, left = _fit(samples[i], used, [int(numbers[j]) for j in named], samples[named])
+        if predictor is not None and predictor.references:
+            depth[i] = 1 + max(depth[j] for j in named)
+        fields = predictor and (predictor.shift, predictor.bias, predictor.own, predictor.references)
+        result[i] = fields, left
+    return result
 
 
 def _code_bits(sizes: Floats) -> float:
-    """Of residuals of these sizes (n,)."""
+    """About how many bits residuals of these sizes (n,) take: their size varies slowly."""
     counts, sums = _blocks(sizes)
     return float(_sum(counts * _log2(sums / counts + 0.3)))
+
+
+def _bits_of(residuals: Integers) -> float:
+    return _code_bits(np.abs(residuals.astype(np.float64)))
 
 
 def _blocks(values: Floats) -> tuple[Floats, Floats]:
@@ -136,12 +160,10 @@ def _pursuit(samples: Integers, target: int, candidates: list[int], kept: Boolea
         return []
     least = TAP_BITS * REFERENCE_TAPS / (len(kept) / 2)
     most = min(MOST_REFERENCES, len(candidates))
-    if (kernel := native.kernel("signals_pursuit")) is not None:
-        return kernel(samples, target, np.array(candidates), rows, least, most)
-    return _pursuit_in_numpy(samples, target, candidates, rows, least, most)
+    return _explaining(samples, target, candidates, rows, least, most)
 
 
-def _pursuit_in_numpy(
+def _explaining(
     samples: Integers, target: int, candidates: list[int], rows: Integers, least: float, most: int
 ) -> list[int]:
     """`_pursuit` at these samples. least: by how many bits a sample a channel must shorten the target."""
@@ -180,30 +202,31 @@ class _Fit:
     largest: float
 
 
-def _fit(channel: Channel, numbers: Sequence[int], others: Integers) -> Predictor | None:
-    """The predictor of the shortest code, None if the first sample predicts as well. others (channels, n)."""
-    kept = channel.kept
-    own = channel.samples if kept.all() else channel.samples[kept]
+def _fit(samples: Integers, kept: Booleans, numbers: list[int], others: Integers) -> tuple[Predictor | None, Integers]:
+    """The predictor of the shortest code, None if the first sample predicts as well, and its residuals.
+
+    others (channels, n), with these numbers.
+    """
+    own = samples if kept.all() else samples[kept]
     first = int(own[0])
     rows = _rows(len(own), FIT_SAMPLES)
     places = np.flatnonzero(kept)
     order = max(p for p in ORDERS if p <= max(1, len(own) // 8))
-    fit = native.kernel("signals_fit") or _fits_in_numpy
-    best, best_bits = None, code_bits(own - first)
-    for i, fitted in enumerate(fit(own, places, others, rows, order)):
+    best, left = None, own - first
+    best_bits = _bits_of(left)
+    for i, fitted in enumerate(_fits(own, places, others, rows, order)):
         named = list(zip(numbers, others, strict=True)) if i == 0 else []
-        predictor = _rounded(_Fit(*fitted), named, first)
+        predictor = _rounded(fitted, named, first)
         sums = prediction.known_sums(predictor, dict(named), kept)
-        bits = code_bits(prediction.forward(own, predictor, sums)) + 8 * len(prediction.pack(predictor))
+        residuals = prediction.forward(own, predictor, sums)
+        bits = _bits_of(residuals) + 8 * len(prediction.pack(predictor))
         if bits < best_bits:
-            best, best_bits = predictor, bits
-    return best
+            best, best_bits, left = predictor, bits, residuals
+    return best, left
 
 
-def _fits_in_numpy(
-    own: Integers, places: Integers, others: Integers, rows: Integers, order: int
-) -> list[tuple[Floats, float, float]]:
-    """A fit of these rows, and if there are other channels one without them, each with the best order, as in `_Fit`.
+def _fits(own: Integers, places: Integers, others: Integers, rows: Integers, order: int) -> list[_Fit]:
+    """A fit of these rows, and if there are other channels one without them, each with the best order.
 
     own (n,): samples of the channel that are kept, their places in others (channels, m).
     """
@@ -229,7 +252,7 @@ def _fits_in_numpy(
         taps = _taps(lower, scale, size)
         used = np.concatenate([columns_of[:, :size], columns_of[:, -1:]], axis=1)
         largest = float(np.abs(used[:, 1:]).max(initial=1.0))
-        result.append((taps, _code_bits(np.abs(_left(used, taps))) / len(rows), largest))
+        result.append(_Fit(taps, _code_bits(np.abs(_left(used, taps))) / len(rows), largest))
     return result
 
 
@@ -301,7 +324,8 @@ def _rounded(fit: _Fit, others: Sequence[tuple[int, Integers]], first: int) -> P
     """
     reach = max([abs(first), *(int(np.abs(samples).max()) for _, samples in others)]) + int(fit.largest)
     most = MOST_SUM_BITS - reach.bit_length()
-    shift = int(np.clip(np.ceil(np.log2(fit.largest) - fit.size_log2) + 3, 4, most))
+    wanted = np.ceil(_log2(np.array([fit.largest]))[0] - fit.size_log2) + 3
+    shift = int(min(max(wanted, 4), most))
     while True:
         whole = [round(tap * 2.0**shift) for tap in fit.taps.tolist()]
         split = 1 + REFERENCE_TAPS * len(others)

@@ -15,13 +15,14 @@ bits are stored as they are.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..entropy import bits
 from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
@@ -83,7 +84,8 @@ def pack(form: Form) -> bytes:
 def _pack_palette(palette: tuple[int, ...]) -> bytes:
     """Their number, then of the differences the bits of each (deflated bytes) and all bits below the highest."""
     steps = np.diff(np.array(palette, np.uint64), prepend=np.uint64(0))
-    lengths = np.array([int(step).bit_length() for step in steps], np.uint8)
+    upper, lower_half = (np.frexp((steps >> shift & 0xFFFFFFFF).astype(np.float64))[1] for shift in (np.uint64(32), 0))
+    lengths = np.where(upper > 0, 32 + upper, lower_half).astype(np.uint8)
     below = np.maximum(lengths.astype(np.int64) - 1, 0)
     lower = steps.astype(np.int64) & ((1 << below) - 1)
     return varint(len(palette)) + blob(deflate(lengths.tobytes())) + np.packbits(bits.pack(lower, below)).tobytes()
@@ -127,6 +129,25 @@ def unpack(cursor: Cursor, dtype: np.dtype[Any]) -> Form:
     raise cursor.corrupt("a channel's form is out of range")
 
 
+def as_arrays(channel_forms: Sequence[Form], dtype: np.dtype[Any]) -> tuple[Array, ...]:
+    """Forms as the compiled module takes them.
+
+    Of each channel: its kind; step and offset (channels, 2); exponent, or the channel that it copies; the item of a
+    constant (channels, bytes); then all palettes one after the other, and where that of each channel starts.
+    """
+    palettes = [form.palette for form in channel_forms]
+    return (
+        np.array([form.kind for form in channel_forms], np.uint8),
+        np.array([(form.step, form.offset) for form in channel_forms]).reshape(-1, 2),
+        np.array([form.channel if form.kind == COPY else form.exponent for form in channel_forms], np.int64),
+        np.frombuffer(b"".join(form.item or bytes(dtype.itemsize) for form in channel_forms), np.uint8).reshape(
+            -1, dtype.itemsize
+        ),
+        np.array([entry for palette in palettes for entry in palette], np.uint64),
+        np.cumsum([0, *map(len, palettes)]),
+    )
+
+
 def suits(dtype: np.dtype[Any]) -> bool:
     """Whether channels of this type have a form."""
     return dtype.kind in "biu" or (dtype.kind == "f" and dtype.itemsize in MANTISSA_BITS)
@@ -151,14 +172,14 @@ def fit(values: Array, known: list[Form]) -> Form | None:
     binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
     for form in _giving_back([form for form in known if form.step > 0.9 * binary], values):
         return form
-    candidates = count_forms(values)
+    candidates = count_forms(values, binary or None)
     best = _largest_step(list(_giving_back(candidates, values)), values)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
 
 
 def _largest_step(exact: list[Form], values: Array) -> Form | None:
     """The form with the fewest special samples; among equal ones the first of about the largest step."""
-    special = [int(_nearest(form, values)[1].sum()) for form in exact]
+    special = [int(forward(form, values)[1].sum()) for form in exact]
     fewest = [form for form, count in zip(exact, special, strict=True) if count == min(special)]
     largest = max((form.step for form in fewest), default=0.0)
     return next((form for form in fewest if form.step > 0.99 * largest), None)
@@ -168,7 +189,7 @@ def _common_step(values: Array) -> int:
     """The greatest common divisor of integers."""
     step = 0
     for part in (values[: steps.SAMPLE], values[steps.SAMPLE :]):
-        step = int(np.gcd(step, np.gcd.reduce(np.unique(part.astype(np.int64))))) if len(part) else step
+        step = int(np.gcd(step, np.gcd.reduce(steps.distinct_of(part.astype(np.int64))))) if len(part) else step
         if step == 1:
             break
     return step
@@ -179,24 +200,25 @@ def palette(values: Array) -> Form | None:
     if values.dtype.kind != "f":
         return None
     most = min(MAX_PALETTE, int(PALETTE_SHARE * len(values)))
-    if len(np.unique(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
+    if len(steps.distinct_of(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
         return None
-    distinct = np.unique(_sortable(values))
+    distinct = steps.distinct_of(_sortable(values))
     return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
 
 
-def forward(form: Form, values: Array) -> tuple[Integers, Booleans]:
-    """Integers of a channel (samples,), and which samples are special: their integers are 0."""
-    if form.kind == INTEGERS:
-        step = int(form.step)
-        whole = values.astype(np.int64)
-        return whole // step, np.zeros(len(values), bool)
+def forward(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
+    """Integers of a channel (samples,), which samples are special (their integers are 0), and what forms of more than
+    integers store beside them: the lower bits on a grid, the corrections of counts."""
     if form.kind == GRID:
-        return _truncated(form, values)[:2]
+        return _truncated(form, values)
+    if form.kind in (COUNTS, CORRECTED):
+        integers, special, extra = _nearest_all([form], values)
+        return integers[0], special[0], extra[0]
     if form.kind == PALETTE:
-        palette = np.array(form.palette, np.uint64)
-        return np.searchsorted(palette, _sortable(values)), np.zeros(len(values), bool)
-    return _nearest(form, values)
+        places = np.searchsorted(np.array(form.palette, np.uint64), _sortable(values))
+        return places, np.zeros(len(values), bool), places
+    counts = values.astype(np.int64) // int(form.step)
+    return counts, np.zeros(len(values), bool), counts
 
 
 def inverse(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any]) -> Array:
@@ -231,12 +253,11 @@ def extra_widths(form: Form, integers: Integers, dtype: np.dtype[Any]) -> Intege
     return np.where(integers == 0, 0, _last_bit(form, np.abs(integers), dtype)[1])
 
 
-def extra_bits(form: Form, values: Array) -> Integers:
-    """The lower bits (samples,) of values on a grid, or the corrections of counts."""
-    if form.kind == GRID:
-        return _truncated(form, values)[2]
-    integers, special = _nearest(form, values)
-    return np.where(special, 0, _corrections([form], integers[None], values)[0])
+def lower_bits(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[Any]) -> bytes:
+    """The lower bits of integers (samples,) on a grid as a bit field."""
+    if (kernel := _kernel("signals_lower_bits", dtype)) is not None:
+        return kernel(integers, extra, form.exponent).tobytes()
+    return np.packbits(bits.pack(extra, extra_widths(form, integers, dtype))).tobytes()
 
 
 def _sortable(values: Array) -> NDArray[np.uint64]:
@@ -271,21 +292,9 @@ def _from_rank(rank: Integers, dtype: np.dtype[Any]) -> Array:
     return plain.astype(f"u{dtype.itemsize}").view(dtype.newbyteorder("=")).astype(dtype)
 
 
-def _counts(forms: Sequence[Form], integers: Integers, dtype: np.dtype[Any]) -> Array:
-    """The values (forms, samples) of counts (forms, samples), in forms of counts, each of its own."""
-    step, offset = _columns(forms)
-    with np.errstate(all="ignore"):
-        return (integers * step + offset).astype(dtype)
-
-
 def _columns(forms: Sequence[Form]) -> NDArray[np.float64]:
     """Steps and offsets (2, forms, 1)."""
     return np.array([[form.step for form in forms], [form.offset for form in forms]])[..., None]
-
-
-def _corrections(forms: Sequence[Form], integers: Integers, values: Array) -> Integers:
-    """How many floats values (samples,) are above their counts (forms, samples)."""
-    return _rank(values) - _rank(_counts(forms, integers, values.dtype))
 
 
 def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integers, Integers]:
@@ -297,6 +306,8 @@ def _last_bit(form: Form, size: Integers, dtype: np.dtype[Any]) -> tuple[Integer
 
 def _truncated(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
     """Integers, special samples and lower bits of values on a grid."""
+    if (kernel := _kernel("signals_truncated", values.dtype)) is not None:
+        return kernel(values, form.exponent)
     mantissa_bits, least = MANTISSA_BITS[values.dtype.itemsize], LEAST_EXPONENT[values.dtype.itemsize]
     plain = words(values).astype(np.int64)
     exponent = plain >> mantissa_bits & ((1 << (8 * values.dtype.itemsize - 1 - mantissa_bits)) - 1)
@@ -318,27 +329,32 @@ def _grid(values: Array) -> Form:
     return Form(GRID, exponent=leading - min(MANTISSA_BITS[values.dtype.itemsize] + 1, GRID_BITS))
 
 
-def _nearest(form: Form, values: Array) -> tuple[Integers, Booleans]:
-    """Counts of values (samples,), and which samples the counts do not give back."""
-    integers, special = _nearest_all([form], values)
-    return integers[0], special[0]
+def _kernel(name: str, dtype: np.dtype[Any]) -> Callable[..., Any] | None:
+    """The compiled function for a type of floats."""
+    return native.kernel(f"{name}_{dtype.itemsize}") if dtype.isnative and dtype.itemsize > 2 else None
 
 
-def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans]:
-    """`_nearest` in several forms, all COUNTS or all CORRECTED: (forms, samples)."""
+def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans, Integers]:
+    """Counts of values (samples,) in several forms, all COUNTS or all CORRECTED: (forms, samples).
+
+    Then which samples they do not give back, and by how many floats the others are above their counts.
+    """
     step, offset = _columns(forms)
+    is_corrected = forms[0].kind == CORRECTED
+    if (kernel := _kernel("signals_nearest", values.dtype)) is not None:
+        return kernel(values, step[:, 0], offset[:, 0], is_corrected)
     with np.errstate(all="ignore"):
         counts = np.rint((values.astype(np.float64) - offset) / step)
         usable = np.abs(counts) < MAX_INTEGER
         integers = np.where(usable, counts, 0).astype(np.int64)
-    back = _counts(forms, integers, values.dtype)
-    if forms[0].kind == CORRECTED:
-        extra = _rank(values) - _rank(back)
+        back = (integers * step + offset).astype(values.dtype)
+    extra = _rank(values) - _rank(back)
+    if is_corrected:
         usable &= np.abs(extra) < MAX_CORRECTION
         back = _from_rank(_rank(back) + extra, values.dtype)
     special = ~usable | (words(back) != words(values))
     integers[special] = 0
-    return integers, special
+    return integers, special, extra
 
 
 def _corrected(values: Array, candidates: list[Form]) -> Form | None:
@@ -349,14 +365,14 @@ def _corrected(values: Array, candidates: list[Form]) -> Form | None:
     grid = _grid(values)
     some = values[:: -(-len(values) // SAMPLE)]
     lower = extra_widths(grid, forward(grid, some)[0], some.dtype).mean()
-    integers, special = _nearest_all(forms, some)
-    sizes = np.abs(_corrections(forms, integers, some))
+    _, special, extra = _nearest_all(forms, some)
+    sizes = np.abs(extra)
     kept = np.maximum((~special).sum(axis=1), 1)
     bits = np.where(special, 0.0, np.log2(2.0 * np.minimum(sizes, MAX_CORRECTION) + 1)).sum(axis=1) / kept
     unusual = (special & (some != 0) & np.isfinite(some)).mean(axis=1)
     costs = bits + CORRECTION_COST - (np.log2([form.step for form in forms]) - grid.exponent) + 40 * unusual
     best = int(costs.argmin())
-    is_shorter = costs[best] < lower and _are_few(_nearest(forms[best], values)[1], values)
+    is_shorter = costs[best] < lower and _are_few(forward(forms[best], values)[1], values)
     return forms[best] if is_shorter else None
 
 
@@ -367,7 +383,7 @@ def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
         return
     special = _nearest_all(forms, usual)[1].sum(axis=1)
     for form, count in zip(forms, special, strict=True):
-        if count <= MOST_SPECIAL * len(usual) and _are_few(_nearest(form, values)[1], values):
+        if count <= MOST_SPECIAL * len(usual) and _are_few(forward(form, values)[1], values):
             yield form
 
 
@@ -377,7 +393,7 @@ def _are_few(special: Booleans, values: Array) -> bool:
     return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
 
 
-def count_forms(values: Array) -> list[Form]:
-    """Forms of counts that may give a channel of floats back."""
-    usable = steps.candidates(values, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
+def count_forms(values: Array, exact: float | None) -> list[Form]:
+    """Forms of counts that may give a channel of floats back; exact: a step of which all are multiples."""
+    usable = steps.candidates(values, exact, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
     return [Form(COUNTS, step, offset) for step, offset in usable]

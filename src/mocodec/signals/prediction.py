@@ -15,7 +15,8 @@ import numpy as np
 
 from .. import native
 from ..entropy.varint import signed as zigzag
-from ..fields.cursor import Cursor, varint
+from ..entropy.varint import write
+from ..fields.cursor import Cursor
 from ..typing import Booleans, Integers
 
 MAX_PREDICTION = 1 << 29
@@ -38,8 +39,7 @@ def pack(predictor: Predictor) -> bytes:
     """shift, order, number of references; the references' channels; then bias and all taps."""
     numbers = [predictor.bias, *predictor.own, *(tap for _, taps in predictor.references for tap in taps)]
     head = bytes([predictor.shift, len(predictor.own), len(predictor.references)])
-    channels = b"".join(varint(channel) for channel, _ in predictor.references)
-    return head + channels + b"".join(varint(zigzag(number)) for number in numbers)
+    return head + write([channel for channel, _ in predictor.references]) + write([zigzag(n) for n in numbers])
 
 
 def unpack(cursor: Cursor, channels: int) -> Predictor:

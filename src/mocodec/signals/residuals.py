@@ -111,12 +111,10 @@ def start_of(code: int) -> int:
 
 def encode(lanes: Sequence[Integers]) -> list[Lane]:
     """Lanes of residuals (n,), each at most 2³⁰ in size."""
-    starts = [start_code(lane) for lane in lanes]
-    high, low = tables()
     if (kernel := native.kernel("signals_encode")) is not None:
-        coded = (kernel(lane, start_of(start), high, low) for lane, start in zip(lanes, starts, strict=True))
-        return [Lane(start, *parts) for start, parts in zip(starts, coded, strict=True)]
-    return _encode_side_by_side(lanes, starts) if lanes else []
+        high, low = tables()
+        return [Lane(*kernel(lane, high, low)) for lane in lanes]
+    return _encode_side_by_side(lanes, [start_code(lane) for lane in lanes]) if lanes else []
 
 
 def decode(lanes: Sequence[Lane], counts: Sequence[int]) -> list[Integers]:

@@ -17,21 +17,32 @@ SAMPLE = 1 << 14
 """Steps are found from about so many samples."""
 FINEST = 2
 """Steps below 2 to this power last bits of the largest value are no counts, but the last bits of floats."""
+FIRST_SAMPLE = 64
+"""So many values show that most channels of floats have no exact step."""
+NEAR_GAPS, MOST_STEPS_OF_GAP = 12, 20.5
+MOST_DEVIATION = 0.2
+"""Gaps between counts are whole numbers of steps: where at least NEAR_GAPS of up to MOST_STEPS_OF_GAP steps are farther
+from them on average, there are no counts. It is 0.25 for gaps of any size."""
 
 
-def candidates(values: Array, mantissa_bits: int, most: int) -> list[tuple[float, float]]:
-    """(step, offset) that may give a channel of floats (samples,) back, of at most `most` steps over its range."""
+def candidates(values: Array, exact: float | None, mantissa_bits: int, most: int) -> list[tuple[float, float]]:
+    """(step, offset) that may give a channel of floats (samples,) back, of at most `most` steps over its range.
+
+    exact: the step that `binary` finds.
+    """
     finite = values[np.isfinite(values)].astype(np.float64)
     if len(finite) < 2:
         return []
-    distinct = np.unique(finite[:: max(1, len(finite) // SAMPLE)])
-    exact = binary(values, mantissa_bits)
+    distinct = distinct_of(finite[:: max(1, len(finite) // SAMPLE)])
     known = [] if exact is None else [(exact, 0.0)]
     gaps = np.diff(distinct)
     gaps = gaps[gaps > np.abs(distinct).max() * 2.0 ** (FINEST - mantissa_bits)]
     if not len(gaps) or (distinct[-1] - distinct[0]) / gaps.min() > most:
         return known
     gap = float(np.median(gaps[gaps <= 1.3 * gaps.min()]))
+    near = gaps[gaps < MOST_STEPS_OF_GAP * gap] / gap
+    if len(near) >= NEAR_GAPS and np.abs(near - np.rint(near)).mean() > MOST_DEVIATION:
+        return known
     found: list[tuple[float, float]] = []
     for offset in (0.0, float(distinct[np.abs(distinct).argmin()]), float(distinct[len(distinct) // 2])):
         step, counts = _refined(distinct, gap, offset)
@@ -46,14 +57,30 @@ def binary(values: Array, mantissa_bits: int) -> float | None:
     """The largest step of which a sample of values are exact multiples; None if it is too fine for counts."""
     some = values[:: max(1, len(values) // SAMPLE)].astype(np.float64)
     some = some[np.isfinite(some) & (some != 0)]
-    significands, exponents = np.frexp(some)
+    if len(some) > 4 * FIRST_SAMPLE and _multiples(some[:: len(some) // FIRST_SAMPLE], mantissa_bits) is None:
+        return None
+    return _multiples(some, mantissa_bits)
+
+
+def _multiples(values: NDArray[np.float64], mantissa_bits: int) -> float | None:
+    """`binary` for all of these finite values other than 0."""
+    if not len(values):
+        return None
+    significands, exponents = np.frexp(values)
     whole = np.ldexp(significands, 53).astype(np.int64)
     last_bits = exponents - 53 + np.frexp((whole & -whole).astype(np.float64))[1] - 1
-    last = int(last_bits.min(initial=2000))
-    if not len(some) or int(exponents.max()) - last > 53:
+    last = int(last_bits.min())
+    least = float(np.abs(values).max()) * 2.0 ** (FINEST - mantissa_bits)
+    if int(exponents.max()) - last > 53:
         return None
-    step = float(np.ldexp(float(np.gcd.reduce(np.ldexp(some, -last).astype(np.int64))), last))
-    return step if step >= float(np.abs(some).max()) * 2.0 ** (FINEST - mantissa_bits) else None
+    step = float(np.ldexp(float(np.gcd.reduce(np.ldexp(values, -last).astype(np.int64))), last))
+    return step if step >= least else None
+
+
+def distinct_of(values: Array) -> Array:
+    """The distinct ones of values (n,) that are no NaN, ascending."""
+    ordered = np.sort(values)
+    return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])[: len(ordered)]]
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:

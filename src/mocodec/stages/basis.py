@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import native
 from ..entropy import coder, varint
 from ..errors import CannotEncode, Corrupt
 from ..typing import Floats, Integers
@@ -146,6 +147,8 @@ def _decompose(basis: Floats, precision: Integers) -> Integers:
 
 def _compose(entries: Integers, n: int) -> Floats:
     """The orthonormal basis of rounded entries."""
+    if (kernel := native.kernel("basis_compose")) is not None:
+        return kernel(entries)
     k = entries.shape[1]
     basis = np.eye(n, k)
     for i in reversed(range(k)):
@@ -190,4 +193,4 @@ def _mirror(entries: Integers) -> Floats:
 
 def _reflect(columns: Floats, mirror: Floats) -> None:
     """Apply I − 2uuᵀ to the columns, in place."""
-    columns -= np.outer(2 * mirror, mirror @ columns)
+    columns -= (2 * mirror)[:, None] * (mirror @ columns)

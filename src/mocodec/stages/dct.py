@@ -68,17 +68,21 @@ def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
 
 
 def _inverse_by_fft(coefficients: Floats, frames: int) -> Floats:
-    known = len(coefficients)
+    """By a real FFT, since samples are real: each frequency of the first half is mixed with its mirror in the second."""
+    known, half = len(coefficients), frames // 2 + 1
     turns = _turns(frames).reshape(-1, *[1] * (coefficients.ndim - 1))
     scale = np.abs(turns)
-    padded = np.zeros((frames, *coefficients.shape[1:]))
-    padded[:known] = coefficients / scale[:known]
-    mirrored = np.zeros_like(padded)
-    mirrored[1:] = padded[:0:-1]
-    mixed = np.fft.ifft((padded - 1j * mirrored) * (turns.conj() / scale), axis=0).real
-    out = np.empty_like(padded)
-    out[::2] = mixed[: (frames + 1) // 2]
-    out[1::2] = mixed[(frames + 1) // 2 :][::-1]
+    mixed = np.zeros((half, *coefficients.shape[1:]), np.complex128)
+    mixed.real[:known] = coefficients[:half] / scale[: min(known, half)]
+    first = frames - known + 1  # the mirror of frequency k is at frames − k
+    if first < half:
+        mirrored = slice(known - 1, frames - half, -1)
+        mixed.imag[first:] = -coefficients[mirrored] / scale[mirrored]
+    mixed *= turns[:half].conj() / scale[:half]
+    samples = np.fft.irfft(mixed, frames, axis=0)
+    out = np.empty_like(samples)
+    out[::2] = samples[: (frames + 1) // 2]
+    out[1::2] = samples[(frames + 1) // 2 :][::-1]
     return out
 
 

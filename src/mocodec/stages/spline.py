@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import native
 from ..errors import Corrupt
 from ..typing import Booleans, Bytes, Floats, Integers
 from . import quantise
@@ -50,6 +51,8 @@ def interpolate(keyframes: Frames, values: Floats, at: Frames) -> Floats:
     """The natural cubic spline through values (keys, k) at ascending key frames, at frames within: (at, k)."""
     if len(keyframes) < 2:
         return np.repeat(values, len(at), axis=0)
+    if (kernel := native.kernel("spline_interpolate")) is not None:
+        return kernel(keyframes, values, at)
     widths = np.diff(keyframes).astype(np.float64)[:, None]
     curvature = _curvature(widths, values)
     right = np.clip(np.searchsorted(keyframes, at, side="right"), 1, len(keyframes) - 1)
@@ -60,7 +63,7 @@ def interpolate(keyframes: Frames, values: Floats, at: Frames) -> Floats:
     bend = width**2 / 6
     return (
         a * values[left] + b * values[right]
-        + ((a**3 - a) * bend) * curvature[left] + ((b**3 - b) * bend) * curvature[right]
+        + ((a * a * a - a) * bend) * curvature[left] + ((b * b * b - b) * bend) * curvature[right]
     )  # fmt: skip
 
 

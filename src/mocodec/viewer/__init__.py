@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import api, formats
+from ..archive import catalogue, open_archive
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -34,7 +35,9 @@ NOTEBOOK_SAMPLES = 400_000
 
 
 def shown(source: Viewable, opened: ExitStack, name: str | None = None, **options: Any) -> Shown:
-    """A recording to show: in memory, an open file, or a path (a .mocz is opened, other formats are read).
+    """A recording to show: in memory, an open file, or a path.
+
+    A .mocz and ARCHIVE/NAME, a recording of an archive, are opened; other formats are read.
 
     opened: closes what is opened here. options: of the format's reader. Raises BadInput, and what `open` raises.
     """
@@ -46,7 +49,25 @@ def shown(source: Viewable, opened: ExitStack, name: str | None = None, **option
     name = name or path.rstrip("/").rpartition("/")[2]
     if path.partition("?")[0].lower().endswith(".mocz"):
         return of_file(name, opened.enter_context(api.open(path, salvage=True)))
+    if found := in_archive(path):
+        folder, within = found
+        return of_file(name, opened.enter_context(opened.enter_context(open_archive(folder)).entry(within).open(True)))
     return of_path(path, name, api.read(path, **options))
+
+
+def is_archive(path: str | PathLike[str]) -> bool:
+    """Whether a folder is an archive."""
+    return (Path(path) / catalogue.NAME).is_file()
+
+
+def in_archive(path: str | PathLike[str]) -> tuple[str, str] | None:
+    """The archive and the recording's name of ARCHIVE/NAME; None for paths that exist or lead to no archive."""
+    if Path(path).exists():
+        return None
+    folder = next((parent for parent in Path(path).parents if parent.exists()), None)
+    if folder is None or not is_archive(folder):
+        return None
+    return str(folder), Path(path).relative_to(folder).as_posix()
 
 
 def pairs_of(sources: Sequence[Viewable], against: Viewable | None, opened: ExitStack, **options: Any) -> list[Pair]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import api
 from ..archive import Archive
-from ..geometry import links
+from ..geometry import links, views
 from ..motion import Motion
 from . import film
 
@@ -45,7 +45,7 @@ def pose(opened: api.File[Any]) -> dict[str, Any]:
     if not isinstance(about, Motion) or not len(opened) or not about.points:
         return {"points": [], "links": []}
     positions = opened[len(opened) // 2].positions[0][:: max(1, -(-about.points // MOST_POINTS))]
-    flat = film.seen(positions, about.up)[:, :2]
+    flat = positions @ views.directions(positions[None], about.up, film.TILT)[:2].T
     present = ~np.isnan(flat[:, 0])
     if not present.any():
         return {"points": [], "links": []}

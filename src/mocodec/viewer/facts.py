@@ -17,6 +17,7 @@ from ..metrics import point_clouds
 from ..motion import Motion
 from ..pointcloud import PointClouds
 from ..typing import Floats
+from .marks import marks
 from .recording import Shown
 
 BINS = 1024
@@ -48,6 +49,7 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
         "ratio": ratio(shown, original),
         "promise": dict(shown.promise),
         "chunks": chunks(shown),
+        "marks": marks(shown),
         "events": events(about),
         "signals": signals(about.extras),
         "gaps": gaps(shown) if is_motion else [],

@@ -1,6 +1,6 @@
 """A recording as a film, without a browser: frames drawn by Pillow, coded by PyAV. Needs the [cloud] extra.
 
-    positions ─► view (turned about the vertical axis, seen from a little above) ─► pixels ─► links, points ─► .mp4
+    positions ─► view (across the widest side, from a little above) ─► pixels ─► links, points ─► .mp4
 
 The original, if there is one, is drawn in grey under the recording, whose points have the colours of their errors.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from .. import metrics, progress
 from ..errors import BadInput, MissingExtra
 from ..formats import replace_whole
+from ..geometry import views
 from ..motion import Motion
 from ..typing import Floats
 from .facts import motion_errors, motion_links
@@ -27,7 +28,8 @@ SIZE = (1280, 720)
 FINEST = 2
 """Pictures are drawn this many times larger and made smaller, for smooth edges."""
 MOST_RATE = 30.0
-TURN, TILT = np.radians(35.0), np.radians(14.0)
+TILT = np.radians(14.0)
+"""Of the view, from above: the ground can be seen."""
 PAPER, INK, GHOST, GRID = (251, 251, 248), (29, 36, 48), (176, 180, 188), (226, 226, 220)
 RAMP = np.array([[63, 110, 168], [224, 160, 48], [200, 68, 46]], np.float64)
 """Colours of no error, half of the scale, and the whole scale."""
@@ -65,25 +67,14 @@ def write(path: str | PathLike[str], shown: Shown, original: Shown | None = None
     replace_whole(path, made.getvalue())
 
 
-def axes_of(up: str) -> list[int]:
-    """The axes to the right, to the back and up, for a vertical axis."""
-    return {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up]
-
-
-def seen(points: Floats, up: str) -> Floats:
-    """Points (…, 3) as the camera sees them: right, up, depth (…, 3), metres."""
-    right, back, height = np.moveaxis(points[..., axes_of(up)], -1, 0)
-    along, away = np.cos(TURN) * right + np.sin(TURN) * back, np.cos(TURN) * back - np.sin(TURN) * right
-    return np.stack(
-        [along, np.cos(TILT) * height + np.sin(TILT) * away, np.cos(TILT) * away - np.sin(TILT) * height], -1
-    )
-
-
 class Camera:
-    """Follows the middle of the points over the ground. metres: height of the picture; ground: height of the floor."""
+    """Follows the middle of the points over the ground.
 
-    def __init__(self, up: str, metres: float, ground: float, middle: float) -> None:
-        self.up, self.metres, self.ground, self.middle = up, metres, ground, middle
+    view: directions to the right, up and away (3, 3). metres: height of the picture; ground: height of the floor.
+    """
+
+    def __init__(self, up: str, view: Floats, metres: float, ground: float, middle: float) -> None:
+        self.up, self.view, self.metres, self.ground, self.middle = up, view, metres, ground, middle
         self.centre = np.zeros(3)
 
     def look_at(self, points: Floats) -> None:
@@ -93,17 +84,21 @@ class Camera:
             self.centre = present.mean(axis=0)
             self.centre["xyz".index(self.up)] = self.middle
 
+    def seen(self, points: Floats) -> Floats:
+        """Points (…, 3) from the centre: right, up, away (…, 3), metres."""
+        return (points - self.centre) @ self.view.T
+
     def pixels(self, points: Floats) -> Floats:
         """Points (…, 3) as pixels (…, 2) of the large picture."""
         scale = FINEST * SIZE[1] / self.metres
-        flat = seen(points - self.centre, self.up)
+        flat = self.seen(points)
         half = FINEST * np.array(SIZE) / 2
         return np.stack([half[0] + scale * flat[..., 0], half[1] - scale * flat[..., 1]], axis=-1)
 
     def grid(self) -> Floats:
         """Lines (n, 2, 2) of the ground, one metre apart (or a tenth or ten for small and large recordings), pixels."""
         spacing = 10.0 ** round(np.log10(self.metres) - 0.3)
-        right, back, height = axes_of(self.up)
+        (right, back), height = views.level_axes(self.up), "xyz".index(self.up)
         ticks = np.arange(-8, 9) * spacing
         middle = np.round(self.centre / spacing) * spacing
         ends = np.empty((2 * len(ticks), 2, 3))
@@ -121,14 +116,19 @@ def camera_for(sample: Floats, up: str) -> Camera:
     axis = "xyz".index(up)
     present = sample[~np.isnan(sample[..., 0])]
     if not len(present):
-        return Camera(up, 2.0, 0.0, 0.0)
+        return empty_camera(up)
     middle = (
         np.nanmean(np.where(np.isnan(sample), np.nan, sample), axis=1, keepdims=True) if sample.shape[1] else sample
     )
     level = np.delete(sample - middle, axis, axis=-1)
     low, high = np.percentile(present[:, axis], [0.5, 99.5])
     extent = max(high - low, np.nanpercentile(np.abs(level), 99), 1e-3)
-    return Camera(up, 1.35 * float(extent), float(low), float((low + high) / 2))
+    return Camera(up, views.directions(sample, up, TILT), 1.35 * float(extent), float(low), float((low + high) / 2))
+
+
+def empty_camera(up: str) -> Camera:
+    """A camera for frames without points."""
+    return Camera(up, views.directions(np.zeros((0, 1, 3)), up, TILT), 2.0, 0.0, 0.0)
 
 
 def new_picture(camera: Camera) -> tuple[Any, Any]:
@@ -207,7 +207,7 @@ def cloud_pictures(shown: Shown, step: int) -> Iterator[Any]:
         points = points[np.isfinite(points).all(axis=1)]
         if camera is None and len(points):
             camera = camera_for(points[None], first.up)
-        camera_now = camera or Camera(first.up, 2.0, 0.0, 0.0)
+        camera_now = camera or empty_camera(first.up)
         camera_now.look_at(points)
         picture, _ = new_picture(camera_now)
         paint(picture, camera_now, points, None if clouds.colours is None else np.asarray(clouds.colours[0]))
@@ -219,7 +219,7 @@ def paint(picture: Any, camera: Camera, points: Floats, colours: Any) -> None:
     from PIL import Image
 
     canvas = np.array(picture)
-    order = np.argsort(-seen(points - camera.centre, camera.up)[:, 2])
+    order = np.argsort(-camera.seen(points)[:, 2])
     shades = np.full((len(points), 3), RAMP[0]) if colours is None or len(colours) != len(points) else colours
     column, row = np.round(camera.pixels(points[order])).astype(int).T
     for dx in range(-2, 3):

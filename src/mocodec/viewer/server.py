@@ -8,7 +8,8 @@
     GET /TOKEN/clip/NAME/…                  of one of them: session.json, pose.json, r/0/decoded
 
 It listens on 127.0.0.1. The token is random, so that other pages in the browser cannot guess the address; requests
-for another host name are refused, so that a foreign name that resolves to this computer reaches nothing.
+for another host name are refused, so that a foreign name that resolves to this computer reaches nothing. Connections
+beyond MOST_CONNECTIONS are closed.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ from .recording import Shown, of_file
 Query = dict[str, list[str]]
 HTML, JSON, BYTES = "text/html", "application/json", "application/octet-stream"
 MOST_OPENED = 16
+MOST_CONNECTIONS = 32
+"""Connections at a time, each of which has a thread; a browser opens six."""
 MOST_BYTES = 64 << 20
 """The largest answer; the page asks for about 8 MB at a time."""
 
@@ -56,7 +59,22 @@ class Server(ThreadingHTTPServer):
         self.token = secrets.token_urlsafe(12)
         self.session = as_json(session.of_server(pairs, title))
         self.decoding = threading.Lock()  # files are not made for several threads
+        self.free_connections = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(("127.0.0.1", port), Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread of its own; close it where there are too many."""
+        if self.free_connections.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """As of ThreadingHTTPServer; the connection is free again afterwards."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self.free_connections.release()
 
     @property
     def url(self) -> str:

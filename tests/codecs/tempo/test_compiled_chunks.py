@@ -133,3 +133,12 @@ def test_lengths_of_chunks_are_kept_within_a_limit(encoded: dict[str, Encoded[Mo
         assert len(model.compiled) <= compiled_chunks.MOST_LENGTHS + 2
     assert not compiled_chunks.decodes(model, 2000)
     assert not compiled_chunks.decodes(Model.without_rows(("a",), 120.0), 10)
+
+
+def test_any_frames_of_a_chunk_are_those_of_the_whole(encoded: dict[str, Encoded[Motion]]):
+    random = np.random.default_rng(5)
+    for name, stream in encoded.items():
+        whole = Tempo.decode(stream).positions
+        for start, length in zip(random.integers(0, len(whole), 40), random.integers(1, 90, 40), strict=True):
+            part = Tempo.decode(stream, slice(int(start), int(start + length))).positions
+            np.testing.assert_allclose(part, whole[start : start + length], rtol=0, atol=1e-12, err_msg=name)

@@ -60,24 +60,26 @@ function halved(y: Float64Array, frequencies: number, frames: number, lanes: num
   }
 }
 
-/** Term by term. Frames t and frames − 1 − t share the sums of even and of odd frequencies. */
+/** Term by term, two frames at a time. Frames t and frames − 1 − t share the sums of even and of odd frequencies. */
 function direct(y: Float64Array, frequencies: number, frames: number, lanes: number, out: Float64Array): void {
   const cosines = quarterTurns(frames);
-  const evens = new Float64Array(lanes);
-  const odds = new Float64Array(lanes);
-  for (let t = 0; t < frames / 2; t++) {
+  const evens = new Float64Array(2 * lanes);
+  const odds = new Float64Array(2 * lanes);
+  for (let t = 0; t < frames / 2; t += 2) {
     parity(y, 0, frequencies, frames, lanes, t, cosines, evens);
     parity(y, 1, frequencies, frames, lanes, t, cosines, odds);
-    const at = t * lanes;
-    const mirror = (frames - 1 - t) * lanes;
-    for (let c = 0; c < lanes; c++) {
-      out[mirror + c] = evens[c]! - odds[c]!;
-      out[at + c] = evens[c]! + odds[c]!;
+    for (let n = 0; n < 2 && t + n < frames / 2; n++) {
+      const at = (t + n) * lanes;
+      const mirror = (frames - 1 - t - n) * lanes;
+      for (let c = 0, i = n * lanes; c < lanes; c++, i++) {
+        out[mirror + c] = evens[i]! - odds[i]!;
+        out[at + c] = evens[i]! + odds[i]!;
+      }
     }
   }
 }
 
-/** The sum over frequencies first, first + 2, … at frame t, four at a time. */
+/** The sums over frequencies first, first + 2, … at frames t and t + 1, (2, lanes), four frequencies at a time. */
 function parity(
   y: Float64Array,
   first: number,
@@ -90,7 +92,9 @@ function parity(
 ): void {
   const turn = 4 * frames;
   const step = (2 * (2 * t + 1)) % turn;
+  const nextStep = (2 * (2 * t + 3)) % turn;
   let place = ((2 * t + 1) * first) % turn;
+  let next = ((2 * t + 3) * first) % turn;
   out.fill(0);
   let f = first;
   for (; f + 6 < frequencies; f += 8) {
@@ -99,16 +103,33 @@ function parity(
     const c = cosines[(place + 2 * step) % turn]!;
     const d = cosines[(place + 3 * step) % turn]!;
     place = (place + 4 * step) % turn;
+    const a1 = cosines[next]!;
+    const b1 = cosines[(next + nextStep) % turn]!;
+    const c1 = cosines[(next + 2 * nextStep) % turn]!;
+    const d1 = cosines[(next + 3 * nextStep) % turn]!;
+    next = (next + 4 * nextStep) % turn;
     const ia = f * lanes;
     const ib = ia + 2 * lanes;
     const ic = ib + 2 * lanes;
     const id = ic + 2 * lanes;
-    for (let k = 0; k < lanes; k++) out[k]! += a * y[ia + k]! + b * y[ib + k]! + c * y[ic + k]! + d * y[id + k]!;
+    for (let k = 0; k < lanes; k++) {
+      const ya = y[ia + k]!;
+      const yb = y[ib + k]!;
+      const yc = y[ic + k]!;
+      const yd = y[id + k]!;
+      out[k]! += a * ya + b * yb + c * yc + d * yd;
+      out[lanes + k]! += a1 * ya + b1 * yb + c1 * yc + d1 * yd;
+    }
   }
   for (; f < frequencies; f += 2) {
     const a = cosines[place]!;
+    const a1 = cosines[next]!;
     place = (place + step) % turn;
-    for (let k = 0, i = f * lanes; k < lanes; k++, i++) out[k]! += a * y[i]!;
+    next = (next + nextStep) % turn;
+    for (let k = 0, i = f * lanes; k < lanes; k++, i++) {
+      out[k]! += a * y[i]!;
+      out[lanes + k]! += a1 * y[i]!;
+    }
   }
 }
 

@@ -165,17 +165,17 @@ export class MoczFile {
   private async joined(a: number, b: number, lanes: number, part: (decoded: Decoded) => Float64Array | undefined): Promise<Float64Array> {
     this.checkRange(a, b);
     if (this.header.kind === "clouds") throw new Unsupported("point clouds have no frames of points; see poses()");
-    const result = new Float64Array((b - a) * lanes).fill(NaN);
     if ((b - a) * lanes > MOST_VALUES) throw new BadInput(`${b - a} frames at once are too many: ask for fewer`);
+    const result = new Float64Array((b - a) * lanes);
     const first = this.chunkOf(a);
     const window = await this.window(first, b);
     for (let i = first; i < this.chunks.length && this.chunks[i]!.start < b; i++) {
       const { start, frames: count } = this.chunks[i]!;
       const values = part(await this.decode(i, window));
-      if (!values) continue;
       const from = Math.max(a, start);
       const to = Math.min(b, start + count);
-      result.set(values.subarray((from - start) * lanes, (to - start) * lanes), (from - a) * lanes);
+      if (!values) result.fill(NaN, (from - a) * lanes, (to - a) * lanes);
+      else result.set(values.subarray((from - start) * lanes, (to - start) * lanes), (from - a) * lanes);
     }
     return result;
   }

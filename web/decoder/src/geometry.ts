@@ -48,8 +48,14 @@ export function about(axis: number, angle: number): Quaternion {
 
 /** a · b. */
 export function multiplied(a: Quaternion, b: Quaternion): Quaternion {
-  const [aw, ax, ay, az] = a;
-  const [bw, bx, by, bz] = b;
+  const aw = a[0];
+  const ax = a[1];
+  const ay = a[2];
+  const az = a[3];
+  const bw = b[0];
+  const bx = b[1];
+  const by = b[2];
+  const bz = b[3];
   return [
     aw * bw - ax * bx - ay * by - az * bz,
     aw * bx + ax * bw + ay * bz - az * by,
@@ -64,7 +70,10 @@ export function inverse(q: Quaternion): Quaternion {
 
 /** v rotated by q. */
 export function rotated(q: Quaternion, v: Vector): Vector {
-  const [w, x, y, z] = q;
+  const w = q[0];
+  const x = q[1];
+  const y = q[2];
+  const z = q[3];
   const tx = 2 * (y * v[2] - z * v[1]);
   const ty = 2 * (z * v[0] - x * v[2]);
   const tz = 2 * (x * v[1] - y * v[0]);
@@ -72,7 +81,10 @@ export function rotated(q: Quaternion, v: Vector): Vector {
 }
 
 export function unitQuaternion(q: ArrayLike<number>): Quaternion {
-  const [w, x, y, z] = [q[0]!, q[1]!, q[2]!, q[3]!];
+  const w = q[0]!;
+  const x = q[1]!;
+  const y = q[2]!;
+  const z = q[3]!;
   const factor = 1 / Math.sqrt(w * w + x * x + y * y + z * z);
   return [w * factor, x * factor, y * factor, z * factor];
 }
@@ -95,9 +107,12 @@ export function toEuler(order: string, q: Quaternion): Vector {
 }
 
 /** The matrix (3, 3) of a rotation, row by row. */
-export function matrixOf(q: ArrayLike<number>): Float64Array {
-  const [w, x, y, z] = [q[0]!, q[1]!, q[2]!, q[3]!];
-  return Float64Array.of(
+export function matrixOf(q: ArrayLike<number>): number[] {
+  const w = q[0]!;
+  const x = q[1]!;
+  const y = q[2]!;
+  const z = q[3]!;
+  return [
     1 - 2 * (y * y + z * z),
     2 * (x * y - w * z),
     2 * (x * z + w * y),
@@ -107,19 +122,21 @@ export function matrixOf(q: ArrayLike<number>): Float64Array {
     2 * (x * z - w * y),
     2 * (y * z + w * x),
     1 - 2 * (x * x + y * y),
-  );
+  ];
 }
 
 /** The rotation of a matrix, row by row; its component of the largest magnitude is positive. */
 export function fromMatrix(m: ArrayLike<number>): Quaternion {
-  const [a, b, c, d, e, f, g, h, i] = Array.from(m) as [number, number, number, number, number, number, number, number, number];
-  const rows: Quaternion[] = [
-    [1 + a + e + i, h - f, c - g, d - b],
-    [h - f, 1 + a - e - i, b + d, c + g],
-    [c - g, b + d, 1 - a + e - i, f + h],
-    [d - b, c + g, f + h, 1 - a - e + i],
-  ];
-  let best = 0;
-  for (let n = 1; n < 4; n++) if (rows[n]![n]! > rows[best]![best]!) best = n;
-  return unitQuaternion(rows[best]!);
+  const xx = m[0]!;
+  const yy = m[4]!;
+  const zz = m[8]!;
+  // four times the square of each component
+  const w4 = 1 + xx + yy + zz;
+  const x4 = 1 + xx - yy - zz;
+  const y4 = 1 - xx + yy - zz;
+  const z4 = 1 - xx - yy + zz;
+  if (w4 >= x4 && w4 >= y4 && w4 >= z4) return unitQuaternion([w4, m[7]! - m[5]!, m[2]! - m[6]!, m[3]! - m[1]!]);
+  if (x4 >= y4 && x4 >= z4) return unitQuaternion([m[7]! - m[5]!, x4, m[1]! + m[3]!, m[2]! + m[6]!]);
+  if (y4 >= z4) return unitQuaternion([m[2]! - m[6]!, m[1]! + m[3]!, y4, m[5]! + m[7]!]);
+  return unitQuaternion([m[3]! - m[1]!, m[2]! + m[6]!, m[5]! + m[7]!, z4]);
 }

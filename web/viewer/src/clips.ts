@@ -1,7 +1,7 @@
 /** The recordings of an archive: a list with small drawings, a search by name, a condition on the catalogue. */
 
 import { load, type Session } from "./session.ts";
-import { bytes, ratio, time, whole } from "./text.ts";
+import { bytes, ratio, readable, time, whole } from "./text.ts";
 
 interface Clip {
   name: string;
@@ -85,7 +85,7 @@ export class Clips {
     const picture = document.createElement("canvas");
     picture.width = picture.height = 2 * DRAWING;
     const name = document.createElement("b");
-    name.textContent = clip.name;
+    name.textContent = readable(clip.name);
     const facts = document.createElement("small");
     facts.textContent = [time(clip.seconds), clip.points ? `${whole(clip.points)} points` : "points", clip.ratio ? ratio(clip.ratio) : ""].filter(Boolean).join(" · ");
     row.append(picture, name, facts);

@@ -1,33 +1,21 @@
 /** The page: loads the session, plays it, and answers buttons, keys, clicks and dropped files. */
 
 import { Vector3 } from "three";
+import { listenKeys, showKeys } from "./keys.ts";
 import { Clips } from "./clips.ts";
 import { summary } from "./errors.ts";
 import { addressed, dropped } from "./dropped.ts";
-import { PointList, showKeys, showLegend, showNumbers, showSignals, showTabs } from "./panel.ts";
+import { PointList } from "./list.ts";
+import { showLegend, showNumbers, showSignals, showTabs, showWorst } from "./panel.ts";
 import { Stage } from "./scene.ts";
-import { load, type Session } from "./session.ts";
-import { length, time, whole } from "./text.ts";
+import { type Facts, type Session, load, withReadableTexts } from "./session.ts";
+import { type Unit, length, readable, time, useUnit, whole } from "./text.ts";
 import { ErrorScale, PALETTES } from "./theme.ts";
 import { Timeline } from "./timeline.ts";
 import { type OriginalPlace, RecordingView } from "./view.ts";
 
-const KEYS = [
-  ["space", "play, pause"],
-  ["← →", "one frame; with shift one second"],
-  ["home end", "first and last frame"],
-  ["W", "frame and point of the largest error"],
-  ["[ ]", "slower, faster"],
-  ["L", "play in a loop"],
-  ["F", "the camera follows"],
-  ["R", "whole figure"],
-  ["T", "trail of the chosen point"],
-  ["G", "original over, beside, hidden"],
-  ["P", "list of points"],
-  ["D", "dark or light"],
-  ["O", "open files"],
-  ["?", "these keys"],
-] as const;
+/** Numbers and errors in text change at most this often while playing, milliseconds: faster, nobody could read them. */
+const TEXT_MS = 100;
 
 const $ = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
 
@@ -47,8 +35,10 @@ class Page {
   /** How far the last of several recordings stands from the first, metres. */
   private width = 0;
   private readonly stage = new Stage($("picture"), () => (this.needsFrame = true));
-  private readonly timeline = new Timeline($("time"), $("tip"), (frame) => this.seek(frame));
+  private readonly timeline = new Timeline($("time"), $("tip"), $("head"), $("pointer"), (frame) => this.seek(frame));
   private readonly list = new PointList($("list"), $("filter"), () => (this.needsFrame = true));
+  /** When the text that follows the frame was last set, milliseconds. */
+  private lastText = 0;
   /** Frames drawn late while playing: shown by tests and by `mocodecViewer.late`. */
   late = 0;
   drawn = 0;
@@ -56,7 +46,7 @@ class Page {
   async start(): Promise<void> {
     this.applyTheme();
     this.listen();
-    showKeys($("keys"), KEYS);
+    showKeys($("keys"));
     if (innerWidth <= 720) this.togglePoints(false);
     try {
       const query = new URLSearchParams(location.search);
@@ -92,13 +82,13 @@ class Page {
     const problems: string[] = [];
     for (const facts of session.recordings) {
       try {
-        this.views.push(await RecordingView.open(facts, this.stage, () => (this.needsFrame = true)));
+        this.views.push(await RecordingView.open(withReadableTexts(facts), this.stage, () => (this.needsFrame = true)));
       } catch (error) {
-        problems.push(`${facts.name}: ${error instanceof Error ? error.message : String(error)}`);
+        problems.push(`${readable(facts.name)}: ${error instanceof Error ? error.message : String(error)}`);
       }
     }
     this.notice(problems.join("\n") || null);
-    document.title = `${session.title} · mocodec`;
+    document.title = `${readable(session.title)} · mocodec`;
     this.seconds = 0;
     if (this.views.length) this.choose(0, true);
   }
@@ -117,6 +107,7 @@ class Page {
     const { facts } = this.views[number];
     $("title").textContent = facts.name;
     $("title").title = facts.name;
+    $("title").hidden = this.views.length > 1; // the tabs say it
     showTabs($("tabs"), this.views.map((view) => view.facts.name), number, (other) => this.choose(other));
     this.here = showNumbers($("numbers"), facts);
     this.list.show(facts);
@@ -126,7 +117,8 @@ class Page {
     this.timeline.show(facts, [...this.strips]);
     $("notes").textContent = facts.notes.join("\n");
     $("notes").hidden = facts.notes.length === 0;
-    $("worst").hidden = !facts.errors?.maxAt;
+    showWorst($("worst"), facts);
+    $<HTMLSelectElement>("up").value = facts.up;
     $("original-label").hidden = !facts.original;
     $("points-button").hidden = facts.names.length === 0;
     $("heads").hidden = !facts.original;
@@ -190,6 +182,7 @@ class Page {
     const view = this.view;
     if (on && view && this.frame >= view.facts.frames - 1) this.seconds = 0;
     this.isPlaying = on;
+    this.needsFrame = true; // with the text of the frame where it stops
     $("play").dataset.playing = String(on);
     $("play").setAttribute("aria-label", on ? "Pause" : "Play");
   }
@@ -205,6 +198,7 @@ class Page {
       if (passed > 0.025) this.late += Math.round(passed * 60) - 1;
       this.advance(passed * Number($<HTMLSelectElement>("speed").value));
     }
+    this.stage.setMoving(this.isPlaying);
     if (this.needsFrame) this.render();
     this.stage.draw();
   }
@@ -241,15 +235,21 @@ class Page {
     if ($("follow").getAttribute("aria-pressed") === "true" && this.views.length === 1) this.follow();
     void view.trail($("trails").getAttribute("aria-pressed") === "true" ? this.list.selected : -1, frame, palette.accent);
     this.timeline.setFrame(frame);
-    $("clock").textContent = `${time(frame / view.facts.rate)} · frame ${whole(frame)}`;
-    if (this.here) {
-      const { mean, max, at } = summary(view.errors);
-      this.here.mean.textContent = length(mean);
-      this.here.max.textContent = at < 0 ? "–" : `${length(max)} ${view.facts.names[at] ?? ""}`;
-      this.list.update(view.errors);
-    }
+    if (!this.isPlaying || performance.now() - this.lastText > TEXT_MS) this.renderText(frame);
     this.showMark();
     this.stage.invalidate();
+  }
+
+  private renderText(frame: number): void {
+    const view = this.view!;
+    this.lastText = performance.now();
+    $("clock").textContent = `${time(frame / view.facts.rate)} · frame ${whole(frame)}`;
+    if (!this.isPlaying) this.timeline.announce();
+    if (!this.here) return;
+    const { mean, max, at } = summary(view.errors);
+    this.here.mean.textContent = length(mean);
+    this.here.max.textContent = at < 0 ? "–" : `${length(max)} ${view.facts.names[at] ?? ""}`;
+    this.list.update(view.errors);
   }
 
   private follow(): void {
@@ -291,6 +291,7 @@ class Page {
 
   private applyTheme(): void {
     document.documentElement.dataset.theme = this.theme;
+    this.stage.setBackground(PALETTES[this.theme].paper);
     this.rescale();
     this.timeline.refresh();
     if (this.view) this.ground();
@@ -311,6 +312,19 @@ class Page {
     $<HTMLSelectElement>("original").value = place;
     this.rescale();
     this.reset();
+  }
+
+  private setUnit(unit: string): void {
+    useUnit(unit ? (unit as Unit) : null);
+    const { selected } = this.list;
+    if (this.view) this.choose(this.active);
+    this.list.select(selected);
+  }
+
+  /** Show the recording with another vertical axis than its file names. */
+  private setUp(up: Facts["up"]): void {
+    this.view?.orient(up);
+    this.arrange();
   }
 
   private async openFiles(files: FileList | File[] | null): Promise<void> {
@@ -342,7 +356,9 @@ class Page {
     on("theme", () => this.switchTheme());
     $("files").addEventListener("change", () => void this.openFiles($<HTMLInputElement>("files").files));
     $("original").addEventListener("change", () => this.setPlace($<HTMLSelectElement>("original").value as OriginalPlace));
-    document.addEventListener("keydown", (event) => this.key(event));
+    listenKeys(this.keys());
+    $("unit").addEventListener("change", () => this.setUnit($<HTMLSelectElement>("unit").value));
+    $("up").addEventListener("change", () => this.setUp($<HTMLSelectElement>("up").value as Facts["up"]));
     addEventListener("dragover", (event) => event.preventDefault());
     addEventListener("drop", (event) => {
       event.preventDefault();
@@ -364,22 +380,21 @@ class Page {
     this.applyTheme();
   }
 
-  private key(event: KeyboardEvent): void {
-    const target = event.target as HTMLElement;
-    if (event.ctrlKey || event.metaKey || event.altKey || target.matches("input[type=search], input[type=text], select")) return;
-    const view = this.view;
-    const second = Math.round(view?.facts.rate ?? 1);
-    const step = event.shiftKey ? second : 1;
-    const speed = $<HTMLSelectElement>("speed");
-    const actions: Record<string, () => void> = {
+  private keys(): Record<string, (isShifted: boolean) => void> {
+    const step = (isShifted: boolean) => (isShifted ? Math.round(this.view?.facts.rate ?? 1) : 1);
+    const speed = (change: number) => {
+      const select = $<HTMLSelectElement>("speed");
+      select.selectedIndex = Math.max(0, Math.min(select.options.length - 1, select.selectedIndex + change));
+    };
+    return {
       " ": () => this.play(!this.isPlaying),
-      ArrowLeft: () => this.seek(this.frame - step),
-      ArrowRight: () => this.seek(this.frame + step),
+      ArrowLeft: (isShifted) => this.seek(this.frame - step(isShifted)),
+      ArrowRight: (isShifted) => this.seek(this.frame + step(isShifted)),
       Home: () => this.seek(0),
       End: () => this.seek(Infinity),
       w: () => this.worst(),
-      "[": () => (speed.selectedIndex = Math.max(0, speed.selectedIndex - 1)),
-      "]": () => (speed.selectedIndex = Math.min(speed.options.length - 1, speed.selectedIndex + 1)),
+      "[": () => speed(-1),
+      "]": () => speed(1),
       l: () => this.toggle("loop"),
       f: () => this.toggle("follow"),
       t: () => this.toggle("trails"),
@@ -390,10 +405,6 @@ class Page {
       o: () => $("files").click(),
       "?": () => $<HTMLDialogElement>("help").showModal(),
     };
-    const act = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!act || (event.key === " " && target.matches("button"))) return;
-    event.preventDefault();
-    act();
   }
 
   /** For tests: the state of the page. */

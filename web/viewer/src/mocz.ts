@@ -69,6 +69,7 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
     ratio: info.bytes ? (info.frames * points * 12) / info.bytes : null,
     promise,
     chunks,
+    marks: [],
     events,
     signals: [],
     gaps,

@@ -16,30 +16,28 @@ import {
   Matrix4,
   MeshLambertMaterial,
   PerspectiveCamera,
-  Points,
-  PointsMaterial,
   Quaternion,
   Scene,
-  SphereGeometry,
   Vector2,
   Vector3,
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { Dots } from "./dots.ts";
 import type { Frame } from "./frames.ts";
 import type { Palette } from "./theme.ts";
 
-const POINTS_AS_SPHERES = 2000;
 const TRAIL_SECONDS = 2;
 const UPWARDS = new Vector3(0, 1, 0);
+/** Sides of a bone: as few as look round at their size, since triangles are slow without a graphics card. */
+const BONE_SIDES = 6;
 
-/** One motion as spheres and lines: positions are set once a frame. */
+/** One motion as points and bones: positions are set once a frame. */
 export class Figure {
   readonly group = new Group();
-  private spheres: InstancedMesh | null = null;
-  private dots: Points | null = null;
-  private bones: InstancedMesh;
-  private trail: LineSegments;
+  private readonly dots: Dots;
+  private readonly bones: InstancedMesh;
+  private readonly trail: LineSegments;
   private readonly matrix = new Matrix4();
   private readonly colour = new Color();
   private readonly from = new Vector3();
@@ -48,57 +46,28 @@ export class Figure {
   private readonly turn = new Quaternion();
 
   constructor(
-    readonly points: number,
     readonly links: [number, number][],
-    private size: number,
+    private readonly size: number,
     isGhost: boolean,
   ) {
-    if (points <= POINTS_AS_SPHERES) {
-      const material = new MeshLambertMaterial({ transparent: isGhost, opacity: isGhost ? 0.45 : 1, depthWrite: !isGhost });
-      this.spheres = new InstancedMesh(new SphereGeometry(1, 14, 10), material, Math.max(1, points));
-      this.spheres.count = points;
-      this.spheres.frustumCulled = false;
-      this.spheres.instanceMatrix.setUsage(DynamicDrawUsage);
-      for (let i = 0; i < points; i++) this.spheres.setColorAt(i, this.colour.set(0xffffff));
-      this.group.add(this.spheres);
-    } else {
-      this.dots = new Points(dynamicGeometry(points), new PointsMaterial({ size: 2 * size, vertexColors: true }));
-      this.dots.frustumCulled = false;
-      this.group.add(this.dots);
-    }
+    this.dots = new Dots(isGhost ? 0.45 : 1, false);
     const material = new MeshLambertMaterial({ transparent: isGhost, opacity: isGhost ? 0.35 : 1, depthWrite: !isGhost });
-    this.bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, 8, 1, true), material, Math.max(1, links.length));
+    this.bones = new InstancedMesh(new CylinderGeometry(1, 1, 1, BONE_SIDES, 1, true), material, Math.max(1, links.length));
     this.bones.count = links.length;
     this.bones.frustumCulled = false;
+    this.bones.renderOrder = isGhost ? 1 : 0;
     this.bones.instanceMatrix.setUsage(DynamicDrawUsage);
     for (let i = 0; i < links.length; i++) this.bones.setColorAt(i, this.colour.set(0xffffff));
-    this.trail = new LineSegments(dynamicGeometry(0), new LineBasicMaterial({ transparent: true, opacity: 0.8 }));
+    this.trail = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ transparent: true, opacity: 0.8 }));
     this.trail.frustumCulled = false;
-    this.group.add(this.bones, this.trail);
+    this.trail.visible = false;
+    this.group.add(this.bones, this.trail, this.dots.object);
   }
 
   /** Show a frame; colours (points · 3, 0 to 1) of the points. */
   show(frame: Frame, colours: Float32Array, selected: number): void {
-    const p = frame.positions;
-    for (let i = 0; i < this.points; i++) {
-      const isGap = Number.isNaN(p[3 * i]);
-      const radius = isGap ? 0 : this.size * (i === selected ? 1.8 : 1);
-      if (this.spheres) {
-        this.matrix.makeScale(radius, radius, radius);
-        this.matrix.setPosition(isGap ? 0 : p[3 * i], isGap ? 0 : p[3 * i + 1], isGap ? 0 : p[3 * i + 2]);
-        this.spheres.setMatrixAt(i, this.matrix);
-        this.spheres.setColorAt(i, this.colour.setRGB(colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]));
-      }
-    }
-    if (this.spheres) {
-      this.spheres.instanceMatrix.needsUpdate = true;
-      if (this.spheres.instanceColor) this.spheres.instanceColor.needsUpdate = true;
-    }
-    if (this.dots) {
-      fill(this.dots.geometry, "position", p.map((value) => (Number.isNaN(value) ? 1e6 : value)));
-      fill(this.dots.geometry, "color", colours);
-    }
-    this.links.forEach(([a, b], k) => this.showBone(k, a, b, p, colours));
+    this.dots.show(frame.positions, colours, this.size, selected);
+    this.links.forEach(([a, b], k) => this.showBone(k, a, b, frame.positions, colours));
     this.bones.instanceMatrix.needsUpdate = true;
     if (this.bones.instanceColor) this.bones.instanceColor.needsUpdate = true;
   }
@@ -110,8 +79,8 @@ export class Figure {
     const length = this.along.length();
     if (!(length > 1e-9)) this.matrix.makeScale(0, 0, 0);
     else {
-      this.turn.setFromUnitVectors(UPWARDS, this.along.clone().divideScalar(length));
       this.from.addScaledVector(this.along, 0.5);
+      this.turn.setFromUnitVectors(UPWARDS, this.along.divideScalar(length));
       this.matrix.compose(this.from, this.turn, this.thickness.set(0.42 * this.size, length, 0.42 * this.size));
     }
     this.bones.setMatrixAt(k, this.matrix);
@@ -122,64 +91,44 @@ export class Figure {
 
   /** Show the path of points: segments (n · 6) between the positions of neighbouring frames. */
   showTrail(segments: Float32Array, colour: number): void {
+    const isEmpty = segments.length === 0;
+    if (isEmpty && !this.trail.visible) return;
+    this.trail.visible = !isEmpty;
     this.trail.geometry.dispose();
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(segments, 3));
-    this.trail.geometry = geometry;
+    this.trail.geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(segments, 3));
     (this.trail.material as LineBasicMaterial).color.set(colour);
   }
 
   dispose(): void {
-    for (const part of [this.spheres, this.dots, this.bones, this.trail]) part?.geometry.dispose();
+    this.dots.dispose();
+    for (const part of [this.bones, this.trail]) part.geometry.dispose();
   }
-
 }
+
+/** Linear values of the 256 values of an sRGB colour. */
+const LINEAR = Float32Array.from({ length: 256 }, (_, i) => new Color().setRGB(i / 255, 0, 0, "srgb").r);
 
 /** One sequence of point clouds. */
 export class CloudFigure {
   readonly group = new Group();
-  private dots: Points;
+  private readonly dots = new Dots(1, true);
+  private colours = new Float32Array(0);
 
-  constructor(size: number) {
-    this.dots = new Points(new BufferGeometry(), new PointsMaterial({ size, vertexColors: true, sizeAttenuation: true }));
-    this.dots.frustumCulled = false;
-    this.group.add(this.dots);
+  constructor(private readonly size: number) {
+    this.group.add(this.dots.object);
   }
 
   show(frame: Frame, neutral: Color): void {
-    const count = frame.positions.length / 3;
-    const colours = new Float32Array(count * 3);
-    const one = new Color();
-    for (let i = 0; i < count; i++) {
-      if (frame.colours?.length) {
-        one.setRGB(frame.colours[3 * i] / 255, frame.colours[3 * i + 1] / 255, frame.colours[3 * i + 2] / 255, "srgb");
-      } else one.copy(neutral);
-      one.toArray(colours, 3 * i);
-    }
-    this.dots.geometry.dispose();
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(frame.positions, 3));
-    geometry.setAttribute("color", new BufferAttribute(colours, 3));
-    this.dots.geometry = geometry;
+    const { positions, colours } = frame;
+    if (this.colours.length !== positions.length) this.colours = new Float32Array(positions.length);
+    if (colours?.length) for (let i = 0; i < colours.length; i++) this.colours[i] = LINEAR[colours[i]];
+    else for (let i = 0; i < positions.length; i += 3) neutral.toArray(this.colours, i);
+    this.dots.show(positions, this.colours, this.size / 2);
   }
 
   dispose(): void {
-    this.dots.geometry.dispose();
+    this.dots.dispose();
   }
-}
-
-function dynamicGeometry(count: number): BufferGeometry {
-  const geometry = new BufferGeometry();
-  for (const name of ["position", "color"]) {
-    geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * count), 3).setUsage(DynamicDrawUsage));
-  }
-  return geometry;
-}
-
-function fill(geometry: BufferGeometry, name: string, values: Float32Array): void {
-  const attribute = geometry.getAttribute(name) as BufferAttribute;
-  (attribute.array as Float32Array).set(values);
-  attribute.needsUpdate = true;
 }
 
 export class Stage {
@@ -189,13 +138,17 @@ export class Stage {
   readonly controls: OrbitControls;
   private grid: GridHelper | null = null;
   private dirty = true;
+  /** Without a graphics card edges are smooth only in stills, which have twice the pixels: multisampling costs a fifth of the frames. */
+  private readonly isSoftware: boolean;
+  private isMoving = false;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
     onDraw: () => void,
   ) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    this.isSoftware = drawsInSoftware();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.isSoftware, alpha: false });
+    this.renderer.setPixelRatio(this.ratio);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
     this.controls.addEventListener("change", () => {
@@ -210,6 +163,25 @@ export class Stage {
       onDraw();
     }).observe(canvas.parentElement!);
     this.resize();
+  }
+
+  private get ratio(): number {
+    return this.isSoftware ? (this.isMoving ? 1 : 2) : Math.min(2, devicePixelRatio);
+  }
+
+  /** Say whether frames follow one another. */
+  setMoving(isMoving: boolean): void {
+    if (isMoving === this.isMoving) return;
+    this.isMoving = isMoving;
+    if (!this.isSoftware) return;
+    this.renderer.setPixelRatio(this.ratio);
+    this.dirty = true;
+  }
+
+  /** The colour behind everything, that of the page. */
+  setBackground(colour: number): void {
+    this.renderer.setClearColor(colour);
+    this.dirty = true;
   }
 
   /** Draw the ground at a height, with lines one metre apart (or a tenth, or ten, for small and large recordings). */
@@ -288,6 +260,14 @@ export class Stage {
     this.dirty = true;
   }
 
+}
+
+/** Whether the browser draws without a graphics card. */
+function drawsInSoftware(): boolean {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const name = gl ? String(gl.getParameter(gl.getExtension("WEBGL_debug_renderer_info")?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER)) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
 /** How many frames of a trail to draw. */

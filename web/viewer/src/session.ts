@@ -3,6 +3,8 @@
  * Lengths are metres, times seconds. Frames count from 0.
  */
 
+import { readable } from "./text.ts";
+
 export interface Session {
   version: 1;
   title: string;
@@ -29,6 +31,8 @@ export interface Facts {
   promise: Record<string, number>;
   /** First frame and bytes of chunks, or of runs of chunks in a long file. */
   chunks: [number, number][];
+  /** Kinds of frames at which the codec begins something (clip, segment, key frame), each with its frames. */
+  marks: { label: string; frames: number[] }[];
   events: { label: string; seconds: number }[];
   signals: SignalFacts[];
   /** Share of points missing in equal parts of the recording. */
@@ -87,6 +91,18 @@ export async function load(place = new URLSearchParams(location.search).get("ses
   const response = await fetch(url);
   if (!response.ok) throw new Error((await response.text()) || `the server answers ${response.status} for ${place}`);
   return checked(await response.json());
+}
+
+/** Facts whose texts can be shown: see `readable`. */
+export function withReadableTexts(facts: Facts): Facts {
+  return {
+    ...facts,
+    name: readable(facts.name),
+    names: facts.names.map(readable),
+    events: facts.events.map((event) => ({ ...event, label: readable(event.label) })),
+    signals: facts.signals.map((signal) => ({ ...signal, label: readable(signal.label), unit: readable(signal.unit) })),
+    notes: facts.notes.map(readable),
+  };
 }
 
 function checked(value: unknown): Session {

@@ -1,13 +1,30 @@
 /** Numbers as text. */
 
-/** A length in metres, in the unit that suits it; three digits, or as many as it has if `isExact`. */
+/** Units of length: how many are in a metre. */
+const UNITS = { m: 1, cm: 100, mm: 1000, in: 1 / 0.0254 } as const;
+export type Unit = keyof typeof UNITS;
+
+let chosen: Unit | null = null;
+
+/** Show lengths in this unit; null: in the one that suits each. */
+export function useUnit(unit: Unit | null): void {
+  chosen = unit;
+}
+
+/** A length in metres, in the chosen unit or in one that suits it; three digits, or as many as it has if `isExact`. */
 export function length(metres: number | null | undefined, isExact = false): string {
   if (metres === null || metres === undefined || Number.isNaN(metres)) return "–";
+  if (chosen) return `${digits(metres * UNITS[chosen])} ${chosen}`;
   if (metres === 0) return "0 mm";
   const size = Math.abs(metres);
   const [factor, unit] = size < 1e-6 ? [1e9, "nm"] : size < 1e-4 ? [1e6, "µm"] : size < 0.1 ? [1e3, "mm"] : size < 1 ? [100, "cm"] : [1, "m"];
   const text = isExact ? digits(metres * factor) : threeDigits(metres * factor);
   return `${text} ${unit}`;
+}
+
+/** A text of a file: control characters and marks that turn the direction of writing become their numbers, so that no name poses as another. */
+export function readable(text: string): string {
+  return text.replace(/[\p{Cc}\p{Zl}\p{Zp}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/gu, (character) => `⟨${character.codePointAt(0)!.toString(16).toUpperCase().padStart(4, "0")}⟩`);
 }
 
 function digits(value: number): string {

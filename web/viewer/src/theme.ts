@@ -3,6 +3,7 @@
 import { Color } from "three";
 
 export interface Palette {
+  paper: number;
   ink: number;
   point: number;
   ghost: number;
@@ -13,8 +14,8 @@ export interface Palette {
 }
 
 export const PALETTES: Record<"light" | "dark", Palette> = {
-  light: { ink: 0x1d2430, point: 0x3f6ea8, ghost: 0x8a8f98, grid: 0xe3e3de, gridStrong: 0xcfcfc8, middle: 0xe0a030, accent: 0xc8442e },
-  dark: { ink: 0xe8eaee, point: 0x7fb0ea, ghost: 0x9aa1ad, grid: 0x2a2f38, gridStrong: 0x3a414d, middle: 0xf0b545, accent: 0xff6a4d },
+  light: { paper: 0xfbfbf8, ink: 0x1d2430, point: 0x3f6ea8, ghost: 0x8a8f98, grid: 0xe3e3de, gridStrong: 0xcfcfc8, middle: 0xe0a030, accent: 0xc8442e },
+  dark: { paper: 0x14171c, ink: 0xe8eaee, point: 0x7fb0ea, ghost: 0x9aa1ad, grid: 0x2a2f38, gridStrong: 0x3a414d, middle: 0xf0b545, accent: 0xff6a4d },
 };
 
 /** Colours of errors: from the colour of a point over yellow to the accent at `scale` and above. */

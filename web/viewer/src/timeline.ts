@@ -15,13 +15,14 @@ export class Timeline {
   private strips: number[] = [];
   private facts: Facts | null = null;
   private frame = 0;
-  private hover: number | null = null;
-  private base: HTMLCanvasElement = document.createElement("canvas");
-  private stale = true;
+  /** Of the canvas, pixels of the page: kept, since asking for it makes the browser lay out the page. */
+  private width = 1;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly tip: HTMLElement,
+    private readonly head: HTMLElement,
+    private readonly pointer: HTMLElement,
     seek: (frame: number) => void,
   ) {
     let dragging = false;
@@ -30,9 +31,9 @@ export class Timeline {
       const box = canvas.getBoundingClientRect();
       const frame = this.frameAt(event.clientX - box.left);
       if (dragging) seek(frame);
-      this.hover = event.clientX - box.left;
+      this.pointer.hidden = false;
+      this.pointer.style.transform = `translateX(${Math.round(event.clientX - box.left)}px)`;
       this.showTip(frame, event.clientX - box.left);
-      this.draw();
     };
     canvas.addEventListener("pointerdown", (event) => {
       dragging = true;
@@ -44,9 +45,8 @@ export class Timeline {
     canvas.addEventListener("pointerup", () => (dragging = false));
     canvas.addEventListener("pointercancel", () => (dragging = false));
     canvas.addEventListener("pointerleave", () => {
-      this.hover = null;
+      pointer.hidden = true;
       tip.hidden = true;
-      this.draw();
     });
     new ResizeObserver(() => this.refresh()).observe(canvas.parentElement!);
   }
@@ -58,28 +58,35 @@ export class Timeline {
     this.refresh();
   }
 
+  /** Move the head: an element of its own, since drawing the canvas anew in each frame takes longer. */
   setFrame(frame: number): void {
     this.frame = frame;
-    this.canvas.setAttribute("aria-valuenow", String(frame));
-    if (this.facts) this.canvas.setAttribute("aria-valuetext", `frame ${frame}, ${time(frame / this.facts.rate)}`);
-    this.draw();
+    const x = Math.max(1, Math.min(this.width - 1, this.x(frame)));
+    this.head.style.transform = `translateX(${x.toFixed(1)}px)`;
+  }
+
+  /** Say the frame to screen readers: not while playing, where it would change too often to be read. */
+  announce(): void {
+    this.canvas.setAttribute("aria-valuenow", String(this.frame));
+    if (this.facts) this.canvas.setAttribute("aria-valuetext", `frame ${this.frame}, ${time(this.frame / this.facts.rate)}`);
   }
 
   /** Draw everything anew, after a change of size, theme or data. */
   refresh(): void {
     const hasErrors = this.facts?.errors != null;
-    const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
+    const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps) + (this.facts?.marks.length ?? 0)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
     this.canvas.style.height = `${height}px`;
     const scale = Math.min(2, devicePixelRatio);
-    this.canvas.width = Math.max(1, this.canvas.clientWidth * scale);
+    this.width = Math.max(1, this.canvas.clientWidth);
+    this.canvas.width = this.width * scale;
     this.canvas.height = height * scale;
-    this.stale = true;
     this.draw();
+    this.setFrame(this.frame);
   }
 
   private frameAt(x: number): number {
     const count = this.facts!.frames;
-    return Math.max(0, Math.min(count - 1, Math.round((x / Math.max(1, this.canvas.clientWidth)) * (count - 1))));
+    return Math.max(0, Math.min(count - 1, Math.round((x / this.width) * (count - 1))));
   }
 
   /** The frame under the pointer; in the error curve, that of the largest error within three pixels. */
@@ -100,12 +107,13 @@ export class Timeline {
       const bin = Math.floor(frame / facts.errors.binFrames);
       parts.push(`max ${length(facts.errors.binMax[bin])} · mean ${length(facts.errors.binMean[bin])}`);
     }
+    parts.push(...this.marksAt(frame));
     const near = facts.events.filter((event) => Math.abs(this.x(event.seconds * facts.rate) - x) < 5);
     parts.push(...near.slice(0, 3).map((event) => event.label));
     this.tip.textContent = parts.join("\n");
     this.tip.hidden = false;
     const width = this.tip.offsetWidth;
-    this.tip.style.left = `${Math.max(4, Math.min(this.canvas.clientWidth - width - 4, x - width / 2))}px`;
+    this.tip.style.left = `${Math.max(4, Math.min(this.width - width - 4, x - width / 2))}px`;
   }
 
   private get hasGaps(): boolean {
@@ -113,41 +121,14 @@ export class Timeline {
   }
 
   private x(frame: number): number {
-    return (frame / Math.max(1, this.facts!.frames - 1)) * this.canvas.clientWidth;
+    return (frame / Math.max(1, (this.facts?.frames ?? 1) - 1)) * this.width;
   }
 
   private draw(): void {
     if (!this.facts) return;
-    if (this.stale) this.drawBase();
-    this.stale = false;
-    const scale = this.canvas.width / Math.max(1, this.canvas.clientWidth);
+    const { facts, width } = this;
     const pen = this.canvas.getContext("2d")!;
-    pen.setTransform(1, 0, 0, 1, 0, 0);
-    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    pen.drawImage(this.base, 0, 0);
-    pen.setTransform(scale, 0, 0, scale, 0, 0);
-    const height = this.canvas.height / scale;
-    if (this.hover !== null) {
-      pen.fillStyle = css("--line");
-      pen.fillRect(Math.round(this.hover), LABELS, 1, height);
-    }
-    const x = Math.max(1, Math.min(this.canvas.clientWidth - 1, this.x(this.frame)));
-    pen.fillStyle = css("--ink");
-    pen.fillRect(Math.round(x) - 1, LABELS - 6, 2, height);
-    pen.beginPath();
-    pen.moveTo(x - 5, LABELS - 10);
-    pen.lineTo(x + 5, LABELS - 10);
-    pen.lineTo(x, LABELS - 2);
-    pen.fill();
-  }
-
-  private drawBase(): void {
-    const facts = this.facts!;
-    const width = this.canvas.clientWidth;
-    const scale = this.canvas.width / Math.max(1, width);
-    this.base.width = this.canvas.width;
-    this.base.height = this.canvas.height;
-    const pen = this.base.getContext("2d")!;
+    const scale = this.canvas.width / width;
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     pen.font = "11px system-ui, sans-serif";
     this.drawTimes(pen, width);
@@ -158,6 +139,10 @@ export class Timeline {
     }
     this.drawBytes(pen, top, width);
     top += RIBBON + GUTTER;
+    for (const { frames } of facts.marks) {
+      this.drawMarks(pen, top, frames);
+      top += RIBBON + GUTTER;
+    }
     if (this.hasGaps) {
       this.drawGaps(pen, top, width);
       top += RIBBON + GUTTER;
@@ -262,6 +247,26 @@ export class Timeline {
     pen.globalAlpha = 1;
   }
 
+  private drawMarks(pen: CanvasRenderingContext2D, top: number, frames: number[]): void {
+    pen.fillStyle = css("--raised");
+    pen.fillRect(0, top, this.width, RIBBON);
+    pen.fillStyle = css("--muted");
+    for (const frame of frames) pen.fillRect(Math.round(this.x(frame)), top, 1, RIBBON);
+  }
+
+  /** Numbers of the clip, segment and key frame at a frame, as text. */
+  private marksAt(frame: number): string[] {
+    return this.facts!.marks.flatMap(({ label, frames }) => {
+      let before = 0;
+      for (let high = frames.length; before < high; ) {
+        const middle = (before + high) >> 1;
+        if (frames[middle] <= frame) before = middle + 1;
+        else high = middle;
+      }
+      return before ? [`${label} ${before} of ${frames.length}`] : [];
+    });
+  }
+
   private drawGaps(pen: CanvasRenderingContext2D, top: number, width: number): void {
     const { gaps, damage } = this.facts!;
     pen.fillStyle = css("--raised");
@@ -286,11 +291,24 @@ export class Timeline {
     const smallest = Math.min(...low);
     const range = Math.max(...high) - smallest || 1;
     const y = (value: number) => top + (SIGNAL_HEIGHT - 2) * (1 - (value - smallest) / range) + 1;
-    pen.fillStyle = css("--green");
-    low.forEach((value, i) => {
-      const left = (i / low.length) * width;
-      pen.fillRect(left, y(high[i]), Math.max(1, width / low.length), Math.max(1, y(value) - y(high[i])));
-    });
+    if (low.length >= width / 2) {
+      pen.fillStyle = css("--green");
+      low.forEach((value, i) => {
+        const left = (i / low.length) * width;
+        pen.fillRect(left, y(high[i]), Math.max(1, width / low.length), Math.max(1, y(value) - y(high[i])));
+      });
+    } else {
+      // parts wider than two pixels: a line through all values, since boxes would look like dots
+      pen.strokeStyle = css("--green");
+      pen.lineWidth = 1.25;
+      pen.beginPath();
+      low.forEach((value, i) => {
+        const x = ((i + 0.5) / low.length) * width;
+        pen.lineTo(x, y(value));
+        if (high[i] !== value) pen.lineTo(x, y(high[i]));
+      });
+      pen.stroke();
+    }
     const text = unit ? `${label} (${unit})` : label;
     pen.textBaseline = "top";
     const box = pen.measureText(text).width;

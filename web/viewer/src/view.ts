@@ -19,9 +19,12 @@ export class RecordingView {
   centre = new Vector3();
   extent = 1;
   lowest = 0;
+  /** Smallest coordinates of that frame. */
+  private readonly corner = new Vector3();
   private figure: Figure | CloudFigure | null = null;
   private ghost: Figure | CloudFigure | null = null;
-  private colours: Float32Array;
+  private readonly colours: Float32Array;
+  private readonly ghostColours: Float32Array;
   private shown: Frame | null = null;
   /** Number of the frame in the picture; −1 before the first. */
   shownFrame = -1;
@@ -36,6 +39,7 @@ export class RecordingView {
     this.original = original;
     this.errors = new Float32Array(facts.points).fill(NaN);
     this.colours = new Float32Array(3 * facts.points);
+    this.ghostColours = new Float32Array(3 * facts.points);
   }
 
   static async open(facts: Facts, stage: Stage, onLoad: () => void): Promise<RecordingView> {
@@ -65,20 +69,27 @@ export class RecordingView {
     if (sample && Number.isFinite(low[0])) {
       this.centre.set(...(low.map((v, i) => (v + high[i]) / 2) as [number, number, number]));
       this.extent = Math.max(1e-3, Math.hypot(...high.map((v, i) => v - low[i])));
-      this.lowest = low["xyz".indexOf(this.facts.up)];
+      this.corner.set(...(low as [number, number, number]));
     }
     const make = (isGhost: boolean) =>
       this.facts.kind === "clouds"
         ? new CloudFigure(0.006 * this.extent)
-        : new Figure(this.facts.points, this.facts.links, 0.0075 * this.extent * (isGhost ? 1.1 : 1), isGhost);
+        : new Figure(this.facts.links, pointSize(this.facts.points, this.extent) * (isGhost ? 1.1 : 1), isGhost);
     this.figure = make(false);
-    this.root.rotation.set(this.facts.up === "z" ? -Math.PI / 2 : 0, 0, this.facts.up === "x" ? Math.PI / 2 : 0);
+    this.orient(this.facts.up);
     this.stage.scene.add(this.root);
     this.root.add(this.figure.group);
     if (this.original) {
       this.ghost = make(true);
       this.root.add(this.ghost.group);
     }
+  }
+
+  /** Make an axis of the recording the vertical one. */
+  orient(up: Facts["up"]): void {
+    this.facts.up = up;
+    this.lowest = this.corner.getComponent("xyz".indexOf(up));
+    this.root.rotation.set(up === "z" ? -Math.PI / 2 : 0, 0, up === "x" ? Math.PI / 2 : 0);
   }
 
   /** Frame number at a time. */
@@ -109,12 +120,11 @@ export class RecordingView {
     if (this.ghost) {
       this.ghost.group.visible = place !== "off" && before !== null;
       this.ghost.group.position.copy(place === "beside" ? this.sideways(0.75 * this.extent) : new Vector3());
-      if (before && this.ghost instanceof CloudFigure) this.ghost.show(before, new Color(palette.ghost));
+      const grey = new Color(palette.ghost);
+      if (before && this.ghost instanceof CloudFigure) this.ghost.show(before, grey);
       else if (before && this.ghost instanceof Figure) {
-        const ghostColours = new Float32Array(3 * this.facts.points);
-        const grey = new Color(palette.ghost);
-        for (let i = 0; i < this.facts.points; i++) grey.toArray(ghostColours, 3 * i);
-        this.ghost.show(before, ghostColours, -1);
+        for (let i = 0; i < this.facts.points; i++) grey.toArray(this.ghostColours, 3 * i);
+        this.ghost.show(before, this.ghostColours, -1);
       }
     }
     return before !== null || this.original === null || this.original.failure(frame) !== null;
@@ -183,4 +193,9 @@ export class RecordingView {
     this.figure?.dispose();
     this.ghost?.dispose();
   }
+}
+
+/** Radius of a point: smaller where there are many, which would hide one another. */
+function pointSize(points: number, extent: number): number {
+  return 0.0075 * extent * Math.min(1, Math.cbrt(400 / Math.max(1, points)));
 }

@@ -12,7 +12,7 @@ Encoder and decoder run the same functions.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ... import native
 from ...entropy.bit_arrays import CUT_OFF, BitCoder
 from ...errors import Corrupt
 from ...typing import Booleans, Integers
-from .point_colours import CLASS_EDGES, CLASSES, FIRST_STRIDE, GREY, KINDS, LEVELS, code_integers, require_in_range
+from .point_colours import CLASS_EDGES, CLASSES, FIRST_STRIDE, GREY, KINDS, LEVELS, OUT_OF_RANGE, code_integers
 
 WINDOW = 16  # known points along the octree's order among which the nearest are searched
 AVERAGED = 4  # nearest known points
@@ -81,6 +81,25 @@ class ColourLifting:
         cells (n, 3): lattice coordinates in the octree's order. expected (n, 3): YCoCg; is_expected (n,): where it is
         known.
         """
+        encode, decode = native.kernel("colour_frame_encode"), native.kernel("colour_frame_decode")
+        if coder.compiled is not None and encode is not None and decode is not None:
+            data = cells, expected, is_expected.view(np.uint8), self._share, np.array(self.steps.of_channels)
+            found = decode(coder.compiled, *data) if wanted is None else encode(coder.compiled, wanted, *data)
+            known = self._compiled_result(*found)
+        else:
+            known = self._code_passes(coder, wanted, cells, expected, is_expected)
+        self._learn()
+        return known
+
+    def _compiled_result(self, known: Any, product: Any, square: Any, failure: int) -> Integers:
+        if failure:
+            raise Corrupt(CUT_OFF if failure == 1 else OUT_OF_RANGE)
+        self._product, self._square = self._product + product, self._square + square
+        return np.asarray(known)
+
+    def _code_passes(
+        self, coder: BitCoder, wanted: Integers | None, cells: Integers, expected: Integers, is_expected: Booleans
+    ) -> Integers:
         known, bases = np.zeros((len(cells), 3), np.int64), np.zeros((len(cells), 3), np.int64)
         stride, level = FIRST_STRIDE, 0
         while stride:
@@ -97,7 +116,6 @@ class ColourLifting:
                 self._observe(known[rows][own] - around.base[own], around.correction[own])
             stride //= 2
             level += 1
-        self._learn()
         return known
 
     def _code_rows(
@@ -115,7 +133,7 @@ class ColourLifting:
             activity = np.searchsorted(ACTIVITY_EDGES, 2 * around.activity[:, channel] // step, side="right")
             spread = np.searchsorted(ACTIVITY_EDGES, around.spread[:, channel] // step, side="right")
             place = np.stack([np.full(len(predicted), channel), activity, spread, coded], axis=1)
-            difference = _code_differences(coder, difference, place, level)
+            difference = code_integers(coder, difference, len(place), partial(_contexts, place, level))
             result[:, channel] = np.clip(predicted[:, channel] + difference * step, -LARGEST - 1, LARGEST)
             coded = np.maximum(coded, np.searchsorted(CLASS_EDGES, np.abs(difference), side="right"))
         return result
@@ -147,9 +165,6 @@ def _around(
     nothing = np.zeros((len(rows), 3), np.int64)
     if not stride:
         return Neighbourhood(np.where(own, expected[rows], GREY), nothing, nothing, nothing)
-    if (kernel := native.kernel("colour_neighbourhoods")) is not None:
-        found = kernel(known, bases, cells, rows, stride, expected, is_expected.view(np.uint8))
-        return Neighbourhood(*map(np.asarray, found))
     count = -(-len(cells) // stride)
     width = min(WINDOW, count)
     first = np.clip(rows // stride + 1 - WINDOW // 2, 0, count - width)
@@ -168,23 +183,6 @@ def _around(
         (np.abs(errors) * weight).sum(axis=1) // total,
         np.abs(colours - mean[:, None]).max(axis=1),
     )
-
-
-def _code_differences(coder: BitCoder, wanted: Integers | None, place: Integers, level: int) -> Integers:
-    """Code the integers (n,) of a channel and return them; wanted: None in the decoder. place, level: of `_contexts`.
-    Raises Corrupt.
-    """
-    encode, decode = native.kernel("colour_integers_encode"), native.kernel("colour_integers_decode")
-    if coder.compiled is None or encode is None or decode is None:
-        return code_integers(coder, wanted, len(place), partial(_contexts, place, level))
-    if wanted is not None:
-        found = np.asarray(encode(coder.compiled, wanted, place, level))
-    else:
-        found = np.asarray(decode(coder.compiled, place, level))
-        if coder.compiled.exhausted():
-            raise Corrupt(CUT_OFF)
-    require_in_range(np.abs(found))
-    return found
 
 
 def _contexts(place: Integers, level: int, kind: int, rows: Integers) -> tuple[Integers, Integers]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ... import native
 from ...errors import Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Pose
@@ -78,6 +79,9 @@ class IntegerSurface:
 
     def posed(self, turns: Integers, moves: Integers) -> tuple[Integers, Integers]:
         """Samples (m, 3) in 2^-PLACE_BITS metres and their normals under turns (links, 3, 3) and moves (links, 3)."""
+        if (kernel := native.kernel("posed_surface")) is not None:
+            places, normals = kernel(self.points, self.normals, self.links, self.shares, turns, moves)
+            return np.asarray(places), np.asarray(normals)
         places = list[Integers]()
         for column in (0, 1):
             link = self.links[:, column]
@@ -156,6 +160,7 @@ def hints_of_frame(
     if np.abs(places).max() * scale > 2.0**40:
         raise Corrupt("bodycast: a pose is out of range")
     points = np.floor(places * scale).astype(np.int64) - (corner << SUBUNIT_BITS)
-    gaps = np.sort(((points[neighbours[:, 0]] - points) ** 2).sum(axis=1))
-    spacing = max(math.isqrt(int(gaps[len(gaps) // 2])), 1)  # the median distance to the nearest sample
+    gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
+    middle = len(gaps) // 2
+    spacing = max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)  # the median distance to the nearest sample
     return SurfaceHints(points, normals, neighbours, spacing, depth)

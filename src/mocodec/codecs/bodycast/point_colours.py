@@ -28,6 +28,7 @@ KINDS = WIDE_KIND + WIDE_BITS
 CLASS_EDGES = (1, 2, 4, 8, 16)  # of magnitudes
 CLASSES = len(CLASS_EDGES) + 1
 LEVELS = 7  # strides from 64 to 1
+OUT_OF_RANGE = "bodycast: the colour of a point is out of range"
 
 
 def ycocg_from_rgb(colours: Integers) -> Integers:
@@ -135,11 +136,6 @@ def code_integers(
     for digit in range(WIDE_BITS if len(rows) else 0):
         rest = None if magnitude is None else (magnitude[rows] - (UNARY + 1) >> digit & 1).astype(bool)
         found[rows] += code(WIDE_KIND + digit, rows, rest).astype(np.int64) << digit
-    require_in_range(found)
+    if (found >= 1 << WIDE_BITS).any():
+        raise Corrupt(OUT_OF_RANGE)
     return found * signs
-
-
-def require_in_range(magnitudes: Integers) -> None:
-    """Raises Corrupt for magnitudes (n,) that no colour needs."""
-    if (magnitudes >= 1 << WIDE_BITS).any():
-        raise Corrupt("bodycast: the colour of a point is out of range")

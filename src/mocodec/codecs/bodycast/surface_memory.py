@@ -57,6 +57,8 @@ class SampleTable(NamedTuple):
 
     def canonical(self, frame: PosedSurface, points: Integers, samples: Integers) -> Integers:
         """(n, 3): points of a frame in the canonical pose, each moved as the first link of its sample (n,) ≥ 0."""
+        if (kernel := native.kernel("canonical_places")) is not None:
+            return np.asarray(kernel(self.points, frame.rows, frame.places, frame.turns, points, samples))
         apart = points - frame.places[samples]
         turned = (frame.turns[samples] * apart[:, :, None]).sum(axis=1) >> TURN_BITS
         return np.clip(self.points[frame.rows[samples]] + turned, -LARGEST_PLACE, LARGEST_PLACE)
@@ -76,6 +78,9 @@ class PlaceMemory:
 
     def corrected(self, frame: PosedSurface) -> Integers:
         """The places (m, 3) of the samples of a frame, moved along their normals by the mean distance of the points."""
+        if (kernel := native.kernel("corrected_places")) is not None:
+            frame_arrays = frame.rows, frame.places, frame.normals
+            return np.asarray(kernel(*frame_arrays, self._neighbours, self._distances, self._counts))
         around = self._neighbours[frame.rows, :SMOOTHED]
         distance = 2 * self._distances[frame.rows] + self._distances[around].sum(axis=1)
         count = 2 * self._counts[frame.rows] + self._counts[around].sum(axis=1) + PRIOR_UNITS
@@ -84,6 +89,9 @@ class PlaceMemory:
 
     def learn(self, frame: PosedSurface, points: Integers, samples: Integers) -> None:
         """points (n, 3): of a frame, 2^-16 m. samples (n,): the row in `frame` near each, negative without one."""
+        if (kernel := native.kernel("learn_places")) is not None:
+            kernel(frame.rows, frame.places, frame.normals, points, samples, self._distances, self._counts)
+            return
         known = np.flatnonzero(samples >= 0)
         distance = offsets_from(frame, points[known], samples[known])
         near = np.abs(distance) <= FARTHEST
@@ -97,8 +105,8 @@ class ColourMemory:
 
     def __init__(self, table: SampleTable) -> None:
         self._neighbours, count = table.neighbours, len(table.points)
-        self._places = np.full((count, KEPT_POINTS, 3), NOT_SEEN, np.int64)
-        self._colours = np.zeros((count, KEPT_POINTS, 3), np.int64)
+        self._places = np.full((count, KEPT_POINTS, 3), NOT_SEEN, np.int32)
+        self._colours = np.zeros((count, KEPT_POINTS, 3), np.int32)
         self._places[:, 0], self._colours[:, 0] = table.points, table.colours
         self._seen = np.ones(count, np.int64)
 
@@ -115,17 +123,21 @@ class ColourMemory:
 
     def _expected(self, rows: Integers, places: Integers) -> Integers:
         searched = np.concatenate([rows[:, None], self._neighbours[rows]], axis=1)
-        candidates = self._places[searched].reshape(len(rows), -1, 3)
+        candidates = self._places[searched].reshape(len(rows), -1, 3).astype(np.int64)
         square = ((candidates - places[:, None]) ** 2).sum(axis=2)
         slots = square.shape[1]
         chosen = np.argpartition(square * slots + np.arange(slots), AVERAGED, axis=1)[:, :AVERAGED]
         weight = WEIGHT_UNIT // (np.take_along_axis(square, chosen, axis=1) + SOFTENING)
-        colours = np.take_along_axis(self._colours[searched].reshape(len(rows), slots, 3), chosen[..., None], axis=1)
+        candidates = self._colours[searched].reshape(len(rows), slots, 3)
+        colours = np.take_along_axis(candidates, chosen[..., None], axis=1).astype(np.int64)
         total = np.maximum(weight.sum(axis=1), 1)[:, None]
         return ((colours * weight[..., None]).sum(axis=1) + total // 2) // total
 
     def learn(self, rows: Integers, places: Integers, colours: Integers) -> None:
         """Keep points with their colours (n, 3); of each sample the last KEPT_POINTS. rows, places: as above."""
+        if (kernel := native.kernel("learn_colours")) is not None:
+            kernel(rows, places, colours, self._places, self._colours, self._seen)
+            return
         order = np.argsort(rows, kind="stable")
         own = rows[order]
         first = np.flatnonzero(np.diff(own, prepend=-1))

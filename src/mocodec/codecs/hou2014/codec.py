@@ -366,6 +366,17 @@ def _read_header(encoded: Encoded[Motion]) -> stream.SharedHeader:
     return stream.unpack_header(encoded.shared, encoded.about.points, None if skeleton is None else skeleton.parents)
 
 
+def clip_starts(encoded: Encoded[Motion]) -> Callable[[Chunk], Integers]:
+    """A function from a chunk to the first frames of its clips, (N,). It raises Corrupt, as does this one."""
+    header = _read_header(encoded)
+
+    def of_chunk(chunk: Chunk) -> Integers:
+        lengths, _ = stream.unpack_lengths(chunk.payload, 0, chunk.frames, header)
+        return chunk.start + np.cumsum(lengths) - lengths
+
+    return of_chunk
+
+
 def _unpack_learned(blobs: tuple[bytes, ...], points: int) -> tuple[left_transform.LeftTransform, ...]:
     """The learned left transforms in the codec's settings. Raises BadInput."""
     try:

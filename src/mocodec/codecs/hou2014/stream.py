@@ -243,7 +243,7 @@ def pack_clips(clips: QuantisedClips, header: SharedHeader) -> bytes:
 
 def unpack_clips(data: bytes, at: int, frames: int, header: SharedHeader) -> tuple[QuantisedClips, int]:
     """The clips of a chunk of `frames` frames from data[at:], and the offset after them. Raises Corrupt."""
-    lengths, at = _read_lengths(data, at, frames, header)
+    lengths, at = unpack_lengths(data, at, frames, header)
     (bandwidth,), at = varint.read(data, 1, at)
     if bandwidth > lengths.max():
         raise Corrupt(f"hou2014: a chunk keeps {bandwidth} frequencies of a clip of {lengths.max()} frames")
@@ -266,7 +266,7 @@ def unpack_clips(data: bytes, at: int, frames: int, header: SharedHeader) -> tup
     return QuantisedClips(lengths, bandwidth, coefficients, transform_index, rung_offsets), at
 
 
-def _read_lengths(data: bytes, at: int, frames: int, header: SharedHeader) -> tuple[Integers, int]:
+def unpack_lengths(data: bytes, at: int, frames: int, header: SharedHeader) -> tuple[Integers, int]:
     """L_i of the clips of a chunk: implied by the header, or stored if clips are adaptive."""
     if header.clip_frames:
         return equal_lengths(frames, header.clip_frames), at

@@ -25,7 +25,7 @@ from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
 from ...motion import Motion
 from ...stages import bounded, frozen, gaps, search, segment
-from ...typing import Floats
+from ...typing import Floats, Integers
 from .. import base, rescue
 from . import marker_groups, segment_model
 from .marker_groups import MarkerGroups
@@ -362,3 +362,20 @@ def read_segments(
     """The models, the packed gaps and the residuals of chunks. Raises Corrupt."""
     unpacked = [segment_model.unpack(chunk.payload, chunk.start, chunk.stop, markers) for chunk in chunks]
     return [u[0] for u in unpacked], [u[1] for u in unpacked], [u[2] for u in unpacked]
+
+
+def key_frames(encoded: Encoded[Motion]) -> Callable[[Chunk], Integers]:
+    """A function from a segment's chunk to the frames with a key frame of any marker group, ascending, (n,).
+
+    It raises Corrupt, as does this one.
+    """
+    _, markers, _ = read_shared(encoded)
+
+    def of_segment(chunk: Chunk) -> Integers:
+        (model,), _, _ = read_segments([chunk], markers)
+        frames = [model.start + model.markers.keys.by_level]
+        frames += [model.start - model.before + group.track.keys.by_level for group in model.groups]
+        found: Integers = np.unique(np.concatenate(frames))
+        return found[(found >= model.start) & (found < model.stop)]
+
+    return of_segment

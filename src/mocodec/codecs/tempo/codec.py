@@ -82,6 +82,7 @@ class Tempo:
     """
 
     name: ClassVar[str] = "tempo"
+    decodes_frames_alone: ClassVar[bool] = True
 
     max_error: float | None = None
     mean_error: float | None = None

@@ -7,7 +7,7 @@ import { matrixOf } from "../../geometry.js";
  *
  * It is the eigenvector of the largest eigenvalue of a symmetric (4, 4) matrix, found by Jacobi's rotations.
  */
-export function nearestRotation(from: ArrayLike<number>[], to: ArrayLike<number>[]): Float64Array {
+export function nearestRotation(from: ArrayLike<number>[], to: ArrayLike<number>[]): number[] {
   const s = new Float64Array(9); // s[3 i + j] = Σ from_i · to_j
   from.forEach((a, n) => {
     for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) s[3 * i + j]! += a[i]! * to[n]![j]!;

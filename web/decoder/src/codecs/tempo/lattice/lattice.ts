@@ -99,6 +99,8 @@ class Engine {
   private readonly filter = new Filter();
   private readonly features = new Float64Array(3 * FEATURES);
   private readonly base = new Float64Array(3);
+  /** Of the filter and the features of each coordinate. */
+  private readonly products = new Float64Array(3);
   private readonly linear = new Float64Array(3);
   private readonly predicted = new Float64Array(3);
   private readonly axes = new Float64Array(9);
@@ -206,52 +208,84 @@ class Engine {
     }
   }
 
-  /** "Inside": writes `base`, `features` and `linear`. */
+  /** "Inside": writes `base`, `features`, `products` and `linear`. */
   private predictInside(t: number): void {
-    const { samples, base, linear, features, filter } = this;
+    const { samples, base, linear, features, filter, products, others } = this;
     features.fill(0);
+    if (this.level === 0) this.featuresOfFirst(t);
+    else this.featuresBetween(t);
+    for (let q = 0; q < NEIGHBOURS && others[q]! >= 0; q++) {
+      const at = 3 * (others[q]! * samples.frames + t);
+      if (this.level === 0) this.besideFirst(t, at, 4 + 2 * q);
+      else this.besideBetween(t, at, 4 + 2 * q);
+    }
     for (let c = 0; c < 3; c++) {
-      if (this.level === 0) this.featuresOfFirst(t, c);
-      else this.featuresBetween(t, c);
-      for (let q = 0; q < NEIGHBOURS && this.others[q]! >= 0; q++) {
-        const x = c * FEATURES + 4 + 2 * q;
-        const { half } = this;
-        const other = this.others[q]!;
-        if (this.level === 0) {
-          features[x] = samples.secondDifference(other, t, half, c);
-          if (t + half < samples.frames) features[x + 1] = samples.secondDifference(other, t + half, half, c);
-        } else {
-          features[x] = samples.bend(other, t, half, c);
-          features[x + 1] = samples.bend(other, t - half, half, c) + samples.bend(other, t + half, half, c);
-        }
-      }
-      const value = base[c]! + filter.product(features, c * FEATURES);
+      const product = filter.product(features, c * FEATURES);
+      const value = base[c]! + product;
+      products[c] = product;
       linear[c] = Math.abs(value) < LIMIT ? value : Math.abs(base[c]!) < LIMIT ? base[c]! : 0;
     }
   }
 
-  private featuresOfFirst(t: number, c: number): void {
+  /** Second differences Z(s) − 2 Z(s − half) + Z(s − 2 half) of the point itself. */
+  private featuresOfFirst(t: number): void {
     const { samples, point, half, base, features } = this;
-    base[c] = 2 * samples.get(t - half, point, c) - samples.get(t - 2 * half, point, c);
-    for (let i = 0; i < 4 && t >= (i + 3) * half; i++) features[c * FEATURES + i] = samples.secondDifference(point, t - (i + 1) * half, half, c);
+    const { values, frames } = samples;
+    const at = 3 * (point * frames + t);
+    const h = 3 * half;
+    for (let c = 0; c < 3; c++) base[c] = 2 * values[at - h + c]! - values[at - 2 * h + c]!;
+    for (let i = 0; i < 4 && t >= (i + 3) * half; i++) {
+      for (let c = 0, s = at - (i + 1) * h; c < 3; c++, s++) features[c * FEATURES + i] = values[s]! - 2 * values[s - h]! + values[s - 2 * h]!;
+    }
   }
 
-  private featuresBetween(t: number, c: number): void {
+  /** Second differences of a neighbour, whose sample t begins at `at`. */
+  private besideFirst(t: number, at: number, feature: number): void {
+    const { half, features } = this;
+    const { values, frames } = this.samples;
+    const h = 3 * half;
+    const hasNext = t + half < frames;
+    for (let c = 0, s = at, x = feature; c < 3; c++, s++, x += FEATURES) {
+      features[x] = values[s]! - 2 * values[s - h]! + values[s - 2 * h]!;
+      if (hasNext) features[x + 1] = values[s + h]! - 2 * values[s]! + values[s - h]!;
+    }
+  }
+
+  private featuresBetween(t: number): void {
     const { samples, point, half, base, features } = this;
-    const y = (s: number) => samples.get(s, point, c);
-    const { frames } = samples;
-    const left = y(t - half);
-    const right = y(t + half);
-    const left3 = t >= 3 * half ? y(t - 3 * half) : 2 * left - right;
-    const right3 = t + 3 * half < frames ? y(t + 3 * half) : 2 * right - left;
-    const left5 = t >= 5 * half ? y(t - 5 * half) : 2 * left3 - left;
-    const right5 = t + 5 * half < frames ? y(t + 5 * half) : 2 * right3 - right;
-    base[c] = (left + right) / 2;
-    const x = c * FEATURES;
-    features[x] = left3 - left - (right - right3);
-    if (t >= 2 * half) features[x + 1] = y(t - 2 * half) - (left3 + left) / 2;
-    features[x + 2] = left5 - left3 - (right3 - right5);
-    if (t >= 4 * half) features[x + 3] = y(t - 4 * half) - (left3 + left5) / 2;
+    const { values, frames } = samples;
+    const h = 3 * half;
+    for (let c = 0, s = 3 * (point * frames + t), x = 0; c < 3; c++, s++, x += FEATURES) {
+      const left = values[s - h]!;
+      const right = values[s + h]!;
+      const left3 = t >= 3 * half ? values[s - 3 * h]! : 2 * left - right;
+      const right3 = t + 3 * half < frames ? values[s + 3 * h]! : 2 * right - left;
+      const left5 = t >= 5 * half ? values[s - 5 * h]! : 2 * left3 - left;
+      const right5 = t + 5 * half < frames ? values[s + 5 * h]! : 2 * right3 - right;
+      base[c] = (left + right) / 2;
+      features[x] = left3 - left - (right - right3);
+      if (t >= 2 * half) features[x + 1] = values[s - 2 * h]! - (left3 + left) / 2;
+      features[x + 2] = left5 - left3 - (right3 - right5);
+      if (t >= 4 * half) features[x + 3] = values[s - 4 * h]! - (left3 + left5) / 2;
+    }
+  }
+
+  /** Bends Z(s) − (Z(s − half) + Z(s + half)) / 2 of a neighbour, whose sample t begins at `at`; 0 beside the ends. */
+  private besideBetween(t: number, at: number, feature: number): void {
+    const { half, features } = this;
+    const { values, frames } = this.samples;
+    const h = 3 * half;
+    const hasBefore = t >= 2 * half;
+    const hasAfter = t + 2 * half < frames;
+    for (let c = 0, s = at, x = feature; c < 3; c++, s++, x += FEATURES) {
+      const here = values[s]!;
+      const left = values[s - h]!;
+      const right = values[s + h]!;
+      features[x] = here - (left + right) / 2;
+      const before = hasBefore ? left - (values[s - 2 * h]! + here) / 2 : 0;
+      const after = hasAfter ? right - (here + values[s + 2 * h]!) / 2 : 0;
+      features[x + 1] = before + after;
+    }
   }
 
   /** "Along the direction to the partner": writes `axes`, `predicted` and e; false if the direction is not used. */
@@ -336,7 +370,7 @@ class Engine {
 
   /** "After each sample". */
   private update(t: number, inside: boolean, directed: boolean): void {
-    const { samples, point, z, predicted, linear, base, features, filter, axes } = this;
+    const { samples, point, z, predicted, linear, base, features, filter, axes, products } = this;
     const radial = Math.abs(z[0]!);
     const activity = Math.min(MOST_ACTIVITY, radial + Math.abs(z[1]!) + Math.abs(z[2]!));
     samples.setActivity(t, point, activity, Math.min(MOST_ACTIVITY, radial));
@@ -358,8 +392,9 @@ class Engine {
     }
     if (!inside) return;
     for (let c = 0; c < 3; c++) {
-      const error = predicted[c]! - base[c]! - filter.product(features, c * FEATURES);
-      filter.learn(features, c * FEATURES, error, c === 0 ? 0.999 : 1);
+      // the filter has changed since the prediction, but for the first coordinate
+      const product = c === 0 ? products[0]! : filter.product(features, c * FEATURES);
+      filter.learn(features, c * FEATURES, predicted[c]! - base[c]! - product, c === 0 ? 0.999 : 1);
     }
   }
 }

@@ -1,7 +1,8 @@
 /** Decoded samples of a chunk, point after point, and their activities. */
 
 export class Samples {
-  private readonly values: Float64Array;
+  /** (points, frames, 3). */
+  readonly values: Float64Array;
   private readonly activities: Int16Array;
   private readonly radial: Int16Array;
 
@@ -44,23 +45,15 @@ export class Samples {
     this.radial[point * this.frames + t] = radial;
   }
 
-  /** Z(s) − 2 Z(s − half) + Z(s − 2 half). */
-  secondDifference(point: number, s: number, half: number, c: number): number {
-    return this.get(s, point, c) - 2 * this.get(s - half, point, c) + this.get(s - 2 * half, point, c);
-  }
-
-  /** Z(s) − (Z(s − half) + Z(s + half)) / 2; 0 beside the ends. */
-  bend(point: number, s: number, half: number, c: number): number {
-    if (s < half || s + half >= this.frames) return 0;
-    return this.get(s, point, c) - (this.get(s - half, point, c) + this.get(s + half, point, c)) / 2;
-  }
-
   /** (frames, points, 3). */
   byFrame(): Float64Array {
     const out = new Float64Array(this.values.length);
-    for (let point = 0; point < this.points; point++) {
-      for (let t = 0; t < this.frames; t++) {
-        for (let c = 0; c < 3; c++) out[3 * (t * this.points + point) + c] = this.get(t, point, c);
+    const { frames, points, values } = this;
+    for (let point = 0, from = 0; point < points; point++) {
+      for (let t = 0, to = 3 * point; t < frames; t++, from += 3, to += 3 * points) {
+        out[to] = values[from]!;
+        out[to + 1] = values[from + 1]!;
+        out[to + 2] = values[from + 2]!;
       }
     }
     return out;

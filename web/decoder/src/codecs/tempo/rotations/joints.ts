@@ -6,6 +6,7 @@ import {
   type Quaternion,
   type Vector,
   about,
+  aboutAxis,
   inverse,
   lengthOf,
   multiplied,
@@ -59,9 +60,7 @@ export class Form {
 
   rotation(angles: ArrayLike<number>): Quaternion {
     let q = this.constants[0]!;
-    this.free.forEach((place, i) => {
-      q = multiplied(multiplied(q, about("xyz".indexOf(this.order[place]!), angles[i]!)), this.constants[i + 1]!);
-    });
+    for (let i = 0; i < this.free.length; i++) q = multiplied(multiplied(q, aboutAxis(this.axes[i]!, angles[i]!)), this.constants[i + 1]!);
     return q;
   }
 

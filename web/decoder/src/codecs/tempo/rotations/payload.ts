@@ -37,8 +37,19 @@ export class WithRotations implements ChunkDecoder {
     const poseOf = this.poses(own, targets, frames);
     for (let t = 0; t < frames; t++) {
       const { local, positions: placed } = poseOf(t);
-      local.forEach((q, j) => rotations.set(q, 4 * (t * joints + j)));
-      placed.forEach((p, j) => positions.set(p, 3 * (t * joints + j)));
+      for (let j = 0, at = 4 * t * joints; j < joints; j++, at += 4) {
+        const q = local[j]!;
+        rotations[at] = q[0];
+        rotations[at + 1] = q[1];
+        rotations[at + 2] = q[2];
+        rotations[at + 3] = q[3];
+      }
+      for (let j = 0, at = 3 * t * joints; j < joints; j++, at += 3) {
+        const p = placed[j]!;
+        positions[at] = p[0];
+        positions[at + 1] = p[1];
+        positions[at + 2] = p[2];
+      }
     }
     return { positions, rotations };
   }

@@ -27,7 +27,6 @@ import {
   HINGE_CODED,
   HUB,
   type JointRule,
-  SIDE_VALUES,
   SWING,
   UNIVERSAL_CODED,
   UNIVERSAL_REFINED,
@@ -64,7 +63,8 @@ interface Frame {
 export function solve(rules: Rules, targets: Vector[], side: ArrayLike<number>): Pose {
   const frame: Frame = { targets, positions: [], world: [] };
   const local: Quaternion[] = [];
-  rules.joints.forEach((joint, j) => {
+  for (let j = 0; j < rules.joints.length; j++) {
+    const joint = rules.joints[j]!;
     const parent = rules.parents[j]!;
     const isHeld = parent < 0 || joint.placed;
     const above = parent < 0 ? NO_ROTATION : frame.world[parent]!;
@@ -74,7 +74,7 @@ export function solve(rules: Rules, targets: Vector[], side: ArrayLike<number>):
     local.push(q);
     frame.world.push(multiplied(above, q));
     if (rules.ownFrame && !isHeld) frame.positions[j] = plus(frame.positions[parent]!, rotated(frame.world[j]!, rules.offsets[j]!));
-  });
+  }
   return { local, positions: frame.positions };
 }
 
@@ -99,22 +99,33 @@ export function worldOf(rules: Rules, local: Quaternion[]): Quaternion[] {
 function rotationOf(rules: Rules, j: number, frame: Frame, above: Quaternion, side: ArrayLike<number>): Quaternion {
   const joint = rules.joints[j]!;
   const { rule, first, form } = joint;
-  const values = Array.from({ length: SIDE_VALUES[rule]! }, (_, i) => side[first + i]!);
   if (rule === FIXED) return joint.usual;
-  if (rule === FREE) return multiplied(joint.usual, unitQuaternion(values));
-  if (rule === HINGE_CODED || rule === UNIVERSAL_CODED) return form!.rotation(values);
+  if (rule === FREE) return multiplied(joint.usual, unitQuaternion([side[first]!, side[first + 1]!, side[first + 2]!, side[first + 3]!]));
+  if (rule === HINGE_CODED) return form!.rotation([side[first]!]);
+  if (rule === UNIVERSAL_CODED) return form!.rotation([side[first]!, side[first + 1]!]);
   const carried = rules.carried[j]!;
   const back = inverse(above);
   const anchor = frame.positions[carried.anchor]!;
-  const aims = carried.targets.map((target) => rotated(back, minus(frame.targets[target]!, anchor)));
+  const aims: Vector[] = [];
+  for (const target of carried.targets) aims.push(rotated(back, minus(frame.targets[target]!, anchor)));
   if (rule === HUB) return hub(joint, carried, aims);
   if (rule === HINGE) return form!.rotation([hingeAngle(joint, carried, aims)]);
-  if (rule === SWING) return swing(rules, j, frame, above, aims, values[0]!);
-  return form!.rotation(twoAngles(joint, carried, aims, rule === UNIVERSAL_REFINED ? values[0] : undefined));
+  if (rule === SWING) return swing(rules, j, frame, above, aims, side[first]!);
+  return form!.rotation(twoAngles(joint, carried, aims, rule === UNIVERSAL_REFINED ? side[first]! : undefined));
 }
 
 function combined(weights: number[], vectors: Vector[]): Vector {
-  return vectors.reduce<Vector>((sum, v, i) => plus(sum, times(weights[i]!, v)), [0, 0, 0]);
+  let x = 0;
+  let y = 0;
+  let z = 0;
+  for (let i = 0; i < vectors.length; i++) {
+    const v = vectors[i]!;
+    const weight = weights[i]!;
+    x += weight * v[0];
+    y += weight * v[1];
+    z += weight * v[2];
+  }
+  return [x, y, z];
 }
 
 /** Terms (A, B, E) of "Refined angles". */
@@ -123,10 +134,12 @@ type Term = [number, number, number];
 function refined(coded: number, terms: Term[]): number {
   let x = coded;
   for (let i = 0; i < REFINEMENTS; i++) {
-    const [cosine, sine] = [Math.cos(x), Math.sin(x)];
+    const cosine = Math.cos(x);
+    const sine = Math.sin(x);
     let top = CODED_WEIGHT * (x - coded);
     let bottom = CODED_WEIGHT;
-    for (const [a, b, e] of terms) {
+    for (const term of terms) {
+      const [a, b, e] = term;
       const slope = b * cosine - a * sine;
       top += slope * (a * cosine + b * sine - e);
       bottom += slope * slope;
@@ -140,15 +153,24 @@ function hub(joint: JointRule, carried: Carried, aims: Vector[]): Quaternion {
   const [a, b] = joint.pair;
   let q = multiplied(pairFrame(aims[a]!, aims[b]!), inverse(pairFrame(carried.vectors[a]!, carried.vectors[b]!)));
   for (let step = 0; step < HUB_STEPS; step++) {
-    const inertia = new Float64Array(9);
-    let torque: Vector = [0, 0, 0];
-    carried.vectors.forEach((v, i) => {
-      const r = rotated(q, v);
-      torque = plus(torque, cross(r, aims[i]!));
+    // of the inertia, a symmetric matrix, six entries; the torque
+    let [xx, yy, zz, xy, xz, yz] = [0, 0, 0, 0, 0, 0];
+    let [tx, ty, tz] = [0, 0, 0];
+    for (let i = 0; i < aims.length; i++) {
+      const r = rotated(q, carried.vectors[i]!);
+      const torque = cross(r, aims[i]!);
+      tx += torque[0];
+      ty += torque[1];
+      tz += torque[2];
       const square = dot(r, r);
-      for (let m = 0; m < 3; m++) for (let n = 0; n < 3; n++) inertia[3 * m + n]! += (m === n ? square : 0) - r[m]! * r[n]!;
-    });
-    const t = solved(inertia, torque);
+      xx += square - r[0] * r[0];
+      yy += square - r[1] * r[1];
+      zz += square - r[2] * r[2];
+      xy -= r[0] * r[1];
+      xz -= r[0] * r[2];
+      yz -= r[1] * r[2];
+    }
+    const t = solved([xx, xy, xz], [xy, yy, yz], [xz, yz, zz], [tx, ty, tz]);
     q = multiplied(unitQuaternion([1, t[0] / 2, t[1] / 2, t[2] / 2]), q);
   }
   return fromMatrix(matrixOf(unitQuaternion(q)));
@@ -162,10 +184,8 @@ function pairFrame(a: Vector, b: Vector): Quaternion {
   return fromMatrix([x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]]);
 }
 
-/** The solution of a symmetric system (3, 3), zero for a singular one. */
-function solved(m: Float64Array, v: Vector): Vector {
-  const column = (i: number): Vector => [m[i]!, m[3 + i]!, m[6 + i]!];
-  const [a, b, c] = [column(0), column(1), column(2)];
+/** The solution of a system of equations with these columns, zero for a singular one. */
+function solved(a: Vector, b: Vector, c: Vector, v: Vector): Vector {
   const determinant = dot(a, cross(b, c));
   if (!(Math.abs(determinant) > 1e-30)) return [0, 0, 0];
   return [dot(v, cross(b, c)) / determinant, dot(a, cross(v, c)) / determinant, dot(a, cross(b, v)) / determinant];
@@ -175,13 +195,14 @@ function hingeAngle(joint: JointRule, carried: Carried, aims: Vector[]): number 
   const [before, after] = joint.form!.constants as [Quaternion, Quaternion];
   const axis = joint.form!.axes[0]!;
   const back = inverse(before);
-  let [sine, cosine] = [0, 0];
-  carried.vectors.forEach((v, i) => {
-    const u = rotated(after, v);
+  let sine = 0;
+  let cosine = 0;
+  for (let i = 0; i < aims.length; i++) {
+    const u = rotated(after, carried.vectors[i]!);
     const e = rotated(back, aims[i]!);
     sine += dot(cross(axis, u), e);
     cosine += dot(u, e) - dot(axis, u) * dot(axis, e);
-  });
+  }
   return Math.atan2(sine, cosine);
 }
 

@@ -1,0 +1,53 @@
+// Orthonormal bases stored as Householder reflections, for stages/basis.py.
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "arrays.h"
+
+namespace {
+
+// basis._mirror, of rows i … n − 1 of column i of `entries` (n, k).
+void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, std::vector<double> &u) {
+    double squares = 0;
+    for (size_t r = i; r < n; ++r) {
+        u[r] = double(entries[r * k + i]);
+        squares += u[r] * u[r];
+    }
+    double norm = std::sqrt(squares);
+    if (norm == 0 || u[i] > 0) {
+        std::fill(u.begin() + long(i), u.end(), 0.0);
+        norm = 1.0;
+        u[i] = -1.0;
+    }
+    for (size_t r = i; r < n; ++r) u[r] /= norm;
+    u[i] -= 1;
+    squares = 0;
+    for (size_t r = i; r < n; ++r) squares += u[r] * u[r];
+    norm = std::sqrt(squares);
+    for (size_t r = i; r < n; ++r) u[r] /= norm;
+}
+
+// basis._compose: to rounding, since sums have another order there.
+Output<double> basis_compose(Input<int64_t, 2> entries) {
+    const size_t n = entries.shape(0), k = entries.shape(1);
+    Fresh<double> out(n * k);
+    double *basis = out.data.get();
+    std::fill_n(basis, n * k, 0.0);
+    for (size_t i = 0; i < std::min(n, k); ++i) basis[i * k + i] = 1.0;
+    std::vector<double> u(n), along(k);
+    for (size_t i = std::min(n, k); i-- > 0;) {
+        mirror_of(entries.data(), n, k, i, u);
+        std::fill(along.begin(), along.end(), 0.0);
+        for (size_t r = i; r < n; ++r)
+            for (size_t c = i; c < k; ++c) along[c] += u[r] * basis[r * k + c];
+        for (size_t r = i; r < n; ++r)
+            for (size_t c = i; c < k; ++c) basis[r * k + c] -= 2 * u[r] * along[c];
+    }
+    return out.give({n, k});
+}
+
+}  // namespace
+
+void bind_householder(nb::module_ &m) { m.def("basis_compose", &basis_compose); }

@@ -1,0 +1,171 @@
+// The bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py, which define the
+// results. Integers only; sums wrap as in NumPy.
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdlib>
+#include <stdexcept>
+#include <vector>
+
+#include "arrays.h"
+
+namespace {
+
+constexpr int TURN_BITS = 20, SHARE_BITS = 12, NORMAL_BITS = 10;
+constexpr size_t SMOOTHED = 6;
+constexpr int64_t COUNT_UNIT = 16, PRIOR_UNITS = 32, KEPT_FIFTHS = 4, FARTHEST = 983, LARGEST_PLACE = 1 << 23;
+
+using Rows = Input<int64_t, 1>;
+using Numbers = Input<int64_t, 2>;
+using Turns = Input<int64_t, 3>;
+
+int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
+
+uint64_t product(int64_t a, int64_t b) { return uint64_t(a) * uint64_t(b); }
+
+void require(bool good) {
+    if (!good) throw std::invalid_argument("surface_memory: shapes differ, or a row lies beyond the samples");
+}
+
+void require_shape(const Numbers &values, size_t rows, size_t columns = 3) {
+    require(values.shape(0) == rows && values.shape(1) == columns);
+}
+
+void require_rows(const int64_t *rows, size_t n, size_t end) {
+    for (size_t i = 0; i < n; ++i) require(rows[i] >= 0 && size_t(rows[i]) < end);
+}
+
+// IntegerSurface.posed: points, normals (m, 3), links (m, 2), shares (m), turns (links, 3, 3), moves (links, 3).
+nb::tuple posed_surface(Numbers points, Numbers normals, Numbers links, Rows shares, Turns turns, Numbers moves) {
+    const size_t m = points.shape(0), count = moves.shape(0);
+    require_shape(points, m);
+    require_shape(normals, m);
+    require_shape(links, m, 2);
+    require_shape(moves, count);
+    require(shares.shape(0) == m && turns.shape(0) == count && turns.shape(1) == 3 && turns.shape(2) == 3);
+    require_rows(links.data(), links.size(), count);
+    const auto turned = [&](int64_t link, const int64_t *v, size_t row) {
+        const int64_t *turn = turns.data() + 9 * size_t(link) + 3 * row;
+        return int64_t(product(turn[0], v[0]) + product(turn[1], v[1]) + product(turn[2], v[2])) >> TURN_BITS;
+    };
+    Fresh<int64_t> places(3 * m), directions(3 * m);
+    for (size_t i = 0; i < m; ++i) {
+        const int64_t *pair = links.data() + 2 * i, share = shares.data()[i];
+        for (size_t d = 0; d < 3; ++d) {
+            const int64_t first = turned(pair[0], points.data() + 3 * i, d) + moves.data()[3 * size_t(pair[0]) + d];
+            const int64_t second = turned(pair[1], points.data() + 3 * i, d) + moves.data()[3 * size_t(pair[1]) + d];
+            places.data[3 * i + d] = second + (int64_t(product(first - second, share)) >> SHARE_BITS);
+            directions.data[3 * i + d] = turned(pair[0], normals.data() + 3 * i, d);
+        }
+    }
+    return nb::make_tuple(places.give({m, 3}), directions.give({m, 3}));
+}
+
+// SampleTable.canonical: of the table: canonical (t, 3); of the frame: rows (m), places (m, 3), turns (m, 3, 3); points (n, 3)
+// and samples (n).
+Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, Turns turns, Numbers points, Rows samples) {
+    const size_t m = rows.shape(0), n = samples.shape(0);
+    require_shape(canonical, canonical.shape(0));
+    require_shape(places, m);
+    require_shape(points, n);
+    require(turns.shape(0) == m && turns.shape(1) == 3 && turns.shape(2) == 3);
+    require_rows(rows.data(), m, canonical.shape(0));
+    require_rows(samples.data(), n, m);
+    Fresh<int64_t> out(3 * n);
+    for (size_t i = 0; i < n; ++i) {
+        const size_t sample = size_t(samples.data()[i]);
+        const int64_t *turn = turns.data() + 9 * sample, *origin = canonical.data() + 3 * size_t(rows.data()[sample]);
+        int64_t apart[3];
+        for (size_t d = 0; d < 3; ++d) apart[d] = points.data()[3 * i + d] - places.data()[3 * sample + d];
+        for (size_t d = 0; d < 3; ++d) {
+            const uint64_t sum = product(turn[d], apart[0]) + product(turn[3 + d], apart[1]) + product(turn[6 + d], apart[2]);
+            out.data[3 * i + d] = std::clamp(origin[d] + (int64_t(sum) >> TURN_BITS), -LARGEST_PLACE, LARGEST_PLACE);
+        }
+    }
+    return out.give({n, 3});
+}
+
+// PlaceMemory.corrected: of the frame: rows (m), places and normals (m, 3); neighbours (t, k); distances and counts (t).
+Output<int64_t> corrected_places(Rows rows, Numbers places, Numbers normals, Numbers neighbours, Rows distances,
+                                 Rows counts) {
+    const size_t m = rows.shape(0), table = distances.shape(0), around = neighbours.shape(1);
+    require_shape(places, m);
+    require_shape(normals, m);
+    require(neighbours.shape(0) == table && counts.shape(0) == table);
+    require_rows(rows.data(), m, table);
+    require_rows(neighbours.data(), neighbours.size(), table);
+    Fresh<int64_t> out(3 * m);
+    for (size_t i = 0; i < m; ++i) {
+        const size_t row = size_t(rows.data()[i]);
+        int64_t distance = 2 * distances.data()[row], count = 2 * counts.data()[row] + PRIOR_UNITS;
+        for (size_t k = 0; k < std::min(around, SMOOTHED); ++k) {
+            const size_t other = size_t(neighbours.data()[row * around + k]);
+            distance += distances.data()[other];
+            count += counts.data()[other];
+        }
+        const int64_t offset = floor_division(COUNT_UNIT * distance, count);
+        for (size_t d = 0; d < 3; ++d)
+            out.data[3 * i + d] = places.data()[3 * i + d] + (int64_t(product(offset, normals.data()[3 * i + d])) >> NORMAL_BITS);
+    }
+    return out.give({m, 3});
+}
+
+// PlaceMemory.learn: as above, with points (n, 3) and samples (n), negative without one. Changes distances and counts.
+void learn_places(Rows rows, Numbers places, Numbers normals, Numbers points, Rows samples, InPlace<int64_t, 1> distances,
+                  InPlace<int64_t, 1> counts) {
+    const size_t m = rows.shape(0), n = samples.shape(0), table = distances.shape(0);
+    require_shape(places, m);
+    require_shape(normals, m);
+    require_shape(points, n);
+    require(counts.shape(0) == table);
+    require_rows(rows.data(), m, table);
+    for (size_t s = 0; s < table; ++s) {
+        distances.data()[s] = floor_division(distances.data()[s] * KEPT_FIFTHS, 5);
+        counts.data()[s] = floor_division(counts.data()[s] * KEPT_FIFTHS, 5);
+    }
+    for (size_t i = 0; i < n; ++i) {
+        const int64_t sample = samples.data()[i];
+        if (sample < 0) continue;
+        require(size_t(sample) < m);
+        uint64_t sum = 0;
+        for (size_t d = 0; d < 3; ++d)
+            sum += product(points.data()[3 * i + d] - places.data()[3 * size_t(sample) + d], normals.data()[3 * size_t(sample) + d]);
+        const int64_t distance = int64_t(sum) >> NORMAL_BITS;
+        if (distance > FARTHEST || distance < -FARTHEST) continue;
+        const size_t row = size_t(rows.data()[sample]);
+        distances.data()[row] += distance;
+        counts.data()[row] += COUNT_UNIT;
+    }
+}
+
+// ColourMemory.learn: rows (n), places and colours (n, 3); of the memory, which changes: places and colours (t, kept, 3) and
+// points seen (t).
+void learn_colours(Rows rows, Numbers places, Numbers colours, InPlace<int32_t, 3> known, InPlace<int32_t, 3> shown,
+                   InPlace<int64_t, 1> seen) {
+    const size_t n = rows.shape(0), table = seen.shape(0), kept = known.shape(1);
+    require_shape(places, n);
+    require_shape(colours, n);
+    require(known.shape(0) == table && known.shape(2) == 3 && shown.shape(0) == table && shown.shape(1) == kept &&
+            shown.shape(2) == 3 && kept > 0);
+    require_rows(rows.data(), n, table);
+    for (size_t i = 0; i < n; ++i) {
+        const size_t row = size_t(rows.data()[i]);
+        const size_t slot = row * kept + size_t(seen.data()[row]++) % kept;
+        for (size_t d = 0; d < 3; ++d) {
+            known.data()[3 * slot + d] = int32_t(places.data()[3 * i + d]);
+            shown.data()[3 * slot + d] = int32_t(colours.data()[3 * i + d]);
+        }
+    }
+}
+
+}  // namespace
+
+void bind_surface_memory(nb::module_ &m) {
+    m.def("posed_surface", &posed_surface);
+    m.def("canonical_places", &canonical_places);
+    m.def("corrected_places", &corrected_places);
+    m.def("learn_places", &learn_places, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(),
+          nb::arg().noconvert());
+    m.def("learn_colours", &learn_colours, nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(),
+          nb::arg().noconvert());
+}
