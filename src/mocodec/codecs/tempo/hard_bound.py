@@ -69,8 +69,9 @@ def to_bound(
             return before.draft if number % every == 0 else _near(encoders[number], bound, before)
 
         drafts: list[Draft | None] = [None] * len(batch)
-        if has_transform:
-            drafts = list(parallel.over(draft, range(first, first + len(batch))))
+        for number, found in enumerate(parallel.over(draft, range(first, first + len(batch)) if has_transform else ())):
+            drafts[number] = found
+            progress.report((first + number) / len(encoders))
         payloads += _smallest(batch, drafts, bound, on_lattice)
         progress.report((first + len(batch)) / len(encoders))
     return payloads
@@ -125,6 +126,8 @@ class _LatticeTrials:
     def coded(self, encoder: ChunkEncoder, draft: Draft | None) -> OnLattice | None:
         """The next chunk, None where it is not tried or not possible. draft: by the transform."""
         number, self._number = self._number, self._number + 1
+        if draft is None:  # without a transform, this is where time passes
+            progress.report(number / self._chunks)
         if draft is not None and draft.numbers is not None:
             few = draft.bits < self._plan.least_bits * encoder.positions.size
             if few or not self._trials.tries_lattice(number):
