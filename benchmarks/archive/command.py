@@ -4,9 +4,13 @@
                                         ├─ windows against .npz and memory-mapped .npy
                                         ├─ training from the archive and from the originals
                                         ├─ catalogue and index of a million frames: opening, queries
-                                        └─ retrieval of labelled clips
+                                        ├─ retrieval of labelled clips
+                                        ├─ an inverted index, simulated
+                                        ├─ priors of one's own people
+                                        └─ two workers against one
 
-Times are those of the processor, in one process, so that other work on the machine changes them little.
+Times are those of the processor, in one process, so that other work on the machine changes them little; those of the
+part `parallel` are of the clock, and need an idle machine.
 """
 
 from __future__ import annotations
@@ -23,12 +27,12 @@ from mocodec.errors import BadInput
 
 from .. import datasets, results
 from ..machine import machine_description
-from . import large, retrieval, tables, training, windows
+from . import clusters, large, parallel, priors, retrieval, tables, training, windows
 
 RESULTS = Path("docs/results/archive.json")
 PEOPLE = datasets.SHARED / "cmu" / "asfamc"
 MEAN_ERROR_M = 0.003
-PARTS = ("sizes", "windows", "training", "large", "retrieval")
+PARTS = ("sizes", "windows", "training", "large", "retrieval", "clusters", "priors", "parallel")
 
 
 @click.command("archive")
@@ -57,12 +61,18 @@ def measured(part: str, folder: Path) -> Any:
     """The results of one part."""
     if part == "sizes":
         return [sizes(folder, kind) for kind in ("positions", "rotations")]
+    if part == "priors":
+        return priors.measure(built(folder, "rotations"))
+    if part == "parallel":
+        return parallel.measure(PEOPLE, built(folder, "rotations"), folder, options("positions"))
     vault = built(folder, "positions")
     if part == "windows":
         return windows.measure(vault, folder)
     if part == "training":
         return training.measure(vault, folder, PEOPLE)
     archive.index(vault)
+    if part == "clusters":
+        return clusters.measure(vault)
     return large.measure(vault, folder) if part == "large" else retrieval.measure(vault)
 
 

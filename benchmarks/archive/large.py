@@ -64,6 +64,8 @@ def varied_rows(vault: Path, count: int | None = None, frames: int | None = None
             origin=f"/vault/{name}.amc",
             frames=length,
             seconds=length / row.rate,
+            block=0,
+            stored_bytes=row.bytes,
             content=hashlib.sha256(f"content {name}".encode()).hexdigest()[:32],
             source_hash=hashlib.sha256(f"source {name}".encode()).hexdigest()[:32],
         )

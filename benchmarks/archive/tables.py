@@ -23,13 +23,19 @@ def write(found: dict[str, Any], folder: Path = FOLDER) -> list[Path]:
         ("large", "archive_large.md", large),
         ("large", "archive_catalogue.md", catalogues),
         ("retrieval", "archive_retrieval.md", retrieval),
+        ("priors", "archive_prior.md", priors),
+        ("parallel", "archive_parallel.md", parallel),
+        ("clusters", "archive_clusters.md", clusters),
     ):
         if part in found:
-            text = (
-                f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of the processor, in one process.\n"
-            )
+            times = "the clock" if part == "parallel" else "the processor, in one process"
+            text = f"{make(found[part])}\n\n{measured_on(found['machine'])} Times are of {times}.\n"
             formats.replace_whole(folder / name, text.encode())
             paths.append(folder / name)
+    if {"sizes", "large", "clusters"} <= found.keys():
+        path = folder / "archive_scale.md"
+        formats.replace_whole(path, f"{scale(found)}\n".encode())
+        paths.append(path)
     return paths
 
 
@@ -142,3 +148,93 @@ def retrieval(rows: list[dict[str, Any]]) -> str:
             for r in rows
         ],
     )
+
+
+def priors(rows: list[dict[str, Any]]) -> str:
+    head = ("mean error", "people", "recordings", "frames", "general prior", "own prior", "prior of both")
+    cases = {(r["mean_error"], tuple(r["people"])): r for r in rows}
+    body = []
+    for (mean_error, people), one in sorted(cases.items()):
+        found = {r["prior"]: r for r in rows if (r["mean_error"], tuple(r["people"])) == (mean_error, people)}
+        sizes_ = [found[kind]["bytes"] for kind in ("general", "own", "both")]
+        body.append(
+            (
+                f"{1e3 * mean_error:g} mm",
+                ", ".join(people),
+                one["unseen"],
+                f"{one['unseen_frames']:,}",
+                f"{sizes_[0]:,} bytes",
+                *(f"{100 * (size / sizes_[0] - 1):+.1f} %" for size in sizes_[1:]),
+            )
+        )
+    return (
+        f"{markdown.table(head, body)}\n\nThe general prior is learned from all other people, the own one from every "
+        "second recording of these people, the third from both. Recordings are encoded without rotations."
+    )
+
+
+def parallel(rows: list[dict[str, Any]]) -> str:
+    head = ("work", "one worker", "two workers", "times faster", "efficiency")
+    body = [
+        (
+            r["work"],
+            f"{r['one_s']:.1f} s",
+            f"{r['two_s']:.1f} s",
+            f"{r['one_s'] / r['two_s']:.2f}",
+            f"{r['efficiency']:.2f}",
+        )
+        for r in rows
+    ]
+    return markdown.table(head, body)
+
+
+def clusters(found: dict[str, Any]) -> str:
+    head = (
+        "search of",
+        "clusters looked at",
+        "vectors compared",
+        "time",
+        "same nearest part",
+        "same of the nearest ten",
+    )
+    body = [
+        (
+            f"{found['frames']:,} frames",
+            f"{r['probed']} of {found['clusters']:,}" if r["probed"] else "all, without clusters",
+            f"{100 * r['compared']:.1f} %",
+            f"{r['ms']:.0f} ms",
+            f"{100 * r['nearest']:.0f} %",
+            f"{100 * r['ten']:.0f} %",
+        )
+        for r in found["rows"]
+    ]
+    return markdown.table(head, body)
+
+
+BILLION = 1_000_000_000
+
+
+def scale(found: dict[str, Any]) -> str:
+    """What grows with the frames, and what does not: measured, and 100 times as many frames."""
+    steps, rows = found["large"]["steps"][-1], found["large"]["catalogues"][-1]
+    times = BILLION / steps["frames"]
+    sizes_ = found["sizes"][0]
+    bytes_ = [sizes_["stored_bytes"] / sizes_["frames"] * frames for frames in (steps["frames"], BILLION)]
+    per_row, recordings = rows["sqlite_bytes"] / rows["rows"], steps["recordings"]
+    query = rows["sqlite_query_ms"] / rows["rows"]
+    few = next(r for r in found["clusters"]["rows"] if r["probed"])
+    body = [
+        ("recordings", f"{recordings:,}", f"{times * recordings:,.0f}"),
+        ("shards", f"{bytes_[0] / 1e6:.0f} MB", f"{bytes_[1] / 1e9:.1f} GB, {-(-bytes_[1] // (256 << 20)):.0f} files"),
+        ("catalogue", f"{per_row * recordings / 1e6:.1f} MB", f"{times * per_row * recordings / 1e6:.0f} MB"),
+        ("open; a recording by name", f"{steps['open_ms']:.1f} ms; {steps['by_name_ms']:.2f} ms", "the same"),
+        ("query of all rows", f"{query * recordings:.1f} ms", f"{times * query * recordings / 1e3:.2f} s"),
+        ("similarity index", f"{steps['index_bytes'] / 1e6:.0f} MB", f"{times * steps['index_bytes'] / 1e9:.1f} GB"),
+        ("search of the whole index", f"{steps['search_ms']:.0f} ms", f"{times * steps['search_ms'] / 1e3:.0f} s"),
+        (
+            f"vectors that a search of {few['probed']} clusters of {found['clusters']['clusters']:,} compares",
+            f"{few['compared'] * found['clusters']['vectors']:,.0f}",
+            f"{times * few['compared'] * found['clusters']['vectors']:,.0f}",
+        ),
+    ]
+    return markdown.table(("", f"{steps['frames']:,} frames, measured", "1,000,000,000 frames, in proportion"), body)

@@ -12,7 +12,7 @@ namespace {
 using namespace signals;
 
 // fitting.py has the same constants and the reasons.
-constexpr size_t FIT_SAMPLES = 2048, PURSUIT_SAMPLES = 768, MIN_SAMPLES = 24, MOST_REFERENCES = 8;
+constexpr size_t FIT_SAMPLES = 2048, PURSUIT_SAMPLES = 640, MIN_SAMPLES = 24, MOST_REFERENCES = 8;
 constexpr int MAX_DEPTHS[] = {6, 3};  // of channels of a grid, of counts
 constexpr int MOST_SUM_BITS = 58;
 constexpr double MAX_TAP = double(int64_t(1) << 52);

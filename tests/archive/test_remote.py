@@ -13,8 +13,10 @@ import pytest
 
 import mocodec as mc
 from mocodec import archive
+from mocodec.archive import similarity
 from mocodec.archive.catalogue import NAME
 from mocodec.archive.encoding import prior_path
+from mocodec.testing import synthetic
 from tests.container.web_server import NGINX, serving
 
 
@@ -98,3 +100,44 @@ def test_changes_and_searches_need_a_local_archive(made: Path, tmp_path: Path, m
         with pytest.raises(mc.BadInput, match="needs the archive on this machine"):
             change()
     assert list(tmp_path.iterdir()) == []
+
+
+def similar_clips(folder: Path) -> Path:
+    """An archive of three clips of two people, with its index, and one of other points."""
+    for seed in range(3):
+        mc.write(folder / f"walk_{seed}.npz", synthetic.joints(frames=180, rate=60.0, seed=seed))
+    mc.write(folder / "other.npz", synthetic.joints(frames=180, rate=60.0, seed=9).select(["Hips", "Head"]))
+    (folder / "again.npz").write_bytes((folder / "walk_1.npz").read_bytes())
+    archive.build(folder, folder / "db", archive.Options("liu2006", {"max_error": 0.005}))
+    archive.index(folder / "db")
+    return folder / "db"
+
+
+def test_a_search_in_a_store_fetches_one_index(tmp_path: Path) -> None:
+    fsspec: Any = pytest.importorskip("fsspec", reason="needs the [remote] extra")
+    folder = similar_clips(tmp_path)
+    files = fsspec.filesystem("memory")
+    files.put(str(folder), "/mocodec-db", recursive=True)
+    with mc.open_archive(folder) as local, mc.open_archive("memory://mocodec-db") as remote:
+        query = local["walk_1"][:]
+        assert archive.search(remote, query) == archive.search(local, query)
+        assert len(list((remote._folder() / similarity.FOLDER).iterdir())) == 1
+        assert archive.duplicates(remote) == archive.duplicates(local)
+        with pytest.raises(mc.BadInput, match="no index of recordings with the points of the query"):
+            archive.search(remote, query.select(["Hips"]))
+    files.rm("/mocodec-db", recursive=True)
+
+
+@pytest.mark.skipif(NGINX is None, reason="nginx is not installed")
+def test_a_search_on_a_web_server(tmp_path: Path) -> None:
+    folder = similar_clips(tmp_path)
+    shutil.copytree(folder, tmp_path / "root" / "db")
+    (tmp_path / "nginx").mkdir()
+    with serving(tmp_path / "root", tmp_path / "nginx") as web, mc.open_archive(f"{web.url}/db") as remote:
+        opening = len(web.requests())
+        with mc.open_archive(folder) as local:
+            query = local["walk_1"][:]
+            expected = archive.search(local, query)
+        assert archive.search(remote, query) == expected
+        assert archive.search(remote, query) == expected
+        assert len(web.requests()) - opening <= 2

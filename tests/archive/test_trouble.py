@@ -142,7 +142,7 @@ def test_two_builders_at_once(vault: Path) -> None:
 def test_a_full_disk_loses_nothing(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     append, calls = shards.Appender.append, []
 
-    def full(self: shards.Appender, name: str, blob: bytes) -> tuple[int, int]:
+    def full(self: shards.Appender, name: str, blob: bytes) -> shards.Place:
         calls.append(name)
         if len(calls) == 3:
             assert self.file is not None

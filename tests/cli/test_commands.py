@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,20 @@ def test_encode_prints_a_summary_on_standard_error(command: Command, walk_trc: P
     assert ": 1 against float32" in result.err
     assert "mm" in result.err
     assert command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "-q").err == ""
+
+
+def test_the_summary_names_the_parts_of_a_file_with_signals(
+    command: Command, walk: mc.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    force = mc.Signal(np.arange(2400, dtype=np.int16)[:, None] % 97, rate=1200.0, labels=("Fz1",))
+    mc.write("walk.c3d", mc.Motion(walk.positions, walk.rate, walk.names, extras={"analog": force}))
+    text = command("encode", "walk.c3d", "-o", "x.mocz", "--codec", LOSSY, "--max-error", "0.2cm").err
+    source, stored = (Path(name).stat().st_size for name in ("walk.c3d", "x.mocz"))
+    found = re.search(r"([\d,]+) bytes of ([\d,]+) .*motion ([\d,]+) .*signals ([\d,]+), rest ([\d,]+)", text)
+    assert found is not None, text
+    total, of, *parts = (int(number.replace(",", "")) for number in found.groups())
+    assert (total, of, sum(parts)) == (stored, source, stored)
 
 
 @pytest.mark.parametrize("target", ["--ratio=30", "--size=900"])

@@ -78,6 +78,18 @@ class Recordings:
         return self._archive.path
 
     @property
+    def priors(self) -> str:
+        """The folder of the priors that its recordings need, on this machine; "" if they need none."""
+        return self._archive.priors_folder
+
+    def local_file(self, name: str) -> Path:
+        """A file of the archive on this machine, which may not exist; of a remote archive a copy, fetched once.
+
+        Raises BadInput if it cannot be fetched.
+        """
+        return self._archive.fetched(name)
+
+    @property
     def names(self) -> list[str]:
         """The names of the recordings."""
         return self._archive.catalogue.names(self._where, self._constants)
@@ -185,10 +197,23 @@ class Archive(Recordings):
         if self._open is None or self._open[0] != os.getpid():  # a connection must not be used after a fork
             folder = self._folder()
             self._open = os.getpid(), Catalogue(folder)
-            priors = os.path.join(folder, PRIORS)
-            if os.path.isdir(priors):
-                prior.search_in(priors)
+            if self.priors_folder:
+                prior.search_in(self.priors_folder)
         return self._open[1]
+
+    def fetched(self, name: str) -> Path:
+        """As `local_file`."""
+        path = self._folder() / name
+        if remote.is_url(self.path) and not path.exists():
+            path.parent.mkdir(exist_ok=True)
+            remote.fetch(f"{self.path}/{name}", path)
+        return path
+
+    @property
+    def priors_folder(self) -> str:
+        """The folder of priors of one's own, on this machine, or ""."""
+        folder = os.path.join(self._folder(), PRIORS)
+        return folder if os.path.isdir(folder) else ""
 
     def _folder(self) -> Path:
         """The folder with the catalogue: of the archive, or of a copy."""

@@ -138,7 +138,6 @@ def facts_of(file: api.File[Any]) -> dict[str, Any]:
     info, about = file.info, file.encoded.about
     parts: Mapping[str, int] = info["bytes_by_part"]
     side, raw = parts["extras"] + parts["signals"], info["raw_bytes_float32"] or 0
-    layout = hashlib.sha256("\n".join(file.names).encode("utf-8", "surrogatepass")).hexdigest()[:16]
     return {
         "format": str(about.source.get("format", "")),
         "kind": info["kind"],
@@ -148,7 +147,7 @@ def facts_of(file: api.File[Any]) -> dict[str, Any]:
         "points": info["points"] or 0,
         "joints": (info["points"] or 0) if info["skeleton"] else 0,
         "rotations": int(info["rotations"]),
-        "layout": layout if file.names else "",
+        "layout": layout_of(file.names),
         "codec": file.encoded.codec,
         "mean_error": None,
         "max_error": None,
@@ -157,6 +156,11 @@ def facts_of(file: api.File[Any]) -> dict[str, Any]:
         "raw_bytes": raw,
         "ratio": raw / (info["bytes"] - side) if raw else None,
     }
+
+
+def layout_of(names: Sequence[str]) -> str:
+    """The hash of the names of points; "" of none."""
+    return hashlib.sha256("\n".join(names).encode("utf-8", "surrogatepass")).hexdigest()[:16] if names else ""
 
 
 def facts_of_name(name: str) -> dict[str, Any]:

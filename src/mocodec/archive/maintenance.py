@@ -210,7 +210,7 @@ def _recover(catalogue: Catalogue, found: shards.Found, known: Known, report: Re
             facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
         content = encoding.content_hash(encoding.bytes_of(found.bytes))
     except MocodecError as error:
-        report.failed.append((name, str(error)))
+        report.failed.append((name, str(error).removeprefix(f"{name}: ")))
         return
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
     row, options = known.get(name, (None, Options().stored()))

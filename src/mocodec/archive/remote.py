@@ -57,11 +57,12 @@ class LocalCopy:
 
 def fetch(url: str, path: Path) -> None:
     """Copy a remote file, a few MB at a time. Raises BadInput, Truncated."""
-    source = byte_source(url)
+    source, part = byte_source(url), path.with_name(f"{path.name}.part")
     try:
-        with open(path, "wb") as file:
+        with open(part, "wb") as file:
             for start in range(0, source.size, MOST_AHEAD_BYTES):
                 file.write(source.read(start, min(MOST_AHEAD_BYTES, source.size - start)))
+        part.replace(path)
     finally:
         source.close()
 

@@ -26,7 +26,7 @@ from ..formats import replace_whole
 from ..motion import Motion
 from ..stages import gaps
 from ..typing import Floats, Integers
-from . import remote
+from . import encoding, remote
 from .database import Entry, Recordings, open_archive
 from .lock import only_builder
 
@@ -259,15 +259,28 @@ def search(
 
 
 def _index_of(recordings: Recordings, query: Motion) -> Index:
-    for path in sorted((remote.local_folder(recordings.folder, "a search") / FOLDER).glob("*.npz")):
-        found = Index.read(path)
-        if sorted(found.points) == sorted(query.names):
-            if found.points != query.names:
-                raise BadInput("the query has its points in another order; select them in that of the archive")
+    """The index of recordings with the points of a query; of a remote archive only this one is fetched."""
+    own = _index(recordings, encoding.layout_of(query.names))
+    if own is not None:
+        return own
+    others = [] if remote.is_url(recordings.folder) else sorted(Path(recordings.folder, FOLDER).glob("*.npz"))
+    for found in map(Index.read, others):
+        if found.points == query.names:
             return found
+        if sorted(found.points) == sorted(query.names):
+            raise BadInput("the query has its points in another order; select them in that of the archive")
     raise BadInput(
         f"{recordings.folder}: no index of recordings with the points of the query; make it: mocodec archive index"
     )
+
+
+def _index(recordings: Recordings, layout: str) -> Index | None:
+    """The index of one set of points, if there is one. Raises Corrupt."""
+    try:
+        path = recordings.local_file(f"{FOLDER}/{layout}.npz")
+    except BadInput:  # it is not on the server
+        return None
+    return Index.read(path) if path.exists() else None
 
 
 def _along(found: Index, query: Any) -> Float32:
@@ -316,8 +329,8 @@ def duplicates(recordings: Recordings, within_m: float = 0.02, share: float = 0.
         for i, one in enumerate(names):
             pairs |= {(one, other): Pair(one, other, 1.0, 0.0, True) for other in names[i + 1 :]}
     allowed = {row.name for row in rows}
-    for path in sorted((remote.local_folder(recordings.folder, "a search") / FOLDER).glob("*.npz")):
-        for pair in _near(Index.read(path), within_m, share):
+    for found in (_index(recordings, layout) for layout in sorted({row.layout for row in rows if row.layout})):
+        for pair in () if found is None else _near(found, within_m, share):
             if pair.one in allowed and pair.other in allowed:
                 pairs.setdefault((pair.one, pair.other), pair)
     return sorted(pairs.values(), key=lambda pair: (-pair.share, pair.distance, pair.one, pair.other))

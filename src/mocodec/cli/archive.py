@@ -19,6 +19,7 @@ from .. import api, archive, codecs, formats
 from ..archive import Entry, Options, Recordings, Report, Row
 from ..encoded import TARGETS
 from ..errors import BadInput, Corrupt, MocodecError
+from ..selection import counted
 from . import DAMAGED, archive_search, debug_option, files, message_and_code, quantities
 from .quantities import setting
 
@@ -176,7 +177,8 @@ def print_report(output: str, report: Report, as_json: bool, quiet: bool) -> int
 
 def totals(sums: dict[str, Any]) -> str:
     """The sums over recordings, in words."""
-    line = f"{sums['recordings']:,} recordings, {sums['frames']:,} frames, {quantities.size(sums['stored_bytes'])}"
+    line = f"{counted(sums['recordings'], 'recording')}, {counted(sums['frames'], 'frame')}"
+    line += f", {quantities.size(sums['stored_bytes'])}"
     if sums["raw_bytes"] and sums["stored_bytes"]:
         plain = sums["stored_bytes"] - sums["side_bytes"]
         line += f", {100 * plain / sums['raw_bytes']:.2f} % of float32 positions"
@@ -366,7 +368,7 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
     with archive.open_archive(db) as opened:
         chosen = list(names) if condition is None else opened.query(condition).names
     removed = archive.remove(db, chosen)
-    files.line(f"{db}: removed {len(removed):,} recordings", err=True)
+    files.line(f"{db}: removed {counted(len(removed), 'recording')}", err=True)
 
 
 @command.command("repair")

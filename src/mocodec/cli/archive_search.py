@@ -55,6 +55,8 @@ def similar(
         return
     for hit in hits:
         files.line(f"{hit.name}  {hit.start:.1f} to {hit.stop:.1f} s  {quantities.length(hit.distance)}")
+    if not hits:
+        files.line(f"{db}: no other recording is in the index; after a build renew it: mocodec archive index", err=True)
 
 
 @click.command("duplicates")

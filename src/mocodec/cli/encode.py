@@ -126,6 +126,8 @@ def command(
     if record is None:
         _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
         files.write_bytes(output, blob)
+    if Path(source).is_file():
+        record["source_bytes"] = Path(source).stat().st_size
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
@@ -218,20 +220,18 @@ def measures(recording: Recording, decoded: Recording, facts: Mapping[str, Any])
 
 
 def summary(output: str, record: Mapping[str, Any]) -> str:
-    """One line: bytes, ratio and the measured error."""
+    """One line: bytes, ratio, the parts where motion is not nearly all of the file, and the measured error."""
     name = "standard output" if output == "-" else output
-    stored, extras, raw = record["bytes"], record["extras"] + record["signals"], record["raw_bytes"]
-    if not raw:
-        return f"{name}: {quantities.size(stored)}, no points, {extras:,} bytes of signals and other extras"
-    line = f"{name}: {quantities.size(stored)}, {record['ratio']:.1f} : 1 against float32"
-    if extras > stored / 100:
-        points = raw / (stored - extras)
-        line += (
-            f" ({points:.1f} : 1 without {record['signals']:,} bytes of signals and {record['extras']:,} of parameters "
-            "and other extras)"
-        )
+    stored, raw, source = record["bytes"], record["raw_bytes"], record.get("source_bytes")
+    line = f"{name}: {quantities.size(stored)}"
+    if not raw or record["extras"] + record["signals"] > stored / 100:
+        line += f" of {source:,} ({source / stored:.1f} : 1)" if source else ""
+        motion = f" ({raw / record['motion']:.1f} : 1 against float32)" if raw else " (no points)"
+        line += f": motion {record['motion']:,}{motion}, signals {record['signals']:,}, rest {record['extras']:,}"
+    else:
+        line += f", {record['ratio']:.1f} : 1 against float32"
     if "d1" in record:
         line += f", {clouds.in_words(record)}"
-    elif "mean_error" in record:
+    elif "mean_error" in record and raw:
         line += f", mean error {quantities.length(record['mean_error'])}, max {quantities.length(record['max_error'])}"
     return line

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import nullcontext
+
 import click
 
-from .. import api, archive, formats
-from ..codecs.tempo import training
-from ..errors import BadInput
-from ..motion import Motion
+from .. import archive, formats
 from . import files, quantities
 
 
@@ -21,32 +21,43 @@ def command() -> None:
 @click.option("-o", "--output", required=True, metavar="FILE", help="The file to write, such as mine.prior.")
 @click.option("--query", "condition", metavar="CONDITION", help="Only the recordings that meet a condition.")
 @click.option(
-    "--frames",
-    type=click.IntRange(1),
-    default=300_000,
-    show_default=True,
-    help="Learn from recordings with this many frames together, spread over the archive.",
+    "--frames", type=click.IntRange(1), help="Learn from about this many frames, spread over the archive; default: all."
 )
-def train(db: str, output: str, condition: str | None, frames: int) -> None:
+@click.option(
+    "-j",
+    "--jobs",
+    "--workers",
+    type=click.IntRange(0),
+    default=1,
+    metavar="N",
+    help="Work in N processes; 0: one per core.",
+)
+@click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def train(
+    db: str, output: str, condition: str | None, frames: int | None, jobs: int, dask: str | None, quiet: bool
+) -> None:  # fmt: skip
     """Learn a prior from an archive.
 
-    It is learned from the recordings of the archive DB that have rotations and the same skeleton.
+    It is learned from the recordings of the archive DB that have rotations and the same skeleton. Any number of
+    processes gives the same result.
 
     Files that are encoded with it (`mocodec encode --prior FILE`, `mocodec archive build --prior FILE`) need it to be
     decoded: an archive keeps a copy; for other files, name its folder in the environment variable MOCODEC_PRIORS.
     """
     if not output.endswith(".prior"):
         raise click.UsageError(f"{output}: the name of a prior ends in .prior")
-    with archive.open_archive(db) as opened:
-        chosen = opened.query("rotations == 1" + (f" and ({condition})" if condition else ""))
-        rows = list(chosen.rows())
-        if not rows:
-            raise BadInput(f"{db}: there are no recordings with rotations")
-        step = max(1, round(sum(row.frames for row in rows) / frames))
-        with files.working(f"reading {db}"):
-            motions = [api.decode(chosen.entry(row.name).place, Motion) for row in rows[::step]]
-    with files.working("learning"):
-        data = training.train(motions)
+    with (
+        archive.open_archive(db) as opened,
+        archive.dask_cluster(dask) if dask else nullcontext() as executor,
+        files.progress_line(quiet) as show,
+    ):
+        chosen = opened.query(condition) if condition else opened
+        data, recordings, total = archive.train_prior(
+            chosen, frames=frames, workers=jobs or os.cpu_count() or 1, executor=executor, report_to=show
+        )
     formats.replace_whole(output, data)
-    total = sum(map(len, motions))
-    files.echo(f"{output}: {quantities.size(len(data))}, from {len(motions):,} recordings, {total:,} frames", err=True)
+    if not quiet:
+        files.echo(
+            f"{output}: {quantities.size(len(data))}, from {recordings:,} recordings, {total:,} frames", err=True
+        )

@@ -16,17 +16,15 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 def multiply(a: Floats, b: Floats) -> Floats:
     """a · b (…, 4): the rotation b, then a; leading axes broadcast."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    first = aw * bw - ax * bx - ay * by - az * bz
+    product = np.empty((*first.shape, 4), first.dtype)
+    product[..., 0] = first
+    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return product
 
 
 def inverse(q: Floats) -> Floats:
@@ -42,9 +40,10 @@ def rotate(q: Floats, v: Floats) -> Floats:
 
 def about_axis(axis: str, angle: Floats) -> Floats:
     """(…, 4): rotations by `angle` (…), radians, about "x", "y" or "z". Raises BadInput for another axis."""
-    result = np.zeros((*np.shape(angle), 4))
-    result[..., 0] = np.cos(np.asarray(angle) / 2)
-    result[..., 1 + _axis(axis)] = np.sin(np.asarray(angle) / 2)
+    half = np.asarray(angle) / 2
+    result = np.zeros((*half.shape, 4))
+    result[..., 0] = np.cos(half)
+    result[..., 1 + _axis(axis)] = np.sin(half)
     return result
 
 

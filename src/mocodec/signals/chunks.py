@@ -11,6 +11,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -61,12 +62,27 @@ class _Source:
         return _held(self.integers, self.codes)
 
 
-def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) -> list[bytes]:
-    """The record of each channel in a chunk (samples, channels), nothing for constants and copies; joined, the chunk.
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A channel in a chunk, coded but not packed. lanes: of the samples, and of the corrections."""
+
+    values: Array
+    source: _Source
+    predictor: Predictor | None
+    lanes: tuple[Lane, ...]
+
+    @property
+    def references(self) -> set[int]:
+        """The channels that this one refers to."""
+        return {channel for channel, _ in self.predictor.references} if self.predictor else set()
+
+
+def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) -> list[Part | None]:
+    """Each channel of a chunk (samples, channels), None for constants and copies.
 
     alone: no channel refers to another.
     """
-    columns = [np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])]
+    columns = np.ascontiguousarray(values.T)
     sources = [
         None if form.kind in WITHOUT_RECORD else _source(column, form)
         for column, form in zip(columns, channel_forms, strict=True)
@@ -79,23 +95,31 @@ def encode(values: Array, channel_forms: Sequence[Form], alone: bool = False) ->
         for i, source in enumerate(sources)
     ]
     choices = fitting.choose(channels, alone)
-    predictors = [choice and choice.predictor for choice in choices]
     streams: list[Integers] = []
+    counts: list[int] = []
     for source, choice in zip(sources, choices, strict=True):
-        if source is not None and choice is not None:
-            streams.append(choice.residuals)
-            streams += [source.extra] if source.form.kind == CORRECTED else []
+        own = [] if choice is None else [choice.residuals]
+        own += [source.extra] if own and source is not None and source.form.kind == CORRECTED else []
+        streams += own
+        counts.append(len(own))
     lanes = iter(residuals.encode(streams))
-    referred = {channel for predictor in predictors if predictor for channel, _ in predictor.references}
+    return [
+        None if source is None else Part(column, source, choice and choice.predictor, tuple(islice(lanes, count)))
+        for column, source, choice, count in zip(columns, sources, choices, counts, strict=True)
+    ]
+
+
+def pack(parts: Sequence[Part | None]) -> list[bytes]:
+    """The record of each channel, empty for those without one; joined, they are the chunk."""
+    referred = {channel for part in parts if part is not None for channel in part.references}
     out, before = [], b""
-    for i, (source, predictor) in enumerate(zip(sources, predictors, strict=True)):
-        record = b"" if source is None else _pack(source, predictor, lanes, before)
-        is_free = source is not None and i not in referred
-        items = _items(columns[i], channel_forms[i], len(record)) if is_free else None
+    for i, part in enumerate(parts):
+        record = b"" if part is None else _pack(part.source, part.predictor, part.lanes, before)
+        items = None if part is None or i in referred else _items(part.values, part.source.form, len(record))
         if items is not None and len(items) < len(record):
             record = items
-        elif source is not None and source.codes.any():
-            before = source.codes.tobytes()
+        elif part is not None and part.source.codes.any():
+            before = part.source.codes.tobytes()
         out.append(record)
     return out
 
@@ -125,12 +149,12 @@ def _ranks(channel_forms: Sequence[Form]) -> list[int]:
 
 def _source(values: Array, form: Form) -> _Source:
     integers, special, extra = forms.forward(form, values)
-    special = special | _fills(integers, forms.words(values) == 0)
-    codes = np.where(special, SPECIAL, KEPT).astype(np.uint8)
     plain = forms.words(values)
+    special = special | _fills(integers, plain == 0)
+    codes = special.astype(np.uint8) * np.uint8(SPECIAL)
     repeats = np.concatenate([[False], plain[1:] == plain[:-1]]) & ~special
     repeats[1:] &= ~special[:-1]
-    if repeats.mean() > REPEATS_SHARE:
+    if np.count_nonzero(repeats) > REPEATS_SHARE * len(repeats):
         trial = np.where(repeats, REPEATS, codes).astype(np.uint8)
         if 8 * len(deflate(trial.tobytes())) < REPEAT_BITS * repeats.sum():
             codes = trial
@@ -144,7 +168,7 @@ def _fills(integers: Integers, zero: Booleans) -> Booleans:
         return np.zeros(len(zero), bool)
     steps = np.abs(np.diff(integers))
     inside = steps[~zero[1:] & ~zero[:-1]]
-    least = FILL_JUMP * (1 + (np.median(inside) if len(inside) else np.inf))
+    least = FILL_JUMP * (1 + (np.partition(inside, len(inside) // 2)[len(inside) // 2] if len(inside) else np.inf))
     start = np.flatnonzero(zero & ~np.concatenate([[False], zero[:-1]]))
     end = np.flatnonzero(zero & ~np.concatenate([zero[1:], [False]]))
     beside = np.concatenate([[np.inf], steps, [np.inf]])
@@ -163,7 +187,7 @@ def _held(integers: Integers, codes: Bytes) -> Integers:
     return distinct[np.maximum(np.cumsum(present) - 1, 0)]
 
 
-def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: bytes) -> bytes:
+def _pack(source: _Source, predictor: Predictor | None, lanes: Sequence[Lane], before: bytes) -> bytes:
     """The record of a channel; before: the codes of the last channel with removed samples."""
     codes, specials = source.codes.tobytes(), source.specials.tobytes()
     item = source.specials[:1].tobytes()
@@ -176,8 +200,7 @@ def _pack(source: _Source, predictor: Predictor | None, lanes: Any, before: byte
     if len(source.integers):
         body += varint(zigzag(int(source.integers[0])))
         body += prediction.pack(predictor) if predictor else b""
-        body += _pack_lane(next(lanes))
-        body += _pack_lane(next(lanes)) if source.form.kind == CORRECTED else b""
+        body += b"".join(map(_pack_lane, lanes))
         if source.form.kind == GRID:
             body += blob(forms.lower_bits(source.form, source.integers, source.extra, source.specials.dtype))
     return bytes([flags]) + body

@@ -59,7 +59,8 @@ def encode(values: Array, rate: float) -> tuple[Head, list[bytes]] | None:
     channel_forms, records = found
     starts = range(length, len(table), length)
     payloads = [b"".join(records)]
-    payloads += [b"".join(chunks.encode(table[start : start + length], channel_forms)) for start in starts]
+    for start in starts:
+        payloads.append(b"".join(chunks.pack(chunks.encode(table[start : start + length], channel_forms))))
     return Head(values.dtype, values.shape, length, tuple(channel_forms), tuple(map(len, payloads))), payloads
 
 
@@ -78,24 +79,31 @@ def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | 
     known: list[Form] = []
     result: list[Form] = []
     places: dict[bytes, int] = {}
-    for column in table.T:
+    for column in np.ascontiguousarray(table.T):
         place = places.setdefault(column.tobytes(), len(result))
         is_copy = place < len(result) and result[place].kind != forms.CONSTANT
-        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(np.ascontiguousarray(column), known)
+        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(column, known)
         if form is None:
             return None
         result.append(form)
         if form.kind == forms.COUNTS and form not in known:
             known.insert(0, form)
-    records = chunks.encode(table[:length], result)
+    parts = chunks.encode(table[:length], result)
+    records = chunks.pack(parts)
     palettes = _palettes(table, length, result, list(map(len, records)))
     if not palettes:
         return result, records
-    result = [palettes.get(i, form) for i, form in enumerate(result)]
-    return result, chunks.encode(table[:length], result)
+    result = [palettes[i][0] if i in palettes else form for i, form in enumerate(result)]
+    if any(part is not None and part.references & palettes.keys() for part in parts):
+        parts = chunks.encode(table[:length], result)
+    else:
+        parts = [palettes[i][1] if i in palettes else part for i, part in enumerate(parts)]
+    return result, chunks.pack(parts)
 
 
-def _palettes(table: Array, length: int, channel_forms: list[Form], sizes: list[int]) -> dict[int, Form]:
+def _palettes(
+    table: Array, length: int, channel_forms: list[Form], sizes: list[int]
+) -> dict[int, tuple[Form, chunks.Part | None]]:
     """Palettes of the channels that are shorter with one, coded alone, than their records of these sizes."""
     first = table[:length]
     palettes: dict[int, Form] = {}
@@ -107,8 +115,13 @@ def _palettes(table: Array, length: int, channel_forms: list[Form], sizes: list[
     share = length / len(table)
     spare = {i: sizes[i] - share * len(deflate(forms.pack(palette))) for i, palette in palettes.items()}
     tried = [i for i in palettes if spare[i] > 0]
-    records = chunks.encode(first[:, tried], [palettes[i] for i in tried], alone=True) if tried else []
-    return {i: palettes[i] for i, record in zip(tried, records, strict=True) if len(record) < spare[i]}
+    if not tried:
+        return {}
+    parts = chunks.encode(first[:, tried], [palettes[i] for i in tried], alone=True)
+    records = chunks.pack(parts)
+    return {
+        i: (palettes[i], part) for i, part, record in zip(tried, parts, records, strict=True) if len(record) < spare[i]
+    }
 
 
 def chunk_samples(samples: int, rate: float) -> int:

@@ -32,7 +32,7 @@ TAP_BITS = 12.0
 MIN_SAMPLES = 24
 FIT_SAMPLES = 2048
 """Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
-PURSUIT_SAMPLES = 768
+PURSUIT_SAMPLES = 640
 """Other channels are chosen from about so many samples, likewise."""
 RIDGE = 1e-13
 LEAST_PIVOT = 1e-14

@@ -378,13 +378,21 @@ def _corrected(values: Array, candidates: list[Form]) -> Form | None:
 
 def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
     """The forms of counts in which few samples of a channel are special; the first samples decide early."""
-    usual = values[np.isfinite(values) & (values != 0)][:SAMPLE]
-    if not len(usual) or not forms:
+    if not forms:
+        return
+    usual = _usual(values[: 4 * SAMPLE])
+    usual = (usual if len(usual) >= SAMPLE else _usual(values))[:SAMPLE]
+    if not len(usual):
         return
     special = _nearest_all(forms, usual)[1].sum(axis=1)
     for form, count in zip(forms, special, strict=True):
         if count <= MOST_SPECIAL * len(usual) and _are_few(forward(form, values)[1], values):
             yield form
+
+
+def _usual(values: Array) -> Array:
+    """Those that are finite and not 0."""
+    return values[np.isfinite(values) & (values != 0)]
 
 
 def _are_few(special: Booleans, values: Array) -> bool:

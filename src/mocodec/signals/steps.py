@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-SAMPLE = 1 << 14
+SAMPLE = 1 << 13
 """Steps are found from about so many samples."""
 FINEST = 2
 """Steps below 2 to this power last bits of the largest value are no counts, but the last bits of floats."""
@@ -35,11 +35,13 @@ def candidates(values: Array, exact: float | None, mantissa_bits: int, most: int
         return []
     distinct = distinct_of(finite[:: max(1, len(finite) // SAMPLE)])
     known = [] if exact is None else [(exact, 0.0)]
+    if exact is not None and np.gcd.reduce(np.rint((distinct - distinct[0]) / exact).astype(np.int64)) == 1:
+        return known  # no larger step gives all values back
     gaps = np.diff(distinct)
     gaps = gaps[gaps > np.abs(distinct).max() * 2.0 ** (FINEST - mantissa_bits)]
     if not len(gaps) or (distinct[-1] - distinct[0]) / gaps.min() > most:
         return known
-    gap = float(np.median(gaps[gaps <= 1.3 * gaps.min()]))
+    gap = _median(gaps[gaps <= 1.3 * gaps.min()])
     near = gaps[gaps < MOST_STEPS_OF_GAP * gap] / gap
     if len(near) >= NEAR_GAPS and np.abs(near - np.rint(near)).mean() > MOST_DEVIATION:
         return known
@@ -81,6 +83,12 @@ def distinct_of(values: Array) -> Array:
     """The distinct ones of values (n,) that are no NaN, ascending."""
     ordered = np.sort(values)
     return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])[: len(ordered)]]
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """As np.median, which takes longer for a few values."""
+    ordered = np.sort(values)
+    return float(ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]) / 2
 
 
 def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:

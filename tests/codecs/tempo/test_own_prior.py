@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,3 +83,17 @@ def test_what_is_no_prior(tmp_path: Path, data: bytes) -> None:
         pass
     with pytest.raises(mc.BadInput), prior.used(str(tmp_path / "none.prior")):
         pass
+
+
+def test_any_number_of_processes_learns_the_same(trained: Path) -> None:
+    with mc.open_archive(trained / "db") as db:
+        seen: list[tuple[int, int, str]] = []
+        data, recordings, frames = archive.train_prior(db, workers=2, report_to=lambda *report: seen.append(report))
+        assert (recordings, frames) == (4, 480)
+        assert data == (trained / "priors/mine.prior").read_bytes()
+        assert {name for _, _, name in seen} == set(db.names)
+        assert [done for done, total, _ in seen if done == total] == [len(seen)]
+        with pytest.raises(mc.BadInput, match="at least 3 recordings"):
+            archive.train_prior(db.query("name in ('take_1', 'take_2')"))
+        with ThreadPoolExecutor(1) as executor:
+            assert archive.train_prior(db, executor=executor)[1] == 4

@@ -1,14 +1,37 @@
 // Drives a page in Debian's Chromium: node browser.mjs COMMANDS.json prints one JSON value for each command.
 // A command is {"do": "open", "url", "size": [w, h], "theme"} | {"do": "wait", "for"} | {"do": "eval", "code"} |
-// {"do": "press", "key"} | {"do": "click", "selector"} | {"do": "picture", "path"} | {"do": "drop", "files": [path]}.
-import { readFileSync } from "node:fs";
+// {"do": "processor"} (milliseconds of processor time of the browser so far) | {"do": "press", "key"} | {"do": "click", "selector"} | {"do": "picture", "path"} | {"do": "drop", "files": [path]}.
+import { readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
 const commands = JSON.parse(readFileSync(process.argv[2], "utf8"));
-const browser = await chromium.launch({
+const server = await chromium.launchServer({
   executablePath: process.env.MOCODEC_CHROMIUM ?? "/usr/bin/chromium",
   args: ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
 });
+const browser = await chromium.connect(server.wsEndpoint());
+
+/** Processor time of the browser's processes, milliseconds; Linux only. */
+function processorTime() {
+  const processes = new Map();
+  for (const id of readdirSync("/proc").filter((name) => /^\d+$/.test(name))) {
+    try {
+      const text = readFileSync(`/proc/${id}/stat`, "utf8");
+      const fields = text.slice(text.lastIndexOf(")") + 2).split(" ");
+      processes.set(Number(id), { parent: Number(fields[1]), ticks: Number(fields[11]) + Number(fields[12]) });
+    } catch {
+      continue; // it has ended
+    }
+  }
+  let ticks = 0;
+  for (const id of processes.keys()) {
+    let above = id;
+    while (above && above !== server.process().pid) above = processes.get(above)?.parent ?? 0;
+    if (above) ticks += processes.get(id).ticks;
+  }
+  return 10 * ticks;
+}
+
 /** Waits for an expression to be true; the page's policy forbids waitForFunction. */
 async function until(page, expression, seconds) {
   for (const end = Date.now() + 1000 * seconds; Date.now() < end; ) {
@@ -34,6 +57,7 @@ try {
       await page.goto(command.url);
     } else if (command.do === "wait") await until(page, command.for, command.seconds ?? 60);
     else if (command.do === "eval") answer = await page.evaluate(command.code);
+    else if (command.do === "processor") answer = processorTime();
     else if (command.do === "press") await page.keyboard.press(command.key);
     else if (command.do === "click") await page.click(command.selector);
     else if (command.do === "drop") await page.setInputFiles("#files", command.files);
@@ -46,4 +70,5 @@ try {
   console.log(JSON.stringify({ answers, problems, failed: String(error) }));
 } finally {
   await browser.close();
+  await server.close();
 }

@@ -16,6 +16,7 @@ from .tracking import MIN_BODY_POINTS, PersonTracker
 MIN_FIRST_POINTS = 4 * MIN_BODY_POINTS  # of a person in the first frame
 MIN_GAP_M = 0.12  # between two people in the first frame
 MIN_SHARE, MIN_HEIGHT_SHARE = 0.25, 0.5  # of the largest group's points and height, that a person has
+CELL_STRIDES = np.array([1 << 42, 1 << 21, 1])  # to number cells: no frame has 2^21 of them along an axis
 MAX_BODY_DISTANCE_M = 0.4  # from the nearest body, beyond which a point is an outlier
 
 
@@ -27,7 +28,10 @@ def segment_people(points: Floats, up: str, limit: int) -> list[AnyInteger]:
 
     if limit < 2:
         return [np.arange(len(points))]
-    cell, cell_of = np.unique(np.floor(points / (MIN_GAP_M / 2)).astype(np.int64), axis=0, return_inverse=True)
+    cells = np.floor(points / (MIN_GAP_M / 2)).astype(np.int64)
+    key = (cells - cells.min(axis=0)) @ CELL_STRIDES
+    _, first, cell_of = np.unique(key, return_index=True, return_inverse=True)
+    cell = cells[first]
     pairs = KDTree(cell).query_pairs(MIN_GAP_M / (MIN_GAP_M / 2) + 0.5, output_type="ndarray")
     ones = np.ones(len(pairs), bool)
     _, label = connected_components(coo_array((ones, tuple(pairs.T)), shape=(len(cell),) * 2), directed=False)

@@ -4,15 +4,20 @@
                               spectra in those bases ──► spreads ──► coefficients in several steps ──► tables
 
 Each recording counts by the square root of its length, so that neither long recordings nor many takes of one person
-dominate. `mocodec prior train` and `scripts/train_prior` run it.
+dominate. Each step adds up small arrays of each recording, in the order of the recordings (`Each`).
+`scripts/train_prior` has the recordings in memory. `mocodec prior train` has them in an archive
+(`archive.train_prior`): any number of processes gives the same bytes.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +25,7 @@ from ... import formats
 from ...entropy import lanes, symbols
 from ...errors import BadInput
 from ...geometry import kinematics, rigid
-from ...motion import Motion
+from ...motion import Motion, Skeleton
 from ...stages import dct
 from ...typing import Floats, Integers
 from .coding import contexts, rows
@@ -50,11 +55,63 @@ DEAD_ZONE = 0.38
 """Coefficients are rounded up from this fraction on."""
 LEAST_SYMBOLS = 500
 """Tables with fewer symbols borrow from the neighbouring classes."""
+SAMPLE_EVERY, MOST_SAMPLES = 8, 300_000
+"""The mean pose and the bone tree are learned from one pose in so many, and from about so many at most."""
 SHARED = 1e-3
 """Weight of all frequencies in the basis of each band."""
 REDUNDANT_BONES = ("lhipjoint", "rhipjoint", "lthumb", "rthumb")
 """Joints whose bones move as others do."""
 BONE_COMPONENTS = 128
+
+
+Each = Callable[[Callable[[Motion], Any]], Iterator[Any]]
+"""The results of a function of each recording, in the order of the recordings. The function can be pickled."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What decides whether a recording is learned from. skeleton: None without rotations. problem: or ""."""
+
+    frames: int
+    names: tuple[str, ...]
+    skeleton: Skeleton | None
+    problem: str = ""
+
+
+def facts(motion: Motion) -> Facts:
+    """The facts of a recording."""
+    skeleton = motion.skeleton if motion.rotations is not None else None
+    problem = "" if skeleton else "no rotations"
+    if not problem and motion.gaps.any():
+        problem = "gaps"
+    if not problem and (len(motion) < 2 or _has_flips(motion)):
+        problem = "a leap" if len(motion) > 1 else "one frame"
+    return Facts(len(motion), motion.names, skeleton, problem)
+
+
+def usable(found: Sequence[Facts]) -> list[int]:
+    """Numbers of the recordings that are learned from.
+
+    They have rotations, no gaps, no leaps, and the joints of the first such one. Raises BadInput if there are too few.
+    """
+    sound = [i for i, one in enumerate(found) if not one.problem]
+    chosen = [i for i in sound if found[i].names == found[sound[0]].names]
+    if len(chosen) < LEAST_RECORDINGS:
+        raise BadInput(
+            f"a prior is learned from at least {LEAST_RECORDINGS} recordings of one skeleton with rotations, without "
+            f"gaps and leaps, not {len(chosen)}"
+        )
+    return chosen
+
+
+def in_memory(motions: Sequence[Motion]) -> Each:
+    """Recordings in memory, one after another."""
+    return partial(map_in_memory, motions)
+
+
+def map_in_memory(motions: Sequence[Motion], work: Callable[[Motion], Any]) -> Iterator[Any]:
+    """The work for each motion."""
+    return map(work, motions)
 
 
 def people(folder: Path, leave_out: Sequence[str] = ()) -> dict[str, list[Motion]]:
@@ -72,16 +129,17 @@ def _has_flips(motion: Motion) -> bool:
 
 def train_points(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
     """The file of the prior of positions: joints by name, and how bones move."""
-    motions = [m for person in recordings.values() for m in person]
-    joints = joint_set(motions, directions=False)
-    return write(joints, coder_tables(joints, motions), bone_motion(motions))
+    return points_file(*_of_people(recordings))
 
 
 def train_directions(recordings: Mapping[str, Sequence[Motion]]) -> bytes:
     """The file of the prior of bone directions."""
+    return directions_file(*_of_people(recordings))
+
+
+def _of_people(recordings: Mapping[str, Sequence[Motion]]) -> tuple[Each, list[Facts]]:
     motions = [m for person in recordings.values() for m in person]
-    joints = joint_set(motions, directions=True)
-    return write(joints, coder_tables(joints, motions))
+    return in_memory(motions), [Facts(len(m), m.names, m.skeleton) for m in motions]
 
 
 def train(motions: Iterable[Motion]) -> bytes:
@@ -89,15 +147,27 @@ def train(motions: Iterable[Motion]) -> bytes:
 
     Recordings in which a joint leaps are left out. Raises BadInput for recordings of other joints, or without them.
     """
-    chosen = [m for m in motions if m.skeleton is not None and m.rotations is not None and not m.gaps.any()]
-    chosen = [m for m in chosen if m.names == chosen[0].names and len(m) > 1 and not _has_flips(m)]
-    if len(chosen) < LEAST_RECORDINGS:
-        raise BadInput(
-            f"a prior is learned from at least {LEAST_RECORDINGS} recordings of one skeleton with rotations, without "
-            f"gaps and leaps, not {len(chosen)}"
-        )
-    recordings = {"all": chosen}
-    return prior.pack_own(train_points(recordings), train_directions(recordings))
+    listed = list(motions)
+    found = [facts(m) for m in listed]
+    chosen = usable(found)
+    return own_file(in_memory([listed[i] for i in chosen]), [found[i] for i in chosen])
+
+
+def own_file(each: Each, found: Sequence[Facts]) -> bytes:
+    """The file of priors of one's own; found: the facts of each recording."""
+    return prior.pack_own(points_file(each, found), directions_file(each, found))
+
+
+def points_file(each: Each, found: Sequence[Facts]) -> bytes:
+    """The file of the prior of positions."""
+    joints = joint_set(each, found, directions=False)
+    return write(joints, coder_tables(joints, each), bone_motion(each, found))
+
+
+def directions_file(each: Each, found: Sequence[Facts]) -> bytes:
+    """The file of the prior of bone directions."""
+    joints = joint_set(each, found, directions=True)
+    return write(joints, coder_tables(joints, each))
 
 
 def write(joints: JointSet, tables: Integers, bones: BoneMotion | None = None) -> bytes:
@@ -135,9 +205,9 @@ def _arrays(
     }
 
 
-def bone_motion(motions: Sequence[Motion]) -> BoneMotion:
+def bone_motion(each: Each, found: Sequence[Facts]) -> BoneMotion:
     """How the bones of people move, from recordings of joints with the rotations of their bones."""
-    skeleton = motions[0].skeleton
+    skeleton = found[0].skeleton
     assert skeleton is not None
     columns = [i for i, name in enumerate(skeleton.names) if name not in REDUNDANT_BONES]
     parents = []
@@ -146,12 +216,21 @@ def bone_motion(motions: Sequence[Motion]) -> BoneMotion:
         while above >= 0 and above not in columns:
             above = skeleton.parents[above]
         parents.append(columns.index(above) if above >= 0 else len(parents))
-    points = joint_set([rotating_points(m, columns) for m in motions], directions=False)
+    points = joint_set(partial(each_with_arms, each, columns), found, directions=False)
     kept, count = points.statistics, POSE + BONE_COMPONENTS
     statistics = Statistics(tuple(b[:BONE_COMPONENTS] for b in kept.bases), kept.spreads[:count], kept.means[:count])
     median = np.median(statistics.spreads[POSE:], axis=0).astype(int)
     names = tuple(skeleton.names[i] for i in columns)
     return BoneMotion(names, np.array(parents), median, points.coordinates.pose, statistics)
+
+
+def each_with_arms(each: Each, columns: Sequence[int], work: Callable[[Motion], Any]) -> Iterator[Any]:
+    """The work for the points that rotate with the bones of each recording."""
+    return each(partial(_with_arms, columns, work))
+
+
+def _with_arms(columns: Sequence[int], work: Callable[[Motion], Any], motion: Motion) -> Any:
+    return work(rotating_points(motion, columns))
 
 
 def rotating_points(motion: Motion, columns: Sequence[int]) -> Motion:
@@ -166,32 +245,46 @@ def rotating_points(motion: Motion, columns: Sequence[int]) -> Motion:
     return Motion(positions, motion.rate, tuple(names), motion.up)
 
 
-def joint_set(motions: Sequence[Motion], directions: bool) -> JointSet:
+def joint_set(each: Each, found: Sequence[Facts], directions: bool) -> JointSet:
     """Mean pose, bases and spreads of recordings of one set of points; of their bones' directions, if asked for."""
-    names = motions[0].names
-    sample = np.concatenate([_centred(heading.to_y_up(m.positions[::8], m.up)) for m in motions])
-    pose = heading.mean_pose(sample).astype(np.float32).astype(np.float64)
-    coordinates = direction_coordinates(motions, pose) if directions else PointCoordinates(pose)
+    every = SAMPLE_EVERY * -(-sum(one.frames for one in found) // (SAMPLE_EVERY * MOST_SAMPLES))
+    names, samples = zip(*each(partial(_sample, every)), strict=True)
+    pose = heading.mean_pose(np.concatenate(samples)).astype(np.float32).astype(np.float64)
+    del samples
+    coordinates = direction_coordinates(each, found, pose, every) if directions else PointCoordinates(pose)
     dimensions = coordinates.dimensions
-    flat = JointSet(names, coordinates, _identity(dimensions))
-    spectra = [list(_spectra(model_of(flat, m), m)) for m in motions]
-    means = np.array([np.mean([s[0] / np.sqrt(len(s)) for s in of_one], axis=0) for of_one in spectra])
+    flat = JointSet(names[0], coordinates, _identity(dimensions))
+    means = np.zeros((len(found), POSE + dimensions))
     covariance = np.zeros((BANDS, dimensions, dimensions))
-    for motion, of_one, mean in zip(motions, spectra, means, strict=True):
-        model = model_of(flat, motion)
-        for s in of_one:
-            s = s.copy()
-            s[0] -= mean * np.sqrt(len(s))
-            for c, band in zip(covariance, model.bands(len(s)), strict=True):
-                c += s[band, POSE:].T @ s[band, POSE:] / np.sqrt(len(of_one))
+    for number, (mean, own) in enumerate(each(partial(_moments, flat))):
+        means[number] = mean
+        covariance += own
     between = np.cov(means[:, POSE:].T)
     kept = dimensions if directions else dimensions - 3  # nothing moves the mean of all points
-    every = SHARED * covariance.sum(0) / np.trace(covariance.sum(0))
-    bases = [_basis(c / np.trace(c) + every, kept) for c in covariance]
+    overall = SHARED * covariance.sum(0) / np.trace(covariance.sum(0))
+    bases = [_basis(c / np.trace(c) + overall, kept) for c in covariance]
     low = covariance[0] / np.trace(covariance[0]) + BETWEEN_PEOPLE * between / np.trace(between)
-    bases[0] = _basis(low + every, kept)
-    fitted = JointSet(names, coordinates, _identity(dimensions, tuple(bases)))
-    return replace(fitted, statistics=_with_spreads(fitted, motions))
+    bases[0] = _basis(low + overall, kept)
+    fitted = JointSet(names[0], coordinates, _identity(dimensions, tuple(bases)))
+    return replace(fitted, statistics=_with_spreads(fitted, each))
+
+
+def _sample(every: int, motion: Motion) -> tuple[tuple[str, ...], Floats]:
+    """The names of the points, and one pose in so many."""
+    return motion.names, _centred(heading.to_y_up(motion.positions[::every], motion.up))
+
+
+def _moments(joints: JointSet, motion: Motion) -> tuple[Floats, Floats]:
+    """Mean (rows,) and covariance of each band (bands, dimensions, dimensions) of a recording's coefficients."""
+    model = model_of(joints, motion)
+    spectra = list(_spectra(model, motion))
+    mean = np.mean([s[0] / np.sqrt(len(s)) for s in spectra], axis=0)
+    covariance = np.zeros((BANDS, len(mean) - POSE, len(mean) - POSE))
+    for s in spectra:
+        s[0] -= mean * np.sqrt(len(s))
+        for c, band in zip(covariance, model.bands(len(s)), strict=True):
+            c += s[band, POSE:].T @ s[band, POSE:] / np.sqrt(len(spectra))
+    return mean, covariance
 
 
 def _identity(dimensions: int, bases: tuple[Floats, ...] | None = None) -> Statistics:
@@ -212,28 +305,28 @@ def model_of(joints: JointSet, motion: Motion) -> Model:
     )
 
 
-def direction_coordinates(motions: Sequence[Motion], pose: Floats) -> DirectionCoordinates:
+def direction_coordinates(each: Each, found: Sequence[Facts], pose: Floats, every: int) -> DirectionCoordinates:
     """The bone tree of the mean proportions, and the metric root of its coordinates."""
-    assert motions[0].skeleton is not None
-    aligned = [_aligned(m, pose) for m in motions]
-    tree = tree_fitting.fit(aligned, motions[0].skeleton.parents, [m.skeleton.offsets for m in motions if m.skeleton])
+    skeletons = [one.skeleton for one in found if one.skeleton is not None]
+    assert len(skeletons) == len(found)
+    aligned = list(each(partial(_aligned, pose, every)))
+    tree = tree_fitting.fit(aligned, skeletons[0].parents, [skeleton.offsets for skeleton in skeletons])
     metric = np.zeros((tree.dimensions, tree.dimensions))
-    for m, poses in zip(motions, aligned, strict=True):
-        assert m.skeleton is not None
-        own = tree.with_offsets(m.skeleton.offsets)
+    for one, skeleton, poses in zip(found, skeletons, aligned, strict=True):
+        own = tree.with_offsets(skeleton.offsets)
         coordinates = bone_directions.forward(own, poses[:: max(1, len(poses) // 8)])
-        metric += np.sqrt(len(m)) * bone_directions.metric(own, coordinates)
-    root = np.linalg.cholesky(metric / sum(np.sqrt(len(m)) for m in motions))
+        metric += np.sqrt(one.frames) * bone_directions.metric(own, coordinates)
+    root = np.linalg.cholesky(metric / sum(np.sqrt(one.frames) for one in found))
     return DirectionCoordinates(pose, tree, np.asarray(root, np.float64), np.arange(len(pose)))
 
 
-def _aligned(motion: Motion, pose: Floats) -> Floats:
-    """Every eighth pose in the body's frame."""
+def _aligned(pose: Floats, every: int, motion: Motion) -> Floats:
+    """One pose in so many, in the body's frame."""
     centred = _centred(heading.to_y_up(motion.positions, motion.up))
     out = []
     for a, b in chunk_bounds(len(centred), motion.rate, CHUNK_SECONDS):
         angle = dct.inverse(smooth_heading(heading.heading(centred[a:b], pose), motion.rate), b - a)
-        out.append(heading.rotate(centred[a:b], -angle)[::8])
+        out.append(heading.rotate(centred[a:b], -angle)[::every])
     return np.concatenate(out)
 
 
@@ -253,21 +346,15 @@ def _basis(covariance: Floats, kept: int) -> Floats:
     return vectors[:, ::-1].T[:kept].astype(np.float32).astype(np.float64)
 
 
-def _with_spreads(joints: JointSet, motions: Sequence[Motion]) -> Statistics:
-    nodes = np.array(contexts.BANDS_MHZ[1:])
+def _with_spreads(joints: JointSet, each: Each) -> Statistics:
     count_rows = POSE + len(joints.statistics.bases[0])
-    total, count = np.full((count_rows, len(nodes)), 1e-9), np.full(len(nodes), 1e-9)
+    total, count = np.full((count_rows, FREQUENCIES - 1), 1e-9), np.full(FREQUENCIES - 1, 1e-9)
     means, weight = np.full(count_rows, 1e-9), 1e-9
-    for motion in motions:
-        spectra = list(_spectra(model_of(joints, motion), motion))
-        for s in spectra:
-            w = 1 / np.sqrt(len(spectra))
-            millihertz = np.arange(1, len(s)) * motion.rate * 500 / len(s)
-            near = np.abs(np.log(millihertz[:, None] / nodes)).argmin(axis=1)
-            np.add.at(total.T, near, np.abs(s[1:]) * w * np.sqrt(120 / motion.rate))
-            np.add.at(count, near, w)
-            means += np.abs(s[0]) * w / np.sqrt(len(s))
-            weight += w
+    for own_total, own_count, own_means, own_weight in each(partial(_magnitudes, joints)):
+        total += own_total
+        count += own_count
+        means += own_means
+        weight += own_weight
     logs = np.round(contexts.OCTAVE * np.log2(total / count)).astype(int)
     return replace(
         joints.statistics,
@@ -276,20 +363,46 @@ def _with_spreads(joints: JointSet, motions: Sequence[Motion]) -> Statistics:
     )
 
 
-def coder_tables(joints: JointSet, motions: Sequence[Motion], steps: Sequence[int] = STEPS) -> Integers:
+def _magnitudes(joints: JointSet, motion: Motion) -> tuple[Floats, Floats, Floats, float]:
+    """Of a recording: sums of magnitudes (rows, frequencies) and their weights (frequencies,); of the means (rows,) and
+    their weight."""
+    nodes = np.array(contexts.BANDS_MHZ[1:])
+    total, count = np.zeros((POSE + len(joints.statistics.bases[0]), len(nodes))), np.zeros(len(nodes))
+    spectra = list(_spectra(model_of(joints, motion), motion))
+    weight = 1 / np.sqrt(len(spectra))
+    means = np.zeros(len(total))
+    for s in spectra:
+        millihertz = np.arange(1, len(s)) * motion.rate * 500 / len(s)
+        near = np.abs(np.log(millihertz[:, None] / nodes)).argmin(axis=1)
+        of_node = near[:, None] == np.arange(len(nodes))
+        total += np.abs(s[1:]).T @ (of_node * (weight * np.sqrt(120 / motion.rate)))
+        count += weight * of_node.sum(axis=0)
+        means += np.abs(s[0]) * weight / np.sqrt(len(s))
+    return total, count, means, weight * len(spectra)
+
+
+def coder_tables(joints: JointSet, each: Each, steps: Sequence[int] = STEPS) -> Integers:
     """Frequencies (tables, symbols), of 2¹², of the symbols in each context."""
     counts = np.zeros((contexts.SHAPES * contexts.CLASSES, symbols.SYMBOLS))
-    for motion in motions:
-        model = model_of(joints, motion)
-        for s in list(_spectra(model, motion))[:TABLE_CHUNKS]:
-            for step in steps:
-                values = _rounded(s, rows.sizes(model.rows, len(s), step))
-                expected = model.expected(len(s), step)
-                known = (expected > UNLIKELY).any(axis=1).sum()
-                symbol = symbols.of_magnitudes(np.abs(values[:known]))
-                tables = contexts.all_tables(contexts.base(expected[:known]), symbols.SMALLEST[symbol])
-                np.add.at(counts, (tables.ravel(), symbol.ravel()), 1)
+    for own in each(partial(_symbol_counts, joints, tuple(steps))):
+        counts += own
     return _frequencies(_smoothed(counts))
+
+
+def _symbol_counts(joints: JointSet, steps: Sequence[int], motion: Motion) -> Floats:
+    """How often each symbol (tables, symbols) occurs in the first chunks of a recording."""
+    counts = np.zeros((contexts.SHAPES * contexts.CLASSES, symbols.SYMBOLS))
+    model = model_of(joints, motion)
+    for s in islice(_spectra(model, motion), TABLE_CHUNKS):
+        for step in steps:
+            values = _rounded(s, rows.sizes(model.rows, len(s), step))
+            expected = model.expected(len(s), step)
+            known = (expected > UNLIKELY).any(axis=1).sum()
+            symbol = symbols.of_magnitudes(np.abs(values[:known]))
+            tables = contexts.all_tables(contexts.base(expected[:known]), symbols.SMALLEST[symbol])
+            both = tables.ravel() * symbols.SYMBOLS + symbol.ravel()
+            counts += np.bincount(both, minlength=counts.size).reshape(counts.shape)
+    return counts
 
 
 def _rounded(coefficients: Floats, size: Floats) -> Integers:
