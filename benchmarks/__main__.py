@@ -25,6 +25,7 @@ COMMANDS = {
     "rotations": ("rotations:command", "tempo with rotations, against positions alone."),
     "chunk-lengths": ("chunk_lengths:command", "What shorter chunks of tempo cost, which lose less when damaged."),
     "bounds": ("bounds:command", "tempo and SZ3 under fine hard maxima, and encoding speed."),
+    "corrections": ("corrections:command", "the lattice engine in corrections under a hard bound."),
     "unknown": ("unknown:command", "tempo on points that its prior does not know."),
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
     "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),

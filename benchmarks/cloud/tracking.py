@@ -24,7 +24,7 @@ from mocodec.testing import sequences
 from mocodec.testing.actors import Actor
 from mocodec.testing.sequences import Performance
 
-from .. import datasets
+from .. import datasets, markdown
 from ..machine import machine_description
 from ..results import write_json
 from . import makehuman, retarget
@@ -58,9 +58,24 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 """Ways of recording, as differences from 10,000 points without noise at 15 frames/s."""
 FOR_ALL_MOTIONS = tuple(CONDITIONS)[:3]
 """Conditions that all motions are measured under."""
+FAST = ("02_04", "02_05", "02_06", "02_07", "02_10", "49_18", "49_20", "131_03", "131_04", "16_02", "118_14")
+"""Jumps, punches, a sword, acrobatics and dance; `run_fast` samples them at FAST_RATE."""
+FAST_RATE, FAST_KEEP = 7.5, 0.25
+FAULT_MOTIONS = ("jumping jacks", "131_04")
+"""Motions that are measured with faults of cameras."""
 IN_ALL_CONDITIONS = ("01_01", "131_04")
 """Motions that are measured under all conditions."""
 POINTS = 10_000
+FOUR = sequences.Rig(cameras=4)
+FAULTS: dict[str, dict[str, Any]] = {
+    "whole surface, no faults": {}, "ten cameras": {"rig": sequences.Rig()}, "four cameras": {"rig": FOUR},
+    "four, flying pixels 8 %": {"rig": replace(FOUR, flying=0.08)},
+    "four, exposure of half a frame": {"rig": replace(FOUR, blur=0.5)},
+    "four, no depth at the head": {"rig": replace(FOUR, dark=("Head",))},
+    "four, no depth at a forearm": {"rig": replace(FOUR, dark=("LeftForeArm",))},
+    "four, from one side": {"rig": replace(FOUR, span=180.0)},
+}  # fmt: skip
+"""Faults of real cameras, as options of `sequences.record`."""
 TURN_AWAY_RAD = 1.8
 """Angle by which both long bones of a limb are turned away before its recovery is measured."""
 
@@ -150,15 +165,97 @@ def run(
     return results
 
 
+def run_fast(data: Path = datasets.SHARED, frames: int = 200) -> dict[str, Any]:
+    """Errors of the tracker on fast motion at FAST_RATE, of two recordings of every clip."""
+    actor = makehuman.find()
+    results: dict[str, Any] = {
+        "command": "scripts/bench tracking --fast", "machine": machine_description(), "actor": actor.name,
+        "rate": FAST_RATE, "points": round(POINTS * FAST_KEEP), "motions": {},
+    }  # fmt: skip
+    for name in FAST:
+        act = retarget.perform_clip(actor, data, name, FAST_RATE, STARTS.get(name, 0.0), frames)
+        if act is None:
+            continue
+        results["motions"][name] = [
+            {"noise_m": noise, "seed": seed, "frames": len(act) - 1}
+            | track(act, sequences.record(act, POINTS, keep=FAST_KEEP, noise_m=noise, seed=seed))
+            for noise in (0.0, 0.005)
+            for seed in (1, 2)
+        ]
+    return results
+
+
+def fast_page(results: dict[str, Any]) -> str:
+    """The table of `run_fast`."""
+    head = ["clip", "frames", "lost", "longest run", "lost, 0.5 cm noise", "longest run"]
+    rows, total = list[list[str]](), [0] * 5
+    for name, runs in results["motions"].items():
+        clean, noisy = ([run for run in runs if (run["noise_m"] > 0) == is_noisy] for is_noisy in (False, True))
+        counts = [sum(run["frames"] for run in clean)]
+        for part in (clean, noisy):
+            counts += [sum(run["lost_frames"] for run in part), max(run["longest_loss"] for run in part)]
+        rows.append([name, *map(str, counts)])
+        total = [(max if i in (2, 4) else int.__add__)(total[i], counts[i]) for i in range(5)]
+    rows.append(["all", *map(str, total)])
+    note = (
+        f"*Fast motion at {results['rate']:g} frames/s, {results['points']:,} points a frame, true first pose "
+        f"({results['actor']}), two recordings of each clip. Lost: a joint is off by more than {LOST_M * 100:g} cm. "
+        f"Made by `{results['command']}`.*"
+    )
+    return f"{note}\n\n{markdown.table(head, rows)}\n"
+
+
+def run_faults(
+    data: Path = datasets.SHARED, frames: int = 60, names: tuple[str, ...] = FAULT_MOTIONS
+) -> dict[str, Any]:
+    """Errors of the tracker on recordings with the faults of real cameras."""
+    actor = makehuman.find()
+    results: dict[str, Any] = {
+        "command": "scripts/bench tracking --faults", "machine": machine_description(), "actor": actor.name,
+        "frames": frames, "rate": RATE, "motions": {},
+    }  # fmt: skip
+    for name in names:
+        act = perform(actor, data, name, frames, RATE)
+        if act is not None:
+            results["motions"][name] = {fault: record_and_track(act, **options) for fault, options in FAULTS.items()}
+    return results
+
+
+def faults_page(results: dict[str, Any]) -> str:
+    """The table of `run_faults`."""
+    head = ["recording", *(f"{name}: mean / max cm, frames lost" for name in results["motions"])]
+    rows = [
+        [fault, *(f"{m['mean_cm']:.2f} / {m['max_cm']:.1f}, {m['lost_frames']}" for m in measured)]
+        for fault in FAULTS
+        if (measured := [motion[fault] for motion in results["motions"].values()])
+    ]
+    note = (
+        f"*Joint errors of bodycast's tracker, true first pose, {results['frames']} frames at {results['rate']:g} "
+        f"frames/s, up to {POINTS:,} points a frame ({results['actor']}). Lost: a joint is off by more than "
+        f"{LOST_M * 100:g} cm. Made by `{results['command']}`.*"
+    )
+    return f"{note}\n\n{markdown.table(head, rows)}\n"
+
+
 @click.command("tracking")
 @click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--frames", default=60, show_default=True, type=click.IntRange(2), help="Frames of every clip.")
-def command(output: Path, data: Path, frames: int) -> None:
+@click.option("--faults", is_flag=True, help="Measure faults of real cameras instead.")
+@click.option("--fast", is_flag=True, help="Measure fast motion at 7.5 frames/s instead.")
+def command(output: Path, data: Path, frames: int, faults: bool, fast: bool) -> None:
     """Track a body through eight motions by points, noise, views and frame rate; recover limbs that are lost.
 
-    Writes bodycast_tracking.json.
+    Writes bodycast_tracking.json; with --faults or --fast bodycast_faults.json or bodycast_fast.json,
+    and a table beside it.
     """
     output.mkdir(parents=True, exist_ok=True)
+    if faults or fast:
+        name, results = ("faults", run_faults(data, frames)) if faults else ("fast", run_fast(data))
+        write_json(output / f"bodycast_{name}.json", results)
+        table = faults_page(results) if faults else fast_page(results)
+        (output / f"bodycast_{name}.md").write_text(table)
+        click.echo(output / f"bodycast_{name}.md")
+        return
     write_json(output / "bodycast_tracking.json", run(data, frames))
     click.echo(output / "bodycast_tracking.json")

@@ -20,3 +20,14 @@ def test_tracking_without_recordings(tmp_path, monkeypatch):
     recovery_frames = tracking.recovery(act, at=(3,))
     assert len(recovery_frames) == 4
     assert max(recovery_frames) <= 10
+
+
+def test_faults_of_cameras_without_recordings(tmp_path, monkeypatch):
+    monkeypatch.setattr(makehuman, "find", actors.capsules)
+    few = {name: tracking.FAULTS[name] for name in ("whole surface, no faults", "four, no depth at the head")}
+    monkeypatch.setattr(tracking, "FAULTS", few)
+    results = tracking.run_faults(tmp_path, 4)
+    assert results["motions"].keys() == {"jumping jacks"}
+    page = tracking.faults_page(results)
+    assert page.count("\n| ") == 1 + len(few)
+    assert all(name in page for name in few)

@@ -1,4 +1,4 @@
-// The lattice engine of tempo's chunks, for codecs/tempo/coding/lattice.py.
+// The lattice engine of tempo's chunks, for stages/lattice.py.
 
 #include "lattice.h"
 

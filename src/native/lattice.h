@@ -1,4 +1,4 @@
-// One chunk by the lattice engine of codecs/tempo/coding/lattice.py: each sample is predicted from decoded ones by
+// One chunk by the lattice engine of stages/lattice.py: each sample is predicted from decoded ones by
 // recursive least squares, and its residual is a point of a body-centred cubic lattice.
 //
 // Floats are computed by the same operations in the same order as in the NumPy code.

@@ -10,7 +10,7 @@
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
-//   lattice.cpp     the lattice engine, for codecs/tempo/coding/lattice.py; its parts are lattice.h and adaptive_bits.h
+//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;

@@ -11,10 +11,11 @@ import mocodec as mc
 from mocodec import metrics
 from mocodec.codecs.lossless import Lossless
 from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice, repeats
-from mocodec.codecs.tempo.coding import coefficients, direct, lattice, lattice_chunk
+from mocodec.codecs.tempo.coding import coefficients, direct
 from mocodec.codecs.tempo.models.model import Model
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
+from mocodec.stages import lattice, lattice_chunk
 from mocodec.testing import synthetic
 
 
@@ -39,7 +40,7 @@ def check(motion: Motion, **target: float) -> mc.Motion:
 
 def break_(monkeypatch: pytest.MonkeyPatch, where: Any, name: str, times: int = 10**9) -> None:
     """Make a function raise an IndexError at its first calls; the lattice engine, which needs no model, is off."""
-    monkeypatch.setattr(engine_choice, "available", lambda: False)
+    monkeypatch.setattr(lattice, "is_fast", lambda: False)
     fail(monkeypatch, where, name, times)
 
 
@@ -78,7 +79,7 @@ def test_a_broken_part_of_tempo(
     assert "IndexError: injected" in decoded.source["notes"][-1]
 
 
-@pytest.mark.skipif(not engine_choice.available(), reason="the lattice engine needs the compiled module")
+@pytest.mark.skipif(not lattice.is_fast(), reason="the lattice engine needs the compiled module")
 @pytest.mark.parametrize(
     ("where", "name"), [(engine_choice, "plan"), (lattice, "neighbours"), (lattice_chunk, "encode")]
 )
@@ -101,7 +102,7 @@ def test_an_internal_error_is_named_and_strict_runs_raise_it(monkeypatch: pytest
 
 
 def test_one_broken_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine_choice, "available", lambda: False)
+    monkeypatch.setattr(lattice, "is_fast", lambda: False)
     plain = mc.encode(WALK, chunk_seconds=0.5, model="points-stored")
     break_(monkeypatch, chunk.ChunkEncoder, "_transform_within", times=1)
     blob = mc.encode(WALK, chunk_seconds=0.5, model="points-stored")
@@ -126,7 +127,7 @@ def test_interrupts_pass_through(monkeypatch: pytest.MonkeyPatch, error: type[Ba
 
     for where, name in ((model_choice, "choose"), (Model, "analyse"), (coefficients, "pack")):
         with monkeypatch.context() as patch:
-            patch.setattr(engine_choice, "available", lambda: False)
+            patch.setattr(lattice, "is_fast", lambda: False)
             patch.setattr(where, name, interrupted)
             with pytest.raises(error):
                 Tempo().encode(WALK)

@@ -55,6 +55,13 @@ def spiked_markers() -> Motion:
     return replace(motion, positions=positions)
 
 
+def noisy_markers() -> Motion:
+    """`markers` with the noise of cameras, 0.5 mm."""
+    motion = markers()
+    noise = np.random.default_rng(16).normal(0, 0.0005, motion.positions.shape)
+    return replace(motion, positions=motion.positions + noise)
+
+
 def joints() -> Motion:
     """80 frames of joints, with their skeleton."""
     motion = synthetic.joints(frames=80, rate=60.0, seed=12)
@@ -162,9 +169,11 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "lossless-markers": (markers, "lossless", {}),
     "liu2006-markers": (markers, "liu2006", {}),
     "liu2006-markers-bounded": (markers, "liu2006", {"max_error": 0.002}),
+    "liu2006-markers-fine": (noisy_markers, "liu2006", {"max_error": 0.0002}),
     "hou2014-markers": (markers, "hou2014", {}),
     "hou2014-joints": (joints, "hou2014", {}),
     "hou2014-markers-bounded": (markers, "hou2014", {"max_error": 0.002}),
+    "hou2014-markers-fine": (noisy_markers, "hou2014", {"max_error": 0.0002}),
     "tempo-markers": (markers, "tempo", {"max_error": 0.005, "model": "transform"}),
     "tempo-joints": (joints, "tempo", {"max_error": 0.005, "model": "transform"}),
     "tempo-directions": (named_skeleton, "tempo", {"max_error": 0.005, "model": "transform"}),

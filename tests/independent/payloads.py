@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import tempo_lattice
 from .integers import Bytes, bits_of, integers
 
 Array = np.ndarray
@@ -94,11 +95,17 @@ def restored(data: bytes, positions: Array) -> Array:
     return out
 
 
-def corrected(data: bytes, positions: Array, bound: float) -> Array:
+def corrected(data: bytes, positions: Array, bound: float, gaps: bytes) -> Array:
     if not data:
         return positions
     frames, points, _ = positions.shape
-    spacing = 2 / math.sqrt(3) * (bound - min(1e-9, bound / 1000))
+    inner_bound = bound - min(1e-9, bound / 1000)
+    if data[0] == 2:
+        part = Bytes(data[1:])
+        neighbours = tempo_lattice.neighbours_of(part.blob(), points)
+        samples = tempo_lattice.decode(part.rest(), apart_mask(gaps, frames, points), neighbours)
+        return positions + samples * (2 / math.sqrt(5) * (1 - 1e-9) * inner_bound)
+    spacing = 2 / math.sqrt(3) * inner_bound
     if data[0] == 1:
         return positions + array(data[1:], frames, 3 * points).reshape(positions.shape) * spacing
     assert data[0] == 0
@@ -229,7 +236,7 @@ def hou2014(shared: list[bytes], chunks: Chunks, points: int, parents: list[int]
         positions = positions / 2.0 ** (weights / 64)[:, None] + mean
         apart = part.blob()
         if bound is not None:
-            positions = corrected(part.rest(), positions, bound)
+            positions = corrected(part.rest(), positions, bound, apart)
         parts.append(restored(apart, positions))
     return np.concatenate(parts)
 
@@ -300,7 +307,7 @@ def liu2006(shared: list[bytes], chunks: Chunks, points: int, up: str) -> Array:
                 pose = blended(segments, i, g, segment.start + t, blend).reshape(-1, 3)
                 positions[t, columns] = out_of_body(pose, markers[t], "xyz".index(up))
         if bound is not None:
-            positions = corrected(residuals[i], positions, bound)
+            positions = corrected(residuals[i], positions, bound, gaps[i])
         positions = restored(gaps[i], positions)
         parts.append(positions)
     return np.concatenate(parts)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .integers import Bytes, integers
-from .payloads import Array
 from .tempo_lattice_points import Coder, lattice_point, log
 from .tempo_lattice_prediction import (
+    Array,
     Learner,
     Level,
     axes_along,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .payloads import Array
+Array = np.ndarray
 
 LIMIT = 2.0**40
 

@@ -11,7 +11,7 @@ import pytest
 import mocodec as mc
 from mocodec.codecs.hou2014 import Hou2014Database
 from mocodec.entropy import coder
-from mocodec.stages import frozen
+from mocodec.stages import bounded, frozen, lattice
 from mocodec.testing import edge_cases, synthetic
 
 from . import payloads
@@ -83,6 +83,19 @@ def test_other_settings(codec: str, options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("points", [0, 5])
 def test_motions_without_samples(codec: str, points: int) -> None:
     check(mc.encode(mc.Motion(np.full((40, points, 3), np.nan), 100.0), codec=codec))
+
+
+@pytest.mark.skipif(not lattice.is_fast(), reason="encoders use the lattice engine with the compiled module")
+@pytest.mark.parametrize("codec", ["hou2014", "liu2006"])
+def test_corrections_by_the_lattice_engine(codec: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = edge_cases.motion("parked")[:90].select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
+    noise = np.random.default_rng(5).normal(0, 0.0005, motion.positions.shape)
+    positions = np.where(frozen.split(motion.positions).frozen[..., None], motion.positions, motion.positions + noise)
+    positions[30:44, 2] = np.nan
+    for limit, share in {"RUNS_UP_TO": 0, "DENSE_FROM": 1, "ENGINE_FROM": 0}.items():
+        monkeypatch.setattr(bounded, limit, share)
+    settings = {"initial_frames": 40, "ahead_frames": 30} if codec == "liu2006" else {}
+    check(mc.encode(mc.Motion(positions, motion.rate, motion.names), codec=codec, max_error=0.0001, **settings))
 
 
 def test_transforms_of_a_database() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mocodec import metrics
 from mocodec.errors import CannotEncode, Corrupt
-from mocodec.stages import bounded
+from mocodec.stages import bounded, gaps, lattice
 from mocodec.testing import corruption
 
 
@@ -69,6 +69,29 @@ def test_dense_where_most_points_need_it():
     data = bounded.pack(original, prediction, 0.01)
     assert data[0] == bounded.DENSE
     assert metrics.distances(original, bounded.unpack(data, prediction, 0.01)).max() <= 0.01
+
+
+@pytest.mark.parametrize("stride", [0, 2])
+def test_the_lattice_engine_codes_errors_far_beyond_the_bound(monkeypatch: pytest.MonkeyPatch, stride: int):
+    monkeypatch.setattr(bounded, "ENGINE_STRIDES", (stride,))
+    prediction = np.random.default_rng(0).normal(size=(120, 6, 3))
+    angles = np.arange(120)[:, None, None] / 12 + np.arange(18).reshape(6, 3)
+    original = prediction + np.sin(angles) + np.cos(0.7 * angles) + 0.02 * slow(120, 1)
+    missing = np.zeros((120, 6), bool)
+    missing[20:50, 1] = missing[:3] = missing[100:, 4] = True
+    original[missing] = np.nan
+    known = lattice.neighbours(np.where(missing[..., None], prediction, original))
+    packed_gaps = gaps.pack(missing)
+    data = bounded.pack(original, prediction, 0.01, known)
+    assert data[0] == bounded.ENGINE
+    assert len(data) < 0.8 * len(bounded.pack(original, prediction, 0.01))
+    fixed = bounded.unpack(data, prediction, 0.01, packed_gaps)
+    assert metrics.distances(original, fixed)[~missing].max() <= 0.01
+    for bad in corruption.damaged(data, 20, seed=1):
+        try:
+            assert bounded.unpack(bad, prediction, 0.01, packed_gaps).shape == prediction.shape
+        except Corrupt:
+            continue
 
 
 def test_a_bound_below_the_precision_of_floats_is_refused():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from mocodec.geometry import kinematics
 from mocodec.testing import actors, sequences
@@ -47,6 +50,21 @@ def test_views_and_rigs_see_less(performance):
     assert one.positions[0][:, 2].mean() > all_around.positions[0][:, 2].mean() + 0.02  # the side of the camera
     rig = sequences.record(performance, 3000, rig=sequences.Rig(cameras=3))
     assert len(rig.positions[0]) == 3000
+
+
+def test_blur_and_dark_places_of_a_rig(performance):
+    ideal = sequences.Rig(cameras=4, noise_m=0, calibration_m=0, flying=0, holes=0)
+    sharp, blurred, bald = (
+        sequences.record(performance, 3000, rig=rig)
+        for rig in (ideal, replace(ideal, blur=0.5), replace(ideal, dark=("Head",), dark_m=0.1))
+    )
+    still, moving = (
+        np.percentile(cKDTree(sharp.positions[frame]).query(blurred.positions[frame])[0], 99) for frame in (0, 3)
+    )
+    assert moving > 1.3 * still  # nothing has moved before the first frame
+    head = performance.joints[3][performance.actor.names.index("Head")]
+    assert np.linalg.norm(bald.positions[3] - head, axis=1).min() > 0.1
+    assert np.linalg.norm(sharp.positions[3] - head, axis=1).min() < 0.1
 
 
 def test_several_people_share_a_scene():

@@ -26,6 +26,8 @@ RETRY_COST = 1.25
 """A fit is retried if its cost is above this multiple of the typical cost; the lowest value of the retry threshold."""
 LOST_COST = 1.6
 """The body counts as lost if the cost is above this multiple of the typical cost."""
+SUSPICIOUS_COST = 1.35
+"""All limbs are searched, not every other one, if the cost is above this multiple of the typical cost."""
 THRESHOLD_RISE, THRESHOLD_DECAY = 1.1, 0.9
 """After a failed search the retry threshold becomes this multiple of the cost; its decay per frame."""
 LIMB_LOST_SHARE = 0.12
@@ -159,16 +161,20 @@ class BodyTracker(PoseSolver):
             return first
         best = first
         is_costly = first.cost > self.retry_threshold * self.typical_cost  # a limb may lie on another's points
+        is_suspicious = first.cost > SUSPICIOUS_COST * self.typical_cost
         for number, limb in enumerate(self.limbs):
             share = self._share_without_data(limb, best)
             self.limb_thresholds[number] = max(LIMB_DECAY * self.limb_thresholds[number], LIMB_LOST_SHARE)
-            is_turn = is_costly and (seed + number) % 2  # of every other limb, alternating from frame to frame
+            is_turn = is_costly and (is_suspicious or (seed + number) % 2)  # otherwise every other limb, alternating
             if share < self.limb_thresholds[number] and not is_turn:
                 continue
             before = best
-            for pose in reacquisition.limb_poses(self, limb, data, best, self.pose, seed):
-                if self.assess(data, pose).cost < PROMISING_LIMB * best.cost:
-                    best = _clearly_better(best, self.solve(data, pose, self.settings.widths[-5:]))
+            poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
+            fits = [self.assess(data, pose) for pose in poses]
+            by_cost = sorted(fits[1:], key=lambda fit: fit.cost)
+            for fit in (*fits[:1], *by_cost[:1]):
+                if fit.cost < PROMISING_LIMB * best.cost:
+                    best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
             if best is before:  # the missing part is hidden, or not in the template
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
         best = self._swap_confused_limbs(data, best, is_costly)

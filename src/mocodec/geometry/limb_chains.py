@@ -31,11 +31,18 @@ REACH_SHARES = 0.5, 1.3
 class LimbChain:
     """links: of an arm or leg, from its first long bone to its end. rows: template points that follow them. samples: of
     the template points that search for data, those that follow any of the links, and those beyond the first bone.
+    base: the short link that carries the limb alone, such as a collarbone; empty if there is none.
     """
 
     links: AnyInteger
     rows: AnyInteger
     samples: tuple[AnyInteger, AnyInteger]
+    base: AnyInteger
+
+    @property
+    def with_base(self) -> AnyInteger:
+        """The base, if there is one, and the links."""
+        return np.concatenate([self.base, self.links])
 
 
 def find(body: Body, skin: Skin, sample: AnyInteger) -> list[LimbChain]:
@@ -58,7 +65,9 @@ def find(body: Body, skin: Skin, sample: AnyInteger) -> list[LimbChain]:
         if len(rows) >= MIN_ROWS:
             owner = skin.links[sample, 0]
             whole, beyond = (np.flatnonzero(np.isin(owner, links)) for links in (chain, chain[1:]))
-            limbs.append(LimbChain(np.array(chain), rows[:: max(1, len(rows) // MAX_ROWS)], (whole, beyond)))
+            parent = body.parents[link]
+            base = np.array([parent] if parent > 0 and len(children[parent]) == 1 else [], np.int64)
+            limbs.append(LimbChain(np.array(chain), rows[:: max(1, len(rows) // MAX_ROWS)], (whole, beyond), base))
     return limbs
 
 

@@ -1,14 +1,16 @@
 """A hard bound on the error: corrections of a decoded motion, so that no point is farther off than max_error.
 
-    original − prediction ─► lattice points ─pack─► bytes, in the shorter of two forms
+    original − prediction ─► lattice points ─pack─► bytes, in the shortest of three forms
     prediction + lattice points ◄──────────unpack── bytes
 
-The lattice is cubic, and the diagonal of its cells is twice the bound, so every error is within the bound (a 3-D
-Euclidean distance) of a lattice point. Most errors are within the bound as they are and need no correction. The errors
-of a transform coder change slowly, so a correction is chosen to stay valid for as many frames as possible:
+The bound is a 3-D Euclidean distance. Where the prediction is about as good as the bound, most errors are within it and
+need no correction. The others are lattice points, within the bound of the error. The errors of a transform coder change
+slowly, so a correction is chosen to stay valid for as many frames as possible:
 
-    runs    runs of frames with one constant correction: first frame, length, lattice point
-    dense   the nearest lattice point of every sample, where most of them need a correction
+    runs     runs of frames with one constant correction: first frame, length, point of a cubic lattice
+    dense    the nearest point of the cubic lattice for every sample, where most of them need a correction
+    engine   the errors as a motion of their own, coded by the lattice engine (`lattice`): predicted in time and from
+             neighbours, on a body-centred cubic lattice; for predictions that are much coarser than the bound
 
 The prediction must be what the decoder makes: its floats agree to 1e-12 m between machines, and the bound leaves 1e-9 m
 for that.
@@ -24,12 +26,16 @@ import numpy as np
 from ..entropy import coder, varint
 from ..errors import CannotEncode, Corrupt
 from ..typing import Booleans, Floats, Integers
+from . import frozen, lattice
 
-RUNS, DENSE = 0, 1
-"""The two forms: the first byte of corrections that are not empty. Never change them."""
+RUNS, DENSE, ENGINE = 0, 1, 2
+"""The forms: the first byte of corrections that are not empty. Never change them."""
 
-RUNS_UP_TO, DENSE_FROM = 0.5, 0.1
-"""Runs are tried up to this share of samples outside the bound, the dense form from this share on."""
+RUNS_UP_TO, DENSE_FROM, ENGINE_FROM = 0.5, 0.1, 0.3
+"""Runs are tried up to this share of samples outside the bound, the dense form and the engine from theirs on."""
+
+ENGINE_STRIDES = (2, 0)
+"""log₂ of the distances between the first frames of the lattice engine: smooth errors, and noise."""
 
 BLOCK = 128
 """Runs are found in blocks of this many frames, which are independent of each other."""
@@ -44,25 +50,27 @@ def tolerance(max_error: float) -> float:
     return max_error - min(1e-9, max_error / 1000)
 
 
-def lattice(max_error: float) -> float:
-    """The lattice's spacing, metres: no point of space is farther than `tolerance` from a lattice point."""
+def cubic_step(max_error: float) -> float:
+    """The cubic lattice's spacing, metres: no point of space is farther than `tolerance` from a lattice point."""
     return 2 / math.sqrt(3) * tolerance(max_error)
 
 
-def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
+def pack(original: Floats, prediction: Floats, max_error: float, known: lattice.Neighbours | None = None) -> bytes:
     """The bytes of the corrections; b"" where none is needed.
 
     original, prediction: positions (frames, points, 3), metres; NaN in the original is a gap. max_error: metres,
-    positive. Raises CannotEncode for a bound of less than 2^−40 of the largest position.
+    positive. known: neighbours of the points for the lattice engine; None to leave it out. Raises CannotEncode for a
+    bound of less than 2^−40 of the largest position.
     """
-    error = np.nan_to_num(original - prediction, nan=0.0)
+    missing = np.isnan(original[..., 0])
+    error = np.where(missing[..., None], 0.0, original - prediction)
     outside = np.einsum("fpc,fpc->fp", error, error) > tolerance(max_error) ** 2
     if not outside.any():
         return b""
     largest = max(float(np.abs(prediction).max()), float(np.abs(error).max()))
     if not largest < max_error * 2.0**40:
         raise CannotEncode(f"a bound of {max_error:g} m is too small for positions of {largest:g} m")
-    step = lattice(max_error)
+    step = cubic_step(max_error)
     nearest = np.rint(error / step).astype(np.int64)
     forms: list[bytes] = []
     share = outside.mean()
@@ -70,21 +78,47 @@ def pack(original: Floats, prediction: Floats, max_error: float) -> bytes:
         forms.append(bytes([RUNS]) + _pack_runs(_lasting_corrections(error / step, nearest, outside)))
     if share > DENSE_FROM:
         forms.append(bytes([DENSE]) + coder.pack(nearest.reshape(len(nearest), -1)))
+    if share > ENGINE_FROM and known is not None:
+        forms += [bytes([ENGINE]) + found for found in _pack_by_engine(error, missing, max_error, known)]
     return min(forms, key=len)
 
 
-def unpack(data: bytes, prediction: Floats, max_error: float) -> Floats:
-    """The corrected positions, (frames, points, 3). Raises Corrupt."""
+def unpack(data: bytes, prediction: Floats, max_error: float, packed_gaps: bytes = b"") -> Floats:
+    """The corrected positions, (frames, points, 3). packed_gaps: bytes of `frozen.Split.pack`. Raises Corrupt."""
     if not data:
         return prediction
     frames, points, _ = prediction.shape
+    if data[0] == ENGINE:
+        return prediction + _unpack_by_engine(data[1:], frozen.apart(packed_gaps, (frames, points)), max_error)
     if data[0] == DENSE:
         corrections = coder.unpack(data[1:], (frames, 3 * points)).reshape(prediction.shape)
     elif data[0] == RUNS:
         corrections = _unpack_runs(data[1:], frames, points)
     else:
         raise Corrupt(f"corrections of an unknown form {data[0]}")
-    return prediction + corrections * lattice(max_error)
+    return prediction + corrections * cubic_step(max_error)
+
+
+def _pack_by_engine(error: Floats, missing: Booleans, max_error: float, known: lattice.Neighbours) -> list[bytes]:
+    """Errors (frames, points, 3), metres, by the lattice engine in each stride that keeps the bound after rounding."""
+    half_step = lattice.half_step(tolerance(max_error))
+    neighbours = known.pack()
+    head = varint.write([len(neighbours)]) + neighbours
+    packed: list[bytes] = []
+    for stride in ENGINE_STRIDES:
+        found = lattice.encode(error / half_step, missing, known, stride)
+        if found is not None:
+            left = np.where(missing[..., None], 0.0, error - found[1] * half_step)
+            if np.einsum("fpc,fpc->fp", left, left).max() <= tolerance(max_error) ** 2:
+                packed.append(head + found[0])
+    return packed
+
+
+def _unpack_by_engine(data: bytes, apart: Booleans, max_error: float) -> Floats:
+    """The errors (frames, points, 3), metres. apart (frames, points): missing or frozen. Raises Corrupt."""
+    (size,), at = varint.read(data, 1)
+    known = lattice.Neighbours.unpack(data[at : at + size], apart.shape[1])
+    return lattice.decode(data[at + size :], apart, known) * lattice.half_step(tolerance(max_error))
 
 
 def _lasting_corrections(error: Floats, nearest: Integers, outside: Booleans) -> Integers:

@@ -162,7 +162,9 @@ class Rig:
 
     cameras: their number, spread evenly over `span` degrees. noise_m: standard deviation of the depth at 2.5 m; it
     grows with the square of the distance. calibration_m: offset of each camera's points from their true place. flying:
-    share of points smeared along the ray, at silhouettes. holes: share of each view without depth.
+    share of points smeared along the ray, at silhouettes. holes: share of each view without depth. blur: exposure as a
+    share of the time between frames; a point is where the surface was at a random time within it. dark: joints around
+    which no camera measures depth, within `dark_m` metres, as of dark hair or cloth.
     """
 
     cameras: int = 10
@@ -171,6 +173,9 @@ class Rig:
     calibration_m: float = 0.007
     flying: float = 0.02
     holes: float = 0.03
+    blur: float = 0.0
+    dark: tuple[str, ...] = ()
+    dark_m: float = 0.14
 
 
 def record(
@@ -196,12 +201,7 @@ def record(
     total = points * len(people)
     for frame in range(min(map(len, people))):
         rng = np.random.default_rng([seed, frame])
-        surfaces = [
-            sample_surface(
-                person.actor, person.actor.posed(*person.transforms(frame)), points * (6 if views or rig else 1), rng
-            )
-            for person in people
-        ]
+        surfaces = [_sample_person(person, frame, points * (6 if views or rig else 1), rig, rng) for person in people]
         x, c, n = (np.concatenate(part) for part in zip(*surfaces, strict=True))
         middle = np.mean([person.root[frame] for person in people], axis=0)
         if rig is not None:
@@ -221,10 +221,26 @@ def record(
     return PointClouds(positions, people[0].rate, colours, true_normals if normals else None, up="y")
 
 
-def sample_surface(
-    actor: Actor, vertices: Floats, points: int, rng: np.random.Generator
+def _sample_person(
+    person: Performance, frame: int, points: int, rig: Rig | None, rng: np.random.Generator
 ) -> tuple[Floats, Floats, Floats]:
-    """Random points (n, 3), colours and unit normals, uniform over a posed mesh, none of them inside a capsule."""
+    """Random points of a person with the blur of a rig's exposure, and without those at dark places."""
+    vertices = person.actor.posed(*person.transforms(frame))
+    if rig is None or not (rig.blur or rig.dark):
+        return sample_surface(person.actor, vertices, points, rng)
+    before = person.actor.posed(*person.transforms(max(frame - 1, 0)))
+    x, c, n = sample_surface(person.actor, vertices, points, rng, rig.blur * (before - vertices))
+    dark = person.joints[frame][[person.actor.names.index(name) for name in rig.dark]]
+    seen = (np.linalg.norm(x[:, None] - dark, axis=2) > rig.dark_m).all(axis=1)
+    return x[seen], c[seen], n[seen]
+
+
+def sample_surface(
+    actor: Actor, vertices: Floats, points: int, rng: np.random.Generator, motion: Floats | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """Random points (n, 3), colours and unit normals, uniform over a posed mesh, none of them inside a capsule. motion
+    (vertices, 3): each point moves by a random share of it.
+    """
     corners = vertices[actor.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -246,6 +262,9 @@ def sample_surface(
         if actor.name == "capsules":
             outside = ~_inside_capsules(vertices, place)
             place, colour, normal = place[outside], colour[outside], normal[outside]
+            face, share = face[outside], share[outside]
+        if motion is not None:
+            place += rng.random((len(place), 1)) * np.einsum("nk,nkd->nd", share, motion[actor.faces[face]])
         x.append(place)
         c.append(colour)
         n.append(normal)

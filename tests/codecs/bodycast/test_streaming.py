@@ -56,7 +56,7 @@ def test_poses_after_a_lost_key_pose_are_concealed_until_it_arrives(recording):
     before = receiver.frame
     assert receiver.push(packets[17][0]) is not None  # its key pose, frame 16, did not come
     assert receiver.frame == before
-    receiver.push(packets[16][0])
+    assert receiver.push(packets[16][0]) is None  # later than the frame after it
     assert distance(clouds, 18, receiver.push(packets[18][0])) < 0.05
 
 
@@ -67,13 +67,66 @@ def test_late_joining_repeated_packets_and_frames_without_a_body(recording):
     for packet in packets[0]:
         receiver.push(packet)
     assert distance(clouds, 4, receiver.push(packets[4][0])) < 0.05
-    assert receiver.push(packets[4][0]) is not None
+    assert receiver.push(packets[4][0]) is None
     sender = Sender()
-    [no_body] = sender.push(np.full((30, 3), np.nan))
+    for _ in range(6):
+        [no_body] = sender.push(np.full((30, 3), np.nan))
     assert sender.model == b""
     cloud = receiver.push(no_body)
     assert cloud is not None
     assert len(cloud[0]) == 0
+    assert receiver.push(no_body) is None
+
+
+def test_repeated_and_late_packets_change_nothing_that_is_shown(recording):
+    """A channel that repeats every packet, and the one before it, shows what a perfect channel shows."""
+    _, packets = recording
+    once, twice = Receiver(), Receiver()
+    for frame, group in enumerate(packets):
+        for packet in group:
+            expected = once.push(packet)
+            shown = twice.push(packet)
+            assert (shown is None) == (expected is None)
+            if expected is not None:
+                np.testing.assert_array_equal(shown[0], expected[0])
+            earlier = packets[frame - 1] if frame else []
+            assert [twice.push(again) for again in (packet, *earlier, packets[0][0])].count(None) == 2 + len(earlier)
+    assert twice.frame == once.frame == len(packets) - 1
+    np.testing.assert_array_equal(twice.conceal()[0], once.conceal()[0])
+
+
+def test_a_repeated_packet_without_its_reference_is_concealed_once(recording):
+    _, packets = recording
+    receiver = Receiver()
+    for packet in [*packets[0], packets[1][0], packets[2][0]]:
+        receiver.push(packet)
+    assert receiver.push(packets[17][0]) is not None  # its key pose, frame 16, did not come
+    pose = receiver.pose
+    assert receiver.push(packets[17][0]) is None
+    assert receiver.pose is pose
+
+
+def test_a_late_pose_is_the_reference_of_later_ones(recording):
+    clouds, packets = recording
+    receiver = Receiver()
+    for packet in [*packets[0], packets[1][0], packets[3][0]]:  # frame 3 refers to frame 2
+        receiver.push(packet)
+    assert receiver.push(packets[2][0]) is None
+    assert receiver.push(packets[17][0]) is not None
+    assert receiver.push(packets[16][0]) is None  # late key pose
+    assert distance(clouds, 18, receiver.push(packets[18][0])) < 0.05
+
+
+def test_another_model_starts_another_stream(recording):
+    _, packets = recording
+    receiver = Receiver()
+    for packet in [*packets[0], packets[9][0]]:
+        receiver.push(packet)
+    performance = sequences.jumping_jacks(actors.capsules(), 2)
+    other = sequences.record(performance, 1000, seed=3)
+    sender = Sender(skeleton=performance.skeleton())
+    shown = [receiver.push(packet) for packet in sender.push(other.positions[0], other.colours[0])]
+    assert distance(other, 0, shown[-1]) < 0.05
 
 
 def test_pictures_change_the_surface_and_do_not_depend_on_each_other():

@@ -7,13 +7,13 @@ import pytest
 
 from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice
 from mocodec.codecs.tempo.chunk import LATTICE, TRANSFORM, Payload
-from mocodec.codecs.tempo.coding import lattice
 from mocodec.motion import Motion
+from mocodec.stages import lattice
 from mocodec.testing import synthetic
 
 from .motions import error, header, named_points, smooth
 
-pytestmark = pytest.mark.skipif(not engine_choice.available(), reason="needs the compiled module")
+pytestmark = pytest.mark.skipif(not lattice.is_fast(), reason="needs the compiled module")
 
 
 def noisy(motion: Motion, sigma: float) -> Motion:
@@ -64,7 +64,7 @@ def test_hou2014_is_not_tried_where_the_lattice_is_much_smaller(monkeypatch: pyt
 def test_the_lattice_has_to_save_some_bytes(share: float, engine: int, monkeypatch: pytest.MonkeyPatch) -> None:
     motion = smooth_motion(480)
     with monkeypatch.context() as without_lattice:
-        without_lattice.setattr(engine_choice, "available", lambda: False)
+        without_lattice.setattr(lattice, "is_fast", lambda: False)
         size = Tempo(max_error=0.003).encode_chunks(motion).payload_bytes
     found = chunk.ChunkEncoder.on_lattice
 

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocodec.codecs.tempo import Tempo, engine_choice, mean_targets
+from mocodec.codecs.tempo import Tempo, mean_targets
 from mocodec.encoded import Encoded
 from mocodec.motion import Motion
+from mocodec.stages import lattice
 from mocodec.testing import synthetic
 
 from .motions import error, header
 
-pytestmark = pytest.mark.skipif(not engine_choice.available(), reason="needs the compiled module")
+pytestmark = pytest.mark.skipif(not lattice.is_fast(), reason="needs the compiled module")
 
 
 def noisy_markers(frames: int = 400, gaps: bool = False) -> Motion:

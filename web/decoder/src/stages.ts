@@ -1,6 +1,6 @@
 /** Parts that several codecs share (docs/payloads/stages.md). */
 
-import { Bits, Bytes } from "./bytes.js";
+import { Bytes } from "./bytes.js";
 import { check } from "./errors.js";
 import { readIntegers, readIntegersWithin } from "./integers/read.js";
 
@@ -110,42 +110,6 @@ function gapMask(data: Uint8Array, frames: number, points: number): Uint8Array |
     at += length;
   }
   return mask;
-}
-
-/** Adds corrections, which hold the bound `maxError` (metres), to positions (frames, points, 3). */
-export function addCorrections(data: Uint8Array, positions: Float64Array, frames: number, points: number, maxError: number): void {
-  if (data.length === 0) return;
-  const spacing = (2 / Math.sqrt(3)) * (maxError - Math.min(1e-9, maxError / 1000));
-  const form = data[0];
-  check(form === 0 || form === 1, "corrections: a reserved form");
-  if (form === 1) {
-    const values = readIntegers(data.subarray(1), frames, 3 * points);
-    for (let i = 0; i < values.length; i++) positions[i]! += values[i]! * spacing;
-    return;
-  }
-  const part = new Bytes(data.subarray(1), "corrections");
-  const count = part.varintWithin(0, frames * points, "the number of runs");
-  const waitBytes = part.varint();
-  const lengthBytes = part.varint();
-  const apart = new Bits(part.take(Math.ceil(count / 8)), "corrections");
-  const waiting = Uint8Array.from({ length: count }, () => apart.bit());
-  apart.end();
-  const waits = readIntegers(part.take(waitBytes), waiting.reduce((sum, bit) => sum + bit, 0), 1);
-  const lengths = readIntegers(part.take(lengthBytes), count, 1);
-  const values = readIntegers(part.rest(), count, 3);
-  let at = 0;
-  let next = 0;
-  for (let i = 0; i < count; i++) {
-    const wait = waiting[i] ? waits[next++]! + 1 : 0;
-    const length = lengths[i]! + 1;
-    check(wait >= (waiting[i] ?? 0) && length >= 1 && at + wait + length <= frames * points, "corrections: a run is out of range");
-    at += wait;
-    for (let k = at; k < at + length; k++) {
-      const place = 3 * ((k % frames) * points + Math.floor(k / frames));
-      for (let c = 0; c < 3; c++) positions[place + c]! += values[3 * i + c]! * spacing;
-    }
-    at += length;
-  }
 }
 
 /**

@@ -154,12 +154,14 @@ class Receiver:
     _known: dict[int, Integers] = field(default_factory=dict)  # poses since the key pose, by frame
     _previous: Pose | None = None
     _model: bytes = b""
+    _shown: int = -1  # the latest frame of which a pose packet has yielded points
 
     def push(self, packet: bytes) -> Cloud | None:
         """The frame of one packet; None for a model or a picture, and for any packet before the model.
 
-        A pose that comes late, twice, or whose reference was lost yields the extrapolated frame. Raises Corrupt for a
-        damaged packet; the next packet can still be decoded.
+        A packet that comes a second time, or after one of a later frame, shows nothing new: None. A late pose is still
+        kept as the reference of later ones. A pose whose reference was lost yields the extrapolated frame. Raises
+        Corrupt for a damaged packet; the next packet can still be decoded.
         """
         content = packet[:-CHECKSUM_BYTES]
         if len(packet) < MIN_PACKET_BYTES or with_checksum(content) != packet:
@@ -176,15 +178,19 @@ class Receiver:
         if kind == PICTURE:
             self._take_picture(self._body, frame, content[at:])
             return None
+        is_new = frame > self._shown
+        self._shown = max(self._shown, frame)
         if kind == NO_BODY:
             self.frame = max(self.frame, frame)
-            return no_points(self._body.model.coloured)
+            return no_points(self._body.model.coloured) if is_new else None
         (back,), at = varint.read(content, 1, at) if kind == POSE else ([0], at)
         reference = self._known.get(frame - back) if kind == POSE else None
-        if frame <= self.frame or (kind == POSE and reference is None):
-            return self.conceal()
-        self._take_pose(self._body, frame, content[at:], kind == KEY_POSE, reference)
-        return self._posed(self._body, self.pose)
+        if frame not in self._known and (kind == KEY_POSE or reference is not None):
+            integers = self._take_pose(self._body, frame, content[at:], kind == KEY_POSE, reference)
+            if is_new:
+                self._show(self._body, frame, integers)
+                return self._posed(self._body, self.pose)
+        return self.conceal() if is_new else None
 
     def conceal(self) -> Cloud | None:
         """The extrapolated frame for a packet that is missing: each time the motion is half as fast."""
@@ -197,11 +203,13 @@ class Receiver:
         return self._posed(self._body, self.pose)
 
     def _take_model(self, data: bytes) -> None:
+        """The body of a new stream; a repeated model changes nothing."""
         if data == self._model:
             return
         self._body, self._model = BodyDecoder(unpack_model(data)), data
         self._known.clear()
-        self._surface = None
+        self.pose = self._previous = self._surface = None
+        self.frame = self._shown = self._picture_frame = -1
 
     def _take_picture(self, body: BodyDecoder, frame: int, packet: bytes) -> None:
         """A newer picture of the surface."""
@@ -210,13 +218,24 @@ class Receiver:
         *_, planes = video.decode([body.model.key_picture, packet], body.model.atlas.image_shape)
         self._surface, self._picture_frame = body.samples.surface(planes), frame
 
-    def _take_pose(self, body: BodyDecoder, frame: int, data: bytes, is_key: bool, reference: Integers | None) -> None:
+    def _take_pose(
+        self, body: BodyDecoder, frame: int, data: bytes, is_key: bool, reference: Integers | None
+    ) -> Integers:
+        """Keep a pose as a reference of later ones, and return it as integers. A key pose later than all others
+        replaces them.
+        """
         integers = coder.unpack(data, (1 + len(body.body), 3)).reshape(-1)
         if reference is not None:
             integers = integers + reference
-        self._known = {frame: integers} if is_key else {**self._known, frame: integers}
+        if is_key and frame > max(self._known, default=-1):
+            self._known.clear()
+        self._known[frame] = integers
         if len(self._known) > MAX_KNOWN_POSES:
             raise Corrupt(f"bodycast: more than {MAX_KNOWN_POSES} poses without a key pose")
+        return integers
+
+    def _show(self, body: BodyDecoder, frame: int, integers: Integers) -> None:
+        """Make a pose the latest; it has a velocity if the frame before was decoded too."""
         pose = dequantise_pose(body.body, integers, body.model.pose_steps)
         self._previous = self.pose if frame == self.frame + 1 else None
         self.pose, self.frame = pose, frame

@@ -24,6 +24,7 @@ from ..clouds.tracked_motion import skeleton_motion
 MIN_BODY_POINTS = 50  # frames with fewer points show no body
 MAX_FIRST_POINTS, MAX_NEAR_POINTS = 8000, 6000  # of the first frame: drawn, and kept of those near the body
 MIN_HELD_OUT_POINTS = 500  # of the first frame, beside the template, to estimate the usual cost of a fit
+HALF_COST = 0.75  # usual cost of a fit, as a share of the cost with half the template and half the points
 DENSE_POINTS = 5000  # of a frame, for refined poses and the surface
 MAX_SURFACE_DISTANCE_M = 0.04  # from the template, of points that show the surface
 FOLD_TOLERANCE = 1.5  # MAX_SURFACE_DISTANCE_M by which skinning may miss a point when it is inverted
@@ -73,10 +74,27 @@ def start_tracking(
     skin = skinning.skin(body, model.points[some], model.links[some])
     template_colours = None if model.colours is None else model.colours[some]
     tracker = body_tracking.BodyTracker(body, skin, model.normals[some], template_colours, settings, limits)
-    if len(rows) >= settings.template_points + MIN_HELD_OUT_POINTS:
-        held_out = rows[settings.template_points :]
-        tracker.calibrate_cost(points[held_out], None if colours is None else colours[held_out])
+    _calibrate_cost(tracker, points[rows], None if colours is None else colours[rows])
     return body, tracker
+
+
+def _calibrate_cost(tracker: body_tracking.BodyTracker, points: Floats, colours: Bytes | None) -> None:
+    """Estimate the usual cost of a fit from points (n, 3) of the first frame, of which the template has the first.
+
+    If the template has all points, half of them are compared with the other half: both are sparser, so it costs more.
+    """
+    wanted = tracker.settings.template_points
+    if len(points) >= wanted + MIN_HELD_OUT_POINTS:
+        tracker.calibrate_cost(points[wanted:], None if colours is None else colours[wanted:])
+    elif len(points) >= 2 * MIN_HELD_OUT_POINTS:
+        half, skin = len(points) // 2, tracker.skin
+        half_skin = skinning.Skin(skin.points[:half], skin.links[:half], skin.weights[:half])
+        half_colours = None if tracker.colours is None else tracker.colours[:half]
+        few = body_tracking.BodyTracker(
+            tracker.body, half_skin, tracker.normals[:half], half_colours, tracker.settings, tracker.limits
+        )
+        cost = few.assess_frame(points[half:], None if colours is None else colours[half:]).cost
+        tracker.typical_cost = HALF_COST * cost
 
 
 class PersonTracker:

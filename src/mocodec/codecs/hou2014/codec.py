@@ -23,7 +23,7 @@ from ... import metrics, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
-from ...stages import bounded, frozen, gaps, quantise, search
+from ...stages import bounded, frozen, gaps, lattice, quantise, search
 from ...typing import Floats, Integers
 from .. import base, rescue
 from . import clip_segmentation, left_transform, parameters, quantised_motion, stream
@@ -46,6 +46,11 @@ FROZEN_SHARE = 1 / 8
 
 STRIDES = (quantise.LADDER // 2, quantise.LADDER // 5)
 """Under a bound the step is searched in half octaves, then in fifths of an octave around the best."""
+
+COARSE_RUNGS, COARSE_STRIDES = 5 * quantise.LADDER, (quantise.LADDER, quantise.LADDER // 2)
+"""Where the lattice engine codes the corrections, a coarser step may be best: from where it is searched, and how."""
+COARSE_PROMISING = 1.1
+"""Coarser steps are searched if the first of them takes up to this many times the bytes of the best fine step."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class Hou2014:
         base.require_usual_lengths(self, moving)
         filled = gaps.fill(moving)[0]
         if self.mean_error is None:
-            return self.encode_smoothed(motion, filled)
+            return self.encode_smoothed(motion, filled, by_engine=True)
         return self._encode_to_mean(motion, filled, self.mean_error)
 
     def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
@@ -115,15 +120,15 @@ class Hou2014:
         rescue.require_kept(motion, {"mean_error": target}, encoded, Hou2014.decode)
         return encoded
 
-    def encode_smoothed(self, motion: Motion, smooth: Floats) -> Encoded[Motion]:
+    def encode_smoothed(self, motion: Motion, smooth: Floats, by_engine: bool = False) -> Encoded[Motion]:
         """`encode`, where the transform codes `smooth` in place of the motion's positions.
 
         smooth (frames, points, 3): the positions with gaps filled. With `max_error`, outliers of single frames may be
-        smoothed too, since corrections restore them.
+        smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections.
         """
         base.require_frames(motion)
         self._check(motion)
-        encoder = _MotionEncoder(self, motion, smooth)
+        encoder = _MotionEncoder(self, motion, smooth, by_engine)
         if self.max_error is not None:
             return encoder.for_max_error(self.max_error)
         if self.mean_error is not None:
@@ -151,18 +156,24 @@ class Hou2014:
         return (self.max_error, self.mean_error, self.ratio) != (None, None, None)
 
     def estimate(
-        self, motion: Motion, smooth: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS
+        self,
+        motion: Motion,
+        smooth: Floats,
+        times: float = 1.0,
+        chunks: int = SAMPLED_CHUNKS,
+        limit: float = math.inf,
     ) -> tuple[float, float]:
         """Estimated payload bytes of `encode_smoothed`, and the mean error in metres, at the first step of the search.
 
         Costs one encoding of at most `chunks` chunks. With `max_error` the mean error is not measured, but NaN. times:
-        factor for the size of the chunks, if `motion` is a part of the motion to estimate. Raises as `encode`.
+        factor for the size of the chunks, if `motion` is a part of the motion to estimate. limit: bytes beyond which
+        the estimate may be too low. Raises as `encode`.
         """
         base.require_frames(motion)
         self._check(motion)
         encoder = _MotionEncoder(self, motion, smooth)
         rung = encoder.first_rung
-        size = encoder.sampled_size(rung, times, chunks)
+        size = encoder.sampled_size(rung, times, chunks, limit)
         return size, math.nan if self.max_error is not None else encoder.mean_error(rung)
 
     def _check(self, motion: Motion) -> None:
@@ -192,11 +203,12 @@ class _MotionEncoder:
     quantised(rung), encoded(rung): the motion at this step; cached.
     """
 
-    def __init__(self, codec: Hou2014, motion: Motion, filled: Floats) -> None:
+    def __init__(self, codec: Hou2014, motion: Motion, filled: Floats, by_engine: bool = False) -> None:
         self.codec, self.motion, self.apart = codec, motion, split(codec, motion)
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
+        self.neighbours = lattice.neighbours(filled) if by_engine and codec.max_error and lattice.is_fast() else None
         self.prepared = self._prepare(filled)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
@@ -286,27 +298,43 @@ class _MotionEncoder:
             settings=base.settings(replace(self.codec, transforms=())),
         )
 
-    def _payload(self, clips: stream.QuantisedClips, header: stream.SharedHeader, start: int, stop: int) -> bytes:
-        """The payload of one chunk, frames [start, stop)."""
+    def _payload(
+        self,
+        clips: stream.QuantisedClips,
+        header: stream.SharedHeader,
+        start: int,
+        stop: int,
+        packed: bytes | None = None,
+    ) -> bytes:
+        """The payload of one chunk, frames [start, stop). packed: its clips, if they are packed."""
         corrections = b""
         if header.max_error is not None:
             moving, prediction = self.moving[start:stop], stream.reconstruct(clips, header)
-            corrections = bounded.pack(moving, prediction, header.max_error)
-        packed = stream.pack_clips(clips, header)
+            corrections = bounded.pack(moving, prediction, header.max_error, self.neighbours)
+        packed = stream.pack_clips(clips, header) if packed is None else packed
         return stream.pack_payload(packed, self.apart[start:stop].pack(), corrections)
 
-    def sampled_size(self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
+    def sampled_size(
+        self, rung: int, times: float = 1.0, chunks: int = SAMPLED_CHUNKS, limit: float = math.inf
+    ) -> float:
         """Estimated payload bytes at this step, from at most `chunks` chunks; infinite if it is too small to code.
 
-        times: factor for the size of the chunks.
+        times: factor for the size of the chunks. Where coefficients alone exceed the limit, they alone are counted.
         """
         try:
             quantised = self.quantised(rung)
             groups = clip_segmentation.group_into_chunks(quantised.clips, self.chunk_frames)
             starts = np.cumsum([0, *(clips.lengths.sum() for clips in groups)]).tolist()
             sampled = range(0, len(groups), -(-len(groups) // chunks))
-            sizes = [len(self._payload(groups[i], quantised.header, starts[i], starts[i + 1])) for i in sampled]
-            return len(quantised.header.pack(self.parents)) + times * sum(sizes) * len(groups) / len(sizes)
+            packed = [stream.pack_clips(groups[i], quantised.header) for i in sampled]
+            shared, scale = len(quantised.header.pack(self.parents)), times * len(groups) / len(packed)
+            if (least := shared + scale * sum(map(len, packed))) > limit:
+                return least
+            payloads = [
+                self._payload(groups[i], quantised.header, starts[i], starts[i + 1], clips)
+                for i, clips in zip(sampled, packed, strict=True)
+            ]
+            return shared + scale * sum(map(len, payloads))
         except CannotEncode:
             return math.inf
 
@@ -338,8 +366,13 @@ class _MotionEncoder:
 
     def for_max_error(self, bound: float) -> Encoded[Motion]:
         """At the step where coefficients and corrections together are smallest. Checks the bound by decoding."""
-        size = progress.attempts(self.sampled_size, share=0.15)
-        encoded = self.encoded(search.minimum(size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS))
+        size = cache(progress.attempts(self.sampled_size, share=0.15))
+        rung = search.minimum(size, self.first_rung, STRIDES, farthest=FARTHEST_RUNGS)
+        first_coarse = self.first_rung + COARSE_RUNGS
+        if self.neighbours is not None and size(first_coarse) < COARSE_PROMISING * size(rung):
+            coarse = search.minimum(size, first_coarse, COARSE_STRIDES, farthest=FARTHEST_RUNGS)
+            rung = min(rung, coarse, key=size)
+        encoded = self.encoded(rung)
         decoded = Hou2014.decode(encoded).positions
         largest = np.nanmax(metrics.distances(self.motion.positions, decoded))
         if not largest <= bound:

@@ -319,7 +319,7 @@ def unpack_payload(data: bytes, frames: int, header: SharedHeader) -> Floats:
     part, at = _read_sized(data, at)
     positions = reconstruct(clips, header)
     if header.max_error is not None:
-        positions = bounded.unpack(data[at:], positions, header.max_error)
+        positions = bounded.unpack(data[at:], positions, header.max_error, part)
     elif at != len(data):
         raise Corrupt(f"hou2014: a chunk has {len(data) - at} bytes after its last field")
     return frozen.restore(positions, part)

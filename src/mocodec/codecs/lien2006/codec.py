@@ -32,7 +32,7 @@ from ..clouds.tracked_motion import skeleton_motion, tracked_motion
 from .chunk_payload import ChunkParts, pack_chunk, unpack_chunk
 from .cylinder_model import CylinderTemplate, ResidualFormat, pack_model, round_model, stored_share, unpack_model
 from .map_images import pack_images, unpack_images
-from .pose_stream import dequantise, pose_width, quantise
+from .pose_stream import dequantise, quantise
 from .residual_maps import MapTile, frame_maps, map_layout, reconstruct, residual_of, sheet_size
 
 MIN_BODY_POINTS = 50  # frames with fewer points are stored point by point
@@ -162,15 +162,15 @@ class Lien2006:
         self, tracker: articulated_icp.ArticpTracker, clouds: PointClouds, frames: Sequence[Cloud], first: int
     ) -> TrackedFrames:
         """The pose of every frame; a frame without a body repeats the pose before it (section 3.2)."""
-        poses = np.zeros((len(frames), pose_width(len(tracker.body))), np.int64)
         is_body = [len(points) >= MIN_BODY_POINTS and i >= first for i, (points, _) in enumerate(frames)]
+        tracked = list[Pose]()
         for i in progress.over(range(first, len(frames))):
-            previous = poses[max(i - 1, 0)]
-            if not is_body[i]:
-                poses[i] = previous
-                continue
-            pose = tracker.pose if i == first else self._fit_pose(tracker, frames[i], frame_normals(clouds, i), i)
-            poses[i] = quantise(tracker.body, pose, previous)
+            if is_body[i]:
+                pose = tracker.pose if i == first else self._fit_pose(tracker, frames[i], frame_normals(clouds, i), i)
+                tracked.append(pose)
+        stacked = Pose(np.stack([pose.rotations for pose in tracked]), np.stack([pose.root for pose in tracked]))
+        known = quantise(tracker.body, stacked)
+        poses = np.concatenate([np.zeros((1, known.shape[1]), np.int64), known])[np.cumsum(is_body)]
         return TrackedFrames(is_body, poses)
 
     def _fit_pose(

@@ -31,27 +31,42 @@ def joint_steps(body: Body) -> Floats:
     return REACH_STEP_M / np.maximum(lever, MIN_LEVER_M)
 
 
-def quantise(body: Body, pose: Pose, previous: Integers) -> Integers:
-    """(3 + 3 links,): the pose in steps. previous: the integers of the frame before.
+def quantise(body: Body, poses: Pose) -> Integers:
+    """(frames, 3 + 3 links): poses in steps; rotations (frames, links, 3, 3), root (frames, 3).
 
     Each joint corrects the rounding of the joints above it: it rotates its link to the link's world orientation in
-    `pose`. A rotation has many vectors, a full turn apart; the one nearest to the previous frame's is taken.
+    its pose. A rotation has many vectors, a full turn apart; the one nearest to that of the frame before is taken.
     """
     steps = joint_steps(body)
-    target, _ = articulation.transforms(body, pose)
+    target, _ = articulation.transforms(body, poses)
     decoded = np.empty_like(target)
-    integers = np.empty((len(body), 3), np.int64)
+    integers = np.empty((*target.shape[:2], 3), np.int64)
     for link, parent in enumerate(body.parents):
-        above = decoded[parent] if parent >= 0 else np.eye(3)
-        vector = articulation.log(above.T @ target[link])
-        last = previous[3 + 3 * link : 6 + 3 * link] * steps[link]
-        angle = float(np.linalg.norm(vector))
-        if angle > 1e-9:
-            unit = vector / angle
-            vector = unit * (angle + 2 * np.pi * round((float(last @ unit) - angle) / (2 * np.pi)))
-        integers[link] = np.round(vector / steps[link])
-        decoded[link] = above @ articulation.exp(integers[link] * steps[link])
-    return np.concatenate([np.round(pose.root / ROOT_STEP_M).astype(np.int64), integers.ravel()])
+        above = decoded[:, parent] if parent >= 0 else np.broadcast_to(np.eye(3), target[:, link].shape)
+        vectors = articulation.log(above.swapaxes(-1, -2) @ target[:, link])
+        integers[:, link] = _nearest_turns(vectors, steps[link])
+        decoded[:, link] = above @ articulation.exp(integers[:, link] * steps[link])
+    root = np.round(poses.root / ROOT_STEP_M).astype(np.int64)
+    return np.concatenate([root, integers.reshape(len(root), -1)], axis=1)
+
+
+def _nearest_turns(vectors: Floats, step: float) -> Integers:
+    """(frames, 3): rotation vectors (frames, 3) in steps, each with the number of full turns that brings it nearest to
+    that of the frame before; the first to zero.
+    """
+    angles = np.linalg.norm(vectors, axis=1)
+    units = vectors / np.maximum(angles, 1e-9)[:, None]
+    integers = np.round(vectors / step).astype(np.int64)
+    before = np.concatenate([np.zeros((1, 3)), integers[:-1] * step])
+    turns = np.round((np.einsum("fi,fi->f", before, units) - angles) / (2 * np.pi))
+    turning = np.flatnonzero((turns != 0) & (angles > 1e-9))
+    # as long as no frame has a full turn, each one's turns follow from the frame before as it is
+    for frame in range(turning[0], len(vectors)) if len(turning) else ():
+        if angles[frame] > 1e-9:
+            last = integers[frame - 1] * step if frame else np.zeros(3)
+            turn = np.round((last @ units[frame] - angles[frame]) / (2 * np.pi))
+            integers[frame] = np.round(units[frame] * (angles[frame] + 2 * np.pi * turn) / step)
+    return integers
 
 
 def dequantise(body: Body, integers: Integers) -> Pose:

@@ -24,15 +24,16 @@ from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...geometry import body_frame
 from ...motion import Motion
-from ...stages import bounded, frozen, gaps, search, segment
+from ...stages import bounded, frozen, gaps, lattice, search, segment
 from ...typing import Floats, Integers
 from .. import base, rescue
 from . import marker_groups, segment_model
 from .marker_groups import MarkerGroups
 from .segment_model import SegmentModel
 
-MEAN_PER_BOUND = 0.5
-"""With `max_error`, the mean error of the method in parts of the bound; the residual layer corrects the rest."""
+MEANS_PER_BOUND = (0.5, 10.0, 40.0)
+"""With `max_error`, mean errors of the method in parts of the bound; the residual layer corrects the rest. They are
+tried in turn, until one takes more bytes than the one before."""
 
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
@@ -115,8 +116,10 @@ class Liu2006:
         def fit(scale: float) -> list[SegmentModel]:
             return self.fit_segments(positions, markers, segments, motion.up, scale)
 
+        known = lattice.neighbours(positions) if self.max_error is not None and lattice.is_fast() else None
+
         def encoded(models: list[SegmentModel]) -> Encoded[Motion]:
-            return self._encode_models(motion, models, markers, apart)
+            return self._encode_models(motion, models, markers, apart, known)
 
         def mean_error(models: list[SegmentModel]) -> float:
             decoded = reconstruct(models, markers, motion.up, 0, len(motion), self.blend_frames)
@@ -125,19 +128,21 @@ class Liu2006:
         if self.ratio is not None:
             allowed = motion.raw_bytes / self.ratio
             return encoded(steer(fit, lambda models: encoded(models).payload_bytes / allowed, grows=False))
-        target = self.mean_error or (self.max_error and MEAN_PER_BOUND * self.max_error)
-        if target is not None:
+
+        def to_mean(target: float) -> Encoded[Motion]:
+            return encoded(steer(fit, lambda models: mean_error(models) / target, grows=True))
+
+        if self.mean_error is not None:
             try:
-                steered = steer(fit, lambda models: mean_error(models) / target, grows=True)
+                result = to_mean(self.mean_error)
             except CannotEncode:
-                if self.mean_error is None or self.max_error is not None:
+                if self.max_error is not None:
                     raise
                 bounded = dataclasses.replace(self, mean_error=None, max_error=self.mean_error)
                 return dataclasses.replace(bounded.encode(motion), settings=base.settings(self))
-            result = encoded(steered)
             rescue.require_kept(motion, {"mean_error": self.mean_error}, result, Liu2006.decode)
             return result
-        return encoded(fit(1.0))
+        return _smallest_within(self.max_error, to_mean) if self.max_error is not None else encoded(fit(1.0))
 
     def segment_motion(self, positions: Floats, markers: MarkerGroups, up: str) -> segment.Segmentation:
         """Normalise, and cut where the distribution of poses changes: sections 3.1 and 3.2."""
@@ -208,20 +213,29 @@ class Liu2006:
         return dataclasses.replace(model, before=own.start, after=last - model.stop, groups=tuple(fitted))
 
     def _encode_models(
-        self, motion: Motion, models: list[SegmentModel], markers: MarkerGroups, apart: frozen.Split
+        self,
+        motion: Motion,
+        models: list[SegmentModel],
+        markers: MarkerGroups,
+        apart: frozen.Split,
+        known: lattice.Neighbours | None,
     ) -> Encoded[Motion]:
-        """A chunk for each segment: its model, its gaps and, with `max_error`, its residual."""
+        """A chunk for each segment: its model, its gaps and, with `max_error`, its residual.
+
+        known: neighbours of the points for the residual, None to leave the lattice engine out.
+        """
         shared = varint.write([self.blend_frames, *marker_groups.pack(markers)])
         if self.max_error is not None:
             shared += struct.pack("<d", self.max_error)
         chunks: list[Chunk] = []
         for i, model in enumerate(models):
-            residual = b""
+            packed_gaps, residual = apart[model.start : model.stop].pack(), b""
             if self.max_error is not None:
                 neighbours = models[max(i - 1, 0) : i + 2]
                 prediction = reconstruct(neighbours, markers, motion.up, model.start, model.stop, self.blend_frames)
-                residual = _pack_residual(apart[model.start : model.stop].moving, prediction, self.max_error)
-            payload = segment_model.pack(model, apart[model.start : model.stop].pack(), residual)
+                original = apart[model.start : model.stop].moving
+                residual = _pack_residual(original, prediction, self.max_error, known, packed_gaps)
+            payload = segment_model.pack(model, packed_gaps, residual)
             chunks.append(Chunk(model.start, model.stop - model.start, payload))
         return Encoded(
             self.name, encodeds.about(motion), tuple(chunks), (shared,), int(len(chunks) > 1), base.settings(self)
@@ -245,16 +259,32 @@ class Liu2006:
             decode_first, decode_last = (model.start, model.stop) if residual or packed else (first, last)
             decoded = reconstruct(models, markers, up, decode_first, decode_last, blend_frames)
             if residual:
-                decoded = bounded.unpack(residual, decoded, max_error)
+                decoded = bounded.unpack(residual, decoded, max_error, packed)
             decoded = frozen.restore(decoded, packed)
             positions[first - start : last - start] = decoded[first - decode_first : last - decode_first]
         return encodeds.restore(encoded, positions, start)
 
 
-def _pack_residual(original: Floats, prediction: Floats, max_error: float) -> bytes:
+def _smallest_within(max_error: float, to_mean: Callable[[float], Encoded[Motion]]) -> Encoded[Motion]:
+    """The smallest of the encodings at some mean errors below and above the bound, metres. Raises CannotEncode."""
+    best = to_mean(MEANS_PER_BOUND[0] * max_error)
+    for times in MEANS_PER_BOUND[1:]:
+        try:
+            coarser = to_mean(times * max_error)
+        except CannotEncode:
+            break
+        if coarser.payload_bytes >= best.payload_bytes:
+            break
+        best = coarser
+    return best
+
+
+def _pack_residual(
+    original: Floats, prediction: Floats, max_error: float, known: lattice.Neighbours | None, packed_gaps: bytes
+) -> bytes:
     """The residual layer of a segment, checked by decoding. Raises CannotEncode."""
-    residual = bounded.pack(original, prediction, max_error)
-    errors = metrics.distances(original, bounded.unpack(residual, prediction, max_error))
+    residual = bounded.pack(original, prediction, max_error, known)
+    errors = metrics.distances(original, bounded.unpack(residual, prediction, max_error, packed_gaps))
     if not np.nanmax(errors, initial=0.0) <= max_error:
         raise CannotEncode(
             f"liu2006 cannot keep max_error={max_error:g} m: coordinates this large have no such precision in float64"

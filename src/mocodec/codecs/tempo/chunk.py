@@ -23,11 +23,11 @@ import numpy as np
 from ... import native
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
-from ...stages import frozen
+from ...stages import frozen, lattice
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
 from . import trial
-from .coding import coefficients, corrections, direct, lattice, quantise
+from .coding import coefficients, corrections, direct, quantise
 from .coding.contexts import OCTAVE
 from .models.model import Model
 from .preparation import Prepared
@@ -205,7 +205,9 @@ class ChunkEncoder:
             self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
 
     def trial(self, step: int, slope: float = quantise.SLOPE) -> Trial:
-        """The chunk without its spikes in one step (log₂ in 1/32 octave)."""
+        """The chunk without its spikes in one step (log₂ in 1/32 octave). Raises what made its analysis fail."""
+        if self.spectrum is None and self.failure is not None:
+            raise self.failure
         assert self.spectrum is not None
         return trial.of_step(self.model, self.spectrum, self.smooth, self.gap_mask, step, slope)
 

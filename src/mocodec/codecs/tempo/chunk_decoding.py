@@ -12,11 +12,11 @@ import numpy as np
 from ... import parallel, progress
 from ...encoded import Chunk, batches
 from ...errors import Corrupt
-from ...stages import frozen
+from ...stages import frozen, lattice
 from ...typing import Floats
 from . import compiled_chunks
 from .chunk import ALWAYS_FRAMES, BATCH, DIRECT, LONGEST_SECONDS, TRANSFORM, Payload, grid_size, in_metres
-from .coding import coefficients, corrections, direct, lattice, quantise, rows
+from .coding import coefficients, corrections, direct, quantise, rows
 from .models.model import Model
 from .pose import heading
 

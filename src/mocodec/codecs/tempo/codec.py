@@ -22,6 +22,7 @@ from ... import metrics, progress
 from ...encoded import Chunk, Encoded, about, most_chunk_frames, restore
 from ...errors import BadInput
 from ...motion import Motion
+from ...stages import lattice
 from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
@@ -217,7 +218,7 @@ class Tempo:
             return self._or_lattice(encoded, motion)
 
     def _or_lattice(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
-        if self.mean_error is None or not engine_choice.available():
+        if self.mean_error is None or not lattice.is_fast():
             return encoded
 
         def encode(part: Motion, bound: float) -> Encoded[Motion]:
@@ -371,7 +372,7 @@ class Tempo:
         asked = self.model == LATTICE_MODEL
         if self._has_size or self.mean_error is not None or not (asked or self.model == model_choice.AUTO):
             return None
-        if not (asked or engine_choice.available()):
+        if not (asked or lattice.is_fast()):
             return None
         weights = None
         if self.weights:

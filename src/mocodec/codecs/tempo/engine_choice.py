@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ... import native
 from ...errors import Corrupt
 from ...motion import Motion
+from ...stages import lattice
 from ...typing import Floats
 from .chunk import ChunkEncoder, grid_size, grid_step
-from .coding import lattice
 from .models import Recording, points
+from .models.stored_basis import MOST_DIMENSIONS
 from .preparation import Prepared
 
 SAMPLED = 30_000
@@ -105,13 +105,11 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     return LatticePlan(lambda: (found, stride), alone, certain)
 
 
-def available() -> bool:
-    """Whether an encoder uses the lattice engine: without the compiled module it would take minutes."""
-    return native.kernel("tempo_lattice_encode") is not None
-
-
 def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float, step: int) -> float:
-    """Of some frames, by a transform with their own basis, which is counted in proportion to the frames."""
+    """Of some frames, by a transform with their own basis, which is counted in proportion to the frames; infinite for
+    more points than a stored basis has."""
+    if 3 * motion.points > MOST_DIMENSIONS:
+        return np.inf
     sample = Recording([source.smooth[some]], replace(motion, positions=motion.positions[:0], rotations=None), step)
     if sample.frames < 2:
         return 0.0

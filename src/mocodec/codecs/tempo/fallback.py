@@ -10,6 +10,7 @@ recording.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -118,10 +119,11 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
         try:
             if len(motion) > 2 * STRETCH_FRAMES:
                 times = len(motion) / (stretch.stop - stretch.start)
-                size = _estimate(codec, motion[stretch], near[stretch], times, 1)
+                size = _estimate(codec, motion[stretch], near[stretch], best.payload_bytes, times, 1)
                 if size > best.payload_bytes:
                     continue
-            if _estimate(codec, motion, near) > PROMISING * best.payload_bytes:
+            most = PROMISING * best.payload_bytes
+            if _estimate(codec, motion, near, most) > most:
                 continue
             if codec.max_error and target == "mean_error":
                 rival = _to_mean(codec, motion, near, wanted)
@@ -177,9 +179,14 @@ def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Mo
     return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
 
 
-def _estimate(codec: Hou2014, motion: Motion, near: Floats, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
-    """Estimate of the bytes of `times` as much motion at the codec's target, from a few coded chunks."""
-    size, mean = codec.estimate(motion, near, times, chunks)
+def _estimate(
+    codec: Hou2014, motion: Motion, near: Floats, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS
+) -> float:
+    """Estimate of the bytes of `times` as much motion at the codec's target, from a few coded chunks.
+
+    most: bytes beyond which it need not be exact.
+    """
+    size, mean = codec.estimate(motion, near, times, chunks, math.inf if codec.mean_error else most)
     return size * (mean / codec.mean_error) ** BYTES_SLOPE if codec.mean_error and mean > 0 else size
 
 

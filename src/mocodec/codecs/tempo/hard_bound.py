@@ -20,10 +20,11 @@ import numpy as np
 
 from ... import parallel, progress
 from ...encoded import Chunk
+from ...stages import lattice
 from ...typing import Floats
 from . import chunk, chunk_decoding, compiled_chunks
 from .chunk import BATCH, FIRST_OFFSET, TRANSFORM, ChunkEncoder, Draft, OnLattice, Payload, grid_step
-from .coding import direct, lattice
+from .coding import direct
 from .engine_choice import LEAST_SAVING, EngineTrials, LatticePlan
 
 SEARCHED = 4

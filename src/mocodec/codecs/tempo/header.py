@@ -17,7 +17,7 @@ import numpy as np
 from ...entropy import varint
 from ...errors import Corrupt
 from ...motion import Motion, Skeleton, point_columns
-from .coding.lattice import Neighbours
+from ...stages.lattice import Neighbours
 from .models import MODELS, prior
 from .models.model import Model
 from .models.recording import FittedModel

@@ -18,6 +18,7 @@ import numpy as np
 from ...encoded import Chunk, about, most_chunk_frames
 from ...errors import BadInput
 from ...motion import Motion
+from ...stages import lattice
 from ...typing import Floats
 from ..base import has_samples, require_usual_lengths, settings
 from . import chunk_decoding, engine_choice, fallback, hard_bound, model_choice, steady, target
@@ -188,7 +189,7 @@ class PieceEncoder:
     def _lattice_plan(self, sample: Motion, source: Prepared, step: int) -> LatticePlan | None:
         """As the codec's own plan, by the sample."""
         asked = self._codec.model == "lattice"
-        if self._bound is None or not (asked or (self._codec.model == "auto" and engine_choice.available())):
+        if self._bound is None or not (asked or (self._codec.model == "auto" and lattice.is_fast())):
             return None
         if self._rotations is not None and not asked:
             return None  # errors of a lattice are uniform up to a bound: rotations would break theirs too often

@@ -1,10 +1,11 @@
 /** The codec `hou2014`: a DCT along time and one basis across points (docs/payloads/hou2014.md). Tempo falls back to it. */
 
 import { Bytes } from "../bytes.js";
+import { addCorrections } from "../corrections.js";
 import { inverseDct } from "../dct.js";
 import { check } from "../errors.js";
 import { readIntegers, readIntegersWithin } from "../integers/read.js";
-import { Gaps, addCorrections, readBasis, stepOf } from "../stages.js";
+import { Gaps, readBasis, stepOf } from "../stages.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "./codec.js";
 
 const MEAN = 1;
@@ -117,7 +118,7 @@ export class Hou2014 implements ChunkDecoder {
       at += clip.frames;
     });
     const gaps = Gaps.read(part.blob(), frames, points);
-    if (this.flags & BOUND) addCorrections(part.rest(), positions, frames, points, this.maxError);
+    if (this.flags & BOUND) addCorrections(part.rest(), positions, frames, points, this.maxError, gaps);
     part.end();
     gaps.restore(positions);
     return { positions };

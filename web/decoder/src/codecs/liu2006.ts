@@ -1,9 +1,10 @@
 /** The codec `liu2006`: segments, PCA, key frames and splines (docs/payloads/liu2006.md). A chunk is a segment. */
 
 import { Bits, Bytes } from "../bytes.js";
+import { addCorrections } from "../corrections.js";
 import { check } from "../errors.js";
 import { readIntegers } from "../integers/read.js";
-import { Gaps, addCorrections, readBasis, stepOf } from "../stages.js";
+import { Gaps, readBasis, stepOf } from "../stages.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "./codec.js";
 import { Track, readKeyFrames } from "./key_frames.js";
 
@@ -89,8 +90,9 @@ export class Liu2006 implements ChunkDecoder {
         group.forEach((point, i) => outOfBody(pose, 3 * i, frame, positions, 3 * (t * points + point)));
       }
     });
-    if (this.maxError !== undefined) addCorrections(segment.corrections, positions, frames, points, this.maxError);
-    Gaps.read(segment.gaps, frames, points).restore(positions);
+    const gaps = Gaps.read(segment.gaps, frames, points);
+    if (this.maxError !== undefined) addCorrections(segment.corrections, positions, frames, points, this.maxError, gaps);
+    gaps.restore(positions);
     return { positions };
   }
 

@@ -14,13 +14,15 @@ import numpy as np
 
 from ....entropy.lanes import StaticTables
 from ....stages import dct
+from ....stages.lattice import Neighbours
 from ....typing import Floats, Integers
 from ..coding import contexts
-from ..coding.lattice import Neighbours
 from ..coding.rows import HEADING, PLACE, POSE, heading_step, step_size
 from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
 
+MANY_ROWS, SPARSE_ROWS = 256, 0.5
+"""Of many rows of which fewer than this share have coefficients, only the components of these are multiplied."""
 BAND_EDGES_MHZ = (700, 2000, 5000)
 """Each band of frequencies between these has a basis of its own."""
 BANDS = len(BAND_EDGES_MHZ) + 1
@@ -106,18 +108,9 @@ class Model:
 
         The heading is rounded to its steps, as it will be decoded: the pose absorbs its rounding error.
         """
-        frames, points = positions.shape[:2]
-        positions = np.asfortranarray(positions)
-        place = positions.mean(axis=1)
-        centred = positions - place[:, None]
+        frames = len(positions)
         out = np.zeros((frames, self.rows))
-        h = heading.heading(centred, self.coordinates.pose)
-        h -= 2 * np.pi * np.round(h[0] / (2 * np.pi))
-        out[:, HEADING] = smooth_heading(h, self.rate)
-        angle = dct.inverse(out[:, HEADING], frames)
-        out[:, PLACE] = dct.forward(place * np.sqrt(points))
-        coordinates = self.coordinates.forward(heading.rotate(centred, -angle))
-        spectrum = self.coordinates.scale(dct.forward(coordinates))
+        spectrum = coordinate_spectrum(positions, self.coordinates, self.rate, out)
         for band, basis in zip(self.bands(frames), self.statistics.bases, strict=True):
             out[band, POSE:] = spectrum[band] @ basis.T
         return out
@@ -125,6 +118,10 @@ class Model:
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
         """Positions (frames, points, 3) of a chunk from its first coefficients (frequencies, rows), metres."""
         bases = self.synthesis_bases
+        if self.rows > MANY_ROWS:
+            used = np.append(np.ones(POSE, bool), coefficients[:, POSE:].any(axis=0))
+            if np.count_nonzero(used) < SPARSE_ROWS * self.rows:
+                bases, coefficients = tuple(b[used[POSE:]] for b in bases), coefficients[:, used]
         known = int(np.flatnonzero(coefficients.any(axis=1)).max(initial=-1)) + 1
         spectrum = np.empty((known, POSE + bases[0].shape[1]))
         spectrum[:, :POSE] = coefficients[:known, :POSE]
@@ -140,6 +137,23 @@ class Model:
     def synthesis_bases(self) -> tuple[Floats, ...]:
         """For each band (components, dimensions), of coordinates before `scale`."""
         return self.coordinates.unscaled(self.statistics.bases)
+
+
+def coordinate_spectrum(positions: Floats, coordinates: Coordinates, rate: float, moves: Floats) -> Floats:
+    """DCT (frames, dimensions) of the coordinates of positions (frames, points, 3), y up.
+
+    moves (frames, rows): its columns of heading and place are filled.
+    """
+    frames, points = positions.shape[:2]
+    positions = np.asfortranarray(positions)
+    place = positions.mean(axis=1)
+    centred = positions - place[:, None]
+    h = heading.heading(centred, coordinates.pose)
+    h -= 2 * np.pi * np.round(h[0] / (2 * np.pi))
+    moves[:, HEADING] = smooth_heading(h, rate)
+    moves[:, PLACE] = dct.forward(place * np.sqrt(points))
+    angle = dct.inverse(moves[:, HEADING], frames)
+    return coordinates.scale(dct.forward(coordinates.forward(heading.rotate(centred, -angle))))
 
 
 def smooth_heading(angles: Floats, rate: float) -> Floats:

@@ -21,7 +21,7 @@ from ....typing import Floats, Integers
 from ..coding import contexts
 from ..coding.rows import POSE, step_size
 from .coordinates import Coordinates
-from .model import BANDS, Model, Statistics
+from .model import BANDS, Statistics, coordinate_spectrum
 from .predicted_motion import MEAN_BELOW
 from .prior import Prior
 
@@ -57,11 +57,13 @@ BASIS = Record(
 @dataclass(frozen=True, eq=False)
 class StoredBasis:
     """gains (k + 1,): log₂ of each component's strength against the prior's of the same rank, and of all others'.
-    precision (k,): of each component. vectors: the components as bytes of `stages.basis`."""
+    precision (k,): of each component. vectors: the components as bytes of `stages.basis`. unpacked (dimensions, k):
+    what these give, if it is known."""
 
     gains: Integers
     precision: Integers
     vectors: bytes
+    unpacked: Floats | None = None
 
     def pack(self) -> bytes:
         return BASIS.pack(
@@ -85,7 +87,10 @@ class StoredBasis:
 
     def statistics(self, prior: Prior, dimensions: int, similar: Integers | None) -> Statistics:
         """Raises Corrupt. similar: see `fit`."""
-        found = basis.completed(basis.unpack(self.vectors, dimensions, self.precision, similar))
+        stored = self.unpacked
+        if stored is None:
+            stored = basis.unpack(self.vectors, dimensions, self.precision, similar)
+        found = basis.completed(stored)
         count = len(self.gains) - 1
         gains = np.concatenate([self.gains[:-1], np.full(dimensions - count, self.gains[-1])]) * GAIN_UNIT
         known = prior.joints.statistics
@@ -115,8 +120,8 @@ def fit(
 
     similar (dimensions,): a coordinate before each that moves alike, −1 for none, which its entries are predicted from.
     """
-    start = identity_model(coordinates, prior, rate)
-    return fit_spectra([start.analyse(p)[:, POSE:] for p in positions], prior, rate, step, similar)
+    spectra = [coordinate_spectrum(p, coordinates, rate, np.empty((len(p), POSE))) for p in positions]
+    return fit_spectra(spectra, prior, rate, step, similar)
 
 
 def fit_spectra(
@@ -132,12 +137,12 @@ def fit_spectra(
     gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shapes, strict=False)]
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors[:, :count], precision, similar)
+    stored = basis.unpack(packed, len(vectors), precision, similar)
     last = gains[-1]
     if others := len(vectors) - count:
-        stored = basis.unpack(packed, len(vectors), precision, similar)
         rest = [s - (s @ stored) @ stored.T for s in spectra]
         last = _gain([np.sqrt((part**2).sum(axis=1) / others) for part in rest], rate, shapes[-1])
-    return StoredBasis(np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64), precision, packed)
+    return StoredBasis(np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
 
 
 def _principal(spectra: Sequence[Floats], frames: int) -> tuple[Floats, Floats]:
@@ -147,15 +152,6 @@ def _principal(spectra: Sequence[Floats], frames: int) -> tuple[Floats, Floats]:
         if len(variances):
             return vectors, variances
     return basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
-
-
-def identity_model(coordinates: Coordinates, prior: Prior, rate: float) -> Model:
-    """A model whose components are the coordinates themselves: to analyse with, not to code with."""
-    identity = np.eye(coordinates.dimensions)
-    spreads = np.zeros((POSE + len(identity), len(contexts.BANDS_MHZ)), np.int64)
-    statistics = Statistics((identity,) * BANDS, spreads, spreads[:, 0])
-    names = tuple(map(str, range(len(coordinates.pose))))
-    return Model(names, coordinates, statistics, prior.tables, rate)
 
 
 def _shapes(known: Statistics, count: int) -> Integers:

@@ -91,7 +91,7 @@ interface Stream {
 type LatticeReader = (data: Uint8Array, frames: number, apart: Uint8Array | null) => Float64Array;
 
 async function latticeOf(neighbours: Uint8Array, points: number): Promise<LatticeReader> {
-  const { readLattice, readNetwork } = await import("./lattice/lattice.js");
+  const { readLattice, readNetwork } = await import("../../lattice/lattice.js");
   const network = readNetwork(neighbours, points);
   return (data, frames, apart) => readLattice(data, frames, points, apart, network);
 }

@@ -1,6 +1,6 @@
 /** Adaptive bits of the lattice engine: five counters, mixed, and a range coder (docs/payloads/tempo-lattice.md, "Adaptive bits"). */
 
-import { check } from "../../../errors.js";
+import { check } from "../errors.js";
 
 export const INPUTS = 5;
 const COUNTERS = 1 << 15;

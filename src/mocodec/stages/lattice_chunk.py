@@ -16,8 +16,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ....entropy import adaptive_bits
-from ....typing import Floats
+from ..entropy import adaptive_bits
+from ..typing import Floats
 from .lattice_points import PointCoder, TooLarge, Vector, coarse_log, square
 
 NEIGHBOURS, OWN = 3, 4

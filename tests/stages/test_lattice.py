@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.codecs.tempo.coding import lattice
-from mocodec.codecs.tempo.coding.lattice import Neighbours
 from mocodec.errors import Corrupt
+from mocodec.stages import lattice
+from mocodec.stages.lattice import Neighbours
 from mocodec.testing import synthetic
 from mocodec.typing import Booleans, Floats
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from functools import cache
 
-from ....entropy import adaptive_bits
+from ..entropy import adaptive_bits
 
 DISTORTION = 384.0
 """Cost of an error at the bound, 1/256 bit: what it does to predictions."""

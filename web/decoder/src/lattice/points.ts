@@ -1,6 +1,6 @@
 /** Lattice points: their contexts and bits (docs/payloads/tempo-lattice.md, "Lattice points"). */
 
-import { check } from "../../../errors.js";
+import { check } from "../errors.js";
 import { AdaptiveBits } from "./bits.js";
 
 const LOGS = 24;

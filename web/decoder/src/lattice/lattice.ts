@@ -3,9 +3,9 @@
  * Every operation of float64 stands in the order of the page, since later bits depend on every rounding.
  */
 
-import { Bytes } from "../../../bytes.js";
-import { check } from "../../../errors.js";
-import { readIntegersWithin } from "../../../integers/read.js";
+import { Bytes } from "../bytes.js";
+import { check } from "../errors.js";
+import { readIntegersWithin } from "../integers/read.js";
 import { AdaptiveBits } from "./bits.js";
 import { FEATURES, Filter } from "./filter.js";
 import { type Surroundings, halfOctaves, readPoint } from "./points.js";
@@ -25,14 +25,14 @@ export interface Network {
 
 /** Reads the blob of neighbours in the shared bytes. */
 export function readNetwork(data: Uint8Array, points: number): Network {
-  const numbers = readIntegersWithin(data, points, NEIGHBOURS, -points, points, "tempo: neighbours");
+  const numbers = readIntegersWithin(data, points, NEIGHBOURS, -points, points, "lattice: neighbours");
   const neighbours = new Int32Array(numbers.length).fill(NO_MORE);
   for (let p = 0; p < points; p++) {
     for (let q = 0; q < NEIGHBOURS; q++) {
       const difference = numbers[NEIGHBOURS * p + q]!;
       if (difference === 0) continue;
       const other = p - difference;
-      check(other >= 0 && other < points && (q === 0 || neighbours[NEIGHBOURS * p + q - 1] !== NO_MORE), "tempo: neighbours that do not exist");
+      check(other >= 0 && other < points && (q === 0 || neighbours[NEIGHBOURS * p + q - 1] !== NO_MORE), "lattice: neighbours that do not exist");
       neighbours[NEIGHBOURS * p + q] = other;
     }
   }
@@ -56,16 +56,16 @@ function sequenceOf(neighbours: Int32Array, points: number): Int32Array {
     for (const p of round) for (const follower of followers[p]!) if (--waiting[follower]! === 0) next.push(follower);
     round = next.sort((a, b) => a - b);
   }
-  check(sequence.length === points, "tempo: neighbours that wait for each other");
+  check(sequence.length === points, "lattice: neighbours that wait for each other");
   return Int32Array.from(sequence);
 }
 
 /** Positions (frames, points, 3) in half steps. apart: (frames, points), 1 in gaps and frozen runs, or null. */
 export function readLattice(data: Uint8Array, frames: number, points: number, apart: Uint8Array | null, network: Network): Float64Array {
-  const part = new Bytes(data, "tempo");
+  const part = new Bytes(data, "lattice");
   const kind = part.byte();
   const levels = kind & 127;
-  check(levels <= MOST_LEVELS, "tempo: too many levels");
+  check(levels <= MOST_LEVELS, "lattice: too many levels");
   const spikes = kind & 128 ? part.blob() : null;
   const bits = new AdaptiveBits(part.rest());
   const samples = new Samples(frames, points, apart);
@@ -77,13 +77,13 @@ export function readLattice(data: Uint8Array, frames: number, points: number, ap
 }
 
 function addSpikes(data: Uint8Array, positions: Float64Array, count: number): void {
-  const part = new Bytes(data, "tempo");
+  const part = new Bytes(data, "lattice");
   const n = part.varintWithin(1, count, "the number of spikes");
-  const numbers = readIntegersWithin(part.rest(), n, 4, -LIMIT, LIMIT, "tempo: spikes");
+  const numbers = readIntegersWithin(part.rest(), n, 4, -LIMIT, LIMIT, "lattice: spikes");
   let at = 0;
   for (let i = 0; i < n; i++) {
     at += numbers[4 * i]!;
-    check(at >= 0 && at < count, "tempo: a spike of no sample");
+    check(at >= 0 && at < count, "lattice: a spike of no sample");
     for (let c = 0; c < 3; c++) positions[3 * at + c]! += numbers[4 * i + 1 + c]!;
   }
 }

@@ -23,10 +23,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .... import native
-from ....entropy import adaptive_bits, coder, varint
-from ....errors import Corrupt
-from ....typing import Booleans, Floats, Integers
+from .. import native
+from ..entropy import adaptive_bits, coder, varint
+from ..errors import Corrupt
+from ..typing import Booleans, Floats, Integers
 from . import lattice_chunk
 from .lattice_chunk import NEIGHBOURS
 
@@ -36,10 +36,15 @@ LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
 """Frames that neighbours are chosen by."""
-CANDIDATES = 64
-"""Of many points, this many of the nearest are considered as neighbours."""
+CANDIDATES, MANY_POINTS, CANDIDATES_OF_MANY = 64, 128, 24
+"""This many of the nearest points are considered as neighbours of each; fewer of many points, which lie closer."""
 LEAST_DISTANCE_M = 0.005
 """Points nearer than this to each other have no direction from one to the other."""
+
+
+def is_fast() -> bool:
+    """Whether encoders use the engine: without the compiled module it takes minutes."""
+    return native.kernel("tempo_lattice_encode") is not None
 
 
 def half_step(bound: float) -> float:
@@ -63,7 +68,7 @@ class Neighbours:
         while len(left):
             ready = placed[self.table[left]].all(axis=1)
             if not ready.any():
-                raise Corrupt("tempo: the neighbours of the lattice engine form a circle")
+                raise Corrupt("lattice: neighbours that form a circle")
             found += left[ready].tolist()
             placed[left[ready]] = True
             left = left[~ready]
@@ -82,7 +87,7 @@ class Neighbours:
         table = np.where(less == 0, -1, own - less)
         known = table >= 0
         if ((table < 0) & (less != 0)).any() or (table >= points).any() or (known[:, 1:] & ~known[:, :-1]).any():
-            raise Corrupt("tempo: neighbours of the lattice engine that are out of range")
+            raise Corrupt("lattice: neighbours that are out of range")
         found = cls(table.astype(np.int32))
         found.sequence  # noqa: B018 - raises for a circle
         return found
@@ -113,7 +118,7 @@ def neighbours(positions: Floats) -> Neighbours:
 def _candidates(some: Floats) -> Integers:
     """(points, k): the points nearest to each on the whole, itself left out."""
     points = some.shape[1]
-    count = min(CANDIDATES, points - 1)
+    count = min(CANDIDATES if points <= MANY_POINTS else CANDIDATES_OF_MANY, points - 1)
     flat = np.ascontiguousarray(some[:: max(1, len(some) // 8)].swapaxes(0, 1)).reshape(points, -1)
     squares = (flat**2).sum(axis=1)
     distance = squares[:, None] + squares - 2 * flat @ flat.T
@@ -188,7 +193,7 @@ def encode(
 def decode(data: bytes, missing: Booleans, known: Neighbours) -> Floats:
     """The samples (frames, points, 3) of `encode`, in half steps. Raises Corrupt."""
     if not data or data[0] & ~SPIKED > LARGEST_STRIDE:
-        raise Corrupt("tempo: a chunk of the lattice engine of an unknown kind")
+        raise Corrupt("lattice: samples of an unknown kind")
     at, spikes = 1, b""
     if data[0] & SPIKED:
         (length,), at = varint.read(data, 1, at)
@@ -200,7 +205,7 @@ def decode(data: bytes, missing: Booleans, known: Neighbours) -> Floats:
     else:
         decoded = lattice_chunk.decode(stream, where, known.sequence, known.table, stride)
     if decoded is None:
-        raise Corrupt("tempo: a chunk of the lattice engine is cut off or damaged")
+        raise Corrupt("lattice: samples that are cut off or damaged")
     samples = np.ascontiguousarray(decoded.swapaxes(0, 1), np.float64)
     if data[0] & SPIKED:
         _add_spikes(samples, spikes)
@@ -228,11 +233,11 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
     (count,), at = varint.read(data, 1)
     flat = samples.reshape(-1, 3)
     if not 0 < count <= len(flat):
-        raise Corrupt("tempo: more spikes than samples")
+        raise Corrupt("lattice: more spikes than samples")
     listed = coder.unpack(data[at:], (count, 4))
     numbers = np.cumsum(listed[:, 0])
     if (numbers < 0).any() or (numbers >= len(flat)).any() or (np.abs(listed[:, 1:]) > lattice_chunk.LIMIT).any():
-        raise Corrupt("tempo: spikes that are out of range")
+        raise Corrupt("lattice: spikes that are out of range")
     np.add.at(flat, numbers, listed[:, 1:])
 
 
