@@ -211,8 +211,8 @@ def run_faults(
     """Errors of the tracker on recordings with the faults of real cameras."""
     actor = makehuman.find()
     results: dict[str, Any] = {
-        "command": "scripts/bench tracking --faults", "machine": machine_description(), "actor": actor.name,
-        "frames": frames, "rate": RATE, "motions": {},
+        "command": f"scripts/bench tracking --faults --frames {frames}", "machine": machine_description(),
+        "actor": actor.name, "frames": frames, "rate": RATE, "motions": {},
     }  # fmt: skip
     for name in names:
         act = perform(actor, data, name, frames, RATE)
