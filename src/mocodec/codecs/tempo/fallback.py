@@ -11,9 +11,9 @@ recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,12 @@ from ... import metrics
 from ...encoded import Encoded, most_chunk_frames
 from ...errors import CannotEncode
 from ...motion import Motion
+from ...stages import dct
 from ...typing import Floats
 from ..hou2014 import Hou2014
 from ..hou2014.codec import SAMPLED_CHUNKS
+from .chunk import ChunkEncoder
+from .coding.rows import HEADING, step_size
 from .header import StreamHeader
 from .pose import heading
 from .preparation import prepare
@@ -36,6 +39,13 @@ LONGEST_FRAMES = 60_000
 
 MOST_POINTS = 2048
 """A basis across more points takes too long to fit."""
+
+PROMISING_FREQUENCIES, PROMISING_BITS = 128, 0.82
+"""hou2014 is not tried where a basis fitted to some chunks takes at least this share of tempo's bits: its basis serves
+all chunks, and is stored."""
+
+PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
+"""The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
 
 PROMISING = 1.06
 """A first coding up to this much larger than tempo's may still be smaller at its best step."""
@@ -52,6 +62,46 @@ MEAN_OF_BOUND = 0.5
 
 MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
 """The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
+
+
+class Sample(NamedTuple):
+    """Some chunks of a recording: positions (frames, points, 3), and coefficients (frames, rows) of tempo's model."""
+
+    positions: Sequence[Floats]
+    spectra: Sequence[Floats]
+
+    @classmethod
+    def of(cls, encoders: Sequence[ChunkEncoder]) -> Sample | None:
+        """None without a model."""
+        some = encoders[:: -(-len(encoders) // PROMISING_CHUNKS)]
+        spectra = [e.spectrum for e in some if e.spectrum is not None]
+        return cls([e.smooth for e in some], spectra) if len(spectra) == len(some) else None
+
+
+def is_promising(sample: Sample, step: int) -> bool:
+    """Whether a basis of the recording's own, fitted to the sample, takes clearly fewer bits than tempo's model.
+
+    step: about the quantisation step, log₂ in 1/32 octave. Bits are Σ log₂(1 + (coefficient / step)²) over the lowest
+    frequencies. Those of storing the basis are not counted.
+    """
+    if sample.positions[0].shape[1] > PROMISING_POINTS:
+        return True
+    ours, theirs, step_m = 0.0, list[Floats](), float(step_size(step))
+    for positions, spectrum in zip(sample.positions, sample.spectra, strict=True):
+        rows = dct.forward(positions.reshape(len(positions), -1), PROMISING_FREQUENCIES)
+        ours += _bits(spectrum[1 : len(rows), HEADING + 1 :], step_m)
+        theirs.append(rows[1:])
+    lowest = np.concatenate(theirs)
+    moments = lowest.T @ lowest
+    if not np.isfinite(moments).all():
+        return True
+    _, basis = np.linalg.eigh(moments)
+    return _bits(lowest @ basis, step_m) < PROMISING_BITS * ours
+
+
+def _bits(coefficients: Floats, step_m: float) -> float:
+    scaled = coefficients / step_m
+    return float(np.log2(1 + scaled * scaled).sum())
 
 
 def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
