@@ -20,7 +20,7 @@ from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.lien2006 import Lien2006
 from mocodec.codecs.tempo import Tempo
 from mocodec.motion import Limits, Motion, Signal
-from mocodec.testing import edge_cases, hinged_figures, signals, skeletal, synthetic
+from mocodec.testing import actors, edge_cases, hinged_figures, sequences, signals, skeletal, synthetic
 from mocodec.viewer import marks as viewer_marks
 from mocodec.viewer.recording import of_file
 
@@ -139,6 +139,21 @@ RECORDINGS: dict[str, tuple[Motion, dict[str, Any]]] = {
     "still": (replace(FEW, positions=np.zeros_like(FEW.positions)), {"max_error": 0.01}),
 }
 
+PERFORMANCE = sequences.jumping_jacks(actors.capsules(), 4)
+PERSON = sequences.record(PERFORMANCE, 900, seed=5)
+SCATTERED = mc.PointClouds([np.random.default_rng(k).normal(size=(60 * (k != 1), 3)) for k in range(3)], 15.0)
+BODY = {"skeleton": PERFORMANCE.skeleton()}
+POINT_CLOUDS: dict[str, tuple[mc.PointClouds, dict[str, Any]]] = {
+    "points-bounded": (PERSON, {**BODY, "max_error": 0.004, "psnr": 40}),
+    "points-uncoloured": (replace(PERSON, colours=None), {**BODY, "max_error": 0.01}),
+    "points-chunks": (PERSON, {**BODY, "max_error": 0.008, "psnr": 30, "chunk_frames": 2}),
+    "points-exact": (PERSON, {**BODY, "residual": "exact"}),
+    "points-millimetres": (PERSON, {**BODY, "residual": "exact", "precision": 0.001}),
+    "points-scattered": (SCATTERED, {"max_error": 0.01}),
+    "points-scattered-exact": (SCATTERED, {"residual": "exact"}),
+}
+"""Point clouds of every form whose points the decoder reads."""
+
 
 def test_frames_and_signals_are_those_of_python(tmp_path: Path) -> None:
     """In one test, since all files are encoded and decoded in one run of Node."""
@@ -147,11 +162,15 @@ def test_frames_and_signals_are_those_of_python(tmp_path: Path) -> None:
         codec = options.get("codec") or Tempo(**settings)
         data = mc.encode(motion, codec=codec, **(settings if "codec" in options else {}))
         (tmp_path / f"{name}.mocz").write_bytes(data)
+    for name, (clouds, settings) in POINT_CLOUDS.items():
+        (tmp_path / f"{name}.mocz").write_bytes(mc.encode(clouds, Bodycast(**settings)))
     module = tmp_path / "mocodec.mjs"
     node("scripts/build.mjs", module)
     node("scripts/decode.mjs", module, PRIORS, tmp_path, *sorted(tmp_path.glob("*.mocz")), *CLOUDS)
     for name in RECORDINGS:
         compare(tmp_path, name)
+    for name in POINT_CLOUDS:
+        compare_points(tmp_path, name)
     compare_signals(tmp_path, "extras")
     for path in CLOUDS:
         compare_poses(tmp_path, path)
@@ -190,6 +209,16 @@ def compare_signals(folder: Path, name: str) -> None:
         wanted = np.asarray(found[label].values)
         values = np.fromfile(folder / f"{name}.signal-{i}").reshape(wanted.shape)
         np.testing.assert_array_equal(values, wanted.astype(np.float64), strict=True)
+
+
+def compare_points(folder: Path, name: str) -> None:
+    said = json.loads((folder / f"{name}.json").read_text())
+    wanted = mc.decode(folder / f"{name}.mocz", mc.PointClouds)
+    assert said.get("points") == [len(points) for points in wanted.positions], name
+    positions = np.fromfile(folder / f"{name}.positions").reshape(-1, 3)
+    np.testing.assert_allclose(positions, np.concatenate(wanted.positions), rtol=0, atol=1e-12, err_msg=name)
+    colours = np.fromfile(folder / f"{name}.colours", np.uint8).reshape(-1, 3)
+    np.testing.assert_array_equal(colours, np.concatenate(wanted.colours or [np.zeros((0, 3), np.uint8)]), err_msg=name)
 
 
 def compare_poses(folder: Path, path: Path) -> None:

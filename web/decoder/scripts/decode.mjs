@@ -2,7 +2,7 @@
 //
 // MODULE is the built decoder, PRIORS the folder of points.npz and directions.npz. For each file, OUT gets NAME.json (what the
 // file says, its events, its signals, or the name and text of the error), NAME.positions, NAME.rotations, NAME.signal-N and
-// NAME.poses-N (float64, little-endian).
+// NAME.poses-N (float64, little-endian). Of point clouds NAME.positions and NAME.colours (bytes) hold one frame after the other.
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { basename } from "node:path";
@@ -27,11 +27,20 @@ async function decode(path, target) {
   if (file.info.kind === "clouds") {
     const { bodies, poses } = await file.poses();
     for (const [i, values] of poses.entries()) writeFileSync(`${target}.poses-${i}`, values);
-    return { info: file.info, bodies };
+    return { info: file.info, bodies, points: await decodeClouds(file, target).catch((error) => error.name) };
   }
   writeFileSync(`${target}.positions`, await file.frames());
   if (file.info.rotations) writeFileSync(`${target}.rotations`, await file.rotations());
   const { events, signals } = await file.extras();
   for (const [i, signal] of signals.entries()) writeFileSync(`${target}.signal-${i}`, await signal.read());
   return { info: file.info, events, signals, marks: await file.marks() };
+}
+
+/** Points of each frame. */
+async function decodeClouds(file, target) {
+  const clouds = [];
+  for await (const cloud of file.clouds()) clouds.push(cloud);
+  writeFileSync(`${target}.positions`, Buffer.concat(clouds.map(({ positions }) => new Uint8Array(positions.buffer))));
+  writeFileSync(`${target}.colours`, Buffer.concat(clouds.map(({ colours }) => colours ?? new Uint8Array(0))));
+  return clouds.map(({ positions }) => positions.length / 3);
 }

@@ -2,6 +2,8 @@
 
 import { chunkDecoder } from "./codecs/index.js";
 import type { Body } from "./codecs/bodies.js";
+import type { PointDecoder } from "./codecs/clouds/bodycast.js";
+import type { Cloud } from "./codecs/clouds/cloud.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "./codecs/codec.js";
 import { type PriorLoader, bundledPriors } from "./codecs/tempo/prior.js";
 import { type ChunkPlace, type Header, chunksStart, payloadOf, readHeader, readIndex, walkChunks } from "./container/header.js";
@@ -87,6 +89,9 @@ export class MoczFile {
   readonly damage: Damage[] = [];
   private decoder: Promise<ChunkDecoder> | undefined;
   private readonly decoded = new Map<number, Decoded>();
+  private pointDecoder: PointDecoder | undefined;
+  /** The chunk whose clouds were read last: the frames that are decoded, and those to come. */
+  private cloudsOfChunk: CloudChunk | undefined;
 
   constructor(
     private readonly source: ByteSource,
@@ -156,6 +161,46 @@ export class MoczFile {
     return { bodies: decoder.bodies, poses };
   }
 
+  /**
+   * Point clouds of `bodycast` only: frames a … b − 1, one after the other, as each is decoded. The points of a chunk follow from those of the
+   * frames before it: read in order. Throws BadInput for motions, Unsupported for `lien2006` and for surfaces.
+   */
+  async *clouds(a = 0, b = this.info.frames): AsyncGenerator<Cloud> {
+    const { codec, kind, colours } = this.info;
+    if (kind !== "clouds") throw new BadInput("the file has no point clouds");
+    this.checkRange(a, b);
+    if (codec !== "bodycast") throw new Unsupported(`this decoder does not decode points of ${codec}; see poses()`);
+    const { PointDecoder } = await import("./codecs/clouds/bodycast.js");
+    this.pointDecoder ??= new PointDecoder(this.header.shared, colours);
+    for (let i = this.chunkOf(a); i < this.chunks.length && this.chunks[i]!.start < b; i++) {
+      const place = this.chunks[i]!;
+      if (this.cloudsOfChunk?.number !== i) {
+        const bytes = await this.source.read(place.offset, place.size);
+        this.cloudsOfChunk = { number: i, decoded: [], rest: cloudsOf(this.pointDecoder, bytes, place, i) };
+      }
+      const chunk = this.cloudsOfChunk;
+      const from = Math.max(a, place.start);
+      for (let frame = from; frame < Math.min(b, place.start + place.frames); frame++) yield this.cloudOf(chunk, place, frame - place.start);
+    }
+  }
+
+  private cloudOf({ decoded, rest }: CloudChunk, { start, frames }: ChunkPlace, frame: number): Cloud {
+    try {
+      while (decoded.length <= frame) {
+        const next = rest.next();
+        if (next.done) throw new Corrupt("a chunk could not be decoded");
+        decoded.push(next.value);
+        if (decoded.length === frames) rest.next(); // checks that nothing is left
+      }
+    } catch (error) {
+      this.cloudsOfChunk = undefined;
+      if (!this.salvage || !(error instanceof Corrupt || error instanceof Truncated)) throw error;
+      this.damage.push({ start: start + decoded.length, frames: frames - decoded.length, error });
+      while (decoded.length < frames) decoded.push({ positions: new Float64Array(0), ...(this.info.colours && { colours: new Uint8Array(0) }) });
+    }
+    return decoded[frame]!;
+  }
+
   /** Everything beside the points: parameters, events, arrays and signals. */
   async extras(): Promise<Extras> {
     const { readExtras } = await import("./extras.js");
@@ -189,7 +234,7 @@ export class MoczFile {
 
   private async joined(a: number, b: number, lanes: number, part: (decoded: Decoded) => Float64Array | undefined): Promise<Float64Array> {
     this.checkRange(a, b);
-    if (this.header.kind === "clouds") throw new Unsupported("point clouds have no frames of points; see poses()");
+    if (this.header.kind === "clouds") throw new Unsupported("point clouds have no named points; see clouds() and poses()");
     if ((b - a) * lanes > MOST_VALUES) throw new BadInput(`${b - a} frames at once are too many: ask for fewer`);
     const result = new Float64Array((b - a) * lanes);
     const first = this.chunkOf(a);
@@ -271,4 +316,15 @@ interface Window {
   kept: Map<number, Decoded>;
   offset: number;
   bytes: Uint8Array;
+}
+
+/** A chunk of point clouds: the frames that are decoded, and those to come. */
+interface CloudChunk {
+  number: number;
+  decoded: Cloud[];
+  rest: Generator<Cloud>;
+}
+
+function* cloudsOf(decoder: PointDecoder, bytes: Uint8Array, place: ChunkPlace, number: number): Generator<Cloud> {
+  yield* decoder.decode({ frames: place.frames, payload: payloadOf(bytes, place, number) });
 }

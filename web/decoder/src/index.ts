@@ -3,6 +3,7 @@
 export { open, MoczFile } from "./file.js";
 export type { Damage, Info, OpenOptions } from "./file.js";
 export type { Body } from "./codecs/bodies.js";
+export type { Cloud } from "./codecs/clouds/cloud.js";
 export type { Event, Extras } from "./extras.js";
 export type { Signal } from "./signals/signal.js";
 export type { Source } from "./sources.js";

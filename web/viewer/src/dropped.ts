@@ -34,7 +34,8 @@ async function sessionOf(sources: (readonly [string, File | string])[], progress
 }
 
 function sameShape(a: Facts, b: Facts): boolean {
-  return a.frames === b.frames && a.points === b.points && a.names.every((name, i) => name === b.names[i]);
+  const isMotion = (facts: Facts) => facts.kind === "motion" && !(facts.decoded.type === "mocz" && facts.decoded.poses);
+  return isMotion(a) && isMotion(b) && a.frames === b.frames && a.points === b.points && a.names.every((name, i) => name === b.names[i]);
 }
 
 /** The original first: the one without a promise, or the larger. */

@@ -2,7 +2,7 @@
 
 import { type Cloud, unpackClouds, unpackMotion } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
-import { fileOf } from "./mocz.ts";
+import { cloudsOf, fileOf, posesOf } from "./mocz.ts";
 
 /** One frame: positions (points · 3) in metres, NaN for a gap; colours 0 to 255 of point clouds. */
 export interface Frame {
@@ -119,6 +119,7 @@ function split(positions: Float32Array, points: number): Frame[] {
 
 async function moczLoader(media: Extract<Media, { type: "mocz" }>, points: number): Promise<Loader> {
   const file = await fileOf(media);
+  if (media.poses) return async (a, b) => split(await posesOf(file, a, b), points);
   return async (a, b) => split(new Float32Array(await file.frames(a, b)), points);
 }
 
@@ -136,6 +137,10 @@ async function cloudLoader(media: Media): Promise<Loader> {
   if (media.type === "packed-clouds") {
     const clouds = await unpackClouds(media);
     return async (a, b) => clouds.slice(a, b);
+  }
+  if (media.type === "mocz") {
+    const file = await fileOf(media);
+    return (a, b) => cloudsOf(file, a, b);
   }
   if (media.type !== "frames") throw new Error("point clouds come from a server or within the page");
   return async (a, b) => splitClouds(await fetchRange(media.url, a, b));

@@ -66,14 +66,14 @@ function readBody(part: Bytes): Body {
   return body;
 }
 
-/** A rotation and a translation: x stands at A x + b. */
-interface Placement {
+/** A rotation A and a translation b in metres: x stands at A x + b. */
+export interface Placement {
   turn: Quaternion;
   shift: Vector;
 }
 
-/** Writes origins and tips of a frame. local: rotation of each link in the frame of its parent; root: its translation. */
-function place(body: Body, local: Quaternion[], root: Vector, out: Float64Array, at: number): void {
+/** Where the links stand. local: rotation of each link in the frame of its parent; root: its translation. */
+function placements(body: Body, local: Quaternion[], root: Vector): Placement[] {
   const placed: Placement[] = [];
   body.parents.forEach((parent, l) => {
     const o = body.origins[l]!;
@@ -83,8 +83,14 @@ function place(body: Body, local: Quaternion[], root: Vector, out: Float64Array,
       const above = placed[parent]!;
       placed.push({ turn: multiplied(above.turn, local[l]!), shift: plus(rotated(above.turn, rest), above.shift) });
     }
-    const { turn, shift } = placed[l]!;
-    out.set(plus(rotated(turn, o), shift), at + 6 * l);
+  });
+  return placed;
+}
+
+/** Writes origins and tips of a frame. */
+function write(body: Body, placed: Placement[], out: Float64Array, at: number): void {
+  placed.forEach(({ turn, shift }, l) => {
+    out.set(plus(rotated(turn, body.origins[l]!), shift), at + 6 * l);
     out.set(plus(rotated(turn, body.tips[l]!), shift), at + 6 * l + 3);
   });
 }
@@ -128,7 +134,7 @@ class Lien2006 implements PoseDecoder {
       if (row[0] !== 0) continue;
       const at = (column: number) => clip(row[column]!, MOST_STEPS);
       const local = this.steps.map((step, l) => ofVector(times(step, [at(4 + 3 * l), at(5 + 3 * l), at(6 + 3 * l)])));
-      place(body, local, times(ROOT_STEP_M, [at(1), at(2), at(3)]), out, 6 * t * links);
+      write(body, placements(body, local, times(ROOT_STEP_M, [at(1), at(2), at(3)])), out, 6 * t * links);
     }
     return [out];
   }
@@ -140,7 +146,8 @@ function isBelow(parents: number[], link: number, above: number): boolean {
   return at === above;
 }
 
-interface Surface {
+/** A body of bodycast, and how its poses are coded. */
+export interface PosedBody {
   body: Body;
   /** Metres of a step of the root, and of a joint at its lever. */
   step: number;
@@ -150,38 +157,59 @@ interface Surface {
   frames: Quaternion[];
 }
 
+/** Reads the front of a shared blob of bodycast. */
+export function readPosedBody(part: Bytes): PosedBody {
+  const body = readBody(part);
+  const step = part.varintWithin(1, 2 ** 17, "the pose step") / 100_000;
+  const levers = readIntegers(part.take(part.varint()), body.parents.length, 3);
+  check(levers.every((v) => v >= 0 && v <= 80), "bodycast: a lever that is out of range");
+  return { body, step, levers: levers.map((v) => 0.015 * 2 ** (v / 4)), frames: body.origins.map((o, l) => linkFrame(o, body.tips[l]!)) };
+}
+
+/** The parts of a chunk of bodycast. */
+export interface ChunkParts {
+  /** (frames, bodies): not 0 where a body is not in a frame. */
+  absent: Float64Array;
+  rawFrames: Uint8Array;
+  outliers: Uint8Array;
+  exactPoints: Uint8Array;
+  /** Of each body: its poses, and its packets of pictures. */
+  poses: Uint8Array[];
+  pictures: Uint8Array[][];
+}
+
+/** Splits a chunk of bodycast. Throws Corrupt. */
+export function splitChunk({ frames, payload }: StoredChunk, bodies: number): ChunkParts {
+  const part = new Bytes(payload, "bodycast");
+  const [absentBytes, rawBytes, outlierBytes, exactBytes] = [part.varint(), part.varint(), part.varint(), part.varint()];
+  const sizes = Array.from({ length: bodies }, () => {
+    const pose = part.varint();
+    const count = part.varintWithin(0, frames + 1, "the number of pictures");
+    return { pose, pictures: Array.from({ length: count }, () => part.varint()) };
+  });
+  const absent = readIntegers(part.take(absentBytes), frames, bodies);
+  const [rawFrames, outliers, exactPoints] = [part.take(rawBytes), part.take(outlierBytes), part.take(exactBytes)];
+  const own = sizes.map(({ pose, pictures }) => ({ poses: part.take(pose), pictures: pictures.map((size) => part.take(size)) }));
+  part.end();
+  return { absent, rawFrames, outliers, exactPoints, poses: own.map(({ poses }) => poses), pictures: own.map(({ pictures }) => pictures) };
+}
+
 class Bodycast implements PoseDecoder {
   readonly bodies: Body[];
-  private readonly surfaces: Surface[];
+  private readonly posed: PosedBody[];
 
   constructor(shared: Uint8Array[]) {
-    this.surfaces = shared.map((blob) => {
-      const part = new Bytes(blob, "bodycast");
-      const body = readBody(part);
-      const step = part.varintWithin(1, 2 ** 17, "the pose step") / 100_000;
-      const levers = readIntegers(part.take(part.varint()), body.parents.length, 3);
-      check(levers.every((v) => v >= 0 && v <= 80), "bodycast: a lever that is out of range");
-      return { body, step, levers: levers.map((v) => 0.015 * 2 ** (v / 4)), frames: body.origins.map((o, l) => linkFrame(o, body.tips[l]!)) };
-    });
-    this.bodies = this.surfaces.map(({ body }) => body);
+    this.posed = shared.map((blob) => readPosedBody(new Bytes(blob, "bodycast")));
+    this.bodies = this.posed.map(({ body }) => body);
   }
 
-  decode({ frames, payload }: StoredChunk): Float64Array[] {
-    const part = new Bytes(payload, "bodycast");
-    const [absentBytes, ...others] = [part.varint(), part.varint(), part.varint(), part.varint()];
-    const sizes = this.surfaces.map(() => {
-      const pose = part.varint();
-      let pictures = 0;
-      for (let count = part.varintWithin(0, frames + 1, "the number of pictures"); count > 0; count--) pictures += part.varint();
-      return { pose, pictures };
-    });
-    const absent = readIntegers(part.take(absentBytes!), frames, this.surfaces.length);
-    for (const size of others) part.take(size);
-    return this.surfaces.map((surface, i) => {
-      const out = readPoses(part.take(sizes[i]!.pose), frames, surface);
-      part.take(sizes[i]!.pictures);
-      const lanes = 6 * surface.body.parents.length;
-      for (let t = 0; t < frames; t++) if (absent[t * this.surfaces.length + i]) out.fill(NaN, t * lanes, (t + 1) * lanes);
+  decode(chunk: StoredChunk): Float64Array[] {
+    const { absent, poses } = splitChunk(chunk, this.posed.length);
+    return this.posed.map((own, i) => {
+      const lanes = 6 * own.body.parents.length;
+      const out = new Float64Array(chunk.frames * lanes);
+      readPlacements(poses[i]!, chunk.frames, own).forEach((placed, t) => write(own.body, placed, out, t * lanes));
+      for (let t = 0; t < chunk.frames; t++) if (absent[t * this.posed.length + i]) out.fill(NaN, t * lanes, (t + 1) * lanes);
       return out;
     });
   }
@@ -195,7 +223,8 @@ function linkFrame(origin: Vector, tip: Vector): Quaternion {
   return fromMatrix([...side, ...cross(axis, side), ...axis]);
 }
 
-function readPoses(data: Uint8Array, frames: number, { body, step, levers, frames: linkFrames }: Surface): Float64Array {
+/** Where the links of a body stand in each frame of a chunk. */
+export function readPlacements(data: Uint8Array, frames: number, { body, step, levers, frames: linkFrames }: PosedBody): Placement[][] {
   const links = body.parents.length;
   const part = new Bytes(data, "bodycast");
   const middle = readIntegers(part.take(part.varint()), links, 3);
@@ -203,8 +232,7 @@ function readPoses(data: Uint8Array, frames: number, { body, step, levers, frame
   const spectrum = readIntegers(part.rest(), frames, lanes).map((v) => clip(v, MOST_COEFFICIENT)).map((v) => v - SHRINK * Math.sign(v));
   const curves = inverseDct(spectrum, frames, frames, lanes);
   const middles = body.parents.map((_, l) => ofVector([0, 1, 2].map((c) => 0.05 * clip(middle[3 * l + c]!, MOST_MIDDLE)) as Vector));
-  const out = new Float64Array(6 * frames * links);
-  for (let t = 0; t < frames; t++) {
+  return Array.from({ length: frames }, (_, t) => {
     const row = curves.subarray(t * lanes, (t + 1) * lanes);
     const root = times(step, [row[0]!, row[1]!, row[2]!]);
     const local = middles.map((m, l): Quaternion => {
@@ -213,7 +241,6 @@ function readPoses(data: Uint8Array, frames: number, { body, step, levers, frame
       const f = linkFrames[l]!;
       return multiplied(m, multiplied(multiplied([f[0], -f[1], -f[2], -f[3]], own), f));
     });
-    place(body, local, root, out, 6 * t * links);
-  }
-  return out;
+    return placements(body, local, root);
+  });
 }

@@ -1,0 +1,45 @@
+/** Frames of points with colours. */
+
+import { check } from "../../errors.js";
+
+/** One frame of a point cloud. */
+export interface Cloud {
+  /** (points, 3), metres. */
+  positions: Float64Array;
+  /** (points, 3): red, green, blue, 0 to 255; absent without colours. */
+  colours?: Uint8Array;
+}
+
+const MOST_POINTS = 2 ** 24;
+const MOST_POINTS_IN_BYTE = 131_072;
+
+/** Throws Corrupt if a part of `bytes` bytes cannot hold these points. */
+export function checkCounts(counts: number[], bytes: number): void {
+  const total = counts.reduce((sum, count) => sum + count, 0);
+  check(total <= MOST_POINTS && total <= MOST_POINTS_IN_BYTE * (bytes + 1), `bodycast: ${total} points in ${bytes} bytes`);
+}
+
+function clip8(value: number): number {
+  return value < 0 ? 0 : value > 255 ? 255 : value;
+}
+
+/** Red, green, blue of colours Y, Co, Cg (YCoCg-R), clipped. */
+export function rgbOf(colours: ArrayLike<number>): Uint8Array {
+  const out = new Uint8Array(colours.length);
+  for (let i = 0; i < out.length; i += 3) {
+    const h = colours[i]! - Math.floor(colours[i + 2]! / 2);
+    const blue = h - Math.floor(colours[i + 1]! / 2);
+    out[i] = clip8(blue + colours[i + 1]!);
+    out[i + 1] = clip8(h + colours[i + 2]!);
+    out[i + 2] = clip8(blue);
+  }
+  return out;
+}
+
+/** Y, Co, Cg of a colour. */
+export function ycocgOf(red: number, green: number, blue: number): [number, number, number] {
+  const co = red - blue;
+  const h = blue + (co >> 1);
+  const cg = green - h;
+  return [h + (cg >> 1), co, cg];
+}

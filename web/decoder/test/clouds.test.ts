@@ -1,0 +1,64 @@
+import { describe, expect, test } from "vitest";
+import { PointDecoder } from "../src/codecs/clouds/bodycast.js";
+import { type Header, payloadOf } from "../src/container/header.js";
+import { MocodecError, Unsupported, open } from "../src/index.js";
+import { goldenBytes, goldenTwin } from "./golden.js";
+
+/** The twins have six digits after the point. */
+const TOLERANCE_M = 0.6e-6;
+
+describe("points of bodycast are those of the twins", () => {
+  test.each(["bodycast-jumper-bounded", "bodycast-jumper-learned"])("%s", async (name) => {
+    const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
+    const file = await open(goldenBytes(name));
+    let frame = 0;
+    for await (const { positions, colours } of file.clouds()) {
+      const wanted = twin.positions[frame]!.flat();
+      expect(positions.length).toBe(wanted.length);
+      expect(Math.max(...wanted.map((v, i) => Math.abs(v - positions[i]!)))).toBeLessThanOrEqual(TOLERANCE_M);
+      expect([...colours!]).toEqual(twin.colours[frame]!.flat());
+      frame++;
+    }
+    expect(frame).toBe(twin.positions.length);
+    for await (const { positions } of file.clouds(1, 2)) expect(positions.length).toBe(twin.positions[1]!.flat().length);
+  });
+
+  test("surfaces and other codecs are named as what is missing", async () => {
+    for (const name of ["bodycast-jumper", "lien2006-jumper"]) {
+      const file = await open(goldenBytes(name));
+      await expect(file.clouds().next()).rejects.toThrow(Unsupported);
+    }
+  });
+});
+
+test("damaged chunks end in a named error or in points", async () => {
+  const bytes = goldenBytes("bodycast-jumper-learned");
+  const file = await open(bytes);
+  const { header } = file as unknown as { header: Header };
+  const decoder = new PointDecoder(header.shared, true);
+  const { offset, size, frames } = file.info.chunks[0]!;
+  const payload = payloadOf(bytes.subarray(offset, offset + size), file.info.chunks[0]!, 0);
+  let errors = 0;
+  for (let i = 0; i < payload.length; i += 37) {
+    const damaged = payload.slice();
+    damaged[i]! ^= 1 << (i % 8);
+    try {
+      for (const { positions } of decoder.decode({ frames, payload: damaged })) expect(positions.length % 3).toBe(0);
+    } catch (error) {
+      errors++;
+      expect(error).toBeInstanceOf(MocodecError);
+    }
+  }
+  expect(errors).toBeGreaterThan(0);
+}, 60_000);
+
+test("with salvage, a damaged chunk has frames without points", async () => {
+  const bytes = goldenBytes("bodycast-jumper-learned");
+  const { offset, size } = (await open(bytes)).info.chunks[0]!;
+  bytes[offset + Math.floor(size / 2)]! ^= 255;
+  const file = await open(bytes, { salvage: true });
+  const counts: number[] = [];
+  for await (const { positions } of file.clouds()) counts.push(positions.length);
+  expect(counts).toEqual([0, 0, 0]);
+  expect(file.damage).toMatchObject([{ start: 0, frames: 3 }]);
+});
