@@ -35,6 +35,7 @@ from .markdown import table
 from .results import read_json, rounded, write_json
 
 LAB, LAB_TABLE = Path("docs/results/lab.json"), Path("docs/results/lab.md")
+LAB_SUMMARY = Path("docs/results/lab_summary.md")
 SIGNALS = Path("docs/results/signals.json")
 MAX_ERROR_M = 0.0002
 FOLDERS = ("field-c3d", "cmu/c3d")
@@ -113,12 +114,25 @@ def lab_table(result: dict[str, Any]) -> str:
     return table(head, rows) + "\n"
 
 
+def lab_summary(result: dict[str, Any]) -> str:
+    """The table of the README: whole files, in kilobytes, and their median ratio."""
+    rows = []
+    for name, row in result["files"].items():
+        if "exact" in row:
+            sizes = (row["bytes"], row["zip"], row["exact"]["bytes"], row["12bit"]["bytes"])
+            rows.append([name, *(f"{size / 1000:,.0f}" for size in sizes), f"{row['exact']['encode_s']:.1f}"])
+    head = ["file", "C3D, kB", "zip", ".mocz, signals exact", ".mocz, signals within 12 bits", "s to encode"]
+    count, ratio = len(rows), result["median_ratio_12bit"]
+    return f"{table(head, rows)}\n\n*Median of {count} files with signals within 12 bits: {ratio:.1f} : 1.*\n"
+
+
 @click.command("lab")
 @click.option("--data", type=click.Path(path_type=Path), default=Path("../shared/data"), show_default=True)
 def command(data: Path) -> None:
-    """Whole C3D files with markers within 0.2 mm: docs/results/lab.json and lab.md."""
+    """Whole C3D files with markers within 0.2 mm: docs/results/lab.json, lab.md and lab_summary.md."""
     write_json(LAB, rounded(measure_lab(data)))
     LAB_TABLE.write_text(lab_table(read_json(LAB)))
+    LAB_SUMMARY.write_text(lab_summary(read_json(LAB)))
 
 
 # --- signals alone

@@ -5,6 +5,8 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <deque>
+#include <mutex>
 #include <stdexcept>
 
 #include "arrays.h"
@@ -117,13 +119,26 @@ private:
     }
 };
 
+// Those of the lengths used last, which all models share.
+std::shared_ptr<const Cosines> cosines_of(size_t frames) {
+    constexpr size_t KEPT = 8;
+    static std::mutex lock;
+    static std::deque<std::shared_ptr<const Cosines>> kept;
+    const std::lock_guard<std::mutex> guard(lock);
+    for (const auto &each : kept)
+        if (each->frames == frames) return each;
+    if (kept.size() == KEPT) kept.pop_front();
+    kept.push_back(std::make_shared<const Cosines>(frames));
+    return kept.back();
+}
+
 // Decodes chunks of one length.
 class ChunksOfLength {
 public:
     // expected (frames, rows): Model.expected with a step of 0. band_ends: the frequency behind each band.
     ChunksOfLength(const ChunkDecoder &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step)
         : shape_(of.shape), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
-          cosines_(expected.shape(0)), band_ends_(std::move(band_ends)), heading_step_(heading_step) {
+          cosines_of_length_(cosines_of(expected.shape(0))), cosines_(*cosines_of_length_), band_ends_(std::move(band_ends)), heading_step_(heading_step) {
         if (expected.shape(1) != of.components + POSE || !expected.shape(0) || band_ends_.size() != shape_->bases.size() ||
             band_ends_.back() != expected.shape(0))
             throw std::invalid_argument("ChunksOfLength: shapes differ");
@@ -210,7 +225,8 @@ private:
 
     std::shared_ptr<const Shape> shape_;
     const Expectations expectations_;
-    const Cosines cosines_;
+    const std::shared_ptr<const Cosines> cosines_of_length_;
+    const Cosines &cosines_;
     const std::vector<size_t> band_ends_;
     const double heading_step_;
 };

@@ -10,7 +10,7 @@ import pytest
 import mocodec as mc
 from mocodec import metrics
 from mocodec.codecs.lossless import Lossless
-from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice, repeats
+from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice, repeats, trial
 from mocodec.codecs.tempo.coding import coefficients, direct
 from mocodec.codecs.tempo.models.model import Model
 from mocodec.errors import BadInput, CannotEncode
@@ -64,11 +64,11 @@ def fail(monkeypatch: pytest.MonkeyPatch, where: Any, name: str, times: int = 10
     [
         (model_choice, "choose"),
         (Model, "analyse"),
-        (Model, "synthesise"),
+        (trial, "of_step"),
         (coefficients, "pack"),
         (fallback, "smaller"),
         (repeats, "distinct_frames"),
-        (chunk.ChunkEncoder, "quantised"),
+        (chunk.ChunkEncoder, "_numbers"),
     ],
 )
 def test_a_broken_part_of_tempo(

@@ -68,7 +68,7 @@ def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
 
 
 def _inverse_by_fft(coefficients: Floats, frames: int) -> Floats:
-    """By a real FFT, since samples are real: each frequency of the first half is mixed with its mirror in the second."""
+    """By a real FFT, since samples are real: each frequency of the first half is mixed with its mirror image."""
     known, half = len(coefficients), frames // 2 + 1
     turns = _turns(frames).reshape(-1, *[1] * (coefficients.ndim - 1))
     scale = np.abs(turns)

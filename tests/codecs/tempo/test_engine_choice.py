@@ -68,21 +68,33 @@ def test_the_lattice_has_to_save_some_bytes(share: float, engine: int, monkeypat
         size = Tempo(max_error=0.003).encode_chunks(motion).payload_bytes
     found = chunk.ChunkEncoder.on_lattice
 
-    def of_this_size(encoder: chunk.ChunkEncoder, bound: float, stride: int) -> chunk.OnLattice | None:
-        coded = found(encoder, bound, stride)
+    def of_this_size(
+        encoder: chunk.ChunkEncoder, bound: float, neighbours: lattice.Neighbours, stride: int
+    ) -> chunk.OnLattice | None:
+        coded = found(encoder, bound, neighbours, stride)
         return coded and coded._replace(payload=coded.payload[:1].ljust(round(share * size), b" "))
 
     monkeypatch.setattr(chunk.ChunkEncoder, "on_lattice", of_this_size)
     monkeypatch.setattr(chunk.ChunkEncoder, "keeps", lambda *_: True)
-    monkeypatch.setattr(engine_choice.EngineTrials, "tried", lambda *_: (True, True))
+    monkeypatch.setattr(engine_choice.EngineTrials, "tries_lattice", lambda *_: True)
     encoded = Tempo(max_error=0.003).encode_chunks(motion)
     assert Payload.unpack(encoded.chunks[0].payload).engine == engine
 
 
 def test_a_still_chunk_does_not_decide_for_those_after_it() -> None:
-    trials = engine_choice.EngineTrials(has_transform=True, has_lattice=True)
+    trials = engine_choice.EngineTrials()
     trials.learn(400, 130)
-    assert trials.tried(1) == (True, True)
+    assert trials.tries_lattice(1)
     trials.learn(5000, 8000)
-    assert trials.tried(2) == (True, False)
-    assert trials.tried(engine_choice.TRIED_EVERY) == (True, True)
+    assert not trials.tries_lattice(2)
+    assert trials.tries_lattice(engine_choice.TRIED_EVERY)
+
+
+def test_the_lattice_is_not_tried_where_joints_take_few_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def neighbours(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(lattice, "neighbours", neighbours)
+    motion = named_points(600)
+    encoded = Tempo(max_error=0.02).encode_chunks(motion)
+    assert error(motion, Tempo.decode(encoded)).max() <= 0.02

@@ -48,12 +48,12 @@ REFILLS = 3
 """Rounds of replacing what fills gaps by what is decoded there."""
 BOUND_SLOPE = 0.1
 """Rate–distortion λ under a bound: smaller than elsewhere, since zeroing coefficients causes error peaks."""
-FIRST_OFFSET = 28
+FIRST_OFFSET = 44
 """Under a bound, the first step tried is this many 1/32 octaves above it."""
-OFFSETS = (0, -10, 10)
-"""Steps tried for a chunk under a bound, 1/32 octave relative to the chunk before."""
 DIRECT_WORTH_TRYING = 1.2
 """The direct engine is tried where its estimate is below this many times the transform's bytes."""
+ESTIMATED_POINTS, CLEARLY = 6, 2.0
+"""It is estimated by one point in this many first, and is not looked at where that exceeds the limit so clearly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,56 +230,46 @@ class ChunkEncoder:
             off *= self.model.weights[np.nonzero(frozen_)[1]]
         return bool((off <= bound).all())
 
-    def within_bound(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
-        """The cheapest draft tried that should decode to within the bound (metres) at every sample, and its offset.
-
-        offset: log₂ of the step in bounds, 1/32 octave. The changes are added to it in turn, until one is worse than
-        the first.
-        """
+    def within_bound(self, bound: float, offset: int) -> Draft:
+        """The chunk in a step so far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
+        every sample within it; a direct draft where the transform fails."""
         found = None
         if self.spectrum is not None:
-            found = self.attempt(lambda: self._transform_within(bound, offset, changes))
-        return found or (Draft(grid=grid_step(direct.cell(bound))), offset)
+            found = self.attempt(lambda: self._transform_within(bound, offset))
+        return found or Draft(grid=grid_step(direct.cell(bound)))
 
-    def _transform_within(self, bound: float, offset: int, changes: Sequence[int]) -> tuple[Draft, int]:
+    def _transform_within(self, bound: float, offset: int) -> Draft:
         assert self.spectrum is not None
-        grid = grid_step(direct.cell(bound))
-        centre = round(np.log2(bound) * OCTAVE)
-        costs: list[float] = []
-        drafts: list[Draft] = []
-        for change in changes:
-            if len(costs) > 1 and min(costs[1:]) < costs[0]:
-                break
-            step = centre + offset + change
-            found = trial.within_bound(
-                self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE,
-                bound * (1 - 1e-9), grid_size(grid),
-            )  # fmt: skip
-            assert found.corrections is not None
-            moved = corrections.numbers(found.corrections)
-            costs.append(found.quantised.bits + coefficients.list_bits(self.model, moved))
-            numbers = self._numbers(found.quantised, step, moved)
-            drafts.append(Draft(numbers, grid if moved.size else None, bits=costs[-1]))
-        best = int(np.argmin(costs))
-        return drafts[best], offset + changes[best]
+        grid, step = grid_step(direct.cell(bound)), round(np.log2(bound) * OCTAVE) + offset
+        within = bound * (1 - 1e-9)
+        found = trial.within_bound(
+            self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE, within, grid_size(grid)
+        )
+        assert found.corrections is not None
+        moved = corrections.numbers(found.corrections)
+        bits = found.quantised.bits + coefficients.list_bits(self.model, moved)
+        return Draft(self._numbers(found.quantised, step, moved), grid if moved.size else None, bits=bits)
 
     def smaller_of_engines(self, payload: bytes, bound: float) -> bytes:
         """The transform's payload, or the direct engine's where that is smaller."""
         if self.spectrum is None:
             return payload
-        grid = direct.quantise(self._weighted(), direct.cell(bound)).reshape(self.frames, -1)
-        if direct.estimate(grid) >= DIRECT_WORTH_TRYING * len(payload):
+        worth, cell = len(payload) * DIRECT_WORTH_TRYING, direct.cell(bound)
+        some = self._weighted()[:, ::ESTIMATED_POINTS]
+        scale = self.positions.shape[1] / some.shape[1]
+        if scale * direct.estimate(direct.quantise(some, cell).reshape(self.frames, -1)) >= CLEARLY * worth:
             return payload
-        return min(self.directly(grid_step(direct.cell(bound))), payload, key=len)
+        if direct.estimate(direct.quantise(self._weighted(), cell).reshape(self.frames, -1)) >= worth:
+            return payload
+        return min(self.directly(grid_step(cell)), payload, key=len)
 
-    def on_lattice(self, bound: float, stride: int) -> OnLattice | None:
+    def on_lattice(self, bound: float, neighbours: lattice.Neighbours, stride: int) -> OnLattice | None:
         """By the lattice engine within the bound (metres), None where samples are too large for it."""
-        assert self.model.neighbours is not None
         step = grid_step(lattice.half_step(bound))
         samples = self._weighted() / grid_size(step)
         without = self._weighted(self.smooth) / grid_size(step) if self.spikes.any() else samples
         spiked = None if without is samples else samples
-        found = lattice.encode(without, self.gap_mask, self.model.neighbours, stride, spiked)
+        found = lattice.encode(without, self.gap_mask, neighbours, stride, spiked)
         if found is None:
             return None
         positions = in_metres(self.model, found[1], grid_size(step))

@@ -4,7 +4,7 @@
                    preparation                   chunk_bounds      model_choice, models
     coefficients ─quantise─► integers ─contexts─► rANS ─► bytes
                   target, coding.quantise      coding
-    bytes ─decode─► samples too far off ─corrections─► bytes            the bound is kept here: target.to_bound
+    bytes ─decode─► samples too far off ─corrections─► bytes            the bound is kept here: hard_bound
 
 A chunk decodes alone: the prior that ships with the package has the bases and the coder's statistics. Frames that
 repeat are coded once (`repeats`); where hou2014 is smaller on the whole recording, it codes the chunks (`fallback`).
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk_decoding, engine_choice, fallback, mean_targets, model_choice, repeats, target
+from . import chunk_decoding, engine_choice, fallback, hard_bound, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
@@ -57,6 +57,13 @@ FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
 REPEATS_TRIES = 3
 """How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
+
+
+class _Coded(NamedTuple):
+    """sample: chunks with coefficients of the model, None without one."""
+
+    encoded: Encoded[Motion]
+    sample: fallback.Sample | None
 
 
 @dataclass(frozen=True)
@@ -201,11 +208,12 @@ class Tempo:
             return self.encode_chunks(motion)
         source, plan = self._prepare(motion)
         with progress.phase(0.0, CHUNKS_SHARE):
-            encoded = self._encode_prepared(motion, source, plan)
+            encoded, sample = self._encode_prepared(motion, source, plan)
         if plan is not None and plan.certain:
             return encoded
         with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
-            encoded = self._or_fallback(encoded, motion)
+            if self._has_size or sample is None or fallback.is_promising(sample, self.first_step(motion)):
+                encoded = self._or_fallback(encoded, motion, source)
         with progress.phase(FALLBACK_SHARE, 1.0):
             return self._or_lattice(encoded, motion)
 
@@ -219,16 +227,17 @@ class Tempo:
         found = mean_targets.on_lattice(encoded, motion, self.mean_error, encode, Tempo.decode)
         return replace(found, settings=encoded.settings)
 
-    def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
+    def _or_fallback(self, encoded: Encoded[Motion], motion: Motion, source: Prepared) -> Encoded[Motion]:
         if self._has_size:
-            return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, decoded_mean_error)
+            size = self._wanted_bytes(motion)
+            return fallback.nearer(encoded, motion, source, size, self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
-        smaller = fallback.smaller(encoded, motion, kind, encoded.settings[kind], self.chunk_seconds)
+        smaller = fallback.smaller(encoded, motion, source, kind, encoded.settings[kind], self.chunk_seconds)
         return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
-        return self._encode_prepared(motion, *self._prepare(motion))
+        return self._encode_prepared(motion, *self._prepare(motion)).encoded
 
     def _prepare(self, motion: Motion) -> tuple[Prepared, LatticePlan | None]:
         bones = motion.skeleton is not None
@@ -236,15 +245,16 @@ class Tempo:
         require_usual_lengths(self, source.positions)
         return source, self._lattice_plan(motion, source)
 
-    def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
-        encoded = self._encode_planned(motion, source, plan)
+    def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
+        coded = self._encode_planned(motion, source, plan)
+        encoded = coded.encoded
         engines = {Payload.unpack(c.payload).engine for c in encoded.chunks}
         if plan is None or plan.alone or len(encoded.chunks) == 1 or engines != {LATTICE}:
-            return encoded
+            return coded
         with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
-        return min(encoded, with_longer_chunks, key=lambda e: e.payload_bytes)
+        return min(coded, with_longer_chunks, key=lambda c: c.encoded.payload_bytes)
 
-    def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> Encoded[Motion]:
+    def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
         """By the chosen model, by the lattice engine, or each chunk by the smaller."""
         if plan is not None and plan.alone:
             bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
@@ -259,19 +269,16 @@ class Tempo:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
         model_bytes = len(header.pack())
-        if plan is not None:
-            header = replace(header, neighbours=plan.neighbours.pack())
-            model = replace(model, neighbours=plan.neighbours)
-            model_bytes = max(0, 2 * model_bytes - len(header.pack()))  # either the model or the neighbours
         encoders = [
             ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
             for number, frames in enumerate(bounds)
         ]
         with progress.phase(CHOICE_SHARE, 1.0):
-            payloads = self._to_target(encoders, motion, model_bytes, plan and plan.stride)
+            payloads = self._to_target(encoders, motion, model_bytes, plan)
         engines = [Payload.unpack(p).engine for p in payloads]
         failures = [e.failure for e, n in zip(encoders, engines, strict=True) if e.failure is not None and n == DIRECT]
-        header = replace(header, neighbours=header.neighbours if LATTICE in engines else None)
+        if plan is not None and LATTICE in engines:
+            header = replace(header, neighbours=plan.neighbours.pack())
         if TRANSFORM not in engines:
             header = StreamHeader(weights=header.weights, neighbours=header.neighbours)
         encoded = Encoded(
@@ -281,10 +288,12 @@ class Tempo:
             shared=(header.pack(),),
             settings=self._stored_settings(),
         )
+        sample = fallback.Sample.of(encoders)
         if not failures:
-            return encoded
+            return _Coded(encoded, sample)
         reason = rescue.in_words("with tempo's models", failures[0])
-        return rescue.with_note(encoded, f"{reason}; {len(failures)} of {len(payloads)} chunks are coded directly")
+        noted = rescue.with_note(encoded, f"{reason}; {len(failures)} of {len(payloads)} chunks are coded directly")
+        return _Coded(noted, sample)
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
@@ -380,7 +389,7 @@ class Tempo:
         return min(asked, most_chunk_frames(motion.points) / 2 / motion.rate)
 
     def _to_target(
-        self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, stride: int | None
+        self, encoders: list[ChunkEncoder], motion: Motion, header_bytes: int, plan: LatticePlan | None
     ) -> list[bytes]:
         for encoder in encoders:
             encoder.refill_gaps(self.first_step(motion))
@@ -388,7 +397,7 @@ class Tempo:
             return target.to_mean(encoders, self.mean_error)
         if self._has_size:
             return target.to_size(encoders, self._wanted_bytes(motion) - header_bytes)
-        return target.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR, stride, header_bytes)
+        return hard_bound.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR, plan, header_bytes)
 
     def _stored_settings(self) -> dict[str, Any]:
         """The settings for the file."""

@@ -4,8 +4,8 @@
     coefficients, step ─quantise─► integers ─bases, inverse DCT─► poses ─► errors, corrections            `trial`
 
 `coding.coefficients`, `Model.synthesise` and `trial` define the result: the integers are the same, positions agree to
-rounding. Bytes that no encoder writes are left to them, since they say what is wrong. The interpreter is free meanwhile, so
-that chunks are coded and decoded in several threads.
+rounding. Bytes that no encoder writes are left to them, since they say what is wrong. The interpreter is free
+meanwhile, so that chunks are coded and decoded in several threads.
 """
 
 from __future__ import annotations

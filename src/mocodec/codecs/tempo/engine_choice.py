@@ -8,7 +8,9 @@ The sample decides before a model is fitted, since fitting takes longest where t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from ...errors import Corrupt
 from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
-from .chunk import FIRST_OFFSET, ChunkEncoder, grid_size, grid_step
+from .chunk import ChunkEncoder, grid_size, grid_step
 from .models import Recording, points
 from .models.stored_basis import MOST_DIMENSIONS
 from .preparation import Prepared
@@ -27,6 +29,8 @@ FEWEST_FRAMES, MOST_FRAMES = 64, 240
 ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
+SAMPLE_OFFSET = 28
+"""These shares are of a transform in a step so many 1/32 octaves above the bound."""
 CERTAIN = 0.68
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
 MANY_POINTS = 256
@@ -35,21 +39,42 @@ LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
 HOPELESS = 1.25
-"""A chunk's other engine is not tried where it took more than this many times the bytes in the last chunks tried."""
+"""The lattice engine is not tried where it took more than this many times the bytes in the last chunks tried."""
 TRIED_EVERY = 5
-"""Both engines are tried for one chunk in this many at least."""
+"""The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
 """Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
 
 
-@dataclass(frozen=True)
-class LatticePlan:
-    """neighbours of the points; stride: see `lattice.encode`; alone: no chunk needs a model; certain: nor hou2014."""
+LEAST_BITS = 0.38
+"""Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
+transform takes at least as many bits for a chunk."""
 
-    neighbours: lattice.Neighbours
-    stride: int
-    alone: bool
+
+@dataclass(frozen=True, eq=False)
+class LatticePlan:
+    """How the lattice engine is used. alone: no chunk needs a model; certain: nor is hou2014 tried.
+
+    choose: the neighbours of the points and the stride (`lattice.encode`), found when they are needed first.
+    least_bits: of a coordinate; the engine is not tried for chunks that take the transform less.
+    """
+
+    choose: Callable[[], tuple[lattice.Neighbours, int]]
+    alone: bool = False
     certain: bool = False
+    least_bits: float = 0.0
+
+    @cached_property
+    def _chosen(self) -> tuple[lattice.Neighbours, int]:
+        return self.choose()
+
+    @property
+    def neighbours(self) -> lattice.Neighbours:
+        return self._chosen[0]
+
+    @property
+    def stride(self) -> int:
+        return self._chosen[1]
 
 
 def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
@@ -58,22 +83,26 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
     The sample does not decide for these, nor for skeletons: models of directions may be far smaller than its basis.
     """
-    found = lattice.neighbours(source.smooth)
     frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))
     first = max(0, (len(motion) - frames) // 2)
     some = slice(first, min(len(motion), first + frames))
-    positions = source.smooth[some]
-    if weights is not None:
-        positions = positions * weights[:, None]
-    size = grid_size(grid_step(lattice.half_step(bound)))
-    stride, cost = lattice.best_stride([positions / size], [source.apart.apart[some]], found)
+
+    def chosen() -> tuple[lattice.Neighbours, int, int]:
+        found = lattice.neighbours(source.smooth)
+        positions = source.smooth[some] if weights is None else source.smooth[some] * weights[:, None]
+        size = grid_size(grid_step(lattice.half_step(bound)))
+        return found, *lattice.best_stride([positions / size], [source.apart.apart[some]], found)
+
     if named or weights is not None or motion.skeleton is not None:
-        return LatticePlan(found, stride, alone=False)
+        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS if weights is None else 0.0)
+    found, stride, cost = chosen()
     transform = _transform_bytes(motion, source, some, bound, step)
-    rise = ALONE_PER_OCTAVE * np.log2(len(motion) / len(positions))
+    sampled = some.stop - some.start
+    rise = ALONE_PER_OCTAVE * np.log2(len(motion) / sampled)
     alone = bool(cost < (ALONE + rise) * transform)
-    certain = len(positions) >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
-    return LatticePlan(found, stride, alone, certain or (alone and motion.points > MANY_POINTS))
+    certain = sampled >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
+    certain = certain or (alone and motion.points > MANY_POINTS)
+    return LatticePlan(lambda: (found, stride), alone, certain)
 
 
 def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float, step: int) -> float:
@@ -89,26 +118,21 @@ def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float
         model = fitted.model(sample.like)
     except Corrupt:  # numbers that a decoder would refuse
         return np.inf
-    draft, _ = ChunkEncoder.of(model, source, some).within_bound(bound, FIRST_OFFSET, (0,))
+    draft = ChunkEncoder.of(model, source, some).within_bound(bound, SAMPLE_OFFSET)
     return draft.bits / 8 + len(fitted.pack()) * sample.frames / len(motion)
 
 
 class EngineTrials:
-    """Which engines are tried for the next chunk, from what the chunks before took."""
+    """Whether the lattice engine is tried for the next chunk, from what both engines took in the chunks before."""
 
-    def __init__(self, has_transform: bool, has_lattice: bool) -> None:
-        self._both = has_transform and has_lattice
-        self._has_transform, self._has_lattice = has_transform, has_lattice
+    def __init__(self) -> None:
         self._chunks, self._transform_bytes, self._lattice_bytes = 0, 0.0, 0.0
         """Of the chunks for which both were tried: their number, and bytes that fade."""
 
-    def tried(self, number: int) -> tuple[bool, bool]:
-        """Whether the transform and the lattice are tried for chunk `number`."""
-        every = not self._both or number % TRIED_EVERY == 0 or self._chunks < FEWEST_TRIED
-        return (
-            self._has_transform and (every or self._transform_bytes < HOPELESS * self._lattice_bytes),
-            self._has_lattice and (every or self._lattice_bytes < HOPELESS * self._transform_bytes),
-        )
+    def tries_lattice(self, number: int) -> bool:
+        """For chunk `number`."""
+        every = number % TRIED_EVERY == 0 or self._chunks < FEWEST_TRIED
+        return every or self._lattice_bytes < HOPELESS * self._transform_bytes
 
     def learn(self, transform_bytes: float, lattice_bytes: float) -> None:
         """What both took in a chunk."""

@@ -11,9 +11,9 @@ recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,15 @@ from ... import metrics
 from ...encoded import Encoded, most_chunk_frames
 from ...errors import CannotEncode
 from ...motion import Motion
+from ...stages import dct
 from ...typing import Floats
 from ..hou2014 import Hou2014
 from ..hou2014.codec import SAMPLED_CHUNKS
+from .chunk import ChunkEncoder
+from .coding.rows import HEADING, step_size
 from .header import StreamHeader
 from .pose import heading
-from .preparation import prepare
+from .preparation import Prepared
 
 LONGEST_CHUNK, LONGEST_SECONDS, LEAST_CHUNK_FRAMES = 2.5, 10.0, 16
 """Chunks may be LONGEST_CHUNK times as long as asked for, up to LONGEST_SECONDS, and always LEAST_CHUNK_FRAMES."""
@@ -36,6 +39,13 @@ LONGEST_FRAMES = 60_000
 
 MOST_POINTS = 2048
 """A basis across more points takes too long to fit."""
+
+PROMISING_FREQUENCIES, PROMISING_BITS = 128, 0.82
+"""hou2014 is not tried where a basis fitted to some chunks takes at least this share of tempo's bits: its basis serves
+all chunks, and is stored."""
+
+PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
+"""The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
 
 PROMISING = 1.06
 """A first coding up to this much larger than tempo's may still be smaller at its best step."""
@@ -54,15 +64,57 @@ MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
 """The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
 
 
-def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
+class Sample(NamedTuple):
+    """Some chunks of a recording: positions (frames, points, 3), and coefficients (frames, rows) of tempo's model."""
+
+    positions: Sequence[Floats]
+    spectra: Sequence[Floats]
+
+    @classmethod
+    def of(cls, encoders: Sequence[ChunkEncoder]) -> Sample | None:
+        """None without a model."""
+        some = encoders[:: -(-len(encoders) // PROMISING_CHUNKS)]
+        spectra = [e.spectrum for e in some if e.spectrum is not None]
+        return cls([e.smooth for e in some], spectra) if len(spectra) == len(some) else None
+
+
+def is_promising(sample: Sample, step: int) -> bool:
+    """Whether a basis of the recording's own, fitted to the sample, takes clearly fewer bits than tempo's model.
+
+    step: about the quantisation step, log₂ in 1/32 octave. Bits are Σ log₂(1 + (coefficient / step)²) over the lowest
+    frequencies. Those of storing the basis are not counted.
+    """
+    if sample.positions[0].shape[1] > PROMISING_POINTS:
+        return True
+    ours, theirs, step_m = 0.0, list[Floats](), float(step_size(step))
+    for positions, spectrum in zip(sample.positions, sample.spectra, strict=True):
+        rows = dct.forward(positions.reshape(len(positions), -1), PROMISING_FREQUENCIES)
+        ours += _bits(spectrum[1 : len(rows), HEADING + 1 :], step_m)
+        theirs.append(rows[1:])
+    lowest = np.concatenate(theirs)
+    moments = lowest.T @ lowest
+    if not np.isfinite(moments).all():
+        return True
+    _, basis = np.linalg.eigh(moments)
+    return _bits(lowest @ basis, step_m) < PROMISING_BITS * ours
+
+
+def _bits(coefficients: Floats, step_m: float) -> float:
+    scaled = coefficients / step_m
+    return float(np.log2(1 + scaled * scaled).sum())
+
+
+def smaller(
+    encoded: Encoded[Motion], motion: Motion, source: Prepared, target: str, wanted: float, seconds: float
+) -> Encoded[Motion]:
     """The encoding given, or hou2014's where that is smaller at the same target.
 
-    target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
+    source: the motion's positions; target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
     """
     if len(motion) > LONGEST_FRAMES or motion.points > MOST_POINTS:
         return encoded
     best = encoded
-    filled, smooth = _without_gaps_and_spikes(motion)
+    filled, smooth = _without_gaps_and_spikes(source, motion.up)
     stretch = _stretch(encoded)
     for codec in _candidates(motion, smooth is not filled, target, wanted, _longest_chunk(motion, seconds)):
         near = smooth if codec.max_error else filled
@@ -89,6 +141,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
 def nearer(
     encoded: Encoded[Motion],
     motion: Motion,
+    source: Prepared,
     size: int,
     seconds: float,
     mean_error: Callable[[Encoded[Motion], Motion], float],
@@ -98,7 +151,7 @@ def nearer(
     mean_error: of a tempo stream against the motion, metres.
     """
     mean = mean_error(encoded, motion)
-    if mean == 0 or smaller(encoded, motion, "mean_error", mean, seconds) is encoded:
+    if mean == 0 or smaller(encoded, motion, source, "mean_error", mean, seconds) is encoded:
         return encoded
     codec = Hou2014(chunk_frames=_longest_chunk(motion, seconds), ratio=motion.raw_bytes / max(size - 1, 1))
     try:
@@ -158,11 +211,10 @@ def _longest_chunk(motion: Motion, seconds: float) -> int:
     return max(1, min(wanted, most_chunk_frames(motion.points)))
 
 
-def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
+def _without_gaps_and_spikes(source: Prepared, up: str) -> tuple[Floats, Floats]:
     """Positions with gaps filled, and without spikes too: the same array where there are none."""
-    source = prepare(motion.positions, motion.up, bones=motion.skeleton is not None)
-    filled = heading.from_y_up(source.positions, motion.up)
-    return filled, heading.from_y_up(source.smooth, motion.up) if source.spikes.any() else filled
+    filled = heading.from_y_up(source.positions, up)
+    return filled, heading.from_y_up(source.smooth, up) if source.spikes.any() else filled
 
 
 def _candidates(motion: Motion, has_spikes: bool, target: str, wanted: float, longest: int) -> list[Hou2014]:

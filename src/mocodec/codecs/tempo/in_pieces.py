@@ -21,7 +21,7 @@ from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
 from ..base import has_samples, require_usual_lengths, settings
-from . import chunk_decoding, engine_choice, fallback, model_choice, steady, target
+from . import chunk_decoding, engine_choice, fallback, hard_bound, model_choice, steady, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FALLBACK_MODEL, FROZEN_SHARE, LATTICE_CHUNKS, MOST_CHUNK_SECONDS, Tempo
 from .engine_choice import LatticePlan
@@ -162,7 +162,7 @@ class PieceEncoder:
             step = target.step_for_bound(self._bound)
             for encoder in encoders:
                 encoder.refill_gaps(step)
-            return target.to_bound(encoders, self._bound, self._plan and self._plan.stride)
+            return hard_bound.to_bound(encoders, self._bound, self._plan)
         for encoder in encoders:
             encoder.refill_gaps(self._steady.step)
         return self._steady.payloads(encoders)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ... import parallel
 from ...errors import CannotEncode, Corrupt
 from ...motion import Motion
 from ...typing import Floats
@@ -26,6 +27,8 @@ AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
+CLEARLY = 0.85
+"""Of two models of known points one chunk decides, where the cheaper takes less than this share."""
 MOST_ON_BONES = 400
 """More points than a marker set has are not tried on the prior's bones beside a stored basis."""
 WORTH_PRIOR = 0.25
@@ -78,10 +81,13 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
     """
     named, every = known_by_name(recording), model in (AUTO, TRANSFORM)
     names = [model] if not every else KNOWN_NAME_MODELS if named else list(MODELS)
-    numbers = range(0, len(recording.chunks), max(1, -(-len(recording.chunks) // PRICED_CHUNKS)))
+    chunks = len(recording.chunks)
+    numbers = range(0, chunks, max(1, -(-chunks // PRICED_CHUNKS)))
+    if named and every and chunks > 1 and (found := _clearly_cheapest(recording, _in_order_tried(names), chunks // 2)):
+        return found
     best: Choice | None = None
     least = np.inf
-    for name in sorted(names, key=lambda n: -MODELS[n].number):
+    for name in _in_order_tried(names):
         on_bones = not named and name == "points-prior"
         few_bytes = best is not None and len(best.header.pack()) < WORTH_PRIOR * least
         if best and on_bones and (few_bytes or recording.like.points > MOST_ON_BONES):
@@ -96,6 +102,19 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
             if len(candidate.header.pack()) >= FINER_UP_TO * price:
                 break
     return best
+
+
+def _in_order_tried(names: Sequence[str]) -> list[str]:
+    """In the order in which models are tried."""
+    return sorted(names, key=lambda name: -MODELS[name].number)
+
+
+def _clearly_cheapest(recording: Recording, names: Sequence[str], number: int) -> Choice | None:
+    """The model that is by far the cheapest for one chunk; None where this chunk does not decide."""
+    candidates = [candidate for name in names for candidate in _fitted(name, recording)]
+    priced = sorted((_priced(c, recording, range(number, number + 1)) for c in candidates), key=lambda each: each[0])
+    is_clear = len(priced) == 1 or (priced and priced[0][0] < CLEARLY * priced[1][0])
+    return priced[0][1] if is_clear else None
 
 
 def _fitted(name: str, recording: Recording) -> Iterator[Choice]:
@@ -117,7 +136,7 @@ def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[fl
     sample = [recording.chunks[i] for i in numbers]
     encoders = [ChunkEncoder(candidate.model, s) for s in sample]
     price_of_error = 1 / (quantise.SLOPE * float(step_size(recording.step)) ** 2)
-    trials = [e.trial(recording.step) for e in encoders]
+    trials = list(parallel.over(lambda e: e.trial(recording.step), encoders))
     bits = sum(t.quantised.bits + price_of_error * t.squared for t in trials)
     scale = recording.frames / max(1, sum(map(len, sample)))
     spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}

@@ -20,7 +20,7 @@ from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput
 from ...motion import Motion
 from ...typing import Floats
-from . import chunk_decoding, model_choice, target
+from . import chunk_decoding, hard_bound, model_choice, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FROZEN_SHARE, Tempo
 from .header import StreamHeader
@@ -99,7 +99,7 @@ class Encoder:
             self._waiting[:frames], self.about.up, FROZEN_SHARE * self.max_error, self.about.skeleton is not None
         )
         encoder = ChunkEncoder.of(self._model, source, slice(None))
-        coded = Chunk(self._start, frames, target.to_bound([encoder], self.max_error)[0])
+        coded = Chunk(self._start, frames, hard_bound.to_bound([encoder], self.max_error)[0])
         if self._rotations is not None:
             targets = heading.from_y_up(chunk_decoding.decode(self._model, [coded])[0], self.about.up)
             part = self._rotations.part(self._waiting[:frames], self._waiting_rotations[:frames], targets)

@@ -1,6 +1,5 @@
-"""Steps for a target: the payloads of all chunks within a bound, at a mean error, or of a size.
+"""Steps for a target: the payloads of all chunks at a mean error, or of a size. `hard_bound` has the third target.
 
-to_bound    a step for each chunk; every chunk is decoded and checked
 to_mean     one step for all chunks, whose mean error is nearest to the target
 to_size     one step for all chunks, the smallest whose bytes fit
 """
@@ -12,21 +11,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from ... import progress
-from ...encoded import Chunk
+from ... import parallel, progress
 from ...errors import CannotEncode
-from ...stages import lattice, search
-from ...typing import Floats
-from . import chunk, chunk_decoding
-from .chunk import BATCH, FIRST_OFFSET, OFFSETS, ChunkEncoder, Draft, OnLattice, grid_size, grid_step
+from ...stages import search
+from . import chunk
+from .chunk import ChunkEncoder, Draft, grid_size, grid_step
 from .coding import coefficients, direct, quantise
 from .coding.contexts import OCTAVE
-from .engine_choice import LEAST_SAVING, EngineTrials
 
 Result = TypeVar("Result")
 
-SEARCH_EVERY = 3
-"""One chunk in this many tries them; the others take the step of the chunk before."""
 SMALLEST_STEP, LARGEST_STEP = 1 - coefficients.MAX_STEP, coefficients.MAX_STEP - 1
 SAMPLED = 4
 """At most this many chunks are used for the first searches of a mean error."""
@@ -78,95 +72,6 @@ def _log(size: float) -> int:
     return round(np.log2(size) * OCTAVE)
 
 
-def to_bound(
-    encoders: Sequence[ChunkEncoder], bound: float, stride: int | None = None, model_bytes: int = 0
-) -> list[bytes]:
-    """Payloads that decode to within the bound (metres) at every sample.
-
-    stride: of the lattice engine as a sample says, None to leave it out. model_bytes: what the transform needs beside
-    the chunks, more than the lattice; each chunk that the transform codes is charged with its share. All are decoded
-    and checked; one that exceeds the bound is replaced by the direct engine's, which never does.
-    """
-    payloads: list[bytes] = []
-    offset = FIRST_OFFSET
-    share = model_bytes / len(encoders)
-    middle, ready = encoders[len(encoders) // 2], None
-    if stride is not None and stride < lattice.USUAL_STRIDE:
-        stride, ready = _longer_stride(middle, bound, stride)
-    trials = EngineTrials(encoders[0].spectrum is not None, stride is not None)
-    for first in range(0, len(encoders), BATCH):
-        batch = encoders[first : first + BATCH]
-        drafts: dict[int, Draft] = {}
-        on_lattice: dict[int, OnLattice] = {}
-        for number, encoder in enumerate(batch):
-            by_transform, by_lattice = trials.tried(number)
-            if by_transform or stride is None:
-                changes = OFFSETS if number % SEARCH_EVERY == 0 else (0,)
-                drafts[number], offset = encoder.within_bound(bound, offset, changes)
-            if by_lattice and stride is not None:
-                found = ready if encoder is middle and ready is not None else encoder.on_lattice(bound, stride)
-                if found is not None:
-                    on_lattice[number] = found
-                elif number not in drafts:
-                    drafts[number], offset = encoder.within_bound(bound, offset, (0,))
-            if number in drafts and number in on_lattice:
-                trials.learn(drafts[number].bits / 8 + share, len(on_lattice[number].payload))
-            progress.report((first + number + 1) / len(encoders))
-        packed = chunk.pack([batch[i] for i in drafts], list(drafts.values())) if drafts else []
-        for i, payload in zip(drafts, packed, strict=True):
-            if i in on_lattice and len(on_lattice[i].payload) > (1 - LEAST_SAVING) * (len(payload) + share):
-                del on_lattice[i]
-        by_transform = {
-            i: batch[i].smaller_of_engines(payload, bound)
-            for i, payload in zip(drafts, packed, strict=True)
-            if i not in on_lattice
-        }
-        payloads += _checked(batch, by_transform, on_lattice, bound)
-    return payloads
-
-
-def _longer_stride(encoder: ChunkEncoder, bound: float, stride: int) -> tuple[int, OnLattice | None]:
-    """The stride, or a longer one where it is smaller, and the chunk in it: a short one was chosen by a sample, and
-    longer ones have more weights to learn, which pays in a whole chunk."""
-    best = encoder.on_lattice(bound, stride)
-    while best is not None and stride < lattice.USUAL_STRIDE:
-        longer = encoder.on_lattice(bound, stride + 1)
-        if longer is None or len(longer.payload) >= len(best.payload):
-            break
-        best, stride = longer, stride + 1
-    return stride, best
-
-
-def _checked(
-    batch: Sequence[ChunkEncoder], by_transform: dict[int, bytes], on_lattice: dict[int, OnLattice], bound: float
-) -> list[bytes]:
-    """Payloads of a batch, by number: those given, or the direct engine's where one exceeds the bound (metres).
-
-    The lattice engine's encoder has decoded what it codes.
-    """
-    transformed = _decoded([batch[i] for i in by_transform], list(by_transform.values())) if by_transform else []
-    decoded = dict(zip(by_transform, transformed, strict=True)) | {i: f.positions for i, f in on_lattice.items()}
-    payloads = by_transform | {i: found.payload for i, found in on_lattice.items()}
-    for i, encoder in enumerate(batch):
-        positions = decoded[i]
-        if positions is None or not encoder.keeps(positions, bound):
-            payloads[i] = encoder.directly(grid_step(direct.cell(bound)))
-    return [payloads[i] for i in range(len(batch))]
-
-
-def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:
-    """Positions of a batch of chunks; None where decoding fails."""
-    listed = [Chunk(0, e.frames, b) for e, b in zip(batch, payloads, strict=True)]
-    model = batch[0].model
-    together = batch[0].attempt(lambda: chunk_decoding.decode(model, listed)) if len(batch) > 1 else None
-    if together is not None:
-        return list(together)
-    if len(batch) > 1:
-        batch[0].failure = None
-    alone = [e.attempt(lambda c=c: chunk_decoding.decode(model, [c])) for e, c in zip(batch, listed, strict=True)]
-    return [None if one is None else one[0] for one in alone]
-
-
 def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
     """Payloads at a common step whose mean error is at most the target (metres), and near it.
 
@@ -176,7 +81,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
         """How much too large the mean error is, 1/32 octave, and the drafts."""
-        drafts = [e.draft(step, slope) for e in of]
+        drafts = list(parallel.over(lambda e: e.draft(step, slope), of))
         error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in of)
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
@@ -236,7 +141,7 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     tried: dict[int, list[bytes]] = {}
 
     def fits(coarseness: int) -> bool:
-        payloads = chunk.pack(encoders, [e.draft(-coarseness) for e in encoders])
+        payloads = chunk.pack(encoders, list(parallel.over(lambda e: e.draft(-coarseness), encoders)))
         if sum(map(len, payloads)) > size:
             return False
         tried.clear()  # only the finest is needed again

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -31,6 +32,8 @@ from .stored_basis import StoredBasis
 BY_NAME, BY_NAME_MEASURED, MATCHED = 0, 1, 2
 """First byte of a model with the prior: known names, with the skeleton's or stored proportions, or a matched skeleton.
 Never change them."""
+MOST_SAMPLED = 256
+"""Of a recording, about so many frames show whether proportions fit, and measure them."""
 POSE_FRAMES = 256
 """Frames of each chunk that the mean pose is computed from."""
 
@@ -60,13 +63,19 @@ class NamedDirections:
         elif like.skeleton is None:
             raise Corrupt(MISSING_SKELETON)
         else:
-            tree = known.tree.with_offsets(build.skeleton_offsets(like.skeleton, columns))
+            tree = _tree_of_offsets(self.prior, build.skeleton_offsets(like.skeleton, columns).tobytes())
         if not np.array_equal(tree.zero_length[1:], known.tree.zero_length[1:]) or not tree.lengths.max() < LARGEST_M:
             raise Corrupt("tempo: proportions with bones of other lengths than zero, or zero, than the prior's")
         assert isinstance(known.coordinates, DirectionCoordinates)
         pose = known.coordinates.pose[np.argsort(columns)]
         coordinates = DirectionCoordinates(pose, tree, known.coordinates.metric_root, columns)
         return Model(like.names, coordinates, known.statistics, self.prior.tables, like.rate)
+
+
+@lru_cache(maxsize=8)
+def _tree_of_offsets(known: Prior, offsets: bytes) -> BoneTree:
+    """The prior's tree with these offsets, float64: its schedule of bones is made once."""
+    return known.joints.tree.with_offsets(np.frombuffer(offsets).reshape(-1, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +110,18 @@ def fit_with_prior(recording: Recording) -> Iterator[FittedModel]:
 
 def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirections | None:
     """With the proportions of the skeleton, or measured ones, whichever fit the positions first."""
-    sampled = (r[:: max(1, len(r) // SAMPLED_FRAMES)] for r in recording.chunks)
+    each = max(1, min(SAMPLED_FRAMES, MOST_SAMPLED // len(recording.chunks)))
+    sampled = (r[:: max(1, len(r) // each)] for r in recording.chunks[:: max(1, len(recording.chunks) // MOST_SAMPLED)])
     poses = np.concatenate([r[:, columns] for r in sampled])
     poses = poses - poses.mean(axis=1, keepdims=True)
     tolerance = float(STRETCH_STEPS * step_size(recording.step))
-    candidates = [NamedDirections(known)] if recording.like.skeleton is not None else []
-    candidates.append(NamedDirections(known, build.pack(poses, known.joints.tree, recording.step - build.FINER)))
-    for candidate in candidates:
+
+    def candidates() -> Iterator[NamedDirections]:
+        if recording.like.skeleton is not None:
+            yield NamedDirections(known)
+        yield NamedDirections(known, build.pack(poses, known.joints.tree, recording.step - build.FINER))
+
+    for candidate in candidates():
         try:
             coordinates = candidate.model(recording.like).coordinates
         except Corrupt:  # proportions that a decoder would refuse

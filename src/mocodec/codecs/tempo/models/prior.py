@@ -48,16 +48,22 @@ class JointSet:
 
     def columns(self, names: tuple[str, ...]) -> Integers | None:
         """For each joint of the set, which of these names is its, whatever prefix and spelling; None if they differ."""
-        labels, known = ([normalised_label(n) for n in some] for some in (names, self.names))
-        if len(set(labels)) != len(labels) or sorted(labels) != sorted(known):
-            return None
-        return np.array([labels.index(label) for label in known])
+        found = _columns(names, self.names)
+        return None if found is None else np.array(found)
 
     @property
     def tree(self) -> BoneTree:
         """Of a set whose coordinates are directions."""
         assert isinstance(self.coordinates, DirectionCoordinates)
         return self.coordinates.tree
+
+
+@lru_cache(maxsize=16)
+def _columns(names: tuple[str, ...], known_names: tuple[str, ...]) -> tuple[int, ...] | None:
+    labels, known = ([normalised_label(n) for n in some] for some in (names, known_names))
+    if len(set(labels)) != len(labels) or sorted(labels) != sorted(known):
+        return None
+    return tuple(labels.index(label) for label in known)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,225 @@
+"""Payloads of chunks within a hard bound: the step of each chunk, and its engine.
+
+    some chunks ─search─► offsets of their steps, bits ──┐
+    every other chunk ─near the one searched before it───┴─► drafts ─pack─► transform ──┐
+    chunks that take the transform many bits ────────────────────────────► lattice ─────┴─► the smaller
+
+A coarser step leaves more samples beyond the bound, which take corrections. Where the transform needs few bits the best
+step is coarse: offset = `BEST_OFFSET` + `BEST_SLOPE` · log₂ of the bits of a coordinate, fitted to joints and markers
+under bounds from 0.5 to 20 mm. What a search finds beside this holds for its neighbours too, so most chunks are coded
+once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ... import parallel, progress
+from ...encoded import Chunk
+from ...stages import lattice
+from ...typing import Floats
+from . import chunk, chunk_decoding, compiled_chunks
+from .chunk import BATCH, FIRST_OFFSET, TRANSFORM, ChunkEncoder, Draft, OnLattice, Payload, grid_step
+from .coding import direct
+from .engine_choice import LEAST_SAVING, EngineTrials, LatticePlan
+
+SEARCHED = 4
+"""At most this many chunks are searched, whatever the length of the recording."""
+BEST_OFFSET, BEST_SLOPE = 31.2, -8.6
+"""Offsets are log₂ of the step in bounds, 1/32 octave."""
+STRIDE, NEAR = 8, 5
+"""A search ends with one offset to either side. An offset so near to the predicted one is not changed."""
+LEAST_OFFSET, MOST_OFFSET = -32, 128
+EXACT_TO = 1e6
+"""Of samples up to this many bounds from the origin, rounding moves no decoded sample beyond the bound: the trial of a
+step has measured what the compiled module decodes."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A chunk's draft, its offset, and how far this is from the predicted one."""
+
+    draft: Draft
+    offset: int
+    beside: float
+
+
+def to_bound(
+    encoders: Sequence[ChunkEncoder], bound: float, plan: LatticePlan | None = None, model_bytes: int = 0
+) -> list[bytes]:
+    """Payloads that decode to within the bound (metres) at every sample.
+
+    plan: how the lattice engine is used, None to leave it out. model_bytes: what the transform needs beside the chunks;
+    each chunk that it codes is charged with its share. One that exceeds the bound after all is replaced by the direct
+    engine's, which never does.
+    """
+    every = -(-len(encoders) // SEARCHED)
+    has_transform = encoders[0].model.rows > 0
+    searched = list(parallel.over(lambda e: _search(e, bound), encoders[::every])) if has_transform else []
+    on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, len(encoders))
+    payloads: list[bytes] = []
+    for first in range(0, len(encoders), BATCH):
+        batch = encoders[first : first + BATCH]
+
+        def draft(number: int) -> Draft:
+            before = searched[number // every]
+            return before.draft if number % every == 0 else _near(encoders[number], bound, before)
+
+        drafts: list[Draft | None] = [None] * len(batch)
+        for number, found in enumerate(parallel.over(draft, range(first, first + len(batch)) if has_transform else ())):
+            drafts[number] = found
+            progress.report((first + number) / len(encoders))
+        payloads += _smallest(batch, drafts, bound, on_lattice)
+        progress.report((first + len(batch)) / len(encoders))
+    return payloads
+
+
+def _predicted(encoder: ChunkEncoder, bits: float) -> float:
+    """The best offset of a chunk that takes about so many bits."""
+    of_coordinate = max(bits, 1.0) / encoder.positions.size
+    return float(np.clip(BEST_OFFSET + BEST_SLOPE * np.log2(of_coordinate), LEAST_OFFSET, MOST_OFFSET))
+
+
+def _search(encoder: ChunkEncoder, bound: float) -> Searched:
+    """The cheapest of the first offset, the one that its bits predict, and one to either side."""
+    tried: dict[int, Draft] = {}
+
+    def cost(offset: int) -> float:
+        if offset not in tried:
+            tried[offset] = encoder.within_bound(bound, offset)
+        return np.inf if tried[offset].numbers is None else tried[offset].bits
+
+    at = FIRST_OFFSET
+    if np.isfinite(cost(at)):
+        at = min(at, round(_predicted(encoder, cost(at))), key=cost)
+        at = next((other for other in (at + STRIDE, at - STRIDE) if cost(other) < cost(at)), at)
+    return Searched(tried[at], at, at - _predicted(encoder, tried[at].bits))
+
+
+def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
+    """At the offset of the chunk searched before, or, if this chunk's bits predict another, the cheaper of both."""
+    draft = encoder.within_bound(bound, before.offset)
+    offset = round(_predicted(encoder, draft.bits) + before.beside)
+    if draft.numbers is None or abs(offset - before.offset) <= NEAR:
+        return draft
+    other = encoder.within_bound(bound, offset)
+    return other if other.numbers is not None and other.bits < draft.bits else draft
+
+
+class _LatticeTrials:
+    """The lattice engine, for the chunks that it may make smaller."""
+
+    def __init__(self, plan: LatticePlan, bound: float, model_bytes: int, chunks: int) -> None:
+        self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, chunks
+        self._trials = EngineTrials()
+        self._stride: int | None = None
+        self._number = 0
+
+    @cached_property
+    def share(self) -> float:
+        """Bytes that a chunk of the transform is charged with: the stream has the model, or the neighbours."""
+        return max(0, self._model_bytes - len(self._plan.neighbours.pack())) / self._chunks
+
+    def coded(self, encoder: ChunkEncoder, draft: Draft | None) -> OnLattice | None:
+        """The next chunk, None where it is not tried or not possible. draft: by the transform."""
+        number, self._number = self._number, self._number + 1
+        if draft is None:  # without a transform, this is where time passes
+            progress.report(number / self._chunks)
+        if draft is not None and draft.numbers is not None:
+            few = draft.bits < self._plan.least_bits * encoder.positions.size
+            if few or not self._trials.tries_lattice(number):
+                return None
+        found = self._first(encoder) if self._stride is None else self._of_stride(encoder, self._stride)
+        if found is not None and draft is not None and draft.numbers is not None:
+            self._trials.learn(draft.bits / 8 + self.share, len(found.payload))
+        return found
+
+    def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
+        return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
+
+    def _first(self, encoder: ChunkEncoder) -> OnLattice | None:
+        """With the stride of the sample, or a longer one where it is smaller: longer ones have more weights to learn,
+        which pays in a whole chunk."""
+        self._stride = self._plan.stride
+        best = self._of_stride(encoder, self._stride)
+        while best is not None and self._stride < lattice.USUAL_STRIDE:
+            longer = self._of_stride(encoder, self._stride + 1)
+            if longer is None or len(longer.payload) >= len(best.payload):
+                break
+            best, self._stride = longer, self._stride + 1
+        return best
+
+
+def _on_lattice(
+    batch: Sequence[ChunkEncoder], drafts: Sequence[Draft | None], trials: _LatticeTrials | None
+) -> Iterator[OnLattice | None]:
+    """What the lattice engine makes of each chunk, None where it is not tried or not possible."""
+    if trials is None:
+        yield from [None] * len(batch)
+    elif any(draft is not None for draft in drafts):
+        yield from map(trials.coded, batch, drafts)
+    else:  # chunks do not depend on each other once the first has shown the stride
+        yield trials.coded(batch[0], None)
+        yield from parallel.over(lambda encoder: trials.coded(encoder, None), batch[1:])
+
+
+def _smallest(
+    batch: Sequence[ChunkEncoder], drafts: list[Draft | None], bound: float, trials: _LatticeTrials | None
+) -> list[bytes]:
+    """Payloads of the smaller engine, checked."""
+    on_lattice: dict[int, OnLattice] = {}
+    for i, found in enumerate(_on_lattice(batch, drafts, trials)):
+        if found is not None:
+            on_lattice[i] = found
+        elif drafts[i] is None:
+            drafts[i] = batch[i].within_bound(bound, FIRST_OFFSET)
+    drafted = {i: draft for i, draft in enumerate(drafts) if draft is not None}
+    by_transform = dict(zip(drafted, chunk.pack([batch[i] for i in drafted], list(drafted.values())), strict=True))
+    for i in list(by_transform):
+        if i in on_lattice and trials is not None:
+            worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(by_transform[i]) + trials.share)
+            (by_transform if worth else on_lattice).pop(i)
+    by_transform = {i: batch[i].smaller_of_engines(payload, bound) for i, payload in by_transform.items()}
+    return _checked(batch, by_transform, on_lattice, bound)
+
+
+def _checked(
+    batch: Sequence[ChunkEncoder], by_transform: dict[int, bytes], on_lattice: dict[int, OnLattice], bound: float
+) -> list[bytes]:
+    """Payloads of a batch, by number: those given, or the direct engine's where one exceeds the bound (metres).
+
+    The lattice engine's encoder has decoded what it codes, and so has the compiled trial of a step.
+    """
+    payloads = by_transform | {i: found.payload for i, found in on_lattice.items()}
+    unsure = [i for i in by_transform if not _is_measured(batch[i], by_transform[i], bound)]
+    decoded = dict(zip(unsure, _decoded([batch[i] for i in unsure], [payloads[i] for i in unsure]), strict=True))
+    decoded |= {i: found.positions for i, found in on_lattice.items()}
+    for i, positions in decoded.items():
+        if positions is None or not batch[i].keeps(positions, bound):
+            payloads[i] = batch[i].directly(grid_step(direct.cell(bound)))
+    return [payloads[i] for i in range(len(batch))]
+
+
+def _is_measured(encoder: ChunkEncoder, payload: bytes, bound: float) -> bool:
+    """Whether the trial of a step says that the payload is within the bound: rounding does not matter to it."""
+    compiled = Payload.unpack(payload).engine == TRANSFORM and compiled_chunks.decodes(encoder.model, encoder.frames)
+    return compiled and not encoder.gap_mask.any() and bool(np.abs(encoder.positions).max() <= EXACT_TO * bound)
+
+
+def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:
+    """Positions of a batch of chunks; None where decoding fails."""
+    if not batch:
+        return []
+    listed = [Chunk(0, e.frames, b) for e, b in zip(batch, payloads, strict=True)]
+    model = batch[0].model
+    together = batch[0].attempt(lambda: chunk_decoding.decode(model, listed)) if len(batch) > 1 else None
+    if together is not None:
+        return list(together)
+    if len(batch) > 1:
+        batch[0].failure = None
+    alone = [e.attempt(lambda c=c: chunk_decoding.decode(model, [c])) for e, c in zip(batch, listed, strict=True)]
+    return [None if one is None else one[0] for one in alone]

@@ -1,0 +1,46 @@
+"""Few trials of a step, a bound that is kept whatever a trial says, and a test that spares hou2014."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mocodec.codecs.tempo import Tempo, chunk, fallback, hard_bound
+from mocodec.codecs.tempo.chunk import DIRECT, Payload
+from mocodec.stages import dct
+
+from .motions import error, named_points, smooth
+
+
+def test_most_chunks_are_tried_once_or_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, within = [0], chunk.ChunkEncoder.within_bound
+
+    def counted(encoder: chunk.ChunkEncoder, bound: float, offset: int) -> chunk.Draft:
+        tried[0] += 1
+        return within(encoder, bound, offset)
+
+    monkeypatch.setattr(chunk.ChunkEncoder, "within_bound", counted)
+    motion = named_points(3000)
+    encoded = Tempo(max_error=0.01, model="transform", chunk_seconds=2.0).encode_chunks(motion)
+    searched = min(hard_bound.SEARCHED, len(encoded.chunks))
+    assert tried[0] <= 4 * searched + 2 * (len(encoded.chunks) - searched)
+    assert error(motion, Tempo.decode(encoded)).max() <= 0.01
+
+
+def test_a_chunk_beyond_the_bound_is_coded_directly(monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded = hard_bound._decoded
+    monkeypatch.setattr(hard_bound, "EXACT_TO", 0.0)
+    monkeypatch.setattr(hard_bound, "_decoded", lambda *a: [p if p is None else p + 1 for p in decoded(*a)])
+    motion = named_points(400)
+    encoded = Tempo(max_error=0.01, model="transform").encode_chunks(motion)
+    assert {Payload.unpack(c.payload).engine for c in encoded.chunks} == {DIRECT}
+    assert error(motion, Tempo.decode(encoded)).max() <= 0.01
+
+
+def test_hou2014_is_promising_where_a_basis_of_the_recording_needs_fewer_bits() -> None:
+    random = np.random.default_rng(3)
+    moved = smooth(300, 3, 1) @ random.normal(size=(3, 30))
+    positions = moved.reshape(300, 10, 3)
+    spread = np.concatenate([np.zeros((300, 1)), dct.forward(moved)], axis=1)
+    assert fallback.is_promising(fallback.Sample([positions], [spread]), -320)
+    assert not fallback.is_promising(fallback.Sample([positions], [spread[:, :4]]), -320)
