@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ... import progress
+from ... import parallel, progress
 from ...errors import CannotEncode
 from ...stages import search
 from . import chunk
@@ -81,7 +81,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
         """How much too large the mean error is, 1/32 octave, and the drafts."""
-        drafts = [e.draft(step, slope) for e in of]
+        drafts = list(parallel.over(lambda e: e.draft(step, slope), of))
         error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in of)
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
@@ -141,7 +141,7 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     tried: dict[int, list[bytes]] = {}
 
     def fits(coarseness: int) -> bool:
-        payloads = chunk.pack(encoders, [e.draft(-coarseness) for e in encoders])
+        payloads = chunk.pack(encoders, list(parallel.over(lambda e: e.draft(-coarseness), encoders)))
         if sum(map(len, payloads)) > size:
             return False
         tried.clear()  # only the finest is needed again
