@@ -144,10 +144,20 @@ def _copy(entry: Entry, writer: Builder, seen: dict[str, str], options: dict[str
         report.failed.append((row.name, f"{entry.folder}: its bytes are damaged"))
         return
     if row.prior:
-        encoding.keep_prior(writer.folder, encoding.prior_path(Path(entry.folder), row.prior).read_bytes())
+        try:
+            _copy_prior(Path(entry.folder), row.prior, writer.folder)
+        except (OSError, MocodecError) as error:
+            report.failed.append((row.name, f"{entry.folder}: its prior {row.prior} cannot be read ({error})"))
+            return
     writer.copy(row, blob, options)
     seen[row.name] = row.content
     report.added.append(row.name)
+
+
+def _copy_prior(source: Path, hash_: str, target: Path) -> None:
+    """Copy a prior of one's own. Raises OSError, BadInput; Corrupt if it has another content than its name says."""
+    if encoding.keep_prior(target, encoding.prior_path(source, hash_).read_bytes()) != hash_:
+        raise Corrupt("its content is not that of its name")
 
 
 def repair(where: Path_) -> Report:

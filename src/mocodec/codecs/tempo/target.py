@@ -148,17 +148,22 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
         tried[-coarseness] = payloads
         return True
 
-    samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
-    finest = int(np.ceil(OCTAVE * np.log2(max(*samples, 1e-9) / LARGEST_INTEGER)))
+    finest = finest_step(encoders)
     step = search.largest_true(
         progress.attempts(fits, share=0.2),
         -max(finest, COARSE_STEP),
         -LARGEST_STEP,
-        -max(finest, SMALLEST_STEP),
+        -finest,
     )
     if step is None:
         raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
     return tried[-step]
+
+
+def finest_step(encoders: Sequence[ChunkEncoder]) -> int:
+    """The finest step (log₂ in 1/32 octave) whose integers a chunk holds for all samples of these."""
+    samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
+    return max(SMALLEST_STEP, int(np.ceil(OCTAVE * np.log2(max([*samples, 1e-9]) / LARGEST_INTEGER))))
 
 
 def _excess(error: float, target: float) -> float:
