@@ -21,6 +21,7 @@ from mocodec import codecs, container
 from mocodec.codecs.base import settings
 from mocodec.container.remote_sources import Url
 from mocodec.encoded import Chunk, Encoded, about, restore
+from mocodec.errors import BadInput
 from mocodec.testing import synthetic
 
 
@@ -310,3 +311,14 @@ def test_a_size_is_met_where_the_codec_stays_below_its_own() -> None:
     codec = mc.Tempo(size=40_000, model="points-stored")
     size = len(container.pack(codec.encode(motion))) - 1  # the codec reaches a payload far below this, and again below
     assert len(mc.encode(motion, mc.Tempo(size=size, model="points-stored"))) <= size
+
+
+@pytest.mark.parametrize("target", [{"max_error": 0.002}, {"mean_error": 0.002}, {"ratio": 60.0}])
+def test_the_bytes_do_not_depend_on_threads(target: dict[str, float]) -> None:
+    walk = synthetic.markers(frames=2400, seed=4)
+    assert mc.encode(walk, threads=1, **target) == mc.encode(walk, threads=3, **target)
+
+
+def test_a_number_of_threads_that_is_none() -> None:
+    with pytest.raises(BadInput, match="threads must be 1 or more"):
+        mc.encode(synthetic.markers(frames=10), threads=0)

@@ -1,11 +1,13 @@
 """What the tutorial and the how-to pages show is run, each page in a folder of its own; pages and navigation agree.
 
+A ```python block that begins with "# needs PACKAGE" is left out where the package is not installed.
 A ```console block holds commands after "$ "; `# exit code N` behind one says how it ends. A ```python block has the
 names of the blocks before it. Blocks of other languages (```text, ```sh) are not run.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
 import shutil
@@ -20,6 +22,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "tutorial.md", *sorted((DOCS / "howto").glob("*.md"))]
 BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+NEEDS = re.compile(r"# needs (\w+)\n")
 EXIT_CODE = re.compile(r"# exit code (\d+)")
 
 
@@ -31,6 +34,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # WebDataset leaves shards open
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_commands_and_code_run(page: Path, demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
@@ -45,6 +49,9 @@ def test_commands_and_code_run(page: Path, demo: Path, tmp_path: Path, monkeypat
     names: dict[str, object] = {}
     for language, block in BLOCK.findall(page.read_text()):
         if language == "python":
+            needed = NEEDS.match(block)
+            if needed and importlib.util.find_spec(needed[1]) is None:
+                continue
             exec(compile(block, page.name, "exec"), names)
             continue
         for line in block.splitlines():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -193,3 +195,82 @@ def test_progress_rises_to_one(tmp_path: Path) -> None:
 def test_only_listed_formats_are_read_in_pieces() -> None:
     assert formats.can_read_blocks("x.NPY")
     assert not formats.can_read_blocks("x.glb")
+
+
+@pytest.mark.parametrize("frames", [0, -5, 10.5, np.nan, "many"])
+def test_a_number_of_frames_that_is_none(tmp_path: Path, frames: Any) -> None:
+    with pytest.raises(mc.BadInput, match="frames is the number"):
+        mc.encode_blocks(blocks(markers(1500)), tmp_path / "x.mocz", frames=frames, size=10_000)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("at", [0, 1])
+@pytest.mark.parametrize("block", [None, "text", np.zeros((9, 41, 3)), mc.PointClouds([np.zeros((4, 3))], 60.0)])
+def test_blocks_that_are_no_motions(tmp_path: Path, block: Any, at: int) -> None:
+    path = tmp_path / "x.mocz"
+    path.write_bytes(b"before")
+    source: list[Any] = [*blocks(markers(1500))]
+    with pytest.raises(mc.BadInput, match=f"block {at} is a .*, not a motion"):
+        mc.encode_blocks([*source[:at], block, *source[at:]], path, max_error=0.005)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("target", [{"max_error": 0.005}, {"mean_error": 0.002}])
+def test_motions_without_points(tmp_path: Path, target: dict[str, Any]) -> None:
+    nothing = mc.Motion(np.zeros((1500, 0, 3)), 100.0)
+    assert mc.encode_blocks(blocks(nothing), tmp_path / "x.mocz", **target).frames == 1500
+    assert mc.read(tmp_path / "x.mocz", mc.Motion).positions.shape == (1500, 0, 3)
+
+
+def test_a_generator_may_fill_one_array_again(tmp_path: Path) -> None:
+    motion = markers(2000).select(["C7", "LSHO", "LKNE"])
+
+    def camera() -> Iterator[mc.Motion]:
+        taken = np.empty((500, 3, 3))
+        for block in blocks(motion, 500):
+            taken[:] = block.positions
+            yield replace(block, positions=taken)
+
+    mc.encode_blocks(camera(), tmp_path / "x.mocz", max_error=0.005)
+    assert mc.compare(motion, mc.read(tmp_path / "x.mocz", mc.Motion)).max_error <= 0.005
+
+
+@pytest.mark.parametrize("size", [300_000, 1_000_000, 1_000_000_000])
+def test_a_size_beyond_what_the_steps_can_use(tmp_path: Path, size: int) -> None:
+    motion = markers(1500).select(["C7", "LSHO", "RSHO", "LKNE", "LHEE"])
+    written = mc.encode_blocks(blocks(motion), tmp_path / "x.mocz", frames=1500, size=size)
+    assert written.bytes <= size
+    assert written.max_error < 1e-8
+
+
+def test_a_bound_too_small_for_the_model(tmp_path: Path) -> None:
+    motion = markers(1500).select(["C7", "LSHO", "RSHO", "LKNE", "LHEE"])
+    assert mc.encode_blocks(blocks(motion), tmp_path / "x.mocz", max_error=1e-12).max_error <= 1e-12
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_takes_the_file(tmp_path: Path) -> None:
+    pipe, motion = tmp_path / "pipe", markers(1500)
+    os.mkfifo(pipe)
+    received: list[bytes] = []
+    reader = threading.Thread(target=lambda: received.append(pipe.read_bytes()))
+    reader.start()
+    written = mc.encode_blocks(blocks(motion), pipe, max_error=0.005)
+    reader.join()
+    assert written.bytes == len(received[0])
+    assert len(mc.decode(received[0])) == 1500
+
+
+def test_an_interrupt_leaves_the_file_of_before(tmp_path: Path) -> None:
+    path = tmp_path / "x.mocz"
+    path.write_bytes(b"before")
+
+    def interrupted() -> Iterator[mc.Motion]:
+        yield from blocks(markers(2000))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mc.encode_blocks(interrupted(), path)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]

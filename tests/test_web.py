@@ -21,6 +21,8 @@ from mocodec.codecs.lien2006 import Lien2006
 from mocodec.codecs.tempo import Tempo
 from mocodec.motion import Limits, Motion, Signal
 from mocodec.testing import edge_cases, hinged_figures, signals, skeletal, synthetic
+from mocodec.viewer import marks as viewer_marks
+from mocodec.viewer.recording import of_file
 
 from .independent import motions
 
@@ -172,6 +174,9 @@ def compare(folder: Path, name: str) -> None:
         rotations = np.fromfile(folder / f"{name}.rotations").reshape(wanted.rotations.shape)
         alike = np.abs((rotations * wanted.rotations).sum(axis=2))
         np.testing.assert_allclose(alike, 1, rtol=0, atol=1e-12, err_msg=name)
+    with mc.open(folder / f"{name}.mocz", Motion) as f:
+        marks = viewer_marks.marks(of_file(name, f))
+    assert said["marks"] == {mark["label"]: mark["frames"] for mark in marks}, name
     events = wanted.extras.get("events", [])
     assert [event["time"] for event in said["events"]] == [event["time_s"] for event in events], name
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any, cast, overload
 
-from . import formats
+from . import formats, parallel
 from . import progress as progress_
 from .codecs import base
 from .codecs.base import Codec
@@ -91,6 +91,7 @@ def encode(
     ratio: float | None = None,
     size: int | None = None,
     signal_error: str | None = None,
+    threads: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -104,6 +105,7 @@ def encode(
     ratio: float | None = None,
     size: int | None = None,
     psnr: float | None = None,
+    threads: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -117,6 +119,7 @@ def encode(
     ratio: float | None = None,
     size: int | None = None,
     signal_error: str | None = None,
+    threads: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes: ...
@@ -125,6 +128,7 @@ def encode(
     codec: str | Codec[Any] | None = None,
     *,
     signal_error: str | None = None,
+    threads: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> bytes:
@@ -135,7 +139,8 @@ def encode(
     (to float32 positions), `size` (bytes of the file); of point clouds, whose errors are distances to the nearest point
     in both directions, also `psnr` (of the luma, dB). signal_error: how far samples of signals may be off, "12bit" or
     "0.1%" of their range or by label "Fz*=0.5N, EMG*=12bit"; None keeps them exactly. settings: other settings of the
-    codec. progress: called with fractions from 0 to 1.
+    codec. threads: how many chunks are coded at a time, where the codec can; None: as in `decode`;
+    the bytes do not depend on it. progress: called with fractions from 0 to 1.
     Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.
     """
     if not isinstance(cast(object, recording), (Motion, PointClouds)):
@@ -144,7 +149,7 @@ def encode(
             "mocodec.Motion(positions, rate)"
         )
     chosen = with_options(codec or default_codec(recording), **without_empty_targets(settings))
-    with progress_.listening(progress):
+    with progress_.listening(progress), parallel.threads(threads):
         return pack(chosen, recording, signal_error)
 
 
@@ -154,6 +159,7 @@ def encode_blocks(
     codec: str | Tempo = "tempo",
     *,
     frames: int | None = None,
+    threads: int | None = None,
     progress: Callback | None = None,
     **settings: Any,
 ) -> Written:
@@ -170,7 +176,7 @@ def encode_blocks(
     from . import in_pieces
 
     chosen = with_options(codec, **without_empty_targets(settings))
-    with progress_.listening(progress):
+    with progress_.listening(progress), parallel.threads(threads):
         return in_pieces.write(blocks, path, chosen, frames)
 
 

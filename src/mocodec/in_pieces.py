@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import io
 import itertools
-from collections.abc import Iterable, Iterator
+import operator
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from .codecs.base import Codec
 from .codecs.tempo import Tempo
 from .codecs.tempo.in_pieces import Piece, PieceEncoder, joined
 from .encoded import Chunk, Encoded
-from .errors import BadInput, CannotEncode
+from .errors import BadInput, CannotEncode, Corrupt
 from .formats.blocks import Blocks
 from .metrics import distances
 from .motion import Motion
@@ -64,6 +66,7 @@ def write(
     if not isinstance(chosen, Tempo):
         raise BadInput(f"tempo encodes in blocks, {chosen.name} does not")
     source = blocks if isinstance(blocks, Blocks) else None
+    frames = None if frames is None else _number(frames)
     frames = frames or (source.frames if source is not None else None)
     with formats.writing_whole(path) as file:
         first, rest = _first_frames(_checked(blocks))
@@ -73,7 +76,8 @@ def write(
             blob = packing.pack(chosen, whole)
             file.write(blob)
             return _measured_whole(whole, blob)
-        sample, cuts = (first, []) if source is None else source.sample(len(first), SAMPLED_PARTS, first)
+        with _reading():
+            sample, cuts = (first, []) if source is None else source.sample(len(first), SAMPLED_PARTS, first)
         encoder = PieceEncoder(chosen, sample, cuts, frames)
         written = _write(encoder, replace(encoder.about, extras=about.extras, source=about.source), file,
                          itertools.chain([first], rest), chosen, frames)  # fmt: skip
@@ -81,24 +85,55 @@ def write(
         return written
 
 
+def _number(frames: Any) -> int:
+    """A number of frames. Raises BadInput for anything else."""
+    try:
+        number = operator.index(frames)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise BadInput(f"frames is the number of frames of the recording, not {frames!r}")
+    return number
+
+
 def _checked(blocks: Iterable[Motion]) -> Iterator[Motion]:
-    """Blocks without extras. Raises BadInput for one that does not follow from the first."""
+    """Blocks without extras. Raises BadInput for one that does not follow from the first.
+
+    Positions and rotations are copied, since a generator may fill one array again for each block.
+    """
     first: Motion | None = None
+    is_ours = isinstance(blocks, Blocks)
     for number, block in enumerate(_readable(blocks)):
+        if not isinstance(block, Motion):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise BadInput(f"block {number} is a {type(block).__name__}, not a motion")
         first = block if first is None else first
         same = (block.names, block.rate, block.up) == (first.names, first.rate, first.up)
         if not same or (block.rotations is None) != (first.rotations is None):
             raise BadInput(f"block {number} has other points, rotations, rate or vertical axis than the first")
         if len(block):
-            yield replace(block, extras={}) if block.extras else block
+            block = replace(block, extras={}) if block.extras else block
+            yield block if is_ours else _copied(block)
+
+
+def _copied(block: Motion) -> Motion:
+    """The block with arrays of its own."""
+    rotations = None if block.rotations is None else block.rotations.copy()
+    return replace(block, positions=block.positions.copy(), rotations=rotations)
+
+
+@contextmanager
+def _reading() -> Generator[None, None, None]:
+    """Raises BadInput for a source that cannot be read: an OSError would be taken for one of the output."""
+    try:
+        yield
+    except OSError as error:
+        raise BadInput(f"the source cannot be read: {error}") from error
 
 
 def _readable(blocks: Iterable[Motion]) -> Iterator[Motion]:
-    """The blocks. Raises BadInput for a source that cannot be read: an OSError would be taken for one of the output."""
-    try:
+    """The blocks. Raises BadInput."""
+    with _reading():
         yield from blocks
-    except OSError as error:
-        raise BadInput(f"the source cannot be read: {error}") from error
 
 
 def _first_frames(blocks: Iterator[Motion]) -> tuple[Motion, Iterator[Motion] | None]:
@@ -127,7 +162,8 @@ def _write(
         left = wanted - len(header.getvalue()) - END_BYTES - CHUNK_OVERHEAD_BYTES * chunks
         encoder.limit(left / frames)
     file.write(header.getvalue())
-    writer.file = file
+    out = _Counted(file, len(header.getvalue()))
+    writer.file = cast(BinaryIO, out)
     errors = Errors()
 
     def write(pieces: list[Piece]) -> None:
@@ -142,17 +178,31 @@ def _write(
         write(encoder.push(block))
     write(encoder.finish())
     writer.close()
-    found = errors.written(about.points, file.tell(), extras)
+    found = errors.written(about.points, out.bytes, extras)
     if frames and (codec.size or codec.ratio) and found.frames != frames:
         raise BadInput(f"the source has {found.frames} frames, not the {frames} that were declared")
     return found
 
 
 def decoded(encoder: PieceEncoder, piece: Piece) -> Motion:
-    """What the chunks of a piece decode to."""
+    """What the chunks of a piece decode to. Raises CannotEncode if they do not, an internal error."""
     first = piece.chunks[0].start
     chunks = [Chunk(c.start - first, c.frames, c.payload) for c in piece.chunks]
-    return Tempo.decode(Encoded(Tempo.name, encoder.about, chunks, encoder.shared))
+    try:
+        return Tempo.decode(Encoded(Tempo.name, encoder.about, chunks, encoder.shared))
+    except Corrupt as error:
+        raise CannotEncode(f"tempo does not decode its own chunks, so nothing was written ({error})") from error
+
+
+class _Counted:
+    """A file to write to that counts bytes, of which there are `bytes`: a pipe does not tell where it is."""
+
+    def __init__(self, file: Any, bytes: int) -> None:
+        self.file, self.bytes = file, bytes
+
+    def write(self, data: bytes) -> None:
+        self.bytes += len(data)
+        self.file.write(data)
 
 
 class Errors:

@@ -127,3 +127,15 @@ def test_an_archive_of_version_1_is_continued_in_another_shard(old: Path, tmp_pa
 def test_a_recording_of_version_1_can_be_removed(old: Path) -> None:
     archive.remove(old, ["walk_01"])
     assert list(contents(old)) == ["07/walk_02"]
+
+
+@pytest.mark.parametrize("value", ["zeroblob(65537)", "NULL", "'text'", "7"])
+def test_a_block_that_is_no_head_damages_the_catalogue(vault: Path, value: str) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute(f"UPDATE blocks SET bytes = {value} WHERE number = 0")
+    connection.close()
+    with mc.open_archive(vault / "db") as db, pytest.raises(mc.Corrupt, match="blocks of shard 1"):
+        db["07/FastWalk_01"]
+    archive.repair(vault / "db")
+    with mc.open_archive(vault / "db") as db:
+        assert len(db["07/FastWalk_01"]) == 60

@@ -356,3 +356,18 @@ def test_options_that_are_none(vault: Path, text: str | None) -> None:
     connection.close()
     with pytest.raises(mc.Corrupt, match="its options 1"):
         archive.build(vault / "raw", vault / "db", prefix="more/")
+
+
+@pytest.mark.parametrize("content", [None, b"no prior"])
+def test_a_lost_prior_costs_its_own_recordings_in_a_merge(vault: Path, content: bytes | None) -> None:
+    with sqlite3.connect(vault / "db/catalogue.sqlite") as connection:
+        connection.execute("UPDATE recordings SET prior = 'ab12' WHERE name = '07/FastWalk_01'")
+    connection.close()
+    if content is not None:
+        (vault / "db/priors").mkdir()
+        (vault / "db/priors/ab12.prior").write_bytes(content)
+    report = archive.merge([vault / "db"], vault / "merged")
+    assert len(report.added) == 3
+    [(name, reason)] = report.failed
+    assert name == "07/FastWalk_01"
+    assert "its prior ab12 cannot be read" in reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -123,16 +124,22 @@ def test_pyomeca() -> None:
     np.testing.assert_allclose(arrays.from_xarray(millimetres).positions, motion.positions, atol=1e-12)
 
 
-def test_movement() -> None:
-    motion = markers()
-    ds = arrays.to_xarray(motion, style="movement", individual="anna")
-    assert ds.position.dims == ("time", "space", "keypoints", "individuals")
-    assert ds.confidence.dims == ("time", "keypoints", "individuals")
+@pytest.mark.parametrize(
+    ("style", "keypoint", "individual"),
+    [("movement", "keypoint", "individual"), ("movement_plural", "keypoints", "individuals")],
+)
+def test_movement(style: str, keypoint: str, individual: str) -> None:
+    motion = replace(markers(), up="y")
+    ds = arrays.to_xarray(motion, style=style, individual="anna")
+    assert ds.position.dims == ("time", "space", keypoint, individual)
+    assert ds.confidence.dims == ("time", keypoint, individual)
     assert ds.attrs["ds_type"] == "poses"
     assert ds.attrs["fps"] == 100
     assert ds.attrs["time_unit"] == "seconds"
     np.testing.assert_array_equal(ds.confidence.values[..., 0] == 0, motion.gaps)
-    two = xr.concat([ds, ds.assign_coords(individuals=["bert"])], "individuals")
+    alone = arrays.from_xarray(ds.position)
+    assert (alone.up, alone.rate) == ("y", 100)
+    two = xr.concat([ds, ds.assign_coords({individual: ["bert"]})], individual)
     both = arrays.from_xarray(two)
     assert both.names[0] == f"anna:{motion.names[0]}"
     assert both.names[-1] == f"bert:{motion.names[-1]}"

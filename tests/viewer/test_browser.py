@@ -18,7 +18,7 @@ import pytest
 import mocodec as mc
 from mocodec import viewer
 from mocodec.testing import hinged_figures, synthetic
-from mocodec.viewer import page, session
+from mocodec.viewer import marks, page, session
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.server import Server
 
@@ -152,6 +152,41 @@ def test_dropped_files_are_decoded_in_the_page(
     got = np.reshape(np.array(answers[5]["positions"], float), (6, 3))
     np.testing.assert_allclose(got, decoded.positions[120], atol=1e-5)
     assert f"{1000 * mc.compare(original, decoded).max_error:.2f} mm" in answers[6]
+
+
+def test_dropped_files_have_the_marks_that_python_finds(server: Server, original: mc.Motion, tmp_path: Path) -> None:
+    commands: list[dict[str, Any]] = []
+    wanted = list[str]()
+    for codec in ("hou2014", "liu2006"):
+        path = tmp_path / f"{codec}.mocz"
+        path.write_bytes(mc.encode(original, codec, max_error=0.005))
+        with mc.open(path, mc.Motion) as f:
+            wanted.append(json.dumps(marks.marks(of_file(codec, f))))
+        opened = {"do": "open", "url": server.url.partition("?")[0]}
+        dropped = {"do": "drop", "files": [str(path)]}
+        commands += [opened, dropped, LOADED, {"do": "eval", "code": "mocodecViewer.state().marks"}]
+    assert [json.dumps(answer) for answer in drive(commands, tmp_path)[3::4]] == wanted
+
+
+def test_units_and_axes_of_point_clouds_can_be_chosen(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    clouds = mc.PointClouds([rng.normal(size=(50, 3)) for _ in range(3)], 15.0)
+    viewer.save(tmp_path / "clouds.html", viewer.html(clouds))
+    visible = "['#filter', '#list', '#up'].map((name) => document.querySelector(name).checkVisibility())"
+    answers = drive(
+        [
+            {"do": "open", "url": (tmp_path / "clouds.html").as_uri()},
+            LOADED,
+            {"do": "eval", "code": visible},
+            {"do": "click", "selector": "#points-button"},
+            {"do": "eval", "code": visible},
+            {"do": "choose", "selector": "#up", "value": "x"},
+            {"do": "wait", "for": "mocodecViewer.state().up === 'x'"},
+        ],
+        tmp_path,
+    )
+    assert answers[2] == [False, False, False]
+    assert answers[4] == [False, False, True]
 
 
 def test_a_damaged_file_plays_the_rest(server: Server, original: mc.Motion, tmp_path: Path) -> None:

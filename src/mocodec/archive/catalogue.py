@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
+from ..container import compact
 from ..errors import BadInput, Corrupt, TooNew
 from .rows import COLUMNS, MOST_SHARDS, Row, column, is_sound, is_whole, problem_of
 
@@ -186,13 +187,15 @@ class Catalogue:
             return self.connection.execute(f"SELECT {what} FROM {self._table} WHERE {where}", constants).fetchone()
 
     def blocks(self, shard: int) -> list[bytes]:
-        """The blocks of a shard, in order of their numbers. Raises Corrupt if one is missing."""
+        """The blocks of a shard, in order of their numbers. Raises Corrupt if one is missing or too long for a head."""
         if shard not in self._blocks:
             found: list[Any] = []
             if self._table == "recordings":
                 with self._errors():
                     found = self.connection.execute(
-                        "SELECT number, bytes FROM blocks WHERE shard = ? ORDER BY number", [shard]
+                        "SELECT number, CASE WHEN length(bytes) <= ? THEN bytes END FROM blocks WHERE shard = ? "
+                        "ORDER BY number",
+                        [compact.MOST_BYTES, shard],
                     ).fetchall()
             if [number for number, _ in found] != list(range(len(found))) or not all(
                 isinstance(block, bytes) for _, block in found

@@ -215,7 +215,7 @@ def entries(path: Path, blocks: list[bytes]) -> Iterator[Found]:
                 place = Place(int(path.stem), start, length, 0 if number is None else number + 1)
                 yield Found(name, place, FileRange(str(path), start, length, name, block))
             else:
-                blocks.append(whole.read(start, length))
+                blocks.append(whole.read(start, length) if length <= compact.MOST_BYTES else b"")
             at = start + length
     finally:
         whole.close()

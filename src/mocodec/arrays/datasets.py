@@ -1,8 +1,9 @@
-"""Motions as xarray datasets in three conventions, and back.
+"""Motions as xarray datasets in four conventions, and back.
 
-plain      Dataset: positions (time, point, axis), rotations (time, point, quaternion), skeleton as coordinates
-pyomeca    DataArray (axis, channel, time) with a row of ones, as pyomeca's Markers
-movement   Dataset: position (time, space, keypoints, individuals), confidence, as movement's poses
+plain             Dataset: positions (time, point, axis), rotations (time, point, quaternion), skeleton as coordinates
+pyomeca           DataArray (axis, channel, time) with a row of ones, as pyomeca's Markers
+movement          Dataset: position (time, space, keypoint, individual), confidence, as poses of movement 0.17 and later
+movement_plural   the same for movement before 0.17, which calls the dimensions keypoints and individuals
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ from . import times
 from .libraries import library
 
 AXES = ["x", "y", "z"]
+MOVEMENT_DIMENSIONS: Mapping[str, tuple[str, str]] = {
+    "movement": ("keypoint", "individual"), "movement_plural": ("keypoints", "individuals"),
+}  # fmt: skip
+"""What movement calls the dimensions of points and people: 0.17 and later, and earlier versions."""
 UNITS_M: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -31,14 +36,15 @@ def to_xarray(motion: Motion, style: str = "plain", individual: str = "id_0") ->
     there are, and for a skeleton the coordinates `parent` (point; "" for a root) and `offset` (point, axis). What the
     file said is the attribute `source`, JSON; extras are left out.
     "pyomeca": a DataArray (axis, channel, time), the axis "ones" last. "movement": a Dataset with `position`
-    (time, space, keypoints, individuals) and `confidence`, 1 or 0 in gaps; `individual` names the only one.
+    (time, space, keypoint, individual) and `confidence`, 1 or 0 in gaps; `individual` names the only one.
+    "movement_plural": the same with the dimensions keypoints and individuals, which movement before 0.17 needs.
     Raises BadInput for another style, MissingExtra without xarray.
     """
     if style not in STYLES:
         raise BadInput(f"a style of xarray is one of {', '.join(STYLES)}, not {style!r}")
     xarray = library("xarray", "mocodec.arrays.to_xarray", "xarray")
-    if style == "movement":
-        return _movement(xarray, motion, individual)
+    if style in MOVEMENT_DIMENSIONS:
+        return _movement(xarray, motion, individual, *MOVEMENT_DIMENSIONS[style])
     return _pyomeca(xarray, motion) if style == "pyomeca" else plain(motion, motion.positions, motion.rotations)
 
 
@@ -135,42 +141,49 @@ def _from_pyomeca(data: Any) -> Motion:
     return Motion(positions * _unit(data.attrs), rate, names, data.attrs.get("up", "z"))
 
 
-def _movement(xarray: Any, motion: Motion, individual: str) -> Any:
-    dims = ("time", "space", "keypoints", "individuals")
+def _movement(xarray: Any, motion: Motion, name: str, keypoint: str, individual: str) -> Any:
+    dims = ("time", "space", keypoint, individual)
     coordinates = {
-        "time": times.seconds(len(motion), motion.rate), "space": AXES, "keypoints": list(motion.names),
-        "individuals": [individual],
+        "time": times.seconds(len(motion), motion.rate), "space": AXES, keypoint: list(motion.names),
+        individual: [name],
     }  # fmt: skip
+    about = {"units": "m", "up": motion.up}
     variables = {
-        "position": (dims, motion.positions.transpose(0, 2, 1)[..., None].copy()),
-        "confidence": (("time", "keypoints", "individuals"), np.where(motion.gaps, 0.0, 1.0)[..., None]),
+        "position": (dims, motion.positions.transpose(0, 2, 1)[..., None].copy(), about),
+        "confidence": (("time", keypoint, individual), np.where(motion.gaps, 0.0, 1.0)[..., None]),
     }
-    said = {
-        "source_software": "mocodec", "ds_type": "poses", "fps": motion.rate, "time_unit": "seconds", "units": "m",
-        "up": motion.up,
-    }  # fmt: skip
+    said = {"source_software": "mocodec", "ds_type": "poses", "fps": motion.rate, "time_unit": "seconds", **about}
     return xarray.Dataset(variables, coordinates, said)
 
 
-def _from_movement(data: Any) -> Motion:
-    dims = ("time", "individuals", "keypoints", "space")
-    positions = _variable(_array(data, ("position",)), None, dims, "space", AXES)
-    individuals, keypoints = data["individuals"].values, data["keypoints"].values
-    names = [f"{individual}:{keypoint}" for individual in individuals for keypoint in keypoints]
-    names = [str(keypoint) for keypoint in keypoints] if len(individuals) == 1 else names
-    if data.attrs.get("time_unit", "seconds") != "seconds":
+def _from_movement(data: Any, keypoint: str, individual: str) -> Motion:
+    position = _array(data, ("position",))
+    attributes = {**position.attrs, **data.attrs}
+    positions = _variable(position, None, ("time", individual, keypoint, "space"), "space", AXES)
+    individuals, keypoints = data[individual].values, data[keypoint].values
+    names = [f"{person}:{point}" for person in individuals for point in keypoints]
+    names = [str(point) for point in keypoints] if len(individuals) == 1 else names
+    if attributes.get("time_unit", "seconds") != "seconds":
         raise BadInput("the times of the dataset are frames: set its fps and times in seconds")
-    rate = times.rate_of(data["time"].values, data.attrs)
+    rate = times.rate_of(data["time"].values, attributes)
     flat = positions.reshape(len(positions), len(names), 3)
-    return Motion(flat * _unit(data.attrs), rate, names, data.attrs.get("up", "z"))
+    return Motion(flat * _unit(attributes), rate, names, attributes.get("up", "z"))
+
+
+def _from_singular(data: Any) -> Motion:
+    return _from_movement(data, *MOVEMENT_DIMENSIONS["movement"])
+
+
+def _from_plural(data: Any) -> Motion:
+    return _from_movement(data, *MOVEMENT_DIMENSIONS["movement_plural"])
 
 
 STYLES: Mapping[str, Callable[[Any], Motion]] = {
-    "plain": _from_plain, "pyomeca": _from_pyomeca, "movement": _from_movement,
+    "plain": _from_plain, "pyomeca": _from_pyomeca, "movement": _from_singular, "movement_plural": _from_plural,
 }  # fmt: skip
 """The inverse of each style."""
 DIMENSIONS: Mapping[str, set[str]] = {
-    "movement": {"time", "space", "keypoints", "individuals"},
+    **{style: {"time", "space", *names} for style, names in MOVEMENT_DIMENSIONS.items()},
     "pyomeca": {"axis", "channel", "time"},
     "plain": {"time", "point", "axis"},
 }

@@ -1,5 +1,9 @@
 # pyright: strict
-"""Windows of motion for machine learning, straight from an archive. NumPy only; `mocodec.torch` gives tensors.
+"""Windows of motion for machine learning, straight from an archive, as NumPy arrays; `mocodec.torch` gives tensors.
+
+windows, WindowSet     windows of an archive, in batches or by number
+to_datasets            the same as a data set of Hugging Face `datasets`                   [datasets]
+mocz, write_tar        samples in the tar shards of WebDataset: decode them, write them
 
 for batch in mocodec.learning.windows("vault", frames=64, stride=16, rate=30, batch=256, seed=0):
     batch["positions"]                      (256, 64, joints, 3) float32
@@ -14,8 +18,10 @@ from typing import Any
 from ..archive import Recordings
 from .dataset import Window, WindowSet
 from .features import FEATURES
+from .hugging_face import to_datasets
+from .tar_samples import mocz, write_tar
 
-__all__ = ["FEATURES", "Window", "WindowSet", "windows"]
+__all__ = ["FEATURES", "Window", "WindowSet", "mocz", "to_datasets", "windows", "write_tar"]
 
 
 def windows(

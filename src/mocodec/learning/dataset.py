@@ -18,7 +18,7 @@ from ..errors import BadInput
 from ..motion import Motion
 from . import blocks
 from .blocks import Block, BlockCache, Cut
-from .features import FEATURES, Float32
+from .features import Float32, known
 
 CACHE_BYTES = 256 << 20
 
@@ -54,9 +54,7 @@ class WindowSet:
     ) -> None:
         self.recordings = recordings if isinstance(recordings, Recordings) else open_archive(recordings)
         self.cut = Cut(frames, stride, rate)
-        self.features = (features,) if isinstance(features, str) else tuple(features)
-        if unknown := [name for name in self.features if name not in FEATURES]:
-            raise BadInput(f"no feature named {', '.join(unknown)}; there are: {', '.join(FEATURES)}")
+        self.features = known(features)
         self.points = None if points is None else tuple(points)
         self.up = up
         self.cache_bytes = cache_bytes
@@ -175,6 +173,13 @@ class WindowSet:
             ]
         )
         return starts, np.append(starts[1:], len(self))
+
+    def runs_of_blocks(self, most: int) -> list[tuple[int, int]]:
+        """All windows as at most `most` ranges (first number, number after the last) of whole blocks, of about the
+        same number of blocks: processes that each read some of the ranges decode no block twice."""
+        starts, _ = self._windows_of_blocks()
+        borders = [int(run[0]) for run in np.array_split(starts, min(most, len(starts)))]
+        return list(zip(borders, [*borders[1:], len(self)], strict=True))
 
     def _bytes_per_frame(self) -> int:
         one = self[0]

@@ -87,6 +87,14 @@ FEATURES: dict[str, Callable[[Motion], Floats]] = {
 }
 
 
+def known(names: str | Sequence[str]) -> tuple[str, ...]:
+    """The names of features, as a tuple. Raises BadInput if one is not in FEATURES."""
+    wanted = (names,) if isinstance(names, str) else tuple(names)
+    if unknown := [name for name in wanted if name not in FEATURES]:
+        raise BadInput(f"no feature named {', '.join(unknown)}; there are: {', '.join(FEATURES)}")
+    return wanted
+
+
 def root_column(motion: Motion) -> int:
     """The point that is the root: of the skeleton, or by its name, or the first."""
     if motion.skeleton is not None:

@@ -148,7 +148,7 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
 
 def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> tuple[Booleans, Booleans]:
     """Masks (frames, points) of frozen samples and of those with a constant. same: equal to the frame before."""
-    runs = _runs_of(~missing, positions)
+    runs = _runs_of(~missing, positions, same)
     values = positions[runs.first, runs.point]
     into, out = _steps(runs, values)
     typical = _typical_steps(runs, into, same)[runs.point]
@@ -209,17 +209,23 @@ def _steps(runs: _Runs, values: Floats) -> tuple[Floats, Floats]:
 def _typical_steps(runs: _Runs, into: Floats, same: Booleans) -> Floats:
     """Median step (points,) of the points that repeat a sample; infinite for those without a step."""
     typical = np.full(same.shape[1], np.inf)
-    next_frame = np.append(False, runs.first[1:] == runs.first[:-1] + runs.length[:-1])
+    counted = np.append(False, runs.first[1:] == runs.first[:-1] + runs.length[:-1]) & (into > 0)
+    edges = np.searchsorted(runs.point, np.arange(same.shape[1] + 1))
     for point in np.flatnonzero(same.any(axis=0)):
-        steps = into[(runs.point == point) & next_frame & (into > 0)]
+        part = slice(edges[point], edges[point + 1])
+        steps = into[part][counted[part]]
         typical[point] = np.median(steps) if len(steps) else 0.0
     return typical
 
 
-def _runs_of(mask: Booleans, positions: Floats) -> _Runs:
-    """Runs of equal positions (frames, points, 3) within the mask (frames, points)."""
+def _runs_of(mask: Booleans, positions: Floats, same: Booleans | None = None) -> _Runs:
+    """Runs of equal positions (frames, points, 3) within the mask (frames, points).
+
+    same (frames − 1, points): samples equal to the one before, if they are known.
+    """
+    same = _equal(positions[1:], positions[:-1]) if same is None else same
     begins = mask.copy()
-    begins[1:] &= ~(mask[:-1] & _equal(positions[1:], positions[:-1]))
+    begins[1:] &= ~(mask[:-1] & same)
     ends = mask.copy()
     ends[:-1] &= ~mask[1:] | begins[1:]
     point, first = np.nonzero(begins.T)

@@ -6,6 +6,7 @@ import pytest
 
 from mocodec import metrics
 from mocodec.codecs.tempo import Tempo, fallback
+from mocodec.codecs.tempo.preparation import prepare
 from mocodec.testing import synthetic
 
 from .motions import header
@@ -17,7 +18,8 @@ def test_the_fallback_is_taken_where_it_is_smaller(settings: dict[str, float]) -
     plain, best = Tempo(**settings).encode_chunks(motion), Tempo(**settings).encode(motion)
     if "max_error" in settings:
         transformed = Tempo(**settings, model="transform", chunk_seconds=0.5).encode_chunks(motion)
-        smaller = fallback.smaller(transformed, motion, "max_error", settings["max_error"], 4.0)
+        source = prepare(motion.positions, motion.up)
+        smaller = fallback.smaller(transformed, motion, source, "max_error", settings["max_error"], 4.0)
         assert header(smaller).fallback is not None
         assert smaller.payload_bytes < transformed.payload_bytes
     errors = metrics.distances(motion.positions, Tempo.decode(best).positions)

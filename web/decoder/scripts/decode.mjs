@@ -33,5 +33,5 @@ async function decode(path, target) {
   if (file.info.rotations) writeFileSync(`${target}.rotations`, await file.rotations());
   const { events, signals } = await file.extras();
   for (const [i, signal] of signals.entries()) writeFileSync(`${target}.signal-${i}`, await signal.read());
-  return { info: file.info, events, signals };
+  return { info: file.info, events, signals, marks: await file.marks() };
 }

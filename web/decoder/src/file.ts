@@ -7,7 +7,7 @@ import { type PriorLoader, bundledPriors } from "./codecs/tempo/prior.js";
 import { type ChunkPlace, type Header, chunksStart, payloadOf, readHeader, readIndex, walkChunks } from "./container/header.js";
 import type { Skeleton } from "./container/skeleton.js";
 import type { Tree } from "./container/values.js";
-import { BadInput, FrameOutOfRange, MocodecError, Unsupported } from "./errors.js";
+import { BadInput, Corrupt, FrameOutOfRange, MocodecError, Truncated, Unsupported } from "./errors.js";
 import type { Extras } from "./extras.js";
 import { type ByteSource, type Source, byteSource } from "./sources.js";
 
@@ -162,6 +162,31 @@ export class MoczFile {
     return readExtras(this.source, this.header, this.headerEnd);
   }
 
+  /**
+   * Frames at which the codec begins something, by what begins there: "clip" of `hou2014`, "segment" and "key frame" of `liu2006`. Reads
+   * all chunks and decodes no positions; with `salvage`, damaged chunks have none.
+   */
+  async marks(): Promise<Record<string, number[]>> {
+    const found: Record<string, number[]> = {};
+    if (this.header.kind === "clouds") return found;
+    const decoder = await this.chunkDecoder();
+    for (const [i, place] of (decoder.marks ? this.chunks : []).entries()) {
+      try {
+        const payload = payloadOf(await this.source.read(place.offset, place.size), place, i);
+        for (const [label, frames] of Object.entries(decoder.marks!({ frames: place.frames, payload }))) {
+          (found[label] ??= []).push(...frames.map((frame) => place.start + frame));
+        }
+      } catch (error) {
+        if (!this.salvage || !(error instanceof Corrupt || error instanceof Truncated)) throw error;
+      }
+    }
+    return found;
+  }
+
+  private chunkDecoder(): Promise<ChunkDecoder> {
+    return (this.decoder ??= chunkDecoder(this.header.codec, { ...this.header, points: this.header.names.length }, this.priors));
+  }
+
   private async joined(a: number, b: number, lanes: number, part: (decoded: Decoded) => Float64Array | undefined): Promise<Float64Array> {
     this.checkRange(a, b);
     if (this.header.kind === "clouds") throw new Unsupported("point clouds have no frames of points; see poses()");
@@ -215,8 +240,7 @@ export class MoczFile {
   private async decode(number: number, window: Window): Promise<Decoded> {
     const kept = window.kept.get(number);
     if (kept) return kept;
-    this.decoder ??= chunkDecoder(this.header.codec, { ...this.header, points: this.header.names.length }, this.priors);
-    const decoder = await this.decoder;
+    const decoder = await this.chunkDecoder();
     const from = Math.max(0, number - this.info.margin);
     const to = Math.min(this.chunks.length - 1, number + this.info.margin);
     const { frames, start } = this.chunks[number]!;

@@ -13,7 +13,7 @@ const KEYS = [
   ["R", "whole figure"],
   ["T", "trail of the chosen point"],
   ["G", "original over, beside, hidden"],
-  ["P", "list of points"],
+  ["P", "list of points; display of point clouds"],
   ["D", "dark or light"],
   ["O", "open files"],
   ["?", "these keys"],

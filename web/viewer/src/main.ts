@@ -1,10 +1,11 @@
 /** The page: loads the session, plays it, and answers buttons, keys, clicks and dropped files. */
 
 import { Vector3 } from "three";
-import { listenKeys, showKeys } from "./keys.ts";
 import { Clips } from "./clips.ts";
+import { type Commands, listen } from "./controls.ts";
 import { summary } from "./errors.ts";
 import { addressed, dropped } from "./dropped.ts";
+import { showKeys } from "./keys.ts";
 import { PointList } from "./list.ts";
 import { showLegend, showNumbers, showSignals, showTabs, showWorst } from "./panel.ts";
 import { Stage } from "./scene.ts";
@@ -19,7 +20,7 @@ const TEXT_MS = 100;
 
 const $ = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
 
-class Page {
+class Page implements Commands {
   private views: RecordingView[] = [];
   private active = 0;
   private seconds = 0;
@@ -30,6 +31,8 @@ class Page {
   private theme: "light" | "dark" = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   private scale: ErrorScale | null = null;
   private here: { mean: HTMLElement; max: HTMLElement } | null = null;
+  /** Whether the panel is open: of recordings with a list of points, and of those without. */
+  private readonly isPanelOpen = { points: innerWidth > 720, display: false };
   private readonly strips = new Set<number>();
   private needsFrame = true;
   /** How far the last of several recordings stands from the first, metres. */
@@ -45,9 +48,9 @@ class Page {
 
   async start(): Promise<void> {
     this.applyTheme();
-    this.listen();
+    listen(this);
     showKeys($("keys"));
-    if (innerWidth <= 720) this.togglePoints(false);
+    this.showPanel();
     try {
       const query = new URLSearchParams(location.search);
       const measuring = (share: number) => this.notice(`measuring… ${Math.round(100 * share)} %`);
@@ -120,9 +123,8 @@ class Page {
     showWorst($("worst"), facts);
     $<HTMLSelectElement>("up").value = facts.up;
     $("original-label").hidden = !facts.original;
-    $("points-button").hidden = facts.names.length === 0;
     $("heads").hidden = !facts.original;
-    $("points").hidden = facts.names.length === 0 || $("points-button").getAttribute("aria-expanded") !== "true";
+    this.showPanel();
     this.rescale();
     if (first) this.arrange();
     this.needsFrame = true;
@@ -141,7 +143,7 @@ class Page {
     this.reset();
   }
 
-  private reset(): void {
+  reset(): void {
     const view = this.view;
     if (!view) return;
     view.show(this.frame, this.place, this.list.selected, this.scale, PALETTES[this.theme]);
@@ -178,7 +180,11 @@ class Page {
     this.needsFrame = true;
   }
 
-  private play(on: boolean): void {
+  step(count: number, unit: "frames" | "seconds"): void {
+    this.seek(this.frame + count * (unit === "seconds" ? Math.round(this.view?.facts.rate ?? 1) : 1));
+  }
+
+  play(on = !this.isPlaying): void {
     const view = this.view;
     if (on && view && this.frame >= view.facts.frames - 1) this.seconds = 0;
     this.isPlaying = on;
@@ -276,7 +282,7 @@ class Page {
     mark.textContent = Number.isNaN(error) ? view.facts.names[point] : `${view.facts.names[point]}  ${length(error)}`;
   }
 
-  private worst(): void {
+  worst(): void {
     const at = this.view?.facts.errors?.maxAt;
     if (!at) return;
     this.play(false);
@@ -297,24 +303,46 @@ class Page {
     if (this.view) this.ground();
   }
 
-  private togglePoints(on = $("points").hidden): void {
-    $("points").hidden = !on;
-    $("points-button").setAttribute("aria-expanded", String(on));
+  /** Open or close the panel: the list of points with signals, display and notes; of point clouds without the list. */
+  togglePanel(): void {
+    this.isPanelOpen[this.panelKind] = !this.isPanelOpen[this.panelKind];
+    this.showPanel();
   }
 
-  private toggle(id: string): void {
+  private get panelKind(): "points" | "display" {
+    return this.view?.facts.names.length === 0 ? "display" : "points";
+  }
+
+  private showPanel(): void {
+    const kind = this.panelKind;
+    const isOpen = this.isPanelOpen[kind];
+    const button = $("points-button");
+    button.textContent = kind === "points" ? "Points" : "Display";
+    button.title = kind === "points" ? "List of points (P)" : "Units, vertical axis, notes (P)";
+    button.setAttribute("aria-expanded", String(isOpen));
+    $("points").hidden = !isOpen;
+    $("points").dataset.kind = kind;
+    if (kind === "display") $<HTMLDetailsElement>("display").open = true;
+  }
+
+  toggle(id: string): void {
     $(id).setAttribute("aria-pressed", String($(id).getAttribute("aria-pressed") !== "true"));
     this.needsFrame = true;
   }
 
-  private setPlace(place: OriginalPlace): void {
+  setPlace(place: OriginalPlace): void {
     this.place = place;
     $<HTMLSelectElement>("original").value = place;
     this.rescale();
     this.reset();
   }
 
-  private setUnit(unit: string): void {
+  /** From over the decoded figure to beside it, then hidden. */
+  nextPlace(): void {
+    this.setPlace(this.place === "over" ? "beside" : this.place === "beside" ? "off" : "over");
+  }
+
+  setUnit(unit: string): void {
     useUnit(unit ? (unit as Unit) : null);
     const { selected } = this.list;
     if (this.view) this.choose(this.active);
@@ -322,12 +350,12 @@ class Page {
   }
 
   /** Show the recording with another vertical axis than its file names. */
-  private setUp(up: Facts["up"]): void {
+  setUp(up: Facts["up"]): void {
     this.view?.orient(up);
     this.arrange();
   }
 
-  private async openFiles(files: FileList | File[] | null): Promise<void> {
+  async openFiles(files: FileList | File[] | null): Promise<void> {
     if (!files?.length) return;
     try {
       this.notice("reading…");
@@ -340,71 +368,16 @@ class Page {
     }
   }
 
-  private listen(): void {
-    const on = (id: string, act: () => void) => $(id).addEventListener("click", act);
-    on("play", () => this.play(!this.isPlaying));
-    on("back", () => this.seek(this.frame - 1));
-    on("next", () => this.seek(this.frame + 1));
-    on("worst", () => this.worst());
-    on("loop", () => this.toggle("loop"));
-    on("follow", () => this.toggle("follow"));
-    on("trails", () => this.toggle("trails"));
-    on("reset", () => this.reset());
-    on("points-button", () => this.togglePoints());
-    on("help-button", () => $<HTMLDialogElement>("help").showModal());
-    on("open", () => $("files").click());
-    on("theme", () => this.switchTheme());
-    $("files").addEventListener("change", () => void this.openFiles($<HTMLInputElement>("files").files));
-    $("original").addEventListener("change", () => this.setPlace($<HTMLSelectElement>("original").value as OriginalPlace));
-    listenKeys(this.keys());
-    $("unit").addEventListener("change", () => this.setUnit($<HTMLSelectElement>("unit").value));
-    $("up").addEventListener("change", () => this.setUp($<HTMLSelectElement>("up").value as Facts["up"]));
-    addEventListener("dragover", (event) => event.preventDefault());
-    addEventListener("drop", (event) => {
-      event.preventDefault();
-      void this.openFiles(event.dataTransfer?.files ?? null);
-    });
-    let down: [number, number] | null = null;
-    const picture = $("picture");
-    picture.addEventListener("pointerdown", (event) => (down = [event.clientX, event.clientY]));
-    picture.addEventListener("pointerup", (event) => {
-      if (!down || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
-      const positions = this.view?.facts.kind === "motion" ? this.view.positions : null;
-      const box = picture.getBoundingClientRect();
-      if (positions) this.list.select(this.stage.pick(event.clientX - box.left, event.clientY - box.top, positions, (p) => this.view!.toScene(p)));
-    });
-  }
-
-  private switchTheme(): void {
+  switchTheme(): void {
     this.theme = this.theme === "dark" ? "light" : "dark";
     this.applyTheme();
   }
 
-  private keys(): Record<string, (isShifted: boolean) => void> {
-    const step = (isShifted: boolean) => (isShifted ? Math.round(this.view?.facts.rate ?? 1) : 1);
-    const speed = (change: number) => {
-      const select = $<HTMLSelectElement>("speed");
-      select.selectedIndex = Math.max(0, Math.min(select.options.length - 1, select.selectedIndex + change));
-    };
-    return {
-      " ": () => this.play(!this.isPlaying),
-      ArrowLeft: (isShifted) => this.seek(this.frame - step(isShifted)),
-      ArrowRight: (isShifted) => this.seek(this.frame + step(isShifted)),
-      Home: () => this.seek(0),
-      End: () => this.seek(Infinity),
-      w: () => this.worst(),
-      "[": () => speed(-1),
-      "]": () => speed(1),
-      l: () => this.toggle("loop"),
-      f: () => this.toggle("follow"),
-      t: () => this.toggle("trails"),
-      r: () => this.reset(),
-      g: () => this.setPlace(this.place === "over" ? "beside" : this.place === "beside" ? "off" : "over"),
-      p: () => this.togglePoints(),
-      d: () => this.switchTheme(),
-      o: () => $("files").click(),
-      "?": () => $<HTMLDialogElement>("help").showModal(),
-    };
+  /** Select the point of a motion that is drawn at this place of the picture, pixels. */
+  pick(x: number, y: number): void {
+    const view = this.view;
+    if (view?.facts.kind !== "motion" || !view.positions) return;
+    this.list.select(this.stage.pick(x, y, view.positions, (point) => view.toScene(point)));
   }
 
   /** For tests: the state of the page. */
@@ -417,6 +390,8 @@ class Page {
       recordings: this.views.map((one) => one.facts.name),
       positions: view?.positions ? Array.from(view.positions.slice(0, 300)) : null,
       errors: view ? Array.from(view.errors) : null,
+      marks: view?.facts.marks ?? [],
+      up: view?.facts.up ?? null,
       late: this.late,
       drawn: this.drawn,
     };

@@ -8,7 +8,10 @@ import type { Facts, Media } from "./session.ts";
 const opened = new Map<number, MoczFile>();
 const BINS = 1024;
 const SAMPLED_FRAMES = 24;
-const MOST_GAP_FRAMES = 20_000;
+/** Of longer recordings, opening does not read all chunks for gaps and marks. */
+const MOST_READ_FRAMES = 20_000;
+/** More marks of a kind would fill the timeline from end to end. */
+const MOST_MARKS = 5_000;
 
 /** Priors from a folder beside the page. */
 const priors: PriorLoader = async (id) => {
@@ -30,7 +33,7 @@ export async function fileOf(media: Extract<Media, { type: "mocz" }>): Promise<M
   return openFile(fromBase64(media.base64 ?? ""));
 }
 
-/** The facts about an open file; it decodes a few frames for links and, of short recordings, all for gaps. */
+/** The facts about an open file; it decodes a few frames for links and, of short recordings, all for gaps and marks. */
 export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
   const { info } = file;
   const id = opened.size;
@@ -45,7 +48,9 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
   const points = info.names.length;
   const parents = info.skeleton?.parents;
   const links = parents ? parents.flatMap((p, j) => (p < 0 ? [] : [[Math.min(p, j), Math.max(p, j)] as [number, number]])) : await linksOf(file);
-  const gaps = info.frames <= MOST_GAP_FRAMES ? await gapsOf(file) : [];
+  const isRead = info.frames <= MOST_READ_FRAMES;
+  const gaps = isRead ? await gapsOf(file) : [];
+  const marks = isRead ? await marksOf(file) : [];
   const names = ["max_error", "mean_error", "max_rotation", "size", "ratio", "psnr"];
   const promise = Object.fromEntries(names.flatMap((key) => (typeof info.settings[key] === "number" ? [[key, info.settings[key] as number]] : [])));
   const run = Math.max(1, Math.ceil(info.chunks.length / (2 * BINS)));
@@ -69,7 +74,7 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
     ratio: info.bytes ? (info.frames * points * 12) / info.bytes : null,
     promise,
     chunks,
-    marks: [],
+    marks,
     events,
     signals: [],
     gaps,
@@ -90,6 +95,11 @@ async function linksOf(file: MoczFile): Promise<[number, number][]> {
     sample.push(await file.frames(frame, frame + 1));
   }
   return findLinks(sample, names.length);
+}
+
+async function marksOf(file: MoczFile): Promise<Facts["marks"]> {
+  const kinds = Object.entries(await file.marks()).map(([label, frames]) => ({ label, frames }));
+  return kinds.filter(({ frames }) => frames.length <= MOST_MARKS);
 }
 
 async function gapsOf(file: MoczFile): Promise<number[]> {

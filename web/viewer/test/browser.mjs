@@ -1,6 +1,7 @@
 // Drives a page in Debian's Chromium: node browser.mjs COMMANDS.json prints one JSON value for each command.
 // A command is {"do": "open", "url", "size": [w, h], "theme"} | {"do": "wait", "for"} | {"do": "eval", "code"} |
-// {"do": "processor"} (milliseconds of processor time of the browser so far) | {"do": "press", "key"} | {"do": "click", "selector"} | {"do": "picture", "path"} | {"do": "drop", "files": [path]}.
+// {"do": "processor"} (milliseconds of processor time of the browser so far) | {"do": "press", "key"} | {"do": "click", "selector"} | {"do": "picture", "path"} | {"do": "drop", "files": [path]} |
+// {"do": "choose", "selector", "value"}.
 import { readFileSync, readdirSync } from "node:fs";
 import { chromium } from "playwright-core";
 
@@ -60,6 +61,7 @@ try {
     else if (command.do === "processor") answer = processorTime();
     else if (command.do === "press") await page.keyboard.press(command.key);
     else if (command.do === "click") await page.click(command.selector);
+    else if (command.do === "choose") await page.selectOption(command.selector, command.value);
     else if (command.do === "drop") await page.setInputFiles("#files", command.files);
     else if (command.do === "picture") await page.screenshot({ path: command.path });
     else throw new Error(`unknown command ${command.do}`);

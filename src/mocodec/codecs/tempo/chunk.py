@@ -222,7 +222,8 @@ class ChunkEncoder:
 
     def keeps(self, decoded: Floats, bound: float) -> bool:
         """Whether decoded positions (frames, points, 3) have the gaps, and all samples within the bound (metres)."""
-        if (np.isnan(decoded[..., 0]) != self.apart.missing).any() or not self.errors(decoded).max() <= bound:
+        same_gaps = bool((np.isnan(decoded[..., 0]) == self.apart.missing).all())
+        if not (same_gaps and self.errors(decoded).max(initial=0.0) <= bound):
             return False
         frozen_ = self.apart.frozen
         off = np.sqrt(((self.apart.positions[frozen_] - decoded[frozen_]) ** 2).sum(axis=1))

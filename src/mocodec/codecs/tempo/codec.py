@@ -213,7 +213,7 @@ class Tempo:
             return encoded
         with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
             if self._has_size or sample is None or fallback.is_promising(sample, self.first_step(motion)):
-                encoded = self._or_fallback(encoded, motion)
+                encoded = self._or_fallback(encoded, motion, source)
         with progress.phase(FALLBACK_SHARE, 1.0):
             return self._or_lattice(encoded, motion)
 
@@ -227,11 +227,12 @@ class Tempo:
         found = mean_targets.on_lattice(encoded, motion, self.mean_error, encode, Tempo.decode)
         return replace(found, settings=encoded.settings)
 
-    def _or_fallback(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
+    def _or_fallback(self, encoded: Encoded[Motion], motion: Motion, source: Prepared) -> Encoded[Motion]:
         if self._has_size:
-            return fallback.nearer(encoded, motion, self._wanted_bytes(motion), self.chunk_seconds, decoded_mean_error)
+            size = self._wanted_bytes(motion)
+            return fallback.nearer(encoded, motion, source, size, self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
-        smaller = fallback.smaller(encoded, motion, kind, encoded.settings[kind], self.chunk_seconds)
+        smaller = fallback.smaller(encoded, motion, source, kind, encoded.settings[kind], self.chunk_seconds)
         return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:

@@ -29,7 +29,7 @@ from .chunk import ChunkEncoder
 from .coding.rows import HEADING, step_size
 from .header import StreamHeader
 from .pose import heading
-from .preparation import prepare
+from .preparation import Prepared
 
 LONGEST_CHUNK, LONGEST_SECONDS, LEAST_CHUNK_FRAMES = 2.5, 10.0, 16
 """Chunks may be LONGEST_CHUNK times as long as asked for, up to LONGEST_SECONDS, and always LEAST_CHUNK_FRAMES."""
@@ -104,15 +104,17 @@ def _bits(coefficients: Floats, step_m: float) -> float:
     return float(np.log2(1 + scaled * scaled).sum())
 
 
-def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float, seconds: float) -> Encoded[Motion]:
+def smaller(
+    encoded: Encoded[Motion], motion: Motion, source: Prepared, target: str, wanted: float, seconds: float
+) -> Encoded[Motion]:
     """The encoding given, or hou2014's where that is smaller at the same target.
 
-    target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
+    source: the motion's positions; target: "max_error" or "mean_error", wanted: metres; seconds: length of chunks.
     """
     if len(motion) > LONGEST_FRAMES or motion.points > MOST_POINTS:
         return encoded
     best = encoded
-    filled, smooth = _without_gaps_and_spikes(motion)
+    filled, smooth = _without_gaps_and_spikes(source, motion.up)
     stretch = _stretch(encoded)
     for codec in _candidates(motion, smooth is not filled, target, wanted, _longest_chunk(motion, seconds)):
         near = smooth if codec.max_error else filled
@@ -139,6 +141,7 @@ def smaller(encoded: Encoded[Motion], motion: Motion, target: str, wanted: float
 def nearer(
     encoded: Encoded[Motion],
     motion: Motion,
+    source: Prepared,
     size: int,
     seconds: float,
     mean_error: Callable[[Encoded[Motion], Motion], float],
@@ -148,7 +151,7 @@ def nearer(
     mean_error: of a tempo stream against the motion, metres.
     """
     mean = mean_error(encoded, motion)
-    if mean == 0 or smaller(encoded, motion, "mean_error", mean, seconds) is encoded:
+    if mean == 0 or smaller(encoded, motion, source, "mean_error", mean, seconds) is encoded:
         return encoded
     codec = Hou2014(chunk_frames=_longest_chunk(motion, seconds), ratio=motion.raw_bytes / max(size - 1, 1))
     try:
@@ -208,11 +211,10 @@ def _longest_chunk(motion: Motion, seconds: float) -> int:
     return max(1, min(wanted, most_chunk_frames(motion.points)))
 
 
-def _without_gaps_and_spikes(motion: Motion) -> tuple[Floats, Floats]:
+def _without_gaps_and_spikes(source: Prepared, up: str) -> tuple[Floats, Floats]:
     """Positions with gaps filled, and without spikes too: the same array where there are none."""
-    source = prepare(motion.positions, motion.up, bones=motion.skeleton is not None)
-    filled = heading.from_y_up(source.positions, motion.up)
-    return filled, heading.from_y_up(source.smooth, motion.up) if source.spikes.any() else filled
+    filled = heading.from_y_up(source.positions, up)
+    return filled, heading.from_y_up(source.smooth, up) if source.spikes.any() else filled
 
 
 def _candidates(motion: Motion, has_spikes: bool, target: str, wanted: float, longest: int) -> list[Hou2014]:

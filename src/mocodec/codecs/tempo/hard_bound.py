@@ -12,7 +12,7 @@ once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -154,17 +154,29 @@ class _LatticeTrials:
         return best
 
 
+def _on_lattice(
+    batch: Sequence[ChunkEncoder], drafts: Sequence[Draft | None], trials: _LatticeTrials | None
+) -> Iterator[OnLattice | None]:
+    """What the lattice engine makes of each chunk, None where it is not tried or not possible."""
+    if trials is None:
+        yield from [None] * len(batch)
+    elif any(draft is not None for draft in drafts):
+        yield from map(trials.coded, batch, drafts)
+    else:  # chunks do not depend on each other once the first has shown the stride
+        yield trials.coded(batch[0], None)
+        yield from parallel.over(lambda encoder: trials.coded(encoder, None), batch[1:])
+
+
 def _smallest(
     batch: Sequence[ChunkEncoder], drafts: list[Draft | None], bound: float, trials: _LatticeTrials | None
 ) -> list[bytes]:
     """Payloads of the smaller engine, checked."""
     on_lattice: dict[int, OnLattice] = {}
-    for i, encoder in enumerate(batch):
-        found = None if trials is None else trials.coded(encoder, drafts[i])
+    for i, found in enumerate(_on_lattice(batch, drafts, trials)):
         if found is not None:
             on_lattice[i] = found
         elif drafts[i] is None:
-            drafts[i] = encoder.within_bound(bound, FIRST_OFFSET)
+            drafts[i] = batch[i].within_bound(bound, FIRST_OFFSET)
     drafted = {i: draft for i, draft in enumerate(drafts) if draft is not None}
     by_transform = dict(zip(drafted, chunk.pack([batch[i] for i in drafted], list(drafted.values())), strict=True))
     for i in list(by_transform):

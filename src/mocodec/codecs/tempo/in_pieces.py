@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...encoded import Chunk, about, most_chunk_frames
-from ...errors import BadInput
+from ...errors import BadInput, Corrupt
 from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
@@ -25,6 +25,7 @@ from . import chunk_decoding, engine_choice, fallback, hard_bound, model_choice,
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FALLBACK_MODEL, FROZEN_SHARE, LATTICE_CHUNKS, MOST_CHUNK_SECONDS, Tempo
 from .engine_choice import LatticePlan
+from .header import StreamHeader
 from .models import Recording
 from .pose import heading, leaps
 from .preparation import Prepared, chunk_bounds, prepare
@@ -89,6 +90,8 @@ class PieceEncoder:
         else:
             source, bounds = None, []
             self._chunk_seconds = _chunk_seconds(codec, sample, None)
+            choice = model_choice.without_model(sample)
+        if not _is_readable(choice.header, sample[:0]):
             choice = model_choice.without_model(sample)
         header, self._model = choice.header, choice.model
         if self._plan is not None:
@@ -205,6 +208,15 @@ def joined(motions: Sequence[Motion]) -> Motion:
     turned = [m.rotations for m in motions if m.rotations is not None]
     rotations: Floats | None = np.concatenate(turned) if len(turned) == len(motions) else None
     return replace(motions[0], positions=np.concatenate([m.positions for m in motions]), rotations=rotations)
+
+
+def _is_readable(header: StreamHeader, like: Motion) -> bool:
+    """Whether readers take the model: under a tiny bound its integers exceed what a header may have."""
+    try:
+        header.read_model(like)
+    except Corrupt:
+        return False
+    return True
 
 
 def _chunk_seconds(codec: Tempo, motion: Motion, plan: LatticePlan | None) -> float:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ... import parallel
 from ...errors import CannotEncode, Corrupt
 from ...motion import Motion
 from ...typing import Floats
@@ -135,7 +136,7 @@ def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[fl
     sample = [recording.chunks[i] for i in numbers]
     encoders = [ChunkEncoder(candidate.model, s) for s in sample]
     price_of_error = 1 / (quantise.SLOPE * float(step_size(recording.step)) ** 2)
-    trials = [e.trial(recording.step) for e in encoders]
+    trials = list(parallel.over(lambda e: e.trial(recording.step), encoders))
     bits = sum(t.quantised.bits + price_of_error * t.squared for t in trials)
     scale = recording.frames / max(1, sum(map(len, sample)))
     spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}

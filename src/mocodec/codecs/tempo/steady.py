@@ -43,32 +43,34 @@ class SteadyStep:
     def settle(self, sample: Sequence[ChunkEncoder]) -> None:
         """Search the step at which a sample costs what is allowed."""
         budget = AIM * self._allowed * self._count(sample)
+        finest = target.finest_step(sample)
         for _ in range(SAMPLE_TRIES if budget > 0 else 0):
             over = _excess(self._cost(sample, self.step)[0], budget)
             change = self._way * round(over / self._slope)
             if not change:
                 break
-            self.step = _in_range(self.step + change)
+            self.step = _in_range(self.step + change, finest)
 
     def payloads(self, encoders: Sequence[ChunkEncoder]) -> list[bytes] | None:
         """Payloads of the next block within what is allowed so far; None if no step tried keeps to it."""
         units = self._count(encoders)
         left = self._allowed * (self._units + units) - self._spent
         budget = min(left, MOST_OF_BLOCK * self._allowed * units)
-        step = self.step
+        finest = target.finest_step(encoders)
+        step = _in_range(self.step, finest)
         for _ in range(TRIES):
             cost, make = self._cost(encoders, step)
             over = _excess(cost, budget) if cost > 0 else -1.0
             if over <= 0:
                 break
-            step = _in_range(step + self._way * int(np.ceil(over / self._slope)))
+            step = _in_range(step + self._way * int(np.ceil(over / self._slope)), finest)
         else:
             return None
         self._spent, self._units = self._spent + cost, self._units + units
         if step != self.step:
             self.step += self._way * min(SLOWLY, abs(step - self.step))
         elif self._spent < AIM * self._allowed * self._units:
-            self.step = _in_range(self.step - self._way * SLOWLY)
+            self.step = _in_range(self.step - self._way * SLOWLY, finest)
         return make()
 
 
@@ -129,5 +131,5 @@ def _excess(cost: float, budget: float) -> float:
     return OCTAVE * float(np.log2(max(cost, 1e-12) / max(budget, 1e-12)))
 
 
-def _in_range(step: int) -> int:
-    return int(np.clip(step, target.SMALLEST_STEP, target.LARGEST_STEP))
+def _in_range(step: int, finest: int) -> int:
+    return int(np.clip(step, finest, target.LARGEST_STEP))

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ... import progress
+from ... import parallel, progress
 from ...errors import CannotEncode
 from ...stages import search
 from . import chunk
@@ -81,7 +81,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
         """How much too large the mean error is, 1/32 octave, and the drafts."""
-        drafts = [e.draft(step, slope) for e in of]
+        drafts = list(parallel.over(lambda e: e.draft(step, slope), of))
         error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in of)
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
@@ -141,24 +141,29 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     tried: dict[int, list[bytes]] = {}
 
     def fits(coarseness: int) -> bool:
-        payloads = chunk.pack(encoders, [e.draft(-coarseness) for e in encoders])
+        payloads = chunk.pack(encoders, list(parallel.over(lambda e: e.draft(-coarseness), encoders)))
         if sum(map(len, payloads)) > size:
             return False
         tried.clear()  # only the finest is needed again
         tried[-coarseness] = payloads
         return True
 
-    samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
-    finest = int(np.ceil(OCTAVE * np.log2(max(*samples, 1e-9) / LARGEST_INTEGER)))
+    finest = finest_step(encoders)
     step = search.largest_true(
         progress.attempts(fits, share=0.2),
         -max(finest, COARSE_STEP),
         -LARGEST_STEP,
-        -max(finest, SMALLEST_STEP),
+        -finest,
     )
     if step is None:
         raise CannotEncode(f"even the coarsest step takes more than {size:.0f} bytes")
     return tried[-step]
+
+
+def finest_step(encoders: Sequence[ChunkEncoder]) -> int:
+    """The finest step (log₂ in 1/32 octave) whose integers a chunk holds for all samples of these."""
+    samples = [np.abs(e.positions if e.spectrum is None else e.spectrum).max(initial=0.0) for e in encoders]
+    return max(SMALLEST_STEP, int(np.ceil(OCTAVE * np.log2(max([*samples, 1e-9]) / LARGEST_INTEGER))))
 
 
 def _excess(error: float, target: float) -> float:

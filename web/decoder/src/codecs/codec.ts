@@ -33,4 +33,6 @@ export interface Decoded {
 export interface ChunkDecoder {
   /** Chunk `which` of a window of neighbouring chunks: those within the file's margin around it. */
   decode(window: StoredChunk[], which: number): Decoded;
+  /** Frames of a chunk, counted from its first, at which the codec begins something, by what begins there. Absent: nothing ever does. */
+  marks?(chunk: StoredChunk): Record<string, number[]>;
 }

@@ -124,6 +124,12 @@ export class Hou2014 implements ChunkDecoder {
     return { positions };
   }
 
+  marks({ frames, payload }: StoredChunk): Record<string, number[]> {
+    let start = 0;
+    const clip = this.readClips(new Bytes(payload, "hou2014"), frames).map(({ frames: length }) => (start += length) - length);
+    return { clip };
+  }
+
   private readClips(part: Bytes, frames: number): Clip[] {
     const lengths: number[] = [];
     if (this.flags & ADAPTIVE) {

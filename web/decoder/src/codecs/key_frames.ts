@@ -35,7 +35,7 @@ export class Track {
 
   /** keys ascending; values (keys, lanes). */
   constructor(
-    private readonly keys: number[],
+    readonly keys: number[],
     private readonly values: Float64Array,
     private readonly lanes: number,
   ) {

@@ -96,6 +96,14 @@ export class Liu2006 implements ChunkDecoder {
     return { positions };
   }
 
+  /** Key frames are those of any group of markers. */
+  marks(chunk: StoredChunk): Record<string, number[]> {
+    const { frames, before, markers, groups } = this.segment(chunk);
+    const keys = [...markers.keys, ...groups.flatMap(({ track }) => track.keys.map((key) => key - before))];
+    const inside = [...new Set(keys)].filter((key) => key >= 0 && key < frames);
+    return { segment: [0], "key frame": inside.sort((a, b) => a - b) };
+  }
+
   /** A segment, read once while its payload is at hand. */
   private segment({ frames, payload }: StoredChunk): Segment {
     let segment = this.segments.get(payload);

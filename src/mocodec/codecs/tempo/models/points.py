@@ -16,7 +16,6 @@ from ....fields import Record, array, raw, signed, sized
 from ....motion import Motion
 from ....typing import Floats, Integers
 from ..coding.rows import step_size
-from ..pose import heading
 from . import marker_fitting, prior, stored_basis
 from .coordinates import PointCoordinates
 from .markers_on_bones import MarkersOnBones
@@ -29,7 +28,6 @@ BY_NAME, ON_BONES = 0, 1
 """First byte of a model with the prior. Never change them."""
 POSE_COARSER = 64
 """The mean pose is rounded to steps of Δ/√frames, made coarser by this (1/32 octave)."""
-POSE_FRAMES = 2000
 FINER_STEPS = (0, 32)
 """A stored basis is rounded for the step, or for one finer by this (1/32 octave)."""
 
@@ -134,9 +132,7 @@ def fit_stored(recording: Recording) -> Iterator[FittedModel]:
 def stored_points(recording: Recording, step: int) -> StoredPoints:
     """Mean pose and basis of the recording, rounded for this step (log₂, 1/32 octave)."""
     known, noise = prior.for_points(), stored_basis.noise_step(step, recording.frames)
-    centred = np.concatenate([p - p.mean(axis=1, keepdims=True) for p in recording.chunks])
-    mean = heading.mean_pose(centred[:: max(1, recording.frames // POSE_FRAMES)])
-    pose = np.rint(mean / step_size(noise + POSE_COARSER)).astype(np.int64)
+    pose = np.rint(recording.mean_pose / step_size(noise + POSE_COARSER)).astype(np.int64)
     coordinates = PointCoordinates(_metres(pose, noise))
     fitted = stored_basis.fit(recording.chunks, coordinates, known, recording.like.rate, step, _nearest_before(pose))
     return StoredPoints(known, noise, pose, fitted)

@@ -7,9 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import numpy as np
+
 from ....motion import Motion
 from ....typing import Floats
+from ..pose import heading
 from .model import Model
+
+POSE_FRAMES = 2000
+"""Enough for the mean pose of a recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +32,12 @@ class Recording:
     @cached_property
     def frames(self) -> int:
         return sum(map(len, self.chunks))
+
+    @cached_property
+    def mean_pose(self) -> Floats:
+        """Of at most about `POSE_FRAMES` frames, (points, 3), metres, centred, each frame turned to it."""
+        some = np.concatenate(self.chunks)[:: max(1, self.frames // POSE_FRAMES)]
+        return heading.mean_pose(some - some.mean(axis=1, keepdims=True))
 
 
 class FittedModel(Protocol):

@@ -9,6 +9,7 @@ component of the same rank, times one stored gain.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -134,15 +135,15 @@ def fit_spectra(
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
     shapes = _shapes(prior.joints.statistics, count + 1)
-    gains = [_gain([s @ v for s in spectra], rate, g) for v, g in zip(vectors[:, :count].T, shapes, strict=False)]
+    gains = _gains([s @ vectors[:, :count] for s in spectra], rate, shapes[:count])
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors[:, :count], precision, similar)
     stored = basis.unpack(packed, len(vectors), precision, similar)
-    last = gains[-1]
+    last = gains[-1:]
     if others := len(vectors) - count:
         rest = [s - (s @ stored) @ stored.T for s in spectra]
-        last = _gain([np.sqrt((part**2).sum(axis=1) / others) for part in rest], rate, shapes[-1])
-    return StoredBasis(np.rint(np.array([*gains, last]) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
+        last = _gains([np.sqrt((part**2).sum(axis=1, keepdims=True) / others) for part in rest], rate, shapes[-1:])
+    return StoredBasis(np.rint(np.append(gains, last) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
 
 
 def _principal(spectra: Sequence[Floats], frames: int) -> tuple[Floats, Floats]:
@@ -161,12 +162,16 @@ def _shapes(known: Statistics, count: int) -> Integers:
     return spreads[rank] - spreads[rank][:, GAIN_FREQUENCY : GAIN_FREQUENCY + 1]
 
 
-def _gain(curves: Sequence[Floats], rate: float, shape: Integers) -> float:
-    """How much stronger than its shape a component's spectra (one a chunk) are, 1/32 octave."""
-    measured, expected = 1e-9, 1e-9
-    for c in curves:
-        hertz = np.arange(len(c)) * rate / (2 * len(c))
+def _gains(curves: Sequence[Floats], rate: float, shapes: Integers) -> Floats:
+    """How much stronger than their shapes components' spectra (frames, components), one a chunk, are, 1/32 octave."""
+    measured, expected = np.full(len(shapes), 1e-9), np.full(len(shapes), 1e-9)
+    for length, chunks in Counter(map(len, curves)).items():
+        hertz = np.arange(length) * rate / (2 * length)
         here = (hertz > FITTED_HZ[0]) & (hertz < FITTED_HZ[1])
-        measured += np.abs(c[here]).sum() / np.sqrt(rate / 120)
-        expected += (2.0 ** (np.interp(hertz[here] * 1000, contexts.BANDS_MHZ, shape) / contexts.OCTAVE)).sum()
-    return float(contexts.OCTAVE * np.log2(measured / expected))
+        known, which = np.unique(shapes, axis=0, return_inverse=True)
+        levels = [2.0 ** (np.interp(hertz[here] * 1000, contexts.BANDS_MHZ, s) / contexts.OCTAVE) for s in known]
+        expected += chunks * np.array([level.sum() for level in levels])[which.ravel()]
+        for c in curves:
+            if len(c) == length:
+                measured += np.abs(c[here]).sum(axis=0) / np.sqrt(rate / 120)
+    return contexts.OCTAVE * np.log2(measured / expected)

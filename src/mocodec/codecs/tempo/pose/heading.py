@@ -33,10 +33,13 @@ def from_y_up(positions: Floats, up: str) -> Floats:
 
 def heading(centred: Floats, mean_pose: Floats) -> Floats:
     """Rotation about y, radians, unwrapped, that brings the mean pose (points, 3) nearest to each frame."""
-    x, z = centred[..., 0], centred[..., 2]
+    return np.unwrap(_headings(centred[..., 0], centred[..., 2], mean_pose))
+
+
+def _headings(x: Floats, z: Floats, mean_pose: Floats) -> Floats:
     cosine = x @ mean_pose[:, 0] + z @ mean_pose[:, 2]
     sine = x @ mean_pose[:, 2] - z @ mean_pose[:, 0]
-    return np.unwrap(np.arctan2(sine, cosine))
+    return np.arctan2(sine, cosine)
 
 
 def rotate(points: Floats, angle: Floats) -> Floats:
@@ -56,7 +59,11 @@ def align(centred: Floats, mean_pose: Floats) -> Floats:
 
 def mean_pose(centred: Floats, rounds: int = 10) -> Floats:
     """The mean (points, 3) of all frames, each rotated to it (generalised Procrustes analysis)."""
+    x, z = np.ascontiguousarray(centred[..., 0]), np.ascontiguousarray(centred[..., 2])
+    height = centred[..., 1].mean(axis=0)
     pose = centred[len(centred) // 2]
     for _ in range(rounds):
-        pose = align(centred, pose).mean(axis=0)
+        angle = _headings(x, z, pose)
+        c, s = np.cos(angle) / len(centred), np.sin(angle) / len(centred)
+        pose = np.stack([c @ x - s @ z, height, c @ z + s @ x], axis=1)
     return pose

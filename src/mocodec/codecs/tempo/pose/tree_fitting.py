@@ -21,6 +21,8 @@ MOST_POINTS = 128
 """A tree is searched among at most this many points."""
 LOOSE_SHARE = 0.01
 """A bone is rigid, and a tree represents poses, if fewer than this share of the samples exceed the tolerance."""
+PROBED_FRAMES, PROBE_TOLERANCE, PROBE_SHARE = 64, 1.5, 5 * LOOSE_SHARE
+"""Points that are not linked even in few poses, by wider limits, form no tree."""
 RIGID_RAD = 1e-4
 """Bones of one joint whose angle never varies by more than this form a hub."""
 SPREAD_SINE = 0.05
@@ -42,9 +44,29 @@ def trees(poses: Floats, skeleton: Skeleton | None, tolerance_m: float) -> Itera
 
 def _rigid_tree(poses: Floats, tolerance_m: float) -> tuple[int, ...] | None:
     """Parent of each point in the minimum spanning tree of rigid links (Prim), or None if they do not span."""
-    apart = np.sqrt(((poses[:, :, None] - poses[:, None]) ** 2).sum(axis=3))
-    usual = np.median(apart, axis=0)
-    rigid = (np.abs(apart - usual) > tolerance_m).mean(axis=0) < LOOSE_SHARE
+    if len(poses) > 2 * PROBED_FRAMES:
+        probe = poses[:: len(poses) // PROBED_FRAMES]
+        if _spanning(*_rigid_links(probe, PROBE_TOLERANCE * tolerance_m, PROBE_SHARE)) is None:
+            return None
+    return _spanning(*_rigid_links(poses, tolerance_m, LOOSE_SHARE))
+
+
+def _rigid_links(poses: Floats, tolerance_m: float, loose_share: float) -> tuple[Floats, Booleans]:
+    """Median distances (points, points), metres, and which of them vary by more than the tolerance in few samples."""
+    points = poses.shape[1]
+    a, b = np.triu_indices(points, 1)
+    x, y, z = (np.ascontiguousarray(poses[..., axis].T) for axis in range(3))
+    apart = np.sqrt((x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2 + (z[a] - z[b]) ** 2)
+    median = np.median(apart, axis=1)
+    loose = (np.abs(apart - median[:, None]) > tolerance_m).mean(axis=1)
+    usual, rigid = np.zeros((points, points)), np.eye(points, dtype=bool)
+    usual[a, b] = usual[b, a] = median
+    rigid[a, b] = rigid[b, a] = loose < loose_share
+    return usual, rigid
+
+
+def _spanning(usual: Floats, rigid: Booleans) -> tuple[int, ...] | None:
+    """The minimum spanning tree over rigid links of these lengths (points, points)."""
     cost = np.where(rigid, usual, np.inf)
     root = int(usual.sum(axis=0).argmin())
     parents = np.full(len(cost), -1)
