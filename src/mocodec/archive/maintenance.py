@@ -6,13 +6,14 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from .. import api
 from ..errors import BadInput, Corrupt, MocodecError
+from ..file_range import FileRange
 from . import catalogue as catalogue_
 from . import encoding, remote, shards
 from .building import Builder, Report, make_folder
@@ -163,8 +164,9 @@ def repair(where: Path_) -> Report:
     """Make a new catalogue from the shards, in place of one that is lost or damaged, which is kept beside it.
 
     What only the catalogue said, where recordings came from and their errors, is kept where the old catalogue can be
-    read and the recording is the same, and lost otherwise: then a build codes the sources again. Removed recordings
-    come back; of a name that occurs twice, the last stays. Raises BadInput.
+    read and the recording is the same, and lost otherwise: then a build codes the sources again. A recording that the
+    shard alone does not give, since its block or a place before it is damaged, is read with the old catalogue. Removed
+    recordings come back; of a name that occurs twice, the last stays. Raises BadInput.
     """
     folder = existing(where, "shards")
     with only_builder(folder):
@@ -175,16 +177,10 @@ def repair(where: Path_) -> Report:
         try:
             with catalogue.transaction():
                 for number, path in shards.numbered(folder).items():
-                    counted, blocks = 0, list[bytes]()
-                    try:
-                        shards.require_file(path)
-                        for found in shards.entries(path, blocks):
-                            _recover(catalogue, found, known, report)
-                            counted = found.place.start + found.place.stored_bytes
-                    except MocodecError as error:
-                        report.failed.append((path.name, str(error)))
-                    catalogue.put_blocks({number: blocks})
-                    catalogue.put_shards({number: counted})
+                    _recover_shard(catalogue, number, path, known, report)
+                for name, entry in known.entries.items():
+                    if not shards.path_of(folder, entry.row.shard).exists():
+                        report.failed.append((name, f"its shard {entry.row.shard:06}.mocs is missing"))
         finally:
             catalogue.close()
         old = folder / catalogue_.NAME
@@ -196,41 +192,91 @@ def repair(where: Path_) -> Report:
     return report
 
 
-Known = dict[str, tuple[Row, dict[str, Any]]]
+@dataclass(frozen=True)
+class Known:
+    """What the old catalogue says: sound recordings by name, and the options of their coding by name."""
+
+    entries: dict[str, Entry] = field(default_factory=dict[str, Entry])
+    options: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
 
 
 def _known(folder: Path) -> Known:
-    """The sound rows of the old catalogue by name, with the options of their coding; none if it is damaged."""
-    known: Known = {}
+    """The recordings of the old catalogue; none if it is damaged."""
+    known = Known()
     try:
         with open_archive(folder) as old:
             for row in old.rows_or_problems():
                 if not isinstance(row, tuple):
-                    known[row.name] = row, old.catalogue.options(row.options)
+                    known.entries[row.name] = old.entry_of(row)
+                    known.options[row.name] = old.catalogue.options(row.options)
     except MocodecError:
-        return {}
+        return Known()
     return known
 
 
-def _recover(catalogue: Catalogue, found: shards.Found, known: Known, report: Report) -> None:
-    """Put the row of one entry of a shard into the new catalogue."""
-    name = found.name
+def _recover_shard(catalogue: Catalogue, number: int, path: Path, known: Known, report: Report) -> None:
+    """Put the recordings of a shard into the new catalogue: those that it names, then others that are known."""
+    counted, blocks, failed = 0, list[bytes](), dict[str, str]()
+    problem = ""
     try:
-        with api.open(found.bytes) as file:
-            facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
-        content = encoding.content_hash(encoding.bytes_of(found.bytes))
+        shards.require_file(path)
+        for found in shards.entries(path, blocks):
+            counted = found.place.start + found.place.stored_bytes
+            try:
+                _recover(catalogue, found.name, found.place, found.bytes, known, report)
+            except MocodecError as error:
+                failed[found.name] = str(error).removeprefix(f"{found.name}: ")
+    except Corrupt as error:
+        problem = str(error)
     except MocodecError as error:
-        report.failed.append((name, str(error).removeprefix(f"{name}: ")))
+        report.failed.append((path.name, str(error)))
         return
+    is_file = path.is_file() and not path.is_symlink()
+    for entry in known.entries.values():
+        row = entry.row
+        if not is_file or row.shard != number:
+            continue
+        there = catalogue.row(row.name)
+        if there is not None and there.content == row.content:
+            continue
+        place = shards.Place(row.shard, row.start, row.stored_bytes, row.block)
+        try:
+            _recover(catalogue, row.name, place, entry.place, known, report, row.content)
+        except MocodecError as error:
+            failed[row.name] = str(error).removeprefix(f"{entry.folder}: {row.name}: ")
+            continue
+        failed.pop(row.name, None)
+        counted = max(counted, row.start + row.stored_bytes)
+        if entry.block is not None:
+            blocks += [entry.block] * (row.block - len(blocks))
+            blocks[row.block - 1] = entry.block
+    if problem:
+        report.failed.append((path.name, problem))
+    report.failed += failed.items()
+    catalogue.put_blocks({number: blocks})
+    catalogue.put_shards({number: counted})
+
+
+def _recover(
+    catalogue: Catalogue, name: str, place: shards.Place, source: FileRange, known: Known, report: Report,
+    content: str | None = None,
+) -> None:  # fmt: skip
+    """Put the row of one recording into the new catalogue. content: the hash that it must have. Raises MocodecError."""
+    with api.open(source) as file:
+        facts = {**encoding.facts_of_name(name), **encoding.facts_of(file)}
+    hash_ = encoding.content_hash(encoding.bytes_of(source))
+    if content is not None and hash_ != content:
+        raise Corrupt("these are not the bytes that were written")
     facts |= {"path": name, "origin": "", "source_hash": "", "source_bytes": 0, "source_time_ns": 0}
-    row, options = known.get(name, (None, Options().stored()))
-    if row is not None and row.content == content:
-        facts |= {column: getattr(row, column) for column in KEPT}
-    else:
-        options = Options().stored()
+    options = Options().stored()
+    old = known.entries.get(name)
+    if old is not None and old.row.content == hash_:
+        facts |= {column: getattr(old.row, column) for column in KEPT}
+        options = known.options[name]
+    if catalogue.row(name) is None:
+        report.added.append(name)
     number = catalogue.option_number(options)
-    catalogue.put(Row(**facts, options=number, content=content, **asdict(found.place)))
-    report.added.append(name)
+    catalogue.put(Row(**facts, options=number, content=hash_, **asdict(place)))
 
 
 def existing(where: Path_, needs: str = catalogue_.NAME) -> Path:

@@ -376,8 +376,9 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
 def repair(db: str) -> int:
     """Make a lost or damaged catalogue again from the shards.
 
-    Names and recordings come back. Measured errors and where recordings came from are only in the catalogue: they are
-    kept if it can still be read.
+    Names and recordings come back, removed ones too; damaged recordings are listed and dropped. Measured errors and
+    where recordings came from are only in the catalogue: they are kept if it can still be read. The old catalogue stays
+    as catalogue.damaged.
     """
     report = archive.repair(db)
     return print_report(db, report, False, False)
