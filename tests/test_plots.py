@@ -41,3 +41,18 @@ def test_draws(tmp_path: Path, frames: int, gaps: bool, draw: object) -> None:
 def test_other_suffixes(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"\.png"):
         plots.save(plots.errors(motion(), motion()), tmp_path / "a.doc")
+
+
+def test_poses_of_frames_without_points_and_far_above_the_ground() -> None:
+    far = motion()
+    positions = far.positions + np.array([0.0, 50.0, 0.0])
+    positions[:30] = np.nan
+    picture = plots.poses(Motion(positions, 100, far.names, "y"))
+    (axes,) = picture.axes
+    left, right = axes.get_xlim()
+    low, high = axes.get_ylim()
+    for text in axes.texts:
+        x, y = text.xy  # type: ignore[attr-defined]
+        assert left <= x <= right
+        assert low <= y <= high
+    assert len(axes.texts) == 7

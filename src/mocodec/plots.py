@@ -215,10 +215,11 @@ def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) 
     """Poses of both motions at these frames side by side, with their times below."""
     links_ = links.links(original)
     view = views.directions(original.positions, original.up, TILT)[:2]
-    heights = [np.ptp(pose[~np.isnan(pose)]) for pose in (original.positions[frames] @ view[1])[:, None] if pose.size]
+    levels = original.positions[frames] @ view[1]
+    heights = [np.ptp(level[~np.isnan(level)]) for level in levels if not np.isnan(level).all()]
     spacing = 0.75 * max(heights, default=1.0)
     styles = ((original, {"color": FAINT, "linewidth": 3.5}), (decoded, {"color": OURS, "linewidth": 1.0}))
-    lowest = 0.0
+    lowest = np.inf
     for place, frame in enumerate(frames):
         middle = np.nanmean(original.positions[frame], axis=0) if not original.gaps[frame].all() else np.zeros(3)
         height = np.where(np.arange(3) == "xyz".index(original.up), middle, 0.0) @ view[1]
@@ -226,6 +227,9 @@ def draw_poses(axes: Axes, original: Motion, decoded: Motion, frames: Integers) 
             flat = (motion.positions[frame] - middle) @ view.T + [spacing * place, height]
             lowest = min(lowest, np.nanmin(flat[:, 1], initial=lowest))
             draw_pose(axes, flat, links_, style)
+    lowest = lowest if np.isfinite(lowest) else 0.0
+    axes.update_datalim([(0.0, lowest), (spacing * (len(frames) - 1), lowest)])  # no time is cut off
+    axes.autoscale_view()
     for place, frame in enumerate(frames):
         axes.annotate(
             f"{frame / original.rate:.1f} s",

@@ -35,7 +35,7 @@ struct Tree {
 // A model's coordinates. Columns of curves are the coordinates of the pose, heading, place.
 struct Shape {
     size_t points = 0, dimensions = 0, columns = 0;  // columns: those of curves, a multiple of PANEL
-    std::vector<std::vector<double>> bases;          // of each band, (components, columns)
+    std::vector<std::shared_ptr<const std::vector<double>>> bases; // of each band, (components, columns)
     std::vector<double> pose;                        // (points, 3), for positions
     std::unique_ptr<Tree> tree;                      // for directions of bones
     std::vector<double> weights;                     // (points,), or none
@@ -126,7 +126,7 @@ private:
         while (at != end) {
             const size_t frequency = at->frequency;
             while (frequency >= band_ends_[band]) ++band;
-            const double *basis = of_.bases[band].data();
+            const double *basis = of_.bases[band]->data();
             std::fill_n(row, columns, 0.0);
             for (; at != end && at->frequency == frequency && at->row < POSE; ++at)
                 row[of_.dimensions + at->row] = double(at->value) * (at->row == HEADING ? heading_step_ : step_m_);

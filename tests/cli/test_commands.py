@@ -46,6 +46,11 @@ def test_the_summary_names_the_parts_of_a_file_with_signals(
     assert found is not None, text
     total, of, *parts = (int(number.replace(",", "")) for number in found.groups())
     assert (total, of, sum(parts)) == (stored, source, stored)
+    facts = json.loads(command("info", "x.mocz", "--json").out)
+    assert facts["motion_bytes"] == parts[0]
+    assert f"{facts['motion_ratio']:.1f} : 1 against float32" in text
+    command("encode", "walk.c3d", "-o", "y.mocz", "--codec", LOSSY, "--bare")
+    assert "motion_ratio" not in json.loads(command("info", "y.mocz", "--json").out)
 
 
 @pytest.mark.parametrize("target", ["--ratio=30", "--size=900"])

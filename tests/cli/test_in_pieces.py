@@ -58,3 +58,26 @@ def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> N
     assert done.code == 3
     assert "whole recording at once" in done.err
     assert not (tmp_path / "x.mocz").exists()
+
+
+def test_guesses_are_said_as_without_pieces(command: Command, recording: Path, tmp_path: Path) -> None:
+    guessed = tmp_path / "plain.npy"
+    np.save(guessed, mc.read(recording, mc.Motion).positions)
+    done = [
+        command("encode", guessed, "-o", tmp_path / "x.mocz", "--rate", "120", how)
+        for how in ("--in-pieces", "--at-once")
+    ]
+    notes = [[line for line in one.err.splitlines() if line.startswith("note: ")] for one in done]
+    assert notes[0] == notes[1]
+    assert "guessed: up" in notes[0][0]
+
+
+def test_files_of_a_folder(command: Command, recording: Path, tmp_path: Path) -> None:
+    folder, out, whole = tmp_path / "days", tmp_path / "out", tmp_path / "whole"
+    folder.mkdir()
+    recording.rename(folder / "day.npz")
+    mc.write(folder / "walk.c3d", synthetic.markers(frames=20, seed=4))  # cannot be read in pieces
+    assert command("encode", folder, "-o", out, "--max-error", "3mm", "--in-pieces").code == 0
+    assert command("encode", folder, "-o", whole, "--max-error", "3mm").code == 0
+    assert (out / "walk.mocz").read_bytes() == (whole / "walk.mocz").read_bytes()
+    assert command("verify", out, "--against", folder).code == 0

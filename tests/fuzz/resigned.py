@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 
 from mocodec import container
+from mocodec.container.stored_signals import StoredSignal
 from mocodec.container.wire import checksum
 from mocodec.encoded import Chunk
 from mocodec.errors import MocodecError
@@ -48,13 +51,27 @@ def _blobs(data: bytes, random: np.random.Generator) -> bytes | None:
 
 
 def _in_place(data: bytes, random: np.random.Generator) -> bytes:
-    """Bytes of the header, the extras, the signals, a chunk or the index replaced, with the checksum of that part."""
+    """Bytes of the header, the extras, a chunk of a signal or of motion, or the index replaced, with the checksum of
+    that part."""
     with container.Reader(data) as reader:
         at = reader.layout
-        edges = [*reader.chunks.offsets]
+        edges = [*reader.chunks.offsets, *(at.signals + offset for offset in _signal_chunks(reader))]
     edges = sorted({0, at.extras, at.signals, at.chunks, *edges, at.end})
     parts = [*pairwise(edges)]
     parts = [(a, b) for a, b in parts if b - a > CRC]
     a, b = parts[random.integers(len(parts))]
     body = mutations.same_length(data[a : b - CRC], random)
     return data[:a] + body + checksum(body) + data[b:]
+
+
+def _signal_chunks(reader: container.Reader) -> list[int]:
+    """Where in the signals' part of a file each chunk begins."""
+    return [offset for signal in _signals(reader.encoded.about.extras) for offset in signal.stored.offsets]
+
+
+def _signals(tree: Mapping[str, Any]) -> Iterator[StoredSignal]:
+    for value in tree.values():
+        if isinstance(value, StoredSignal):
+            yield value
+        elif isinstance(value, Mapping):
+            yield from _signals(cast("Mapping[str, Any]", value))

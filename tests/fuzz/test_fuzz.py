@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mocodec as mc
 from mocodec import native
 from mocodec.errors import MocodecError
 
@@ -57,6 +58,19 @@ def test_mutations_and_motions_are_the_same_each_time() -> None:
         first, second = (mutate(data, np.random.default_rng(3)) for _ in range(2))
         assert first == second != data
     assert np.array_equal(motions.motion(11).positions, motions.motion(11).positions, equal_nan=True)
+
+
+def test_every_chunk_of_a_signal_has_its_checksum_after_damage() -> None:
+    data = seeds.containers()["golden-signals-exact"]
+    refusals: list[str] = []
+    for seed in range(60):
+        try:
+            with mc.open(resigned.mutate(data, np.random.default_rng(seed))) as file:
+                file.verify()
+        except MocodecError as error:
+            refusals.append(str(error))
+    assert refusals
+    assert not any("of a signal are damaged" in text for text in refusals)
 
 
 def test_a_worker_reports_each_kind_of_outcome(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,6 +96,19 @@ def comparison(a: PointClouds, b: PointClouds, stored: int | None, body: Motion 
     return result
 
 
+LABELS = {
+    "measured_frames": "frames measured below",
+    "d1_m": "D1",
+    "d2_m": "D2",
+    "d1_db": "D1, PSNR",
+    "d2_db": "D2, PSNR",
+    "y_psnr_db": "luma, PSNR",
+    "views_psnr_db": "views, PSNR",
+    "floor_m": "resampling floor of D1",
+}
+"""Of measures in lines; others are named as in JSON."""
+
+
 def as_text(result: Mapping[str, Any], as_json: bool) -> str:
     """A comparison as JSON or as lines; a measure that does not apply (NaN) is null or left out."""
     if as_json:
@@ -110,5 +123,5 @@ def as_text(result: Mapping[str, Any], as_json: bool) -> str:
         elif not (isinstance(value, float) and math.isnan(value)):  # without colours, luma has no error
             text = f"{value:.2f} dB" if name.endswith("_db") else f"{value:.6g}"
             text = quantities.length(value) if name.endswith("_m") and math.isfinite(value) else text
-            lines.append(f"{name.removesuffix('_m').removesuffix('_db'):16}{text}")
+            lines.append(f"{LABELS.get(name, name.removesuffix('_m').replace('_', ' ')):24}{text}")
     return "\n".join(lines)

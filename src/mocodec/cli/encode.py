@@ -115,7 +115,7 @@ def command(
         refuse_settings(codec, settings, targets)
         found = many.find(sources, formats.FORMATS)
         outputs = many.output_names(found, {source.path: files.SUFFIX for source in found})
-        work = many.Settings({**chosen, **files.given(**options)}, jobs, again, as_json, quiet)
+        work = many.Settings({**chosen, **files.given(pieces=pieces, **options)}, jobs, again, as_json, quiet)
         return many.run("encode", found, outputs, output, work)
     source = sources[0]
     if output == "-":
@@ -123,7 +123,10 @@ def command(
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
     record = in_pieces.encoded(source, output, pieces, chosen, files.given(**options))
-    if record is None:
+    if record is not None:
+        for text in record.pop("notes"):
+            files.note(source, text)
+    else:
         _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
         files.write_bytes(output, blob)
     if Path(source).is_file():
@@ -135,10 +138,23 @@ def command(
     return None
 
 
-def one(source: str, where: str, may_replace: bool = True, **chosen: Any) -> dict[str, Any]:
-    """Encode one of many files to `where`; returns its record for the summary."""
-    recording, record, blob = encoded(source, **chosen, quiet=True)
+NOT_OF_READERS = ("codec", "settings", "targets", "bare", "signal_error", "prior")
+"""Choices of `command` that are no options of readers."""
+
+
+def one(
+    source: str, where: str, may_replace: bool = True, pieces: bool | None = None, **chosen: Any
+) -> dict[str, Any]:  # fmt: skip
+    """Encode one of many files to `where`; returns its record for the summary.
+
+    pieces: as asked for by the user; of formats that cannot be read in pieces, a file is encoded at once.
+    """
     Path(where).parent.mkdir(parents=True, exist_ok=True)
+    asked = pieces if formats.can_read_blocks(source) else None
+    options = {name: value for name, value in chosen.items() if name not in NOT_OF_READERS}
+    if (record := in_pieces.encoded(source, where, asked, chosen, options)) is not None:
+        return record
+    recording, record, blob = encoded(source, **chosen, quiet=True)
     files.write_bytes(where, blob)
     kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
     lost = api.not_kept(recording, kind)

@@ -24,7 +24,8 @@ LARGE_BYTES = 1 << 28
 def encoded(
     source: str, output: str, asked: bool | None, chosen: Mapping[str, Any], options: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Encode in pieces; the record, as of `encode.measures`. None, and nothing written, for a file encoded at once.
+    """Encode in pieces; the record, as of `encode.measures`, with notes. None, and nothing written, for a file that is
+    to be encoded at once.
 
     asked: --in-pieces or --at-once, None if neither is given. chosen: codec, settings, targets and other choices of the
     command. options: those of readers. Raises BadInput, CannotEncode, and a usage error where the user asks for what is
@@ -68,8 +69,6 @@ def _written(source: str, output: str, blocks: formats.Blocks, codec: Any, prior
     targets = {name: value for name in TARGETS if (value := getattr(codec, name, None)) is not None}
     with files.working(f"encoding {source} with {codec.name}"), own_prior.used(prior):
         written = api.encode_blocks(blocks, output, codec, **targets)
-    for text in blocks.about.source.get("notes", ()):
-        files.note(source, str(text))
     raw = written.frames * written.points * 12
     return {
         "codec": codec.name,
@@ -83,4 +82,5 @@ def _written(source: str, output: str, blocks: formats.Blocks, codec: Any, prior
         "mean_error": written.mean_error,
         "max_error": written.max_error,
         "samples": written.samples,
+        "notes": formats.notes(blocks.about),
     }

@@ -59,9 +59,22 @@ def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
         with api.open(files.source_of(source)) as opened:
             notes = formats.notes(opened.encoded.about)
             uses = {} if files.is_url(source) else bytes_by_use(opened.encoded)
-            facts = {**opened.info, **({"bytes_by_use": uses} if uses else {})}
+            facts = {**with_motion(opened.info), **({"bytes_by_use": uses} if uses else {})}
             return {**facts, **({"notes": notes} if notes else {})}
     return facts_of(files.read(source, **options))
+
+
+def with_motion(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """The facts of a .mocz; behind the ratio also that of the motion, where signals and extras take a notable share."""
+    parts, raw = facts["bytes_by_part"], facts["raw_bytes_float32"]
+    beside = parts["extras"] + parts["signals"]
+    if not raw or beside <= facts["bytes"] / 100:
+        return dict(facts)
+    motion = {"motion_bytes": facts["bytes"] - beside, "motion_ratio": raw / (facts["bytes"] - beside)}
+    found: dict[str, Any] = {}
+    for name, value in facts.items():
+        found |= {name: value} | (motion if name == "ratio" else {})
+    return found
 
 
 def bytes_by_use(encoded: Encoded[Any]) -> dict[str, int]:

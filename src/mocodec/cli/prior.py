@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from pathlib import Path
 
 import click
 
@@ -47,6 +48,7 @@ def train(
     """
     if not output.endswith(".prior"):
         raise click.UsageError(f"{output}: the name of a prior ends in .prior")
+    Path(output).parent.mkdir(parents=True, exist_ok=True)
     with (
         archive.open_archive(db) as opened,
         archive.dask_cluster(dask) if dask else nullcontext() as executor,

@@ -24,7 +24,6 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed in range(4):
         mc.write(folder / f"raw/take_{seed}.bvh", figure(frames=120, seed=seed))
     archive.build(folder / "raw", folder / "db", archive.Options("lossless"))
-    (folder / "priors").mkdir()
     assert cli.run(["prior", "train", str(folder / "db"), "-o", str(folder / "priors/mine.prior")]) == 0
     return folder
 

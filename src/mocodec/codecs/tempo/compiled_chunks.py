@@ -92,7 +92,8 @@ def _made(name: str, *arguments: Any) -> Any:
 
 def _of_model(model: Model) -> Any:
     weights = np.zeros(0) if model.weights is None else model.weights
-    bases = [np.ascontiguousarray(basis) for basis in model.synthesis_bases]
+    copied = {id(basis): np.ascontiguousarray(basis) for basis in model.synthesis_bases}  # bands may share a basis
+    bases = [copied[id(basis)] for basis in model.synthesis_bases]
     coordinates = model.coordinates
     decoder = _made("ChunkDecoder", model.tables.frequencies, *contexts.constants(), bases, coordinates.pose, weights)
     if isinstance(coordinates, DirectionCoordinates):

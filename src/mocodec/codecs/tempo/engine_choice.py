@@ -34,7 +34,8 @@ SAMPLE_OFFSET = 28
 CERTAIN = 0.68
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
 MANY_POINTS = 256
-"""Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit."""
+"""Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit. It
+is used alone only where it is smaller in the sample, whose few frames say little about the recording."""
 LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
@@ -99,7 +100,8 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     transform = _transform_bytes(motion, source, some, bound, step)
     sampled = some.stop - some.start
     rise = ALONE_PER_OCTAVE * np.log2(len(motion) / sampled)
-    alone = bool(cost < (ALONE + rise) * transform)
+    limit = ALONE + rise if motion.points <= MANY_POINTS else min(ALONE + rise, 1.0)
+    alone = bool(cost < limit * transform)
     certain = sampled >= FEWEST_FRAMES and bool(cost < (CERTAIN + rise) * transform)
     certain = certain or (alone and motion.points > MANY_POINTS)
     return LatticePlan(lambda: (found, stride), alone, certain)

@@ -80,7 +80,8 @@ class DirectionCoordinates:
 
     def unscaled(self, bases: tuple[Floats, ...]) -> tuple[Floats, ...]:
         """Bases that undo `scale` too."""
-        return tuple(b @ self._inverse_root for b in bases)
+        unscaled = {id(b): b @ self._inverse_root for b in bases}  # bands may share a basis
+        return tuple(unscaled[id(b)] for b in bases)
 
 
 Coordinates = PointCoordinates | DirectionCoordinates
