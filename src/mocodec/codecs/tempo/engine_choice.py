@@ -19,7 +19,8 @@ from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
 from .chunk import ChunkEncoder, grid_size, grid_step
-from .models import Recording, points
+from .coding.contexts import OCTAVE
+from .models import Recording, directions, points
 from .models.stored_basis import MOST_DIMENSIONS
 from .preparation import Prepared
 
@@ -36,6 +37,8 @@ CERTAIN = 0.68
 MANY_POINTS = 256
 """Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit. It
 is used alone only where it is smaller in the sample, whose few frames say little about the recording."""
+WIDER = 2 * OCTAVE
+"""Of the step in which points that keep their distances may be joints: rounded joints keep theirs less exactly."""
 LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
@@ -82,7 +85,8 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     """How to use the lattice engine within a bound (metres).
 
     step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
-    The sample does not decide for these, nor for skeletons: models of directions may be far smaller than its basis.
+    The sample does not decide for these, nor for points that may be joints of a body: models of directions, or the
+    prior's, may be far smaller than the sample's basis.
     """
     frames = int(np.clip(SAMPLED // max(1, motion.points), FEWEST_FRAMES, MOST_FRAMES))
     first = max(0, (len(motion) - frames) // 2)
@@ -96,6 +100,8 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
 
     if named or weights is not None or motion.skeleton is not None:
         return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS if weights is None else 0.0)
+    if directions.form_a_tree(source.smooth[some], step + WIDER):
+        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS)
     found, stride, cost = chosen()
     transform = _transform_bytes(motion, source, some, bound, step)
     sampled = some.stop - some.start

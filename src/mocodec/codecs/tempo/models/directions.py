@@ -114,7 +114,7 @@ def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirect
     sampled = (r[:: max(1, len(r) // each)] for r in recording.chunks[:: max(1, len(recording.chunks) // MOST_SAMPLED)])
     poses = np.concatenate([r[:, columns] for r in sampled])
     poses = poses - poses.mean(axis=1, keepdims=True)
-    tolerance = float(STRETCH_STEPS * step_size(recording.step))
+    tolerance = _tolerance(recording.step)
 
     def candidates() -> Iterator[NamedDirections]:
         if recording.like.skeleton is not None:
@@ -241,7 +241,7 @@ def _fit_tree(recording: Recording) -> tuple[StoredDirections, DirectionCoordina
     pose = heading.mean_pose(centred - centred.mean(axis=1, keepdims=True))
     aligned = [_aligned_sample(c, pose) for c in recording.chunks]
     every = np.concatenate(aligned)
-    tolerance = float(STRETCH_STEPS * step_size(recording.step))
+    tolerance = _tolerance(recording.step)
     for parents, of_skeleton in tree_fitting.trees(every, skeleton, tolerance):
         columns = tree_fitting.topological_order(parents)
         if columns is None:
@@ -262,6 +262,17 @@ def _fit_tree(recording: Recording) -> tuple[StoredDirections, DirectionCoordina
         if tree_fitting.represents(coordinates.tree, every[:, columns], 2 * tolerance):
             return stored, coordinates
     return None
+
+
+def form_a_tree(poses: Floats, step: int) -> bool:
+    """Whether distances show that the points of poses (frames, points, 3) may be joints of one body, in this step."""
+    if len(poses) < tree_fitting.FEWEST_FRAMES or poses.shape[1] < tree_fitting.FEWEST_POINTS:
+        return False
+    return any(True for _ in tree_fitting.trees(poses, None, _tolerance(step)))
+
+
+def _tolerance(step: int) -> float:
+    return float(STRETCH_STEPS * step_size(step))
 
 
 def _aligned_sample(chunk: Floats, pose: Floats) -> Floats:
