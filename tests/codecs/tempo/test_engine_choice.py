@@ -107,3 +107,15 @@ def test_joints_without_a_skeleton_take_a_model_where_it_is_smaller() -> None:
     joints = Motion(walk.positions, walk.rate, up=walk.up)
     plan = Tempo(max_error=0.002)
     assert plan.encode(joints).payload_bytes <= 1.05 * replace(plan, model="transform").encode(joints).payload_bytes
+
+
+def test_a_still_beginning_does_not_choose_the_stride() -> None:
+    moving = noisy(synthetic.markers(frames=2400, seed=1), 5e-4)
+    positions = moving.positions.copy()
+    positions[:600] = positions[600] + np.random.default_rng(2).normal(0, 5e-4, positions[:600].shape)
+    quiet = Motion(positions, moving.rate, moving.names, moving.up)
+    whole = Tempo(max_error=0.0001).encode(quiet)
+    after = Tempo(max_error=0.0001).encode(quiet[600:])
+    later = sum(len(c.payload) for c in whole.chunks if c.start >= 600)
+    frames = sum(c.frames for c in whole.chunks if c.start >= 600)
+    assert later / frames <= 1.03 * after.payload_bytes / 1800

@@ -60,7 +60,7 @@ def to_bound(
     every = -(-len(encoders) // SEARCHED)
     has_transform = encoders[0].model.rows > 0
     searched = list(parallel.over(lambda e: _search(e, bound), encoders[::every])) if has_transform else []
-    on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, len(encoders))
+    on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, encoders)
     payloads: list[bytes] = []
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
@@ -113,10 +113,10 @@ def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
 class _LatticeTrials:
     """The lattice engine, for the chunks that it may make smaller."""
 
-    def __init__(self, plan: LatticePlan, bound: float, model_bytes: int, chunks: int) -> None:
-        self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, chunks
+    def __init__(self, plan: LatticePlan, bound: float, model_bytes: int, encoders: Sequence[ChunkEncoder]) -> None:
+        self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, len(encoders)
         self._trials = EngineTrials()
-        self._stride: int | None = None
+        self._typical = encoders[len(encoders) // 2]
         self._number = 0
 
     @cached_property
@@ -133,7 +133,8 @@ class _LatticeTrials:
             few = draft.bits < self._plan.least_bits * encoder.positions.size
             if few or not self._trials.tries_lattice(number):
                 return None
-        found = self._first(encoder) if self._stride is None else self._of_stride(encoder, self._stride)
+        stride, of_typical = self._best
+        found = of_typical if encoder is self._typical else self._of_stride(encoder, stride)
         if found is not None and draft is not None and draft.numbers is not None:
             self._trials.learn(draft.bits / 8 + self.share, len(found.payload))
         return found
@@ -141,17 +142,21 @@ class _LatticeTrials:
     def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
         return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
 
-    def _first(self, encoder: ChunkEncoder) -> OnLattice | None:
-        """With the stride of the sample, or a longer one where it is smaller: longer ones have more weights to learn,
-        which pays in a whole chunk."""
-        self._stride = self._plan.stride
-        best = self._of_stride(encoder, self._stride)
-        while best is not None and self._stride < lattice.USUAL_STRIDE:
-            longer = self._of_stride(encoder, self._stride + 1)
+    @cached_property
+    def _best(self) -> tuple[int, OnLattice | None]:
+        """The stride for all chunks, and the middle chunk in it.
+
+        It is the sample's stride, or a longer one where the chunk is smaller: longer strides have more weights to
+        learn, which pays in a whole chunk.
+        """
+        stride = self._plan.stride
+        best = self._of_stride(self._typical, stride)
+        while best is not None and stride < lattice.USUAL_STRIDE:
+            longer = self._of_stride(self._typical, stride + 1)
             if longer is None or len(longer.payload) >= len(best.payload):
                 break
-            best, self._stride = longer, self._stride + 1
-        return best
+            best, stride = longer, stride + 1
+        return stride, best
 
 
 def _on_lattice(
