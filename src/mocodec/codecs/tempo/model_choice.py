@@ -34,7 +34,8 @@ MOST_ON_BONES = 400
 WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 FINER_UP_TO = 0.4
-"""A model that takes this share of the bytes or more is not tried in finer rounding, which would make it larger."""
+"""A model of very many points that takes this share of the bytes or more is not tried in finer rounding, which would
+make it larger. Of fewer points the trial costs little, and a finer pose may be all that a still recording needs."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 ERROR_SLOPE = 0.85
@@ -99,7 +100,7 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
             if price >= least:
                 break  # the others of this type differ little
             best, least = candidate, price
-            if len(candidate.header.pack()) >= FINER_UP_TO * price:
+            if recording.like.points > MOST_ON_BONES and len(candidate.header.pack()) >= FINER_UP_TO * price:
                 break
     return best
 
