@@ -117,18 +117,21 @@ class _LatticeTrials:
         self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, len(encoders)
         self._trials = EngineTrials()
         self._typical = encoders[len(encoders) // 2]
-        self._number = 0
+        self._number = self._reported = 0
 
     @cached_property
     def share(self) -> float:
         """Bytes that a chunk of the transform is charged with: the stream has the model, or the neighbours."""
         return max(0, self._model_bytes - len(self._plan.neighbours.pack())) / self._chunks
 
+    def report(self) -> None:
+        """Progress, where the lattice engine is used alone: one more chunk is coded."""
+        self._reported += 1
+        progress.report(self._reported / self._chunks)
+
     def coded(self, encoder: ChunkEncoder, draft: Draft | None) -> OnLattice | None:
         """The next chunk, None where it is not tried or not possible. draft: by the transform."""
         number, self._number = self._number, self._number + 1
-        if draft is None:  # without a transform, this is where time passes
-            progress.report(number / self._chunks)
         if draft is not None and draft.numbers is not None:
             few = draft.bits < self._plan.least_bits * encoder.positions.size
             if few or not self._trials.tries_lattice(number):
@@ -169,7 +172,9 @@ def _on_lattice(
         yield from map(trials.coded, batch, drafts)
     else:  # chunks do not depend on each other once the first has shown the stride
         yield trials.coded(batch[0], None)
-        yield from parallel.over(lambda encoder: trials.coded(encoder, None), batch[1:])
+        for found in parallel.over(lambda encoder: trials.coded(encoder, None), batch[1:]):
+            trials.report()
+            yield found
 
 
 def _smallest(
