@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocodec.archive import similarity
-from mocodec.typing import Floats, Integers
+from mocodec.typing import Integers
 
 from .large import similar
+
+Vectors = NDArray[np.floating[Any]]
 
 FRAMES = 10_000_000
 CLUSTERS, ROUNDS, LEARNED_FROM = 1024, 8, 40_000
@@ -77,7 +80,7 @@ def per_query(begun: float) -> float:
     return 1e3 * (time.process_time() - begun) / QUERIES
 
 
-def learned(sample: Floats, random: np.random.Generator) -> Floats:
+def learned(sample: Vectors, random: np.random.Generator) -> Vectors:
     """Centres (CLUSTERS, components) by k-means."""
     centres = sample[random.permutation(len(sample))[:CLUSTERS]].copy()
     for _ in range(ROUNDS):
@@ -89,7 +92,7 @@ def learned(sample: Floats, random: np.random.Generator) -> Floats:
     return centres
 
 
-def nearest(vectors: Floats, centres: Floats, count: int) -> Integers:
+def nearest(vectors: Vectors, centres: Vectors, count: int) -> Integers:
     """The numbers of the nearest centres of each vector, (vectors, count)."""
     squares = (centres**2).sum(axis=1)
     parts = [
@@ -99,7 +102,7 @@ def nearest(vectors: Floats, centres: Floats, count: int) -> Integers:
     return np.concatenate(parts)
 
 
-def candidates(query: Floats, centres: Floats, order: Integers, first: Integers, probed: int) -> Integers:
+def candidates(query: Vectors, centres: Vectors, order: Integers, first: Integers, probed: int) -> Integers:
     """Where a run like the query may begin: vectors of the clusters near a window, less the place of the window. Three
     windows of the query are looked up: its ends and its middle."""
     found: list[Integers] = []
