@@ -22,7 +22,7 @@ from ..file_range import FileRange
 BLOCK_BYTES = 1 << 14
 """The smallest request."""
 END_BYTES = 40 << 10
-"""Of the end of a file, opening asks for so many bytes: they hold the index of ten hours."""
+"""Bytes that opening asks for from the end of a file: they hold the index of ten hours."""
 SMALL_BYTES = 4 * BLOCK_BYTES
 """A file of at most this size is fetched whole."""
 MOST_AHEAD_BYTES = 8 << 20

@@ -55,7 +55,7 @@ class Blocks:
 
 
 def block_frames(points: int) -> int:
-    """Frames of a block of so many points."""
+    """Frames of a block, by its number of points."""
     return max(1, BLOCK_SAMPLES // max(1, points))
 
 

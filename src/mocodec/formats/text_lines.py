@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import BadInput
 
 PROBE_BYTES = 1 << 20
-"""The encoding is found from so many bytes."""
+"""Bytes from which the encoding is found."""
 BLOCK_LINES = 4096
 LONGEST_HEADER = 1 << 16
 """Lines before the first frame, at most."""

@@ -79,7 +79,7 @@ def to_bound(
 
 
 def _predicted(encoder: ChunkEncoder, bits: float) -> float:
-    """The best offset of a chunk that takes about so many bits."""
+    """The best offset of a chunk that takes about `bits` bits."""
     of_coordinate = max(bits, 1.0) / encoder.positions.size
     return float(np.clip(BEST_OFFSET + BEST_SLOPE * np.log2(of_coordinate), LEAST_OFFSET, MOST_OFFSET))
 

@@ -33,7 +33,7 @@ BY_NAME, BY_NAME_MEASURED, MATCHED = 0, 1, 2
 """First byte of a model with the prior: known names, with the skeleton's or stored proportions, or a matched skeleton.
 Never change them."""
 MOST_SAMPLED = 256
-"""Of a recording, about so many frames show whether proportions fit, and measure them."""
+"""Frames of a recording, about, that show whether proportions fit, and measure them."""
 POSE_FRAMES = 256
 """Frames of each chunk that the mean pose is computed from."""
 
