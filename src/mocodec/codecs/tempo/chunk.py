@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ... import native
+from ... import native, parallel
 from ...entropy import varint
 from ...errors import CannotEncode, Corrupt
 from ...stages import frozen, lattice
@@ -321,6 +321,11 @@ class ChunkEncoder:
 def _in_order(positions: Floats) -> Floats:
     """Positions (frames, points, 3) in the order of memory that is fastest: NumPy's loops run along the frames."""
     return np.ascontiguousarray(positions) if native.available() else np.asfortranarray(positions)
+
+
+def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> list[Draft]:
+    """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
+    return list(parallel.over(lambda encoder: encoder.draft(step, slope), encoders))
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:

@@ -48,8 +48,6 @@ TRIED_EVERY = 5
 """The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
 """Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
-
-
 LEAST_BITS = 0.38
 """Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
 transform takes at least as many bits for a chunk."""

@@ -108,7 +108,7 @@ def for_size(sample: Sequence[ChunkEncoder], bytes_a_frame: float) -> SteadySize
 
 
 def _error(encoders: Sequence[ChunkEncoder], step: int) -> Coded:
-    drafts = [e.draft(step) for e in encoders]
+    drafts = chunk.drafts_of_step(encoders, step)
     error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in encoders)
     return error, lambda: chunk.pack(encoders, drafts)
 
@@ -118,7 +118,7 @@ def _samples(encoders: Sequence[ChunkEncoder]) -> int:
 
 
 def _bytes(encoders: Sequence[ChunkEncoder], step: int) -> Coded:
-    payloads = chunk.pack(encoders, [e.draft(step) for e in encoders])
+    payloads = chunk.pack(encoders, chunk.drafts_of_step(encoders, step))
     return sum(map(len, payloads)), lambda: payloads
 
 

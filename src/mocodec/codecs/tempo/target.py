@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ... import parallel, progress
+from ... import progress
 from ...errors import CannotEncode
 from ...stages import search
 from . import chunk
@@ -81,7 +81,7 @@ def to_mean(encoders: Sequence[ChunkEncoder], target: float) -> list[bytes]:
 
     def excess(of: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> tuple[float, list[Draft]]:
         """How much too large the mean error is, 1/32 octave, and the drafts."""
-        drafts = list(parallel.over(lambda e: e.draft(step, slope), of))
+        drafts = chunk.drafts_of_step(of, step, slope)
         error = sum(d.error for d in drafts) + sum(e.apart.rounding_error for e in of)
         error /= sum(e.samples for e in of)
         return _excess(error, target), drafts
@@ -141,7 +141,7 @@ def to_size(encoders: Sequence[ChunkEncoder], size: float) -> list[bytes]:
     tried: dict[int, list[bytes]] = {}
 
     def fits(coarseness: int) -> bool:
-        payloads = chunk.pack(encoders, list(parallel.over(lambda e: e.draft(-coarseness), encoders)))
+        payloads = chunk.pack(encoders, chunk.drafts_of_step(encoders, -coarseness))
         if sum(map(len, payloads)) > size:
             return False
         tried.clear()  # only the finest is needed again
