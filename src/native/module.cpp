@@ -10,12 +10,13 @@
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
-//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
+//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
+//   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
 //   splines.cpp     natural cubic splines, for stages/spline.py
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
@@ -36,7 +37,8 @@ namespace nb = nanobind;
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
-    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)
+    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)   \
+    PART(ordered)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
