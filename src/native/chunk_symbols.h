@@ -128,6 +128,7 @@ public:
 
 private:
     friend class Quantiser;
+    friend class Packer;
 
     using Base = std::vector<int16_t>;
 

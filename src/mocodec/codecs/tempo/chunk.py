@@ -26,7 +26,7 @@ from ...errors import CannotEncode, Corrupt
 from ...stages import frozen, lattice
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
-from . import trial
+from . import compiled_chunks, trial
 from .coding import coefficients, corrections, direct, quantise
 from .coding.contexts import OCTAVE
 from .models.model import Model
@@ -172,7 +172,7 @@ class ChunkEncoder:
         return len(self.positions)
 
     def _analyse(self) -> None:
-        self.spectrum = self.model.analyse(self.smooth)
+        self.spectrum = compiled_chunks.analyse(self.model, self.smooth)
         if not np.isfinite(self.spectrum).all():
             raise CannotEncode("coefficients that are too large for float64")
 
@@ -202,7 +202,8 @@ class ChunkEncoder:
             )
             decoded = found.decoded
             assert decoded is not None
-            self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
+            refilled = np.where(self.gap_mask[..., None], decoded, self.smooth)
+            self.spectrum = compiled_chunks.analyse(self.model, refilled)
 
     def trial(self, step: int, slope: float = quantise.SLOPE) -> Trial:
         """The chunk without its spikes in one step (log₂ in 1/32 octave). Raises what made its analysis fail."""
@@ -246,10 +247,8 @@ class ChunkEncoder:
         found = trial.within_bound(
             self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE, within, grid_size(grid)
         )
-        assert found.corrections is not None
-        moved = corrections.numbers(found.corrections)
-        bits = found.quantised.bits + coefficients.list_bits(self.model, moved)
-        return Draft(self._numbers(found.quantised, step, moved), grid if moved.size else None, bits=bits)
+        numbers = self._numbers(found.quantised, step, found.moved)
+        return Draft(numbers, grid if found.moved.size else None, bits=found.quantised.bits)
 
     def smaller_of_engines(self, payload: bytes, bound: float) -> bytes:
         """The transform's payload, or the direct engine's where that is smaller."""
@@ -329,22 +328,34 @@ def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = q
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
-    """The payloads of drafts."""
+    """The payloads of drafts, in the threads of `parallel`."""
+    pairs = list(zip(encoders, drafts, strict=True))
+    compiled = list(parallel.over(_packed_compiled, pairs))
+    left = [pair for pair, one in zip(pairs, compiled, strict=True) if one is None and pair[1].numbers is not None]
+    rest = iter([one for first in range(0, len(left), BATCH) for one in _pack_numbers(left[first : first + BATCH])])
     payloads: list[bytes] = []
-    for first in range(0, len(encoders), BATCH):
-        batch = list(zip(encoders, drafts, strict=True))[first : first + BATCH]
-        coded = iter(_pack_numbers(batch))
-        for encoder, draft in batch:
-            numbers = next(coded) if draft.numbers is not None else None
-            if numbers is not None:
-                payloads.append(Payload(TRANSFORM, numbers, draft.grid, encoder.gaps).pack())
-            else:
-                payloads.append(encoder.directly(draft.direct_grid))
+    for (encoder, draft), done in zip(pairs, compiled, strict=True):
+        numbers = next(rest) if done is None and draft.numbers is not None else done
+        if numbers is not None:
+            payloads.append(Payload(TRANSFORM, numbers, draft.grid, encoder.gaps).pack())
+        else:
+            payloads.append(encoder.directly(draft.direct_grid))
     return payloads
 
 
+def _packed_compiled(pair: tuple[ChunkEncoder, Draft]) -> bytes | None:
+    """The coefficients of a draft by the compiled module; None if NumPy has to do it."""
+    encoder, numbers = pair[0], pair[1].numbers
+    if numbers is None:
+        return None
+    failure = encoder.failure
+    packed = encoder.attempt(lambda: compiled_chunks.pack(encoder.model, numbers))
+    encoder.failure = failure if packed is None else encoder.failure
+    return packed
+
+
 def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | None]:
-    """The coefficients of the drafts that have some; None where their coding fails."""
+    """The coefficients of these drafts by NumPy; None where their coding fails."""
     listed = [(e, d.numbers) for e, d in batch if d.numbers is not None]
     if not listed:
         return []
