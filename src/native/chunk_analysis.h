@@ -25,6 +25,11 @@ struct Analysis {
 struct AnalysisScratch {
     std::vector<double> columns, curves, heading, cosine, sine, spectrum;
     std::vector<double> sums, differences, of_panel;
+
+    static NEVER_INLINE AnalysisScratch &of_thread() {  // its address is looked up once
+        static thread_local AnalysisScratch scratch;
+        return scratch;
+    }
 };
 
 class Analyser {
@@ -38,7 +43,7 @@ public:
 
     // positions (frames, points, 3), y up; out (frames, rows).
     ALWAYS_INLINE void run(const double *positions, size_t rows, double *out) const {
-        static thread_local AnalysisScratch scratch;
+        AnalysisScratch &scratch = AnalysisScratch::of_thread();
         std::fill_n(out, frames_ * rows, 0.0);
         scratch.curves.resize(rows_of_spectrum_ * frames_);
         by_columns(positions, scratch);

@@ -80,6 +80,11 @@ inline bool find_corrections(const Samples &of, double bound, double step, Found
     bool fits = true;
     for (size_t at = 0; at < of.frames * of.points; ++at) {
         double e[3];
+        if (!of.weights) {  // most samples are within the bound
+            const double *a = of.wanted + 3 * at, *b = of.decoded + 3 * at;
+            const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+            if (!(x * x + y * y + z * z > limit)) continue;
+        }
         of.error(at, e);
         if (!(e[0] * e[0] + e[1] * e[1] + e[2] * e[2] > limit) || of.skips(at)) continue;
         for (double each : e) fits = fits && std::fabs(each) < LARGEST_ERROR_STEPS * step;

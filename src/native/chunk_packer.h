@@ -143,7 +143,7 @@ private:
 
     // The symbols of the coefficients, in the order in which they are decoded.
     void coefficients(const Numbers &in, const std::vector<size_t> &reach, size_t zone, size_t lanes) {
-        const auto base = of_.contexts_of(in.step);
+        const auto base = of_.contexts_of(in.step, zone);
         Expectations::Field field(zone, rows_);
         auto value = [&](size_t f, size_t r) {
             const int64_t v = f < in.frequencies ? in.values[f * rows_ + r] : 0;

@@ -99,6 +99,11 @@ inline bool corrections_of(const std::vector<int64_t> &lists, size_t frames, siz
 
 struct Scratch {
     std::vector<double> panels, curves, row, frames, directions, pose;  // the last three: four doubles each
+
+    static NEVER_INLINE Scratch &of_thread() {  // its address is looked up once
+        static thread_local Scratch scratch;
+        return scratch;
+    }
 };
 
 class Synthesis {
@@ -107,7 +112,7 @@ public:
         : of_(shape), cosines_(cosines), band_ends_(band_ends), step_m_(step_m), heading_step_(heading_step) {}
 
     ALWAYS_INLINE void run(const Integers &integers, const Target &out) const {
-        static thread_local Scratch scratch;
+        Scratch &scratch = Scratch::of_thread();
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         spectrum(integers, known, scratch);
         curves(known, scratch, out);

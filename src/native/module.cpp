@@ -17,9 +17,11 @@
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
 //   splines.cpp     natural cubic splines, for stages/spline.py
+//   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
 //   varints.cpp     many varints at once, for fields/cursor.py
-//   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
-//                   chunk_synthesis.h (integers to positions); contexts.h is for coefficients.cpp too
+//   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers),
+//                   chunk_synthesis.h (integers to positions), chunk_analysis.h (positions to coefficients; bone_coordinates.h),
+//                   chunk_quantiser.h (coefficients to integers) and chunk_packer.h (integers to bytes); contexts.h is for coefficients.cpp too
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
@@ -36,7 +38,8 @@ namespace nb = nanobind;
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
-    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)
+    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)    \
+    PART(positions)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -14,7 +14,7 @@ direct      every sample on a grid, predicted in time: for numbers too large for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -254,12 +254,10 @@ class ChunkEncoder:
         """The transform's payload, or the direct engine's where that is smaller."""
         if self.spectrum is None:
             return payload
-        worth, cell = len(payload) * DIRECT_WORTH_TRYING, direct.cell(bound)
-        some = self._weighted()[:, ::ESTIMATED_POINTS]
-        scale = self.positions.shape[1] / some.shape[1]
-        if scale * direct.estimate(direct.quantise(some, cell).reshape(self.frames, -1)) >= CLEARLY * worth:
+        worth, cell, weighted = len(payload) * DIRECT_WORTH_TRYING, direct.cell(bound), self._weighted()
+        if direct.estimate(weighted, cell, ESTIMATED_POINTS) >= CLEARLY * worth:
             return payload
-        if direct.estimate(direct.quantise(self._weighted(), cell).reshape(self.frames, -1)) >= worth:
+        if direct.estimate(weighted, cell) >= worth:
             return payload
         return min(self.directly(grid_step(cell)), payload, key=len)
 
@@ -322,6 +320,17 @@ def _in_order(positions: Floats) -> Floats:
     return np.ascontiguousarray(positions) if native.available() else np.asfortranarray(positions)
 
 
+def encoders(
+    model: Model, source: Prepared, bounds: Sequence[tuple[int, int]], spectra: Mapping[int, Floats] | None = None
+) -> list[ChunkEncoder]:
+    """Of chunks with these bounds, analysed in the threads of `parallel`. spectra: those that are known, by number."""
+    known = spectra or {}
+    for length in {stop - start for start, stop in bounds}:
+        compiled_chunks.encodes(model, length)  # what all threads share is made here
+    numbered = list(enumerate(bounds))
+    return list(parallel.over(lambda b: ChunkEncoder.of(model, source, slice(*b[1]), known.get(b[0])), numbered))
+
+
 def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> list[Draft]:
     """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
     return list(parallel.over(lambda encoder: encoder.draft(step, slope), encoders))
@@ -329,29 +338,29 @@ def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = q
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
     """The payloads of drafts, in the threads of `parallel`."""
-    pairs = list(zip(encoders, drafts, strict=True))
-    compiled = list(parallel.over(_packed_compiled, pairs))
-    left = [pair for pair, one in zip(pairs, compiled, strict=True) if one is None and pair[1].numbers is not None]
-    rest = iter([one for first in range(0, len(left), BATCH) for one in _pack_numbers(left[first : first + BATCH])])
+    numbers: dict[int, bytes | None] = {}
+    drafted = [i for i, draft in enumerate(drafts) if draft.numbers is not None]
+    compiled = [i for i in drafted if compiled_chunks.decodes(encoders[i].model, encoders[i].frames)]
+    numbers |= zip(compiled, parallel.over(lambda i: _packed_compiled(encoders[i], drafts[i]), compiled), strict=True)
+    rest = [i for i in drafted if i not in numbers]
+    for first in range(0, len(rest), BATCH):
+        batch = rest[first : first + BATCH]
+        numbers |= zip(batch, _pack_numbers([(encoders[i], drafts[i]) for i in batch]), strict=True)
     payloads: list[bytes] = []
-    for (encoder, draft), done in zip(pairs, compiled, strict=True):
-        numbers = next(rest) if done is None and draft.numbers is not None else done
-        if numbers is not None:
-            payloads.append(Payload(TRANSFORM, numbers, draft.grid, encoder.gaps).pack())
+    for i, (encoder, draft) in enumerate(zip(encoders, drafts, strict=True)):
+        packed = numbers.get(i)
+        if packed is not None:
+            payloads.append(Payload(TRANSFORM, packed, draft.grid, encoder.gaps).pack())
         else:
             payloads.append(encoder.directly(draft.direct_grid))
     return payloads
 
 
-def _packed_compiled(pair: tuple[ChunkEncoder, Draft]) -> bytes | None:
-    """The coefficients of a draft by the compiled module; None if NumPy has to do it."""
-    encoder, numbers = pair[0], pair[1].numbers
-    if numbers is None:
-        return None
-    failure = encoder.failure
-    packed = encoder.attempt(lambda: compiled_chunks.pack(encoder.model, numbers))
-    encoder.failure = failure if packed is None else encoder.failure
-    return packed
+def _packed_compiled(encoder: ChunkEncoder, draft: Draft) -> bytes | None:
+    """The coefficients of a draft by the compiled module; None where their coding fails."""
+    numbers = draft.numbers
+    assert numbers is not None
+    return encoder.attempt(lambda: compiled_chunks.pack(encoder.model, numbers))
 
 
 def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | None]:

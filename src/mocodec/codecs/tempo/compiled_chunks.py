@@ -71,10 +71,9 @@ def within_bound(
     return compiled.within_bound(spectrum, wanted, _mask(apart), step, size, slope, FREE, bound, grid)
 
 
-def pack(model: Model, chunk: ChunkNumbers) -> bytes | None:
-    """`coefficients.pack` of one chunk; None if NumPy has to do it."""
-    if (compiled := _encoder(model, chunk.frames)) is None:
-        return None
+def pack(model: Model, chunk: ChunkNumbers) -> bytes:
+    """`coefficients.pack` of one chunk, whose length `decodes` accepts."""
+    compiled = _encoder(model, chunk.frames)
     return compiled.pack(chunk.values, chunk.step, chunk.threshold, NO_LISTS if chunk.lists is None else chunk.lists)
 
 
@@ -92,6 +91,11 @@ def decodes(model: Model, frames: int) -> bool:
     return _of_length(model, frames) is not None
 
 
+def encodes(model: Model, frames: int) -> bool:
+    """Whether chunks of this length are coded here."""
+    return _encoder(model, frames) is not None
+
+
 def _of_length(model: Model, frames: int) -> Any:
     """Codes chunks of this length; None where the module does not."""
     if native.kernel("ChunkDecoder") is None or not 0 < frames <= dct.MATRIX_FRAMES or not model.rows:
@@ -106,9 +110,7 @@ def _of_length(model: Model, frames: int) -> Any:
         band_ends = [band.stop for band in model.bands(frames)]
         heading_radians = float(step_size(heading_step(frames)))
         kept_frequencies = heading_frequencies(frames, model.rate)
-        found = _made(
-            "ChunksOfLength", whole, model.expected(frames, 0), band_ends, heading_radians, kept_frequencies
-        )
+        found = _made("ChunksOfLength", whole, model.expected(frames, 0), band_ends, heading_radians, kept_frequencies)
         model.compiled.update({MODEL: whole, frames: found})
     return found
 

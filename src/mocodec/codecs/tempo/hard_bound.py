@@ -193,7 +193,8 @@ def _smallest(
         if i in on_lattice and trials is not None:
             worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(by_transform[i]) + trials.share)
             (by_transform if worth else on_lattice).pop(i)
-    by_transform = {i: batch[i].smaller_of_engines(payload, bound) for i, payload in by_transform.items()}
+    compared = parallel.over(lambda i: batch[i].smaller_of_engines(by_transform[i], bound), by_transform)
+    by_transform = dict(zip(by_transform, compared, strict=True))
     return _checked(batch, by_transform, on_lattice, bound)
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
+from ... import native
 from ...stages import frozen, gaps
 from ...typing import Booleans, Floats
 from .pose import heading, leaps
@@ -14,23 +17,37 @@ from .pose import heading, leaps
 class Prepared:
     """positions (frames, points, 3), y up, filled; smooth: without spikes. apart: missing and frozen samples, y up.
 
-    spikes (frames, points): mask.
+    spikes (frames, points): mask. leaps: whether any step between two frames is long enough for a discontinuity.
     """
 
     positions: Floats
     smooth: Floats
     apart: frozen.Split
     spikes: Booleans
+    leaps: bool = True
+
+    def discontinuities(self, rate: float) -> list[int]:
+        """First frames, rising, after a discontinuity."""
+        return leaps.discontinuities(self.smooth, rate) if self.leaps else []
 
 
 def prepare(
     positions: Floats, up: str, tolerance: float | None = None, bones: bool = False, holds: bool = True
 ) -> Prepared:
     """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
+    leap = True
+    if (kernel := native.kernel("screen_positions")) is not None and len(positions):
+        missing, repeats, spike, leap = kernel(positions, leaps.SMALLEST_LEAP_M, leaps.LEAP_FACTOR)
+        if not (missing or repeats or spike):
+            turned = np.ascontiguousarray(heading.to_y_up(positions, up))
+            nothing = np.zeros(turned.shape[:2], bool)
+            apart = frozen.Split(turned, nothing, nothing, nothing, tolerance, holds)
+            return Prepared(turned, turned, apart, nothing, leap)
+        leap = leap or missing or spike
     apart = frozen.split(heading.to_y_up(positions, up), tolerance, bones, holds)
     filled, mask = gaps.fill(apart.moving)
     spikes = leaps.spikes(filled) & ~mask
-    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes)
+    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes, leap or bool(apart.frozen.any()))
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
