@@ -231,9 +231,8 @@ def _cheapest_prediction(steps: Integers, joint_names: tuple[str, ...], tree: in
     predicted = np.take_along_axis(unscaled, (main := _main_axis(unscaled)), 2)
     actual = np.take_along_axis(np.broadcast_to(offsets, unscaled.shape), main, 2)
     scales = (actual * predicted > 0) & (np.array([c for _, c in choices]) > 0)[:, None, None]
-    over, under = (
-        np.where(scales, each, 1)[:, :-1] for each in (actual, signs)
-    )  # each joint's is the next one's ratio
+    # the ratio of each joint scales the prediction of the next one
+    over, under = (np.where(scales, each, 1)[:, :-1] for each in (actual, predicted))
     vector = unscaled.copy()
     vector[:, 1:] = (2 * unscaled[:, 1:] * over + under) // (2 * under)
     main = _main_axis(vector)
