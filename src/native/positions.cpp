@@ -48,6 +48,35 @@ nb::tuple screen_positions(Input<double, 3> positions, double leap, double facto
     return nb::make_tuple(missing, repeats, spike, leaps);
 }
 
+// leaps.discontinuities of positions (frames, points, 3), before their number is limited: the first frames after a leap.
+nb::list leap_frames(Input<double, 3> positions, double least, double factor) {
+    const size_t frames = positions.shape(0), pitch = positions.shape(1) * 3;
+    if (positions.shape(2) != 3) throw std::invalid_argument("leap_frames: three axes");
+    std::vector<size_t> found;
+    {
+        nb::gil_scoped_release release;
+        auto step = [&](size_t f, size_t i) {  // from frame f to the next
+            const double *a = positions.data() + f * pitch + i, *b = a + pitch;
+            const double by[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
+            return squared(by);
+        };
+        for (size_t f = 0; f + 1 < frames && frames > 3; ++f) {
+            const size_t before = f ? f - 1 : 1, after = f + 2 < frames ? f + 1 : f - 1;
+            for (size_t i = 0; i < pitch; i += 3) {
+                const double here = step(f, i);
+                if (!(here > least * least)) continue;
+                const double around = std::sqrt(std::max(step(before, i), step(after, i)));
+                if (!(std::sqrt(here) > factor * around)) continue;
+                found.push_back(f + 1);
+                break;
+            }
+        }
+    }
+    nb::list out;
+    for (const size_t each : found) out.append(each);
+    return out;
+}
+
 // direct._predict of frame m, from known frames `around` before and after it.
 int64_t predicted(const int64_t *values, size_t m, size_t around, size_t last) {
     const int64_t line = values[m - around] + values[std::min(m + around, last)];
@@ -124,6 +153,7 @@ nb::tuple compare_positions(Input<double, 3> original, Input<double, 3> decoded)
 
 void bind_positions(nb::module_ &m) {
     m.def("screen_positions", &screen_positions);
+    m.def("leap_frames", &leap_frames);
     m.def("direct_residuals", &direct_residuals);
     m.def("compare_positions", &compare_positions);
 }

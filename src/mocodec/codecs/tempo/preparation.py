@@ -35,19 +35,20 @@ def prepare(
     positions: Floats, up: str, tolerance: float | None = None, bones: bool = False, holds: bool = True
 ) -> Prepared:
     """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
-    leap = True
-    if (kernel := native.kernel("screen_positions")) is not None and len(positions):
+    missing = repeats = spike = leap = True
+    if (kernel := native.kernel("screen_positions")) is not None:
         missing, repeats, spike, leap = kernel(positions, leaps.SMALLEST_LEAP_M, leaps.LEAP_FACTOR)
-        if not (missing or repeats or spike):
-            turned = np.ascontiguousarray(heading.to_y_up(positions, up))
-            nothing = np.zeros(turned.shape[:2], bool)
-            apart = frozen.Split(turned, nothing, nothing, nothing, tolerance, holds)
-            return Prepared(turned, turned, apart, nothing, leap)
-        leap = leap or missing or spike
-    apart = frozen.split(heading.to_y_up(positions, up), tolerance, bones, holds)
-    filled, mask = gaps.fill(apart.moving)
-    spikes = leaps.spikes(filled) & ~mask
-    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes, leap or bool(apart.frozen.any()))
+    turned = heading.to_y_up(positions, up)
+    if missing or repeats:
+        apart = frozen.split(turned, tolerance, bones, holds)
+        filled, mask = gaps.fill(apart.moving)
+        changed = bool(mask.any())
+    else:
+        mask, changed = np.zeros(turned.shape[:2], bool), False
+        filled = np.ascontiguousarray(turned)
+        apart = frozen.Split(filled, mask, mask, mask, tolerance, holds)
+    spikes = leaps.spikes(filled) & ~mask if spike or changed else np.zeros_like(mask)
+    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes, leap or changed)
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:
