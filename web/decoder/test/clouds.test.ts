@@ -8,7 +8,7 @@ import { goldenBytes, goldenTwin } from "./golden.js";
 const TOLERANCE_M = 0.6e-6;
 
 describe("points are those of the twins", () => {
-  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
+  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-jumper-smoothed", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));
     let frame = 0;
@@ -25,7 +25,7 @@ describe("points are those of the twins", () => {
 });
 
 test("damaged chunks end in a named error or in points", async () => {
-  const bytes = goldenBytes("bodycast-jumper-learned");
+  const bytes = goldenBytes("bodycast-jumper-smoothed");
   const file = await open(bytes);
   const { header } = file as unknown as { header: Header };
   const decoder = new BodycastPoints(header.shared, true);
