@@ -218,7 +218,7 @@ def report(results: dict[str, Any]) -> str:
         ),
     ]
     dense_cloud = results["dense_cloud"]
-    words = f"a person of {dense_cloud['points']:,} points within 4 mm: decoding a frame, longest pause of the page meanwhile"
+    words = f"a person of {dense_cloud['points']:,} points within 4 mm: decoding a frame, longest pause meanwhile"
     rows.append([words, f"{dense_cloud['ms_per_frame']:.0f} ms, {dense_cloud['longest_pause_ms']:.0f} ms"])
     return (
         f"{table(['what', 'measured'], rows)}\n\n*{measured_on(results['machine'])} Made by `scripts/bench viewer`.*\n"
