@@ -161,6 +161,7 @@ def _nearest_before(pose: Integers) -> Integers:
         some = slice(first, first + NEAREST_BLOCK)
         apart = of_pose[None, : some.stop] - of_pose[some, None]
         squares = (apart[..., 0] ** 2 + apart[..., 1] ** 2) + apart[..., 2] ** 2
-        near[some] = np.where(np.tri(*squares.shape, first - 1, dtype=bool), squares, np.inf).argmin(axis=1)
+        rows, columns = squares.shape
+        near[some] = np.where(np.tri(rows, columns, first - 1, dtype=bool), squares, np.inf).argmin(axis=1)
     out[1:] = 3 * near[1:, None] + np.arange(3)
     return out.ravel()
