@@ -102,7 +102,6 @@ public:
         for (int32_t row : neighbours_)
             if (row < 0 || size_t(row) >= m) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
         sort_by_cell();
-        measure_gaps();
     }
 
     int depth() const { return depth_; }
@@ -251,27 +250,11 @@ private:
         return int64_t(sum);
     }
 
-    // No neighbour is nearer to a place that lies less than half the distance of the nearest one away. Squares of places
-    // so far apart that they would not fit into 64 bits are left at 0.
-    void measure_gaps() {
-        constexpr int64_t LARGEST = int64_t(1) << 29;
-        quarter_gaps_.assign(points_.size(), 0);
-        for (const Place &point : points_)
-            for (int64_t v : point)
-                if (std::abs(v) > LARGEST) return;
-        for (size_t i = 0; i < points_.size(); ++i) {
-            int64_t gap = std::numeric_limits<int64_t>::max();
-            for (size_t k = 0; k < NEIGHBOURS; ++k) gap = std::min(gap, square(points_[i], neighbours_[i * NEIGHBOURS + k]));
-            quarter_gaps_[i] = gap / 4;
-        }
-    }
-
     // The nearest among a sample and its neighbours, the first where several are; NOWHERE stays.
     int32_t descend(const Place &centre, int32_t row) const {
         if (row < 0) return NOWHERE;
         int32_t found = row;
         int64_t best = square(centre, row);
-        if (best < quarter_gaps_[size_t(row)]) return row;
         const int32_t *around = &neighbours_[size_t(row) * NEIGHBOURS];
         for (int k = 0; k < NEIGHBOURS; ++k) {
             const int64_t own = square(centre, around[k]);
@@ -337,7 +320,6 @@ private:
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;
     std::vector<uint64_t> codes_;       // of the unit cells of the samples within the octree, in order
-    std::vector<int64_t> quarter_gaps_;  // of each sample: squared distance of its nearest neighbour / 4
     std::vector<int32_t> sorted_rows_;  // the samples of `codes_`
 };
 
