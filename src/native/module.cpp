@@ -1,7 +1,8 @@
 // mocodec._native: loops that NumPy cannot vectorise. One file for each user in the package:
 //
 //   entropy.cpp     packed bits and the coder of one state, for entropy/
-//   bulk.cpp        long arrays of tokens, for entropy/bulk.py
+//   state_stream.cpp      short arrays of integers in one call, for entropy/coder.py
+//   bulk.cpp        long arrays of integers, for entropy/bulk.py; bulk_layout.h is for contexts and places
 //   coefficients.cpp      contexts, quantisation and rANS lanes, for codecs/tempo/coding
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
@@ -38,7 +39,7 @@ namespace nb = nanobind;
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder) \
-    PART(link_surfaces)
+    PART(link_surfaces) PART(state_stream)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
