@@ -32,8 +32,7 @@ def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> F
     frames = len(samples)
     count = frames if frequencies is None else min(frequencies, frames)
     if frames > MATRIX_FRAMES:
-        spectrum = np.fft.fft(np.concatenate([samples[::2], samples[1::2][::-1]]), axis=0)
-        return (spectrum * _turns(frames).reshape(-1, *[1] * (samples.ndim - 1))).real[:count]
+        return _forward_by_fft(samples)[:count]
     if not frames:
         return np.zeros(samples.shape)
     even, odd = _half_matrices(frames)
@@ -67,6 +66,19 @@ def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
     np.subtract(symmetric, antisymmetric, out=out[:, : -half - 1 : -1])
     np.add(symmetric, antisymmetric, out=out[:, :half])
     return out.T.reshape(frames, *coefficients.shape[1:])
+
+
+def _forward_by_fft(samples: Floats) -> Floats:
+    """All coefficients by a real FFT: the spectrum of frequency frames − k is the conjugate of that of k."""
+    frames = len(samples)
+    spectrum = np.fft.rfft(np.concatenate([samples[::2], samples[1::2][::-1]]), axis=0)
+    turns = _turns(frames).reshape(-1, *[1] * (samples.ndim - 1))
+    out = np.empty(samples.shape)
+    known = len(spectrum)
+    out[:known] = spectrum.real * turns[:known].real - spectrum.imag * turns[:known].imag
+    mirrored = spectrum[frames - known : 0 : -1]
+    out[known:] = mirrored.real * turns[known:].real + mirrored.imag * turns[known:].imag
+    return out
 
 
 def inverse_panels(spectra: Floats, out: Floats) -> None:
