@@ -70,6 +70,21 @@ Output<double> basis_compose(Input<int64_t, 2> entries) {
     return out.give({n, k});
 }
 
+// basis._sum_differences: rows of values (n, k), in place, from their differences from earlier rows, −1 for none.
+void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, size_t leading) {
+    const size_t n = values.shape(0), k = values.shape(1);
+    if (alike.shape(0) != n || leading > k) throw std::invalid_argument("basis_sum_differences: shapes differ");
+    for (size_t r = 0; r < n; ++r) {
+        const int64_t from = alike.data()[r];
+        if (from < 0) continue;
+        if (size_t(from) >= n) throw std::invalid_argument("basis_sum_differences: no such row");
+        uint64_t *to = reinterpret_cast<uint64_t *>(values.data()) + r * k;  // sums may wrap around
+        const int64_t *other = values.data() + size_t(from) * k;
+        for (size_t c = 0; c < leading; ++c) to[c] += uint64_t(other[c]);
+    }
+}
+
 }  // namespace
 
-void bind_householder(nb::module_ &m) { m.def("basis_compose", &basis_compose), m.def("basis_decompose", &basis_decompose); }
+void bind_householder(nb::module_ &m) { m.def("basis_compose", &basis_compose), m.def("basis_decompose", &basis_decompose);
+    m.def("basis_sum_differences", &basis_sum_differences, nb::arg().noconvert(), nb::arg(), nb::arg()); }

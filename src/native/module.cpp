@@ -18,7 +18,8 @@
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
-//   splines.cpp     natural cubic splines, for stages/spline.py
+//   splines.cpp     natural cubic splines and key frames, for stages/spline.py
+//   body_frames.cpp       poses to positions, for codecs/liu2006
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
 //                   chunk_synthesis.h (integers to positions); contexts.h is for coefficients.cpp too
@@ -39,7 +40,7 @@ namespace nb = nanobind;
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder) \
-    PART(link_surfaces) PART(state_stream)
+    PART(link_surfaces) PART(state_stream) PART(body_frames)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

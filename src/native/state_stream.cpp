@@ -83,12 +83,13 @@ size_t kept(size_t extent, size_t symbol) { return std::max<size_t>(1, (extent *
 int mean_shift(size_t step) { return step == 0 ? 1 : step < 3 ? 2 : 3; }
 unsigned mantissa_bits(unsigned token) { return token < DIRECT ? 0 : (token - DIRECT) / 4 + 2; }
 
-// The tables of choice.parameter_tables, of the laws of models.family(LAWS, shape), of models.usual_law, of MIXTURES.
+// The tables of choice.parameter_tables, of the laws of models.family of one ladder, of models.usual_law, of MIXTURES.
 class StateStreams {
 public:
     using Numbers = Input<int64_t, 1>;
 
-    StateStreams(Numbers usual_law, Input<int64_t, 2> mixtures) : usual_law_(usual_law.data(), usual_law.data() + usual_law.shape(0)) {
+    StateStreams(Numbers usual_law, Input<int64_t, 2> mixtures, bool long_ladder)
+        : usual_law_(usual_law.data(), usual_law.data() + usual_law.shape(0)), long_ladder_(long_ladder) {
         if (mixtures.shape(0) != MIXTURES || mixtures.shape(1) != NEIGHBOURS || !usual_law.shape(0))
             throw std::invalid_argument("StateStreams: shapes differ");
         std::copy_n(mixtures.data(), MIXTURES * NEIGHBOURS, &mixtures_[0][0]);
@@ -99,7 +100,16 @@ public:
         tables_.emplace_back(frequency, start, symbol, sizes);
     }
 
-    // Integers (steps, lanes); none for streams of the long ladder of laws, with hints, or that no encoder writes.
+    // Whether a stream has the long ladder of laws.
+    bool has_long_ladder(nb::bytes data) const {
+        if (data.size() < 2) return false;
+        State state(static_cast<const uint8_t *>(data.data()), data.size());
+        size_t fields[FIELDS];
+        for (size_t i = 0; i < FIELDS; ++i) fields[i] = tables_.at(0).next(state, i);
+        return fields[5] != 0;
+    }
+
+    // Integers (steps, lanes); none for streams of the other ladder of laws, with hints, or that no encoder writes.
     std::optional<Output<int64_t>> unpack(nb::bytes data, size_t steps, size_t lanes, size_t most) const {
         if (tables_.size() != 1 + SHAPES || tables_[0].count != FIELDS) throw std::invalid_argument("StateStreams: other tables");
         const uint8_t *bytes = static_cast<const uint8_t *>(data.data());
@@ -121,7 +131,7 @@ private:
         for (size_t i = 0; i < FIELDS; ++i) fields[i] = tables_[0].next(state, i);
         const auto [mixture, shape, zero_law, offset, order, long_ladder, rows, columns] = fields;
         const size_t n = kept(steps, rows), m = kept(lanes, columns);
-        if (mixture >= WITHOUT_HINTS || long_ladder || shape >= SHAPES || n > steps || m > lanes || n * m > most) return false;
+        if (mixture >= WITHOUT_HINTS || bool(long_ladder) != long_ladder_ || shape >= SHAPES || n > steps || m > lanes || n * m > most) return false;
         const Laws &laws = tables_[1 + shape];
         std::vector<uint8_t> ladder(usual_law_.size());
         for (size_t i = 0; i < ladder.size(); ++i)
@@ -207,6 +217,7 @@ private:
 
     std::vector<Laws> tables_;
     std::vector<int64_t> usual_law_;
+    bool long_ladder_;
     int64_t mixtures_[MIXTURES][NEIGHBOURS];
 };
 
@@ -214,7 +225,8 @@ private:
 
 void bind_state_stream(nb::module_ &m) {
     nb::class_<StateStreams>(m, "StateStreams")
-        .def(nb::init<StateStreams::Numbers, Input<int64_t, 2>>())
+        .def(nb::init<StateStreams::Numbers, Input<int64_t, 2>, bool>())
         .def("add", &StateStreams::add)
+        .def("has_long_ladder", &StateStreams::has_long_ladder)
         .def("unpack", &StateStreams::unpack);
 }

@@ -175,10 +175,11 @@ def _context_tokens(contexts: AnyInteger, shape: tuple[int, int]) -> Bytes:
 
 
 @cache
-def _state_streams(kernel: Callable[..., Any]) -> Any:
+def _state_streams(kernel: Callable[..., Any], long_ladder: bool) -> Any:
     """The compiled decoder of short arrays, with its tables."""
-    streams = kernel(models.usual_law(), np.array(MIXTURES, np.int64))
-    families = [models.family(models.LAWS, shape) for shape in range(len(models.SHAPES))]
+    streams = kernel(models.usual_law(), np.array(MIXTURES, np.int64), long_ladder)
+    laws = models.LAWS_LARGE if long_ladder else models.LAWS
+    families = [models.family(laws, shape) for shape in range(len(models.SHAPES))]
     for tables in (choice.parameter_tables(), *families):
         streams.add(tables.frequency, tables.start, tables.symbol, tables.sizes)
     return streams
@@ -186,7 +187,10 @@ def _state_streams(kernel: Callable[..., Any]) -> Any:
 
 def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: AnyInteger | None) -> Integers:
     if (kernel := native.kernel("StateStreams")) is not None and not _is_bulk(data):
-        found = _state_streams(kernel).unpack(data, *shape, ONE_STATE_SYMBOLS_SPARSE)
+        streams = _state_streams(kernel, False)
+        if streams.has_long_ladder(data):
+            streams = _state_streams(kernel, True)
+        found = streams.unpack(data, *shape, ONE_STATE_SYMBOLS_SPARSE)
         if found is not None:
             return found
     decoder = None if _is_bulk(data) else StateDecoder(data)

@@ -142,7 +142,7 @@ def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | 
         raise Corrupt("a basis with differences between dimensions that are not there")
     values = coder.unpack(data[at:], (n, k))
     if alike is not None:
-        _sum_differences(values[:, :leading], alike)
+        _sum_differences(values, alike, leading)
     return _compose(values, n)
 
 
@@ -181,10 +181,12 @@ def _differences(entries: Integers, alike: Integers | None) -> Integers:
     return entries - np.where((alike >= 0)[:, None], entries[alike], 0)
 
 
-def _sum_differences(values: Integers, alike: Integers) -> None:
-    """Undo `_differences`, in place."""
+def _sum_differences(values: Integers, alike: Integers, leading: int) -> None:
+    """Undo `_differences` of the leading columns, in place."""
+    if (kernel := native.kernel("basis_sum_differences")) is not None:
+        return kernel(values, alike, leading)
     for row in np.flatnonzero(alike >= 0):
-        values[row] += values[alike[row]]
+        values[row, :leading] += values[alike[row], :leading]
 
 
 def _signed(vectors: Floats) -> Floats:

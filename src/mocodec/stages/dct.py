@@ -86,18 +86,18 @@ def inverse_panels(spectra: Floats, out: Floats) -> None:
 
     For columns of falling bandwidth: each panel of columns is a product with as many frequencies as it has.
     """
-    runs, known, columns = spectra.shape
+    _, known, columns = spectra.shape
     frames = out.shape[1]
     if frames > MATRIX_FRAMES and known > frames // 2:
         out[..., :columns] = inverse(spectra, frames, axis=1)
         return
-    used = spectra.any(axis=0)
-    reach = known - used[::-1].argmax(axis=0) if known else np.zeros(columns, np.int64)
+    places = np.where(spectra != 0, np.arange(1, known + 1)[:, None], 0)
+    reach = places.max(axis=(0, 1), initial=0)
     even, odd = _half_matrices(frames) if frames <= MATRIX_FRAMES else _low_half_matrices(frames, -(-known // 64) * 64)
     half = len(even)
     for first in range(0, columns, PANEL):
         panel = slice(first, min(first + PANEL, columns))
-        count = int(reach[panel].max()) if used[:, panel].any() else 0
+        count = int(reach[panel].max())
         symmetric = even[:, : (count + 1) // 2] @ spectra[:, :count:2, panel]
         antisymmetric = odd[:, : count // 2] @ spectra[:, 1:count:2, panel]
         np.subtract(symmetric, antisymmetric, out=out[:, : -half - 1 : -1, panel])

@@ -112,8 +112,9 @@ class Hou2014:
         try:
             rung = encoder.rung_for_mean_error(target)
             encoded = encoder.encoded(rung)
+            size = encoded.payload_bytes
             promising = encoder.bits_over(_first_rung(bounded), rung) < PROMISING_BITS
-            promising = promising and bounded.estimate(motion, filled, limit=encoded.payload_bytes)[0] < encoded.payload_bytes
+            promising = promising and bounded.estimate(motion, filled, limit=size)[0] < size
         except CannotEncode as error:
             failure = error
         if promising:

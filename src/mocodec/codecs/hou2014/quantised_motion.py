@@ -121,7 +121,7 @@ def quantise_motion(motion: PreparedMotion, rung: int) -> QuantisedMotion:
 
 
 def _quantised(scaled: Floats, economy: float) -> Integers:
-    """Coefficients (clips, l, k) in steps as integers, without the highest frequencies that are all less than half a step."""
+    """Coefficients (clips, l, k) in steps as integers, without the highest frequencies: those below half a step."""
     largest = np.maximum(scaled.max(axis=(0, 2), initial=0.0), -scaled.min(axis=(0, 2), initial=0.0))
     known = int(np.flatnonzero(largest >= 0.5).max(initial=-1)) + 1
     low = scaled[:, : known + SMOOTHED_FREQUENCIES]

@@ -309,8 +309,8 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
 
 
 def _products(header: SharedHeader) -> list[Floats]:
-    """What turns curves in steps into positions in metres, (k + 1, 3 points) of each left transform: Bᵀ, step and weights
-    in one matrix, and the mean pose below it. Clips with steps of their own are in metres already."""
+    """What turns curves in steps into positions in metres, (k + 1, 3 points) of each left transform: Bᵀ, step and
+    weights in one matrix, and the mean pose below it. Clips with steps of their own are in metres already."""
     step = 1.0 if header.clip_steps else header.unit * quantise.step(header.rung)
     scale, mean = step / header.row_weights, header.mean_pose
     return [np.concatenate([transform.matrix.T * scale, mean[None]]) for transform in header.transforms]

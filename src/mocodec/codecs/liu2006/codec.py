@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics, progress
+from ... import metrics, native, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
@@ -312,7 +312,10 @@ def reconstruct(
         frame = body_frame.from_markers(normalisation, up)
         for group, columns in enumerate(markers.pca_groups):
             poses = blended_poses(models, i, group, first, last, blend_frames)
-            decoded[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
+            if (kernel := native.kernel("place_in_world")) is not None:
+                kernel(poses, columns, frame.origin, frame.heading, frame.up, decoded)
+            else:
+                decoded[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
     return positions
 
 
