@@ -140,7 +140,8 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     missing = np.isnan(positions[..., 0])
     nothing = np.zeros(missing.shape, bool)
     same = _equal(positions[1:], positions[:-1]) & ~missing[1:]
-    if not same.any():
+    others_move = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
+    if not (same.any(axis=1) & others_move).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
     frozen, constant = _find(positions, missing, same, bones)
     if (frozen | missing).all():
