@@ -18,7 +18,7 @@ import pytest
 import mocodec as mc
 from mocodec import viewer
 from mocodec.testing import hinged_figures, synthetic
-from mocodec.viewer import marks, page, session
+from mocodec.viewer import facts, marks, page, session
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.server import Server
 
@@ -34,6 +34,7 @@ pytestmark = [
 
 LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0"}
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "cmu" / "c3d" / "85_12.c3d"
+PLATES = REAL.parents[2] / "field-c3d" / "FP_Type1.c3d"
 HOSTILE = "<img src=x onerror=\"document.title='broken'\">"
 
 
@@ -168,9 +169,8 @@ def test_dropped_files_have_the_marks_that_python_finds(server: Server, original
     assert [json.dumps(answer) for answer in drive(commands, tmp_path)[3::4]] == wanted
 
 
-@pytest.mark.parametrize(("name", "points"), [("bodycast-jumper-learned", 240), ("bodycast-jumper", 0)])
-def test_dropped_point_clouds_are_decoded_in_the_page(server: Server, name: str, points: int, tmp_path: Path) -> None:
-    """Points where the page can decode them, otherwise the poses of the bodies."""
+@pytest.mark.parametrize("name", ["bodycast-jumper-learned", "bodycast-jumper", "lien2006-jumper"])
+def test_dropped_point_clouds_are_decoded_in_the_page(server: Server, name: str, tmp_path: Path) -> None:
     path = Path(__file__).parents[1] / "golden" / f"{name}.mocz"
     answers = drive(
         [
@@ -178,18 +178,13 @@ def test_dropped_point_clouds_are_decoded_in_the_page(server: Server, name: str,
             {"do": "drop", "files": [str(path)]},
             LOADED,
             *seek(2),
-            {"do": "eval", "code": "document.getElementById('notes').textContent"},
         ],
         tmp_path,
     )
     shown = np.array(answers[5]["positions"], float).reshape(-1, 3)
     wanted = mc.decode(path, mc.PointClouds).positions[2]
-    if points:
-        np.testing.assert_allclose(shown, wanted[: len(shown)], atol=1e-5)
-    else:
-        assert "poses of the bodies" in answers[6]
-        assert np.isfinite(shown).all()
-        assert np.linalg.norm(shown.mean(axis=0) - wanted.mean(axis=0)) < 0.3
+    assert len(shown)
+    np.testing.assert_allclose(shown, wanted[: len(shown)], atol=1e-5)
 
 
 def test_units_and_axes_of_point_clouds_can_be_chosen(tmp_path: Path) -> None:
@@ -288,6 +283,32 @@ def test_a_real_recording_shows_its_errors(codec: str, tmp_path: Path) -> None:
         assert f"{1000 * measured.max_error:.2f} mm" in answers[7]
     shown = np.array(answers[6]["positions"], float).reshape(-1, 3)
     np.testing.assert_allclose(shown, decoded.positions[600][: len(shown)], atol=1e-3)
+
+
+@pytest.mark.skipif(not PLATES.is_file(), reason="needs a recording of force plates in ../shared/data")
+def test_a_dropped_file_of_a_lab_shows_its_forces(server: Server, tmp_path: Path) -> None:
+    m = mc.read(PLATES, mc.Motion)
+    data = mc.encode(m, max_error=0.002)
+    (tmp_path / "lab.mocz").write_bytes(data)
+    answers = drive(
+        [
+            {"do": "open", "url": server.url.partition("?")[0]},
+            {"do": "drop", "files": [str(tmp_path / "lab.mocz")]},
+            LOADED,
+            *seek(len(m) // 2),
+            {"do": "eval", "code": "JSON.stringify(mocodecViewer.view.facts.signals)"},
+            {"do": "eval", "code": "document.getElementById('time').clientHeight"},
+        ],
+        tmp_path,
+    )
+    shown = np.array(answers[5]["positions"], float).reshape(-1, 3)
+    np.testing.assert_allclose(shown, mc.decode(data, mc.Motion).positions[len(m) // 2][: len(shown)], atol=1e-5)
+    strips, wanted = json.loads(answers[6]), facts.signals(m.extras)
+    assert [strip["label"] for strip in strips] == [strip["label"] for strip in wanted]
+    for strip, other in zip(strips, wanted, strict=True):
+        assert min(strip["low"]) == pytest.approx(min(other["low"]), rel=1e-4)
+        assert max(strip["high"]) == pytest.approx(max(other["high"]), rel=1e-4)
+    assert answers[7] > 100  # three strips
 
 
 def test_the_worst_error_is_named_on_the_first_screen(
