@@ -282,7 +282,7 @@ class ChunkEncoder:
             grid = step * GRID_OCTAVE // OCTAVE
             values = direct.quantise(self.positions, grid_size(grid))
             error = float(self.errors(np.asarray(values * grid_size(grid), np.float64)).sum())
-            return Draft(grid=grid, error=error, bits=8 * direct.estimate(values.reshape(self.frames, -1)))
+            return Draft(grid=grid, error=error, bits=8 * direct.estimate(self.positions, grid_size(grid)))
         return drafted
 
     def _transform_draft(self, step: int, slope: float) -> Draft:
