@@ -282,7 +282,8 @@ class ChunkEncoder:
             grid = step * GRID_OCTAVE // OCTAVE
             values = direct.quantise(self.positions, grid_size(grid))
             error = float(self.errors(np.asarray(values * grid_size(grid), np.float64)).sum())
-            return Draft(grid=grid, error=error, bits=8 * direct.estimate(self.positions, grid_size(grid)))
+            bits = 8 * direct.estimate(self.positions, grid_size(grid)) if self.positions.size else 0.0
+            return Draft(grid=grid, error=error, bits=bits)
         return drafted
 
     def _transform_draft(self, step: int, slope: float) -> Draft:
