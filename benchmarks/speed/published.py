@@ -1,6 +1,6 @@
 """`scripts/bench speed-published`: hou2014 and liu2006 to a mean error, on one thread.
 
-    recordings ─each codec at each mean error─► median of runs ─► docs/results/speed_published.json ─► speed_published.md
+    recordings ─each codec at each mean error─► median of runs ─► docs/results/speed_published.json, speed_published.md
 
 Times are those of the processor.
 """
