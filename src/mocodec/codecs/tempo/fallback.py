@@ -47,8 +47,9 @@ all chunks, and is stored."""
 PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
 """The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
 
-PROMISING = 1.06
-"""A first coding up to this much larger than tempo's may still be smaller at its best step."""
+PROMISING, PROMISING_BYTES = 1.06, 256
+"""A first coding up to this much larger than tempo's, and so many bytes, may still be smaller at its best step: of still
+recordings most bytes are the basis, which a coarser step makes much smaller."""
 
 STRETCH_FRAMES = 1000
 """Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
@@ -129,7 +130,7 @@ def smaller(
                 size = _estimate(codec, motion[stretch], near[stretch], best.payload_bytes, times, 1)
                 if size > best.payload_bytes:
                     continue
-            most = PROMISING * best.payload_bytes
+            most = PROMISING * best.payload_bytes + PROMISING_BYTES
             if _estimate(codec, motion, near, most) > most:
                 continue
             if codec.max_error and target == "mean_error":
