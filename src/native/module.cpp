@@ -9,6 +9,7 @@
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
+//   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
@@ -36,7 +37,8 @@ namespace nb = nanobind;
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
-    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)
+    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)    \
+    PART(reference_surface)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

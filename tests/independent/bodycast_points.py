@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from .bodycast_colours import Colours, MixedBits, Vector, at_most, difference, dot, rgb, squared
+from .bodycast_references import References
 from .integers import Bytes
 
 
@@ -245,7 +246,11 @@ def points(
     """Places in metres and colours of each frame. poses: of all bodies in all frames; posed(frame, pose shifts of the
     chunk): the samples of the surface, all of which are in every frame."""
     stream = Bytes(data)
-    assert stream.varint() == 4
+    references = References([(0, (0, 0, 0))] * frames)
+    if (kind := stream.varint()) == 6:
+        references = References.read(stream, frames)
+        kind = stream.varint()
+    assert kind == 4
     depth, luma, chroma = (stream.varint() for _ in range(3))
     corner = [stream.folded() for _ in range(3)]
     step = stream.float64()
@@ -266,20 +271,35 @@ def points(
             tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, corner, strict=True))
             for place in learned.moved(standing)
         ]
-        found = FrameOctree(octrees, depth, subunits, standing, surface.neighbours).decode()
+        own, near, seen = len(subunits), surface.neighbours, replace(standing)
+        if (earlier := references.samples(k, depth, bodies=own > 0)) is not None:
+            subunits = subunits + earlier.places
+            seen.normals = standing.normals + earlier.normals
+            near = near + [[n + own for n in row] for row in earlier.neighbours]
+        found = FrameOctree(octrees, depth, subunits, seen, near).decode()
         assert len(found) == count
-        cells, samples = [cell for cell, _ in found], [s for _, s in found]
+        cells, nearest = [cell for cell, _ in found], [s for _, s in found]
+        samples = [s if s < own else -1 for s in nearest]
         whole = [tuple(x + c for x, c in zip(cell, corner, strict=True)) for cell in cells]
         fine = [tuple(min(max(math.floor(x * (step * 65536)), -(2**30)), 2**30) for x in cell) for cell in whole]
         places = [learned.canonical(standing, p, s) if s >= 0 else None for p, s in zip(fine, samples, strict=True)]
         learned.learn(standing, fine, samples)
-        own = list[Vector]()
+        colour = list[Vector]()
         if luma:
-            expected = [learned.expected(s, p) if p else None for p, s in zip(places, samples, strict=True)]
-            decoded = colours.frame(cells, expected)
-            for p, s, colour in zip(places, samples, decoded, strict=True):
+            expected = list[Vector | None]()
+            for cell, p, s, n in zip(cells, places, samples, nearest, strict=True):
+                of_earlier = None if earlier is None or n < own else references.expected(earlier, cell, n - own)
+                expected.append(learned.expected(s, p) if p else of_earlier)
+            colour = colours.frame(cells, expected)
+            for p, s, c in zip(places, samples, colour, strict=True):
                 if p is not None:
-                    learned.see(s, p, colour)
-            own = [rgb(colour) for colour in decoded]
-        result.append(([[x * step for x in cell] for cell in whole], own))
+                    learned.see(s, p, c)
+        references.keep(cells, [explained(standing, p, s) for p, s in zip(fine, samples, strict=True)], colour)
+        result.append(([[x * step for x in cell] for cell in whole], [rgb(c) for c in colour]))
     return result
+
+
+def explained(posed: Posed, point: Vector, s: int) -> bool:
+    """Whether a body explains a point near its sample s."""
+    apart = difference(point, posed.places[s]) if s >= 0 else (0, 0, 0)
+    return s >= 0 and abs(dot(apart, posed.normals[s]) >> 10) <= 983 and dot(apart, apart) <= 2621**2

@@ -1,7 +1,8 @@
 """All points of a chunk's frames within a bound: on a lattice, coded from the bodies' surface.
 
 points ─lattice_frames─► distinct Morton codes ─point_octree─► bytes      colours ─colour_lifting─► bytes
-bodies, poses ─point_scene─► where the surface lies ─┘                       │
+bodies, poses ─point_scene─► where the surface lies ─┤                       │
+points of earlier frames ─reference_points───────────┘                       │
                                       └─ what earlier frames showed there ───┘
 """
 
@@ -18,17 +19,22 @@ from ...entropy.bit_arrays import BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
-from . import integer_surface, octree, point_colours, point_octree
+from . import integer_surface, octree, point_colours, point_octree, reference_points
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
 from .point_scene import Scene, SurfaceTexture
 from .pose_stream import PoseSequence
+from .reference_choice import ReferenceChoice
+from .reference_points import NO_REFERENCE, EarlierFrames, Reference, ReferencePoints
+from .surface_hints import SurfaceHints
 from .surface_memory import ColourMemory, SampleTable
 
-UNLEARNED, LEARNED = 3, 4  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
-KINDS = (UNLEARNED, LEARNED)
-"""UNLEARNED is decoded only: its surface and colours do not depend on earlier frames."""
+UNLEARNED, LEARNED, REFERRED = 3, 4, 6  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
+KINDS = (UNLEARNED, LEARNED, REFERRED)
+"""UNLEARNED is decoded only: its surface and colours do not depend on earlier frames. REFERRED stands before a part
+of kind LEARNED, whose frames refer to points of earlier frames.
+"""
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 
 
@@ -36,17 +42,20 @@ class LocatedPoints(NamedTuple):
     """The points of a frame beside the surface.
 
     cells (n, 3): lattice coordinates. samples (n,): the sample near each among all bodies', −1 without one. places
-    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample.
+    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample. references: points of earlier frames, if the frame
+    refers to any; nearest (n,): the one near each point without a sample, otherwise −1.
     """
 
     cells: Integers
     samples: Integers
     places: Integers
+    references: ReferencePoints | None
+    nearest: Integers
 
 
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours.
+    colours. references: of each frame.
     """
 
     depth: int
@@ -54,6 +63,7 @@ class CodedPlaces(NamedTuple):
     octrees: bytes
     frames: list[LocatedPoints]
     table: SampleTable
+    references: list[Reference]
 
 
 class PointsHeader(NamedTuple):
@@ -116,11 +126,15 @@ def pack_places(
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
     coder, scene, located = BitEncoder(), Scene(textures, shifts, is_absent, learns=True), list[LocatedPoints]()
+    earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
     for k, frame in enumerate(frames):
+        reference = NO_REFERENCE
         if len(frame.codes):
-            octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k])
-            located.append(octree_of_frame.code(coder, frame.codes, len(frame.codes))[1])
-    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table)
+            octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
+            coder, reference, points = octree_of_frame.encode(coder, frame.codes, choice)
+            located.append(points)
+        references.append(reference)
+    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table, references)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
@@ -135,7 +149,9 @@ def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourStep
 
 def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes:
     """The part of a chunk. steps: None without colours."""
-    kind = varint.write([LEARNED, coded.depth, *((0, 0) if steps is None else steps)])
+    refers = any(reference.frames for reference in coded.references)
+    before = varint.write([REFERRED]) + reference_points.pack_references(coded.references[1:]) if refers else b""
+    kind = before + varint.write([LEARNED, coded.depth, *((0, 0) if steps is None else steps)])
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
@@ -148,10 +164,12 @@ def unpack_points(
     coloured: bool,
 ) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
+    data, references = _split_references(data, frames)
     head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
     grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
     places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
     scene, waiting = Scene(textures, shifts, is_absent, learns=kind == LEARNED), iter(head.pose_shifts)
+    earlier = EarlierFrames()
     memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
     for k, count in enumerate(head.counts):
         present = [b for b in range(len(textures)) if not is_absent[k, b]]
@@ -160,7 +178,7 @@ def unpack_points(
             yield no_points(coloured)
             continue
         values = [integer_surface.pose_values(textures[b].body, poses[b][k]) for b in present]
-        codes, located = _OctreeOfFrame(scene, grid, k, values, own).code(places, None, count)
+        codes, located = _OctreeOfFrame(scene, grid, k, values, own, earlier).decode(places, count, references[k])
         colour = None
         if memory is not None:
             colour = memory.code(colours, None, located)
@@ -170,29 +188,77 @@ def unpack_points(
     places.finish()
 
 
+def _split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
+    """The part without references, and the reference of each frame. Raises Corrupt."""
+    if data[:1] != bytes([REFERRED]):
+        return data, [NO_REFERENCE] * frames
+    references, at = reference_points.unpack_references(data, max(frames - 1, 0), 1)
+    if data[at : at + 1] != bytes([LEARNED]):
+        raise Corrupt("bodycast: references stand before points of another kind")
+    return data[at:], [NO_REFERENCE, *references]
+
+
 class _OctreeOfFrame:
-    """The octree of frame k. values, shifts: as in `Scene.posed`."""
+    """The octree of frame k. values, shifts: as in `Scene.posed`. The frame joins the `earlier` ones."""
 
     def __init__(
-        self, scene: Scene, grid: LatticeGrid, k: int, values: Sequence[Floats], shifts: Sequence[int]
+        self,
+        scene: Scene,
+        grid: LatticeGrid,
+        k: int,
+        values: Sequence[Floats],
+        shifts: Sequence[int],
+        earlier: EarlierFrames,
     ) -> None:
-        self.scene, self.grid = scene, grid
+        self.scene, self.grid, self.earlier = scene, grid, earlier
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
-    def code(
-        self, coder: BitEncoder | BitDecoder, codes: Integers | None, count: int
-    ) -> tuple[Integers, LocatedPoints]:
-        """Code the Morton codes (count,), None in the decoder; the next frames learn from them. Raises Corrupt."""
-        codes, nearest = point_octree.code_octree(coder, codes, self.grid.depth, count, self.hints)
+    def encode(
+        self, coder: BitEncoder, codes: Integers, choice: ReferenceChoice
+    ) -> tuple[BitEncoder, Reference, LocatedPoints]:
+        """Code the Morton codes (n,) with the shortest choice of references. The coder to go on with."""
+        has_bodies = self.hints is not None
+        candidates = choice.candidates(self.earlier, octree.cells_of_codes(codes), self.grid.depth, has_bodies)
+        tried = list[tuple[BitEncoder, Reference, ReferencePoints | None, Integers]]()
+        for reference in candidates:
+            trial = coder.copy() if len(candidates) > 1 else coder
+            references, hints = self._with_references(reference)
+            _, nearest = point_octree.code_octree(trial, codes, self.grid.depth, len(codes), hints)
+            tried.append((trial, reference, references, nearest))
+        best, reference, references, nearest = min(tried, key=lambda one: one[0].size)
+        choice.keep(reference)
+        return best, reference, self._keep(codes, nearest, reference, references)
+
+    def decode(self, coder: BitDecoder, count: int, reference: Reference) -> tuple[Integers, LocatedPoints]:
+        """The Morton codes (count,). Raises Corrupt."""
+        references, hints = self._with_references(reference)
+        codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, hints)
+        return codes, self._keep(codes, nearest, reference, references)
+
+    def _with_references(self, reference: Reference) -> tuple[ReferencePoints | None, SurfaceHints | None]:
+        """The points of a reference, and what the octree sees of them and of the bodies."""
+        if not reference.frames:
+            return None, self.hints
+        earlier, depth = self.earlier.moved(reference.motion), self.grid.depth
+        references = earlier.references(reference.frames, depth, self.hints is not None)
+        return references, reference_points.joined_hints(self.hints, references, depth)
+
+    def _keep(
+        self, codes: Integers, nearest: Integers, reference: Reference, references: ReferencePoints | None
+    ) -> LocatedPoints:
+        """What the next frames and the colours need. nearest (n,): the sample near each point."""
         cells = octree.cells_of_codes(codes)
-        points, table = self.grid.places(cells), self.scene.table
-        samples, places = np.full(count, -1), np.zeros((count, 3), np.int64)
-        known = np.flatnonzero(nearest >= 0)
+        points, table, bodies = self.grid.places(cells), self.scene.table, len(self.surface.rows)
+        samples, places = np.full(len(codes), -1), np.zeros((len(codes), 3), np.int64)
+        of_bodies = np.where(nearest < bodies, nearest, -1)
+        known = np.flatnonzero(of_bodies >= 0)
         samples[known] = self.surface.rows[nearest[known]]
         places[known] = table.canonical(self.surface, points[known], nearest[known])
-        self.scene.learn(self.surface, points, nearest)
-        return codes, LocatedPoints(cells, samples, places)
+        self.scene.learn(self.surface, points, of_bodies)
+        self.earlier.move(reference.motion)
+        self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
+        return LocatedPoints(cells, samples, places, references, np.where(nearest < bodies, -1, nearest - bodies))
 
 
 class _ColoursOfChunk:
@@ -200,14 +266,20 @@ class _ColoursOfChunk:
 
     def __init__(self, table: SampleTable, steps: ColourSteps) -> None:
         self.memory, self.lifting = ColourMemory(table), ColourLifting(steps)
+        self.decoded = list[Integers]()  # colours of the last frames
 
     def code(self, coder: BitEncoder | BitDecoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
         known = points.samples >= 0
         expected = np.zeros((len(known), 3), np.int64)
         expected[known] = self.memory.expected(points.samples[known], points.places[known])
-        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, known)
+        referring = points.nearest >= 0
+        if points.references is not None:
+            nearest = points.nearest[referring]
+            expected[referring] = points.references.expected(self.decoded, points.cells[referring], nearest)
+        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, known | referring)
         self.memory.learn(points.samples[known], points.places[known], colours[known])
+        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours]
         return point_colours.rgb_from_ycocg(colours)
 
 
