@@ -35,8 +35,13 @@ class Cone:
     @property
     def area(self) -> float:
         """Square metres."""
-        length = float(np.linalg.norm(self.stop - self.start))
-        return float(np.pi * ((self.near + self.far) * np.hypot(length, self.near - self.far) + self.near**2 + self.far**2))
+        return float(np.pi * self._parts.sum())
+
+    @property
+    def _parts(self) -> Floats:
+        """Areas over π of the mantle and of both discs."""
+        slant = np.hypot(np.linalg.norm(self.stop - self.start), self.near - self.far)
+        return np.array([(self.near + self.far) * slant, self.near**2, self.far**2])
 
     @property
     def frame(self) -> tuple[Floats, float, Floats, Floats]:
@@ -51,8 +56,7 @@ class Cone:
     def sample(self, points: int, rng: np.random.Generator) -> Floats:
         """Random points (n, 3), uniform over the surface."""
         axis, length, side, across = self.frame
-        parts = np.array([(self.near + self.far) * np.hypot(length, self.near - self.far), self.near**2, self.far**2])
-        part = rng.choice(3, points, p=parts / parts.sum())
+        part = rng.choice(3, points, p=self._parts / self._parts.sum())
         share, turn, out = rng.random(points), rng.uniform(0, 2 * np.pi, points), np.sqrt(rng.random(points))
         along = _along_cone(self.near, self.far, share)
         along = np.where(part == 0, along, part - 1.0)
@@ -96,7 +100,8 @@ class Box:
 
     def contains(self, points: Floats) -> Booleans:
         """Whether each of the points (n, 3) lies inside, by more than 2 mm."""
-        return ((points > self.low + 0.002) & (points < self.high - 0.002)).all(axis=1)
+        inside = (points > self.low + 0.002) & (points < self.high - 0.002)
+        return inside[:, 0] & inside[:, 1] & inside[:, 2]
 
 
 def _along_cone(near: float, far: float, share: Floats) -> Floats:

@@ -246,7 +246,7 @@ def points(
     """Places in metres and colours of each frame. poses: of all bodies in all frames; posed(frame, pose shifts of the
     chunk): the samples of the surface, all of which are in every frame."""
     stream = Bytes(data)
-    references = References([(0, (0, 0, 0))] * frames)
+    references = References([(0, (0, 0, 0), False)] * frames)
     if (kind := stream.varint()) == 6:
         references = References.read(stream, frames)
         kind = stream.varint()
@@ -271,10 +271,13 @@ def points(
             tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, corner, strict=True))
             for place in learned.moved(standing)
         ]
-        own, near, seen = len(subunits), surface.neighbours, replace(standing)
+        if references.numbers[k][2]:
+            subunits = []
+        own, near, seen = len(subunits), surface.neighbours[: len(subunits)], replace(standing)
+        seen.normals = standing.normals[:own]
         if (earlier := references.samples(k, depth, bodies=own > 0)) is not None:
             subunits = subunits + earlier.places
-            seen.normals = standing.normals + earlier.normals
+            seen.normals = seen.normals + earlier.normals
             near = near + [[n + own for n in row] for row in earlier.neighbours]
         found = FrameOctree(octrees, depth, subunits, seen, near).decode()
         assert len(found) == count

@@ -1,4 +1,7 @@
-"""Points of earlier frames as samples, written from docs/payloads/bodycast-references.md; no code of mocodec is used."""
+"""Points of earlier frames as samples, written from docs/payloads/bodycast-references.md.
+
+No code of mocodec is used.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from .integers import Bytes
 
 @dataclass
 class Samples:
-    """Places in subunits, normals, neighbours; and of each sample the frame that it is from (1: the last) and its point."""
+    """Places in subunits, normals, neighbours; origins: frame (1: the last) and point that each is from."""
 
     places: list[Vector]
     normals: list[Vector]
@@ -32,20 +35,20 @@ class Kept:
 class References:
     """The last four frames with points, the latest first."""
 
-    def __init__(self, numbers: list[tuple[int, Vector]]) -> None:
+    def __init__(self, numbers: list[tuple[int, Vector, bool]]) -> None:
         self.numbers, self.kept = numbers, list[Kept]()
 
     @staticmethod
     def read(stream: Bytes, frames: int) -> References:
-        numbers: list[tuple[int, Vector]] = [(0, (0, 0, 0))]
-        for _ in range(frames - 1):
-            count = stream.varint()
-            numbers.append((count, tuple(stream.folded() for _ in range(3)) if count else (0, 0, 0)))
+        numbers = list[tuple[int, Vector, bool]]()
+        for _ in range(frames):
+            count, hides = divmod(stream.varint(), 2)
+            numbers.append((count, tuple(stream.folded() for _ in range(3)) if count else (0, 0, 0), hides == 1))
         return References(numbers)
 
     def samples(self, k: int, depth: int, bodies: bool) -> Samples | None:
         """The samples of frame k. bodies: whether any body is in the frame. The kept frames move on."""
-        count, motion = self.numbers[k]
+        count, motion, _ = self.numbers[k]
         for frame in self.kept:
             frame.cells = [tuple(x + m for x, m in zip(cell, motion, strict=True)) for cell in frame.cells]
         found: dict[Vector, tuple[int, int]] = {}

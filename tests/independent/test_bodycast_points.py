@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mocodec import api
 from mocodec.codecs.bodycast import Bodycast, integer_surface
 from mocodec.codecs.bodycast.body_model import unpack_models
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
@@ -77,7 +79,7 @@ def test_frames_that_refer_to_earlier_ones(coloured: bool) -> None:
     rng, places = np.random.default_rng(4), list[np.ndarray]()
     for k in range(6):  # a dish that moves, with other points in every frame
         flat = rng.uniform(-0.1, 0.1, (150, 2))
-        places.append(np.column_stack([flat, 3 * (flat**2).sum(axis=1)]) + [0.02 * k, 0, 0])
+        places.append(np.column_stack([flat[:, 0] + 0.02 * k, flat[:, 1], 3 * (flat**2).sum(axis=1)]))
     places[3] = places[3][:0]
     colours = [(128 + 900 * p).clip(0, 255).astype(np.uint8) for p in places]
     encoded = Bodycast(max_error=0.003).encode(PointClouds(places, 15.0, colours if coloured else None))
@@ -96,6 +98,13 @@ def test_a_body_beside_a_thing() -> None:
         colours.append(np.concatenate([clouds.colours[k], np.tile(np.uint8([90, 60, 30]), (150, 1))]))
     codec = Bodycast(max_error=0.004, skeleton=performance.skeleton())
     encoded = codec.encode(PointClouds(positions, 15.0, colours, None, "y"))
+    assert kind_of(encoded) == REFERRED
+    compare(encoded, coloured=True)
+
+
+def test_a_body_that_is_hidden() -> None:
+    with api.open(Path(__file__).parent.parent / "golden/bodycast-covered.mocz", PointClouds) as file:
+        encoded = file.encoded
     assert kind_of(encoded) == REFERRED
     compare(encoded, coloured=True)
 

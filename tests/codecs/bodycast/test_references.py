@@ -24,7 +24,7 @@ def distinct(*shape: int, limit: int = 60) -> np.ndarray:
 def dish(k: int, points: int = 400) -> np.ndarray:
     """Other points of a curved surface in every frame, metres; it moves by 2 cm a frame."""
     flat = np.random.default_rng(k).uniform(-0.1, 0.1, (points, 2))
-    return np.column_stack([flat, 3 * (flat**2).sum(axis=1)]) + [0.02 * k, 0, 0]
+    return np.column_stack([flat[:, 0] + 0.02 * k, flat[:, 1], 3 * (flat**2).sum(axis=1)])
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_of_equal_points_the_latest_counts():
     nothing = np.zeros(len(cells), bool)
     earlier.add(cells, nothing)
     earlier.move((1, 0, 0))
-    earlier.add(cells + [1, 0, 0], nothing)
+    earlier.add(cells + np.array([1, 0, 0]), nothing)
     found = earlier.references(2, 7, has_bodies=True)
     assert found is not None
     assert len(found.rows) == len(cells)
@@ -108,10 +108,10 @@ def part_of(clouds: PointClouds) -> bytes:
 
 
 def test_references_are_read_back_or_corrupt():
-    references = [Reference(0, (0, 0, 0)), Reference(4, (-5, 0, 70_000 >> 1)), Reference(1, (1, 2, 3))]
+    references = [Reference(), Reference(4, (-5, 0, 35_000), True), Reference(1, (1, 2, 3))]
     data = pack_references(references)
     assert unpack_references(data + b"x", 3, 0) == (references, len(data))
-    for damaged in (varint.write([5, 0, 0, 0]), varint.write([1, 0, 0, varint.signed(1 << 17)]), b"\x01"):
+    for damaged in (varint.write([10, 0, 0, 0]), varint.write([2, 0, 0, varint.signed(1 << 17)]), b"\x02"):
         with pytest.raises(Corrupt):
             unpack_references(damaged, 1, 0)
 

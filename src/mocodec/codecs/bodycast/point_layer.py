@@ -149,8 +149,8 @@ def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourStep
 
 def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes:
     """The part of a chunk. steps: None without colours."""
-    refers = any(reference.frames for reference in coded.references)
-    before = varint.write([REFERRED]) + reference_points.pack_references(coded.references[1:]) if refers else b""
+    refers = any(reference != NO_REFERENCE for reference in coded.references)
+    before = varint.write([REFERRED]) + reference_points.pack_references(coded.references) if refers else b""
     kind = before + varint.write([LEARNED, coded.depth, *((0, 0) if steps is None else steps)])
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
@@ -164,7 +164,7 @@ def unpack_points(
     coloured: bool,
 ) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
-    data, references = _split_references(data, frames)
+    data, references = split_references(data, frames)
     head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
     grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
     places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
@@ -188,14 +188,14 @@ def unpack_points(
     places.finish()
 
 
-def _split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
+def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
     """The part without references, and the reference of each frame. Raises Corrupt."""
     if data[:1] != bytes([REFERRED]):
         return data, [NO_REFERENCE] * frames
-    references, at = reference_points.unpack_references(data, max(frames - 1, 0), 1)
+    references, at = reference_points.unpack_references(data, frames, 1)
     if data[at : at + 1] != bytes([LEARNED]):
         raise Corrupt("bodycast: references stand before points of another kind")
-    return data[at:], [NO_REFERENCE, *references]
+    return data[at:], references
 
 
 class _OctreeOfFrame:
@@ -238,18 +238,20 @@ class _OctreeOfFrame:
 
     def _with_references(self, reference: Reference) -> tuple[ReferencePoints | None, SurfaceHints | None]:
         """The points of a reference, and what the octree sees of them and of the bodies."""
+        bodies = None if reference.hides_bodies else self.hints
         if not reference.frames:
-            return None, self.hints
+            return None, bodies
         earlier, depth = self.earlier.moved(reference.motion), self.grid.depth
-        references = earlier.references(reference.frames, depth, self.hints is not None)
-        return references, reference_points.joined_hints(self.hints, references, depth)
+        references = earlier.references(reference.frames, depth, bodies is not None)
+        return references, reference_points.joined_hints(bodies, references, depth)
 
     def _keep(
         self, codes: Integers, nearest: Integers, reference: Reference, references: ReferencePoints | None
     ) -> LocatedPoints:
         """What the next frames and the colours need. nearest (n,): the sample near each point."""
         cells = octree.cells_of_codes(codes)
-        points, table, bodies = self.grid.places(cells), self.scene.table, len(self.surface.rows)
+        points, table = self.grid.places(cells), self.scene.table
+        bodies = 0 if reference.hides_bodies else len(self.surface.rows)
         samples, places = np.full(len(codes), -1), np.zeros((len(codes), 3), np.int64)
         of_bodies = np.where(nearest < bodies, nearest, -1)
         known = np.flatnonzero(of_bodies >= 0)

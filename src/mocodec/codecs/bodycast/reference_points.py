@@ -32,14 +32,15 @@ WEIGHT_UNIT = 1 << 40
 
 class Reference(NamedTuple):
     """What a frame refers to. frames: how many before it, 0 for none. motion: of their points since the frame before,
-    lattice units.
+    lattice units. hides_bodies: whether the frame is coded as if no body were in it.
     """
 
-    frames: int
-    motion: tuple[int, int, int]
+    frames: int = 0
+    motion: tuple[int, int, int] = (0, 0, 0)
+    hides_bodies: bool = False
 
 
-NO_REFERENCE = Reference(0, (0, 0, 0))
+NO_REFERENCE = Reference()
 
 
 class ReferencePoints(NamedTuple):
@@ -118,6 +119,10 @@ class EarlierFrames:
         is_inside = ((frame.cells >= 0) & (frame.cells < 1 << depth)).all(axis=1)
         return np.flatnonzero(is_inside & ~frame.is_explained if has_bodies else is_inside)
 
+    def unexplained_share(self) -> float:
+        """The share of the points of the last frame that no body explains; 0 without a frame."""
+        return float(np.mean(~self._frames[0].is_explained)) if self._frames else 0.0
+
     def add(self, cells: Integers, is_explained: Booleans) -> None:
         """Keep the points of a frame."""
         self._frames = [_KeptFrame(cells, is_explained), *self._frames[: MAX_FRAMES - 1]]
@@ -150,10 +155,10 @@ def joined_hints(bodies: SurfaceHints | None, references: ReferencePoints | None
 
 
 def pack_references(references: Sequence[Reference]) -> bytes:
-    """references: of each frame with points but the first."""
+    """The references of all frames of a chunk."""
     numbers = list[int]()
     for reference in references:
-        numbers.append(reference.frames)
+        numbers.append(2 * reference.frames + reference.hides_bodies)
         if reference.frames:
             numbers += [varint.signed(v) for v in reference.motion]
     return varint.write(numbers)
@@ -163,12 +168,12 @@ def unpack_references(data: bytes, frames: int, at: int) -> tuple[list[Reference
     """The inverse of `pack_references`, and the position after them. Raises Corrupt."""
     result = list[Reference]()
     for _ in range(frames):
-        (count,), at = varint.read(data, 1, at)
-        motion = [0, 0, 0]
+        (number,), at = varint.read(data, 1, at)
+        count, motion = number // 2, [0, 0, 0]
         if count:
             numbers, at = varint.read(data, 3, at)
             motion = [varint.unsigned(v) for v in numbers]
         if count > MAX_FRAMES or max(map(abs, motion)) > MAX_MOTION:
             raise Corrupt("bodycast: a reference to earlier frames is out of range")
-        result.append(Reference(count, (motion[0], motion[1], motion[2])))
+        result.append(Reference(count, (motion[0], motion[1], motion[2]), number % 2 == 1))
     return result, at

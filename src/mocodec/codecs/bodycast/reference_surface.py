@@ -1,4 +1,4 @@
-"""The surface that the points of earlier frames lie on, for the octree of a frame, where no body shows it. Integers only.
+"""The surface that points of earlier frames lie on, as samples for the octree of a frame. Integers only.
 
 points ─► the nearest points of each ─► their plane ─► places moved onto it, normals, neighbours: samples as of a body
 """
