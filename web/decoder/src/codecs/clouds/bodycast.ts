@@ -7,7 +7,7 @@ import { type Atlas, readAtlas } from "./atlas.js";
 import { type Cloud, type PointDecoder, joined } from "./cloud.js";
 import { readExact } from "./exact.js";
 import { readOutliers } from "./outliers.js";
-import { LEARNED, UNLEARNED, readLattice } from "./lattice.js";
+import { LEARNED, REFERRED, UNLEARNED, readLattice } from "./lattice.js";
 import { MovingSurface } from "./moving_surface.js";
 import { readRawFrames } from "./raw_frames.js";
 import { type Surface, type Texture, surfaceOf, textureOf } from "./surface.js";
@@ -39,7 +39,7 @@ export class BodycastPoints implements PointDecoder {
   *decode(chunk: StoredChunk): Generator<Cloud> {
     const parts = splitChunk(chunk, this.models.length);
     const kind = parts.exactPoints[0];
-    if (kind === UNLEARNED || kind === LEARNED) yield* this.lattice(parts, chunk.frames);
+    if (kind === UNLEARNED || kind === LEARNED || kind === REFERRED) yield* this.lattice(parts, chunk.frames);
     else if (kind !== undefined) yield* readExact(parts.exactPoints, chunk.frames, this.coloured);
     else yield* this.surfaces(parts, chunk.frames);
   }
