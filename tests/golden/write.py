@@ -222,6 +222,8 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
     "bodycast-covered": (covered_jumper, "bodycast", {"max_error": 0.003, **SKELETON}),
+    "bodycast-exact": (jumper, "bodycast", {"residual": "exact", **SKELETON}),
+    "bodycast-exact-steps": (covered_jumper, "bodycast", {"residual": "exact", "precision": 0.002, **SKELETON}),
     "bodycast-jumper-learned": (jumper, "bodycast", {"max_error": 0.003, "psnr": 38, **SKELETON}),
 }
 

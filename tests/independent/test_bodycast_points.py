@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocodec import api
-from mocodec.codecs.bodycast import Bodycast, integer_surface
+from mocodec.codecs.bodycast import Bodycast, exact_octree, integer_surface
 from mocodec.codecs.bodycast.body_model import unpack_models
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
 from mocodec.codecs.bodycast.point_layer import REFERRED
@@ -100,6 +100,20 @@ def test_a_body_beside_a_thing() -> None:
     encoded = codec.encode(PointClouds(positions, 15.0, colours, None, "y"))
     assert kind_of(encoded) == REFERRED
     compare(encoded, coloured=True)
+
+
+@pytest.mark.parametrize("precision", [0.0, 0.002])
+@pytest.mark.parametrize("coloured", [True, False])
+def test_exact_points(precision: float, coloured: bool) -> None:
+    performance = sequences.jumping_jacks(actors.capsules(), 3)
+    clouds = sequences.record(performance, 250, seed=1)
+    assert clouds.colours is not None
+    twice = [np.concatenate([p, p[:40]]) for p in clouds.positions]
+    colours = [np.concatenate([c, c[:40] // 2]) for c in clouds.colours] if coloured else None
+    codec = Bodycast(residual="exact", precision=precision, skeleton=performance.skeleton())
+    encoded = codec.encode(PointClouds(twice, 15.0, colours, None, "y"))
+    assert kind_of(encoded) == exact_octree.KIND
+    compare(encoded, coloured)
 
 
 def test_a_body_that_is_hidden() -> None:

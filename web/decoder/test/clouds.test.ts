@@ -8,7 +8,7 @@ import { goldenBytes, goldenTwin } from "./golden.js";
 const TOLERANCE_M = 0.6e-6;
 
 describe("points are those of the twins", () => {
-  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-covered", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
+  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-covered", "bodycast-exact", "bodycast-exact-steps", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));
     let frame = 0;

@@ -39,7 +39,11 @@ class LatticeGrid:
 
     def positions(self, codes: Integers) -> Floats:
         """The places (n, 3) of Morton codes (n,), metres."""
-        return lattice.positions(octree.cells_of_codes(codes) + self.corner, self.step_m)
+        return self.positions_of_cells(octree.cells_of_codes(codes))
+
+    def positions_of_cells(self, cells: Integers) -> Floats:
+        """The places (n, 3) of lattice coordinates (n, 3), metres."""
+        return lattice.positions(cells + self.corner, self.step_m)
 
     def places(self, cells: Integers) -> Integers:
         """Cells (n, 3) as places in 2^-PLACE_BITS metres, rounded down, at most MAX_PLACE_M from the origin."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...entropy import varint
-from ...entropy.bit_arrays import BitDecoder, BitEncoder
+from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
@@ -139,7 +139,7 @@ def pack_places(
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
     """The bytes of the colours (n, 3) of each frame with points, and the decoded colours."""
-    coder, memory = BitEncoder(), _ColoursOfChunk(coded.table, steps)
+    coder, memory = BitEncoder(), ColoursOfChunk(coded.table, steps)
     decoded = [
         memory.code(coder, point_colours.ycocg_from_rgb(own.astype(np.int64)), located)
         for own, located in zip(colours, coded.frames, strict=True)
@@ -164,28 +164,57 @@ def unpack_points(
     coloured: bool,
 ) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
-    data, references = split_references(data, frames)
-    head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
-    grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
-    places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
-    scene, waiting = Scene(textures, shifts, is_absent, learns=kind == LEARNED), iter(head.pose_shifts)
-    earlier = EarlierFrames()
-    memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
-    for k, count in enumerate(head.counts):
-        present = [b for b in range(len(textures)) if not is_absent[k, b]]
-        own = [next(waiting) for _ in present]
-        if not count:
+    places = PlacesDecoder(data, frames, textures, poses, is_absent, coloured)
+    kind, steps, table = places.head.kind, places.head.steps, places.table
+    colours = BitDecoder(places.rest)
+    memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
+    for located in places.frames():
+        if located is None:
             yield no_points(coloured)
             continue
-        values = [integer_surface.pose_values(textures[b].body, poses[b][k]) for b in present]
-        codes, located = _OctreeOfFrame(scene, grid, k, values, own, earlier).decode(places, count, references[k])
         colour = None
         if memory is not None:
             colour = memory.code(colours, None, located)
         elif coloured:
-            colour = _unlearned_colours(colours, scene.table.colours, located.samples, steps[0])
-        yield grid.positions(codes), colour
-    places.finish()
+            colour = _unlearned_colours(colours, table.colours, located.samples, steps[0])
+        yield places.head.grid.positions_of_cells(located.cells), colour
+
+
+class PlacesDecoder:
+    """The places of the points of a chunk. head: what stands before them. table: the samples of the bodies. rest: what
+    follows.
+    """
+
+    def __init__(
+        self,
+        data: bytes,
+        frames: int,
+        textures: Sequence[SurfaceTexture],
+        poses: Sequence[PoseSequence],
+        is_absent: Booleans,
+        coloured: bool,
+    ) -> None:
+        """As `unpack_points`. Raises Corrupt."""
+        part, self._references = split_references(data, frames)
+        self.head = PointsHeader.read(part, frames, len(textures), int((~is_absent).sum()), coloured)
+        self._coder, self.rest = BitDecoder(part[self.head.octrees]), part[self.head.octrees.stop :]
+        self._textures, self._poses, self._is_absent = textures, poses, is_absent
+        self._scene = Scene(textures, self.head.shifts, is_absent, learns=self.head.kind == LEARNED)
+        self.table = self._scene.table
+
+    def frames(self) -> Iterator[LocatedPoints | None]:
+        """The points of each frame, None for a frame without points. Raises Corrupt."""
+        waiting, earlier = iter(self.head.pose_shifts), EarlierFrames()
+        for k, count in enumerate(self.head.counts):
+            present = [b for b in range(len(self._textures)) if not self._is_absent[k, b]]
+            own = [next(waiting) for _ in present]
+            if not count:
+                yield None
+                continue
+            values = [integer_surface.pose_values(self._textures[b].body, self._poses[b][k]) for b in present]
+            octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, values, own, earlier)
+            yield octree_of_frame.decode(self._coder, count, self._references[k])
+        self._coder.finish()
 
 
 def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
@@ -230,11 +259,11 @@ class _OctreeOfFrame:
         choice.keep(reference)
         return best, reference, self._keep(codes, nearest, reference, references)
 
-    def decode(self, coder: BitDecoder, count: int, reference: Reference) -> tuple[Integers, LocatedPoints]:
-        """The Morton codes (count,). Raises Corrupt."""
+    def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
+        """The points (count,). Raises Corrupt."""
         references, hints = self._with_references(reference)
         codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, hints)
-        return codes, self._keep(codes, nearest, reference, references)
+        return self._keep(codes, nearest, reference, references)
 
     def _with_references(self, reference: Reference) -> tuple[ReferencePoints | None, SurfaceHints | None]:
         """The points of a reference, and what the octree sees of them and of the bodies."""
@@ -263,25 +292,34 @@ class _OctreeOfFrame:
         return LocatedPoints(cells, samples, places, references, np.where(nearest < bodies, -1, nearest - bodies))
 
 
-class _ColoursOfChunk:
+class ColoursOfChunk:
     """Codes the colours of a chunk's frames, each from what those before it showed of the surface."""
 
     def __init__(self, table: SampleTable, steps: ColourSteps) -> None:
         self.memory, self.lifting = ColourMemory(table), ColourLifting(steps)
         self.decoded = list[Integers]()  # colours of the last frames
 
-    def code(self, coder: BitEncoder | BitDecoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
+    def code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
-        known = points.samples >= 0
+        return self.code_repeated(coder, wanted, points, np.zeros(len(points.cells), np.int64))
+
+    def code_repeated(
+        self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints, repeats: Integers
+    ) -> Bytes:
+        """As `code`, of points that stand for `repeats` (m,) more each. Later frames refer to the first of them."""
+        samples, places, cells, nearest = (
+            np.repeat(values, repeats + 1, axis=0)
+            for values in (points.samples, points.places, points.cells, points.nearest)
+        )
+        known, referring = samples >= 0, nearest >= 0
         expected = np.zeros((len(known), 3), np.int64)
-        expected[known] = self.memory.expected(points.samples[known], points.places[known])
-        referring = points.nearest >= 0
+        expected[known] = self.memory.expected(samples[known], places[known])
         if points.references is not None:
-            nearest = points.nearest[referring]
-            expected[referring] = points.references.expected(self.decoded, points.cells[referring], nearest)
-        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, known | referring)
-        self.memory.learn(points.samples[known], points.places[known], colours[known])
-        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours]
+            expected[referring] = points.references.expected(self.decoded, cells[referring], nearest[referring])
+        colours = self.lifting.code_frame(coder, wanted, cells, expected, known | referring)
+        self.memory.learn(samples[known], places[known], colours[known])
+        first = np.cumsum(repeats + 1) - repeats - 1
+        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours[first]]
         return point_colours.rgb_from_ycocg(colours)
 
 
