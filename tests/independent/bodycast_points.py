@@ -39,8 +39,10 @@ class Posed:
 class FrameOctree:
     """posed: samples, moved by their learned offsets. neighbours: of the samples in the frame."""
 
-    def __init__(self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]]) -> None:
-        self.bits, self.depth, self.samples = bits, depth, points
+    def __init__(
+        self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]], kind: int
+    ) -> None:
+        self.bits, self.depth, self.samples, self.kind = bits, depth, points, kind
         self.normals, self.near = posed.normals, near
         gaps = sorted(squared(points[row[0]], points[i]) for i, row in enumerate(near))
         self.spacing = max(math.isqrt(gaps[len(gaps) // 2]), 1) if gaps else 0
@@ -101,7 +103,8 @@ class FrameOctree:
             own = {s: [s, *self.near[s]] for s in {nearest[i] for i in rows}}
             return {s: (sum(total[n] for n in o) + extra) // (sum(count[n] for n in o) + 2) for s, o in own.items()}
 
-        offsets = means(far, 0)
+        has_offsets = self.kind == 4 or 2 * h <= self.spacing
+        offsets = means(far, 0) if has_offsets else dict.fromkeys((nearest[i] for i in rows), 0)
         deviations = {i: abs(far[i] - offsets[nearest[i]]) for i in rows}
         usual = sum(deviations.values()) // len(rows) if rows else 0
         spreads = means(deviations, 2 * usual)
@@ -189,6 +192,57 @@ class FrameOctree:
         return weight(left[0]) * 64 // (sum(map(weight, left)) + 1)
 
 
+# --- smoothing
+
+
+class Smoothing:
+    """cells, samples: of the points of a frame; octree: their samples, moved and with normals."""
+
+    def __init__(self, octree: FrameOctree, cells: list[Vector], samples: list[int]) -> None:
+        self.octree, self.cells, self.samples = octree, cells, samples
+        self.references: list[list[int]] = [[] for _ in octree.samples]
+        for i, s in enumerate(samples):
+            if s >= 0:
+                self.references[s].append(i)
+        for s, own in enumerate(self.references):
+            if len(own) > 4:
+                self.references[s] = [own[k * len(own) // 4] for k in range(4)]
+
+    def shifts(self) -> list[Vector]:
+        """Of each point, in 1/256 of a lattice unit."""
+        result = list[Vector]()
+        for i, s in enumerate(self.samples):
+            move, deviation = self.move(i, s) if s >= 0 else (0, 0)
+            if move:
+                n = abs(move)
+                d = min(deviation // 16, 15)
+                contexts = [n // 8, 32 + d, 64 + n // 8 * 16 + d, 1024 + n // 2, 2048]
+                if self.octree.bits.bit([2**20 + c for c in contexts], 1024):
+                    move = 0
+            result.append(tuple(move * x + 512 >> 10 for x in self.octree.normals[s]) if move else (0, 0, 0))
+        return result
+
+    def move(self, i: int, s: int) -> tuple[int, int]:
+        """Move along the normal, and deviation."""
+        normals, spacing = self.octree.normals, min(self.octree.spacing, 2**16)
+        found = list[tuple[int, int]]()
+        for other in [s, *self.octree.near[s]]:
+            if dot(normals[s], normals[other]) < 315 << 10:
+                continue
+            both = [a + b for a, b in zip(normals[s], normals[other], strict=True)]
+            for j in self.references[other]:
+                if j != i:
+                    apart = difference(self.cells[j], self.cells[i])
+                    w = spacing**2 * 1024 // (256 * dot(apart, apart) + spacing**2 // 4 + 1)
+                    found.append((w, 256 * dot(apart, both) >> 11))
+        total = sum(w for w, _ in found)
+        largest = max((w for w, _ in found), default=0)
+        mean = sum(w * d for w, d in found) // max(total + largest, 1)
+        deviation = sum(w * abs(d - mean) for w, d in found) // max(total, 1)
+        gain = min(max(48_000 // max(deviation, 1) - 90, 0), 256)
+        return min(max(mean * gain >> 8, -128), 128), deviation
+
+
 # --- what earlier frames showed
 
 
@@ -255,8 +309,11 @@ def points(
     layer = Layer(stream, frames, bodies, poses, surface, posed)
     colours = Colours(MixedBits(stream.rest()), layer.steps) if layer.steps[0] else None
     result: Decoded = []
-    for cells, own, _ in layer.frames(colours, lambda count: [0] * count):
-        places = [[(x + c) * layer.step for x, c in zip(cell, layer.corner, strict=True)] for cell in cells]
+    for cells, own, shifts in layer.frames(colours, lambda count: [0] * count):
+        places = [
+            [(256 * (x + c) + y) * layer.step / 256 for x, c, y in zip(cell, layer.corner, shift, strict=True)]
+            for cell, shift in zip(cells, shifts, strict=True)
+        ]
         result.append((places, own))
     return result
 
@@ -290,7 +347,7 @@ def exact(stream: Bytes, layer_of: Callable[[Bytes], Layer]) -> Decoded:
 
 
 class Layer:
-    """Points within a bound: kind 4, or 6 before it."""
+    """Points within a bound: kind 4 or 5, or 6 before it."""
 
     def __init__(
         self, stream: Bytes, frames: int, bodies: int, poses: int, surface: Surface,
@@ -300,7 +357,8 @@ class Layer:
         if (kind := stream.varint()) == 6:
             self.references = References.read(stream, frames)
             kind = stream.varint()
-        assert kind == 4
+        assert kind in (4, 5)
+        self.kind = kind
         self.depth, luma, chroma = (stream.varint() for _ in range(3))
         self.steps = luma, chroma, chroma
         self.corner = [stream.folded() for _ in range(3)]
@@ -315,8 +373,8 @@ class Layer:
 
     def frames(
         self, colours: Colours | None, repeats: Callable[[int], list[int]]
-    ) -> Iterator[tuple[list[Vector], list[Vector], list[int]]]:
-        """Of each frame: cells, colours and samples of its points. repeats(count): more points of each cell."""
+    ) -> Iterator[tuple[list[Vector], list[Vector], list[Vector]]]:
+        """Of each frame: cells and colours of its points, and shifts. repeats(count): more points of each cell."""
         for k, count in enumerate(self.counts):
             if not count:
                 yield [], [], []
@@ -334,14 +392,17 @@ class Layer:
                 subunits = subunits + earlier.places
                 seen.normals = seen.normals + earlier.normals
                 near = near + [[n + own for n in row] for row in earlier.neighbours]
-            found = FrameOctree(self.octrees, self.depth, subunits, seen, near).decode()
+            octree = FrameOctree(self.octrees, self.depth, subunits, seen, near, self.kind)
+            found, shifts = octree.decode(), [(0, 0, 0)] * count
             assert len(found) == count
-            yield self.coloured(found, own, standing, earlier, colours, repeats(count))
+            if self.kind == 5:
+                shifts = Smoothing(octree, [cell for cell, _ in found], [s for _, s in found]).shifts()
+            yield *self.coloured(found, own, standing, earlier, colours, repeats(count)), shifts
 
     def coloured(
         self, found: list[tuple[Vector, int]], own: int, standing: Posed, earlier: Samples | None,
         colours: Colours | None, repeats: list[int],
-    ) -> tuple[list[Vector], list[Vector], list[int]]:  # fmt: skip
+    ) -> tuple[list[Vector], list[Vector]]:  # fmt: skip
         """The points of a frame with their repeats; the next frames learn from them. own: samples of bodies."""
         learned, cells = self.learned, [cell for cell, _ in found]
         samples = [s if s < own else -1 for _, s in found]
@@ -369,7 +430,7 @@ class Layer:
         firsts = [colour[rows.index(i)] for i in range(len(cells))] if colour else []
         told = [explained(standing, p, s) for p, s in zip(fine, samples, strict=True)]
         self.references.keep(cells, told, firsts)
-        return [cells[i] for i in rows], [rgb(c) for c in colour], [samples[i] for i in rows]
+        return [cells[i] for i in rows], [rgb(c) for c in colour]
 
 
 def floats_of(cells: list[int], data: bytes) -> list[float]:

@@ -8,7 +8,8 @@ import { goldenBytes, goldenTwin } from "./golden.js";
 const TOLERANCE_M = 0.6e-6;
 
 describe("points are those of the twins", () => {
-  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-covered", "bodycast-exact", "bodycast-exact-steps", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
+  const names = ["jumper", "jumper-bounded", "jumper-learned", "jumper-smoothed", "covered", "exact", "exact-steps"].map((name) => `bodycast-${name}`);
+  test.each([...names, "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));
     let frame = 0;
@@ -25,7 +26,7 @@ describe("points are those of the twins", () => {
 });
 
 test("damaged chunks end in a named error or in points", async () => {
-  const bytes = goldenBytes("bodycast-jumper-learned");
+  const bytes = goldenBytes("bodycast-jumper-smoothed");
   const file = await open(bytes);
   const { header } = file as unknown as { header: Header };
   const decoder = new BodycastPoints(header.shared, true);

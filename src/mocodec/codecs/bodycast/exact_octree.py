@@ -107,9 +107,8 @@ def _pack(
     cells = [None if found is None else _frame_cells(*found, corner, spacing, not step) for found in places]
     if max((int(own.repeats.max()) for own in cells if own is not None), default=0) > MAX_REPEATS:
         return None
-    none = np.zeros(0, np.int64)
-    distinct = [LatticeFrame(none if own is None else own.codes, None) for own in cells]
-    coded = point_layer.pack_places(lattice, distinct, textures, poses, is_absent)
+    distinct = [_lattice_frame(own) for own in cells]
+    coded = point_layer.pack_places(lattice, distinct, textures, poses, is_absent, smooths=False)
     filled = [own for own in cells if own is not None]
     encoder = BitEncoder()
     for own in filled:
@@ -136,6 +135,11 @@ def _frame_cells(cells: Integers, magnitudes: Integers, corner: Integers, spacin
     codes, count = np.unique(code, return_counts=True)
     bits = magnitudes[order] if is_float else magnitudes
     return _FrameCells(order, codes, count - 1, cells[order], bits.astype(np.int64))
+
+
+def _lattice_frame(own: _FrameCells | None) -> LatticeFrame:
+    none = np.zeros(0, np.int64)
+    return LatticeFrame(none if own is None else own.codes, None, np.zeros((0, 3)), none)
 
 
 def _lattice_of(grid: Grid, spacing: int, corner: Integers, depth: int) -> LatticeGrid | None:

@@ -2,7 +2,8 @@
 
 points ─lattice_frames─► distinct Morton codes ─point_octree─► bytes      colours ─colour_lifting─► bytes
 bodies, poses ─point_scene─► where the surface lies ─┤                       │
-points of earlier frames ─reference_points───────────┘                       │
+points of earlier frames ─reference_points───────────┘ │                     │
+                                      ├─ point_smoothing: lattice points ─► decoded points
                                       └─ what earlier frames showed there ───┘
 """
 
@@ -19,7 +20,7 @@ from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
-from . import integer_surface, octree, point_colours, point_octree, reference_points
+from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing, reference_points
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
@@ -30,10 +31,11 @@ from .reference_points import NO_REFERENCE, EarlierFrames, Reference, ReferenceP
 from .surface_hints import SurfaceHints
 from .surface_memory import ColourMemory, SampleTable
 
-UNLEARNED, LEARNED, REFERRED = 3, 4, 6  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
-KINDS = (UNLEARNED, LEARNED, REFERRED)
-"""UNLEARNED is decoded only: its surface and colours do not depend on earlier frames. REFERRED stands before a part
-of kind LEARNED, whose frames refer to points of earlier frames.
+UNLEARNED, LEARNED, SMOOTHED, REFERRED = 3, 4, 5, 6
+KINDS = (UNLEARNED, LEARNED, SMOOTHED, REFERRED)
+"""Of the part that holds all points; 0 to 2 are those of `exact_points`. UNLEARNED is decoded only: its surface and
+colours do not depend on earlier frames. The points of LEARNED are those of the lattice: exact ones. REFERRED stands
+before a part of kind LEARNED or SMOOTHED, whose frames refer to earlier ones.
 """
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 
@@ -43,7 +45,8 @@ class LocatedPoints(NamedTuple):
 
     cells (n, 3): lattice coordinates. samples (n,): the sample near each among all bodies', −1 without one. places
     (n, 3): in the canonical pose, 2^-16 m; 0 without a sample. references: points of earlier frames, if the frame
-    refers to any; nearest (n,): the one near each point without a sample, otherwise −1.
+    refers to any; nearest (n,): the one near each point without a sample, otherwise −1. positions (n, 3): as decoded,
+    metres.
     """
 
     cells: Integers
@@ -51,11 +54,12 @@ class LocatedPoints(NamedTuple):
     places: Integers
     references: ReferencePoints | None
     nearest: Integers
+    positions: Floats
 
 
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours. references: of each frame.
+    colours. references: of each frame. smooths: whether points move from the lattice to the surface.
     """
 
     depth: int
@@ -64,6 +68,7 @@ class CodedPlaces(NamedTuple):
     frames: list[LocatedPoints]
     table: SampleTable
     references: list[Reference]
+    smooths: bool
 
 
 class PointsHeader(NamedTuple):
@@ -115,8 +120,11 @@ def pack_places(
     textures: Sequence[SurfaceTexture],
     poses: Sequence[PoseSequence],
     is_absent: Booleans,
+    smooths: bool,
 ) -> CodedPlaces:
-    """poses: of each body, as they are decoded. is_absent (frames, bodies)."""
+    """poses: of each body, as they are decoded. is_absent (frames, bodies). smooths: whether points move from the
+    lattice to the surface where that keeps the bound.
+    """
     shifts = [texture.shift for texture in textures]
     values = [
         [integer_surface.pose_values(t.body, poses[b][k]) for b, t in enumerate(textures) if not is_absent[k, b]]
@@ -125,16 +133,17 @@ def pack_places(
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
-    coder, scene, located = BitEncoder(), Scene(textures, shifts, is_absent, learns=True), list[LocatedPoints]()
+    coder, located = BitEncoder(), list[LocatedPoints]()
+    scene = Scene(textures, shifts, is_absent, learns=True, smooths=smooths)
     earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
     for k, frame in enumerate(frames):
         reference = NO_REFERENCE
         if len(frame.codes):
             octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
-            coder, reference, points = octree_of_frame.encode(coder, frame.codes, choice)
+            coder, reference, points = octree_of_frame.encode(coder, frame, choice)
             located.append(points)
         references.append(reference)
-    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table, references)
+    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table, references, smooths)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
@@ -151,7 +160,9 @@ def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes
     """The part of a chunk. steps: None without colours."""
     refers = any(reference != NO_REFERENCE for reference in coded.references)
     before = varint.write([REFERRED]) + reference_points.pack_references(coded.references) if refers else b""
-    kind = before + varint.write([LEARNED, coded.depth, *((0, 0) if steps is None else steps)])
+    kind = before + varint.write(
+        [SMOOTHED if coded.smooths else LEARNED, coded.depth, *((0, 0) if steps is None else steps)]
+    )
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
@@ -167,7 +178,7 @@ def unpack_points(
     places = PlacesDecoder(data, frames, textures, poses, is_absent, coloured)
     kind, steps, table = places.head.kind, places.head.steps, places.table
     colours = BitDecoder(places.rest)
-    memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
+    memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
     for located in places.frames():
         if located is None:
             yield no_points(coloured)
@@ -177,7 +188,7 @@ def unpack_points(
             colour = memory.code(colours, None, located)
         elif coloured:
             colour = _unlearned_colours(colours, table.colours, located.samples, steps[0])
-        yield places.head.grid.positions_of_cells(located.cells), colour
+        yield located.positions, colour
 
 
 class PlacesDecoder:
@@ -199,7 +210,8 @@ class PlacesDecoder:
         self.head = PointsHeader.read(part, frames, len(textures), int((~is_absent).sum()), coloured)
         self._coder, self.rest = BitDecoder(part[self.head.octrees]), part[self.head.octrees.stop :]
         self._textures, self._poses, self._is_absent = textures, poses, is_absent
-        self._scene = Scene(textures, self.head.shifts, is_absent, learns=self.head.kind == LEARNED)
+        kind = self.head.kind
+        self._scene = Scene(textures, self.head.shifts, is_absent, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
         self.table = self._scene.table
 
     def frames(self) -> Iterator[LocatedPoints | None]:
@@ -222,9 +234,17 @@ def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
     if data[:1] != bytes([REFERRED]):
         return data, [NO_REFERENCE] * frames
     references, at = reference_points.unpack_references(data, frames, 1)
-    if data[at : at + 1] != bytes([LEARNED]):
+    if data[at : at + 1] not in (bytes([LEARNED]), bytes([SMOOTHED])):
         raise Corrupt("bodycast: references stand before points of another kind")
     return data[at:], references
+
+
+class _Seen(NamedTuple):
+    """A reference, its points, and what the octree sees of them and of the bodies."""
+
+    reference: Reference
+    references: ReferencePoints | None
+    hints: SurfaceHints | None
 
 
 class _OctreeOfFrame:
@@ -244,52 +264,80 @@ class _OctreeOfFrame:
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
     def encode(
-        self, coder: BitEncoder, codes: Integers, choice: ReferenceChoice
+        self, coder: BitEncoder, frame: LatticeFrame, choice: ReferenceChoice
     ) -> tuple[BitEncoder, Reference, LocatedPoints]:
-        """Code the Morton codes (n,) with the shortest choice of references. The coder to go on with."""
-        has_bodies = self.hints is not None
-        candidates = choice.candidates(self.earlier, octree.cells_of_codes(codes), self.grid.depth, has_bodies)
-        tried = list[tuple[BitEncoder, Reference, ReferencePoints | None, Integers]]()
+        """Code the points with the shortest choice of references. The coder to go on with."""
+        has_bodies, depth = self.hints is not None, self.grid.depth
+        candidates = choice.candidates(self.earlier, octree.cells_of_codes(frame.codes), depth, has_bodies)
+        tried = list[tuple[BitEncoder, _Seen, Integers]]()
         for reference in candidates:
-            trial = coder.copy() if len(candidates) > 1 else coder
-            references, hints = self._with_references(reference)
-            _, nearest = point_octree.code_octree(trial, codes, self.grid.depth, len(codes), hints)
-            tried.append((trial, reference, references, nearest))
-        best, reference, references, nearest = min(tried, key=lambda one: one[0].size)
-        choice.keep(reference)
-        return best, reference, self._keep(codes, nearest, reference, references)
+            trial, seen = coder.copy() if len(candidates) > 1 else coder, self._seen(reference)
+            _, nearest = point_octree.code_octree(trial, frame.codes, depth, len(frame.codes), seen.hints)
+            tried.append((trial, seen, nearest))
+        best, seen, nearest = min(tried, key=lambda one: one[0].size)
+        choice.keep(seen.reference)
+        return best, seen.reference, self._keep(best, frame, octree.cells_of_codes(frame.codes), nearest, seen)
 
     def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
         """The points (count,). Raises Corrupt."""
-        references, hints = self._with_references(reference)
-        codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, hints)
-        return self._keep(codes, nearest, reference, references)
+        seen = self._seen(reference)
+        codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, seen.hints)
+        return self._keep(coder, None, octree.cells_of_codes(codes), nearest, seen)
 
-    def _with_references(self, reference: Reference) -> tuple[ReferencePoints | None, SurfaceHints | None]:
+    def _seen(self, reference: Reference) -> _Seen:
         """The points of a reference, and what the octree sees of them and of the bodies."""
-        bodies = None if reference.hides_bodies else self.hints
-        if not reference.frames:
-            return None, bodies
-        earlier, depth = self.earlier.moved(reference.motion), self.grid.depth
-        references = earlier.references(reference.frames, depth, bodies is not None)
-        return references, reference_points.joined_hints(bodies, references, depth)
+        bodies, references = None if reference.hides_bodies else self.hints, None
+        if reference.frames:
+            earlier = self.earlier.moved(reference.motion)
+            references = earlier.references(reference.frames, self.grid.depth, bodies is not None)
+        hints = reference_points.joined_hints(bodies, references, self.grid.depth, self.scene.smooths)
+        return _Seen(reference, references, hints)
 
     def _keep(
-        self, codes: Integers, nearest: Integers, reference: Reference, references: ReferencePoints | None
+        self,
+        coder: BitEncoder | BitDecoder,
+        frame: LatticeFrame | None,
+        cells: Integers,
+        nearest: Integers,
+        seen: _Seen,
     ) -> LocatedPoints:
-        """What the next frames and the colours need. nearest (n,): the sample near each point."""
-        cells = octree.cells_of_codes(codes)
+        """What the next frames and the colours need. frame: None in the decoder. nearest (n,): the sample near each
+        point. Raises Corrupt.
+        """
         points, table = self.grid.places(cells), self.scene.table
-        bodies = 0 if reference.hides_bodies else len(self.surface.rows)
-        samples, places = np.full(len(codes), -1), np.zeros((len(codes), 3), np.int64)
+        bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
+        samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
         of_bodies = np.where(nearest < bodies, nearest, -1)
         known = np.flatnonzero(of_bodies >= 0)
         samples[known] = self.surface.rows[nearest[known]]
         places[known] = table.canonical(self.surface, points[known], nearest[known])
         self.scene.learn(self.surface, points, of_bodies)
-        self.earlier.move(reference.motion)
+        self.earlier.move(seen.reference.motion)
         self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
-        return LocatedPoints(cells, samples, places, references, np.where(nearest < bodies, -1, nearest - bodies))
+        positions = self.grid.positions(cells)
+        if self.scene.smooths:
+            positions = self._moved(coder, frame, cells, nearest, seen.hints)
+        others = np.where(nearest < bodies, -1, nearest - bodies)
+        return LocatedPoints(cells, samples, places, seen.references, others, positions)
+
+    def _moved(
+        self,
+        coder: BitEncoder | BitDecoder,
+        frame: LatticeFrame | None,
+        cells: Integers,
+        nearest: Integers,
+        hints: SurfaceHints | None,
+    ) -> Floats:
+        """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
+        smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
+        if frame is not None:
+            moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
+            away = np.linalg.norm(frame.originals - moved[frame.rows], axis=1)
+            stays = np.zeros(len(cells), bool)
+            stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
+        stays = point_smoothing.code_stays(coder, smoothed, stays)
+        shifts = np.where(stays[:, None], 0, smoothed.shifts)
+        return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
 
 
 class ColoursOfChunk:

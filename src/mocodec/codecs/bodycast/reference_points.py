@@ -17,7 +17,7 @@ from ...errors import Corrupt
 from ...typing import Booleans, Integers
 from . import integer_surface, octree
 from .reference_surface import Samples, surface_of_points
-from .surface_hints import NEIGHBOURS, SUBUNIT_BITS, SurfaceHints
+from .surface_hints import NEIGHBOURS, SUBUNIT_BITS, UNLIMITED, SurfaceHints
 from .surface_memory import FARTHEST, PosedSurface, offsets_from
 
 MAX_FRAMES = 4  # before a frame, whose points it may refer to
@@ -140,8 +140,10 @@ def explained_points(surface: PosedSurface, points: Integers, nearest: Integers)
     return result
 
 
-def joined_hints(bodies: SurfaceHints | None, references: ReferencePoints | None, depth: int) -> SurfaceHints | None:
-    """The samples of the bodies, then those of the references, as the octree sees them."""
+def joined_hints(
+    bodies: SurfaceHints | None, references: ReferencePoints | None, depth: int, smooths: bool
+) -> SurfaceHints | None:
+    """The samples of the bodies, then those of the references, as the octree sees them. smooths: as in `Scene`."""
     if references is None:
         return bodies
     own = references.samples
@@ -151,7 +153,8 @@ def joined_hints(bodies: SurfaceHints | None, references: ReferencePoints | None
         places = np.concatenate([bodies.points, own.places])
         normals = np.concatenate([bodies.normals, own.normals])
         neighbours = np.concatenate([bodies.neighbours, own.neighbours + len(bodies.points)])
-    return SurfaceHints(places, normals, neighbours, integer_surface.spacing_of(places, neighbours), depth)
+    spacing = integer_surface.spacing_of(places, neighbours)
+    return SurfaceHints(places, normals, neighbours, spacing, depth, spacing if smooths else UNLIMITED)
 
 
 def pack_references(references: Sequence[Reference]) -> bytes:

@@ -9,13 +9,16 @@ import { MixedBits } from "./mixed.js";
 import { readPoints } from "./point_octree.js";
 import { EarlierFrames, NO_REFERENCE, type Reference, joinedSamples, readReferences } from "./references.js";
 import { Scene } from "./scene.js";
+import { FINE, readShifts } from "./smoothing.js";
 import type { Surface } from "./surface.js";
 import { SurfaceHints, samplesOfBodies } from "./surface_hints.js";
 
-/** Kinds of a part: without and with learning from earlier frames; and references before a part with learning. */
+/** Kinds of a part: without and with learning from earlier frames, with smoothing too, and references before one of these. */
 export const UNLEARNED = 3;
-export const LEARNED = 4;
-export const REFERRED = 6;
+const LEARNED = 4;
+const SMOOTHED = 5;
+const REFERRED = 6;
+export const NEWEST = REFERRED;
 
 const MOST_DEPTH = 20;
 const MOST_STEP = 128;
@@ -40,9 +43,9 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
   const layer = new Lattice(data, frames, coloured, bodies);
   const colourBits = new MixedBits(layer.rest);
   const { kind, steps, step, corner } = layer;
-  const colours = coloured && kind === LEARNED ? new Colours(colourBits, steps) : undefined;
+  const colours = coloured && kind !== UNLEARNED ? new Colours(colourBits, steps) : undefined;
   for (const frame of layer.frames(colours)) {
-    const cloud: Cloud = { positions: Float64Array.from(frame.cells, (cell, i) => (cell + corner[i % 3]!) * step) };
+    const cloud: Cloud = { positions: Float64Array.from(frame.cells, (cell, i) => ((cell + corner[i % 3]!) * FINE + (frame.shifts?.[i] ?? 0)) * (step / FINE)) };
     if (frame.colours) cloud.colours = rgbOf(frame.colours);
     else if (coloured) cloud.colours = rgbOf(readTexturedColours(colourBits, frame.rows, layer.scene.colours, steps[0]));
     yield cloud;
@@ -50,11 +53,12 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
   if (coloured) colourBits.end();
 }
 
-/** The points of a frame: coordinates (points, 3), samples of bodies, and colours as Y, Co, Cg. */
+/** The points of a frame: coordinates (points, 3), samples of bodies, colours as Y, Co, Cg, and shifts of 1/FINE units. */
 export interface LatticeFrame {
   cells: Int32Array;
   rows: Int32Array;
   colours?: Int32Array;
+  shifts?: Float64Array;
 }
 
 const NOTHING: LatticeFrame = { cells: new Int32Array(0), rows: new Int32Array(0) };
@@ -84,10 +88,10 @@ export class Lattice {
     const refers = data[0] === REFERRED;
     if (refers) part.varint();
     this.references = refers ? readReferences(part, frames) : Array.from({ length: frames }, () => NO_REFERENCE);
-    this.kind = part.varintWithin(refers ? LEARNED : UNLEARNED, LEARNED, "the kind");
+    this.kind = part.varintWithin(refers ? LEARNED : UNLEARNED, SMOOTHED, "the kind");
     this.depth = part.varintWithin(0, MOST_DEPTH, "the depth");
     const luma = part.varintWithin(0, MOST_STEP, "a colour step");
-    const chroma = this.kind === LEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
+    const chroma = this.kind !== UNLEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
     check(luma > 0 === coloured && chroma > 0 === coloured, "bodycast: steps without colours, or colours without steps");
     this.steps = [luma, chroma, chroma];
     this.corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CORNER, MOST_CORNER, "the corner"));
@@ -100,7 +104,7 @@ export class Lattice {
     this.poseShifts = Array.from({ length: frames }, (_, k) => bodies.present(k).map(shift));
     this.octrees = new MixedBits(part.take(part.varint()));
     this.rest = part.rest();
-    this.scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), this.kind === LEARNED);
+    this.scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), this.kind !== UNLEARNED);
   }
 
   /** Frame after frame. repeats(count): how many more points each of the points stands for. Throws Corrupt. */
@@ -118,7 +122,9 @@ export class Lattice {
     const own = reference.hides ? undefined : samplesOfBodies(standing, step, corner);
     const before = earlier.refer(reference, this.depth, own !== undefined);
     const all = joinedSamples(own, before);
-    const { cells, samples } = readPoints(this.octrees, this.depth, count, all && new SurfaceHints(all));
+    const hints = all && new SurfaceHints(all, this.kind !== SMOOTHED);
+    const { cells, samples } = readPoints(this.octrees, this.depth, count, hints);
+    const shifts = this.kind === SMOOTHED && hints ? readShifts(this.octrees, cells, samples, hints) : undefined;
     const shown = own ? standing.count : 0;
     const lattice = Float64Array.from(cells, (cell, i) => cell + corner[i % 3]!);
     const located = scene.learn(standing, lattice, samples.map((s) => (s < shown ? s : -1)), step);
@@ -129,6 +135,7 @@ export class Lattice {
       return out;
     };
     const frame: LatticeFrame = { cells: pick(cells, new Int32Array(3 * every.length)), rows: every.map((i) => located.rows[i]!) };
+    if (shifts) frame.shifts = shifts;
     if (colours) {
       const places = { rows: frame.rows, places: pick(located.places, new Float64Array(3 * every.length)), explained: located.explained };
       const near = every.map((i) => samples[i]!);
