@@ -191,15 +191,20 @@ def command(output: Path, frames: int, chosen: tuple[str, ...]) -> None:
     output.mkdir(parents=True, exist_ok=True)
     scenes, things = list[SceneResult](), list[ThingResult]()
     names = chosen or tuple(objects.SCENES)
+
+    def write() -> None:
+        records = {"scenes": list(map(asdict, scenes)), "things": list(map(asdict, things))}
+        write_json(output / "cloud_objects.json", rounded({"machine": machine_description(), **records}))
+
     with progress(len(names) * len(D1_MM) + len(D1_MM)) as advance:
         for name in names:
             clouds = objects.SCENES[name](makehuman.find(), frames)
             for d1_mm in D1_MM:
                 scenes.append(measure(name, clouds, d1_mm))
                 advance(f"{name}, D1 {d1_mm:g} mm")
+                write()
         for d1_mm in D1_MM:
             things.append(measure_thing(frames, d1_mm))
             advance(f"chair beside a person, D1 {d1_mm:g} mm")
-    records = {"scenes": list(map(asdict, scenes)), "things": list(map(asdict, things))}
-    write_json(output / "cloud_objects.json", rounded({"machine": machine_description(), **records}))
+            write()
     click.echo(write_tables(output))

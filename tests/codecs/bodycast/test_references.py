@@ -8,7 +8,7 @@ import pytest
 from mocodec import native
 from mocodec.codecs.bodycast import Bodycast, reference_choice, reference_surface
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
-from mocodec.codecs.bodycast.point_layer import LEARNED, REFERRED
+from mocodec.codecs.bodycast.point_layer import REFERRED, SMOOTHED
 from mocodec.codecs.bodycast.reference_points import EarlierFrames, Reference, pack_references, unpack_references
 from mocodec.entropy import varint
 from mocodec.entropy.bit_arrays import BitEncoder
@@ -99,7 +99,7 @@ def test_things_take_fewer_bytes_and_keep_their_bound():
 def test_noise_refers_to_nothing():
     rng = np.random.default_rng(5)
     places = [rng.uniform(-0.2, 0.2, (300, 3)) + k for k in range(3)]
-    assert part_of(PointClouds(places, 15.0))[0] == LEARNED
+    assert part_of(PointClouds(places, 15.0))[0] == SMOOTHED
 
 
 def part_of(clouds: PointClouds) -> bytes:
