@@ -42,6 +42,8 @@ PROMISING_COARSE, PROMISING_LIMB = 1.3, 1.03
 """Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb."""
 BETTER = 0.97
 """Share of a cost below which another fit is clearly better."""
+TURNED_SOLVED = 10
+"""Poses of a lost body, turned and moved, that are solved coarsely."""
 ABSENT_M = 0.10
 """The frame does not show the body if most of the data and of the template are farther than this from each other."""
 COST_AVERAGE = 0.97, 0.03
@@ -54,6 +56,10 @@ class Growth(NamedTuple):
     points: Floats
     links: AnyInteger
     colours: Bytes | None
+
+
+def cost_of(fit: Fit) -> float:
+    return fit.cost
 
 
 def _clearly_better(fit: Fit, other: Fit) -> Fit:
@@ -108,8 +114,9 @@ class BodyTracker(PoseSolver):
         first = self._solve_from_known_poses(data)
         best = first
         if self.settings.search:
-            if first.cost > max(LOST_COST, self.retry_threshold) * self.typical_cost:
-                first = self._reacquire_body(data, first)
+            limit = max(LOST_COST, self.retry_threshold) * self.typical_cost
+            if first.cost > limit:
+                first = self._reacquire_body(data, first, limit)
             best = self._reacquire_limbs(data, first, seed)
         if np.mean(best.residuals > ABSENT_M) > 0.5 and np.mean(best.gaps > ABSENT_M) > 0.5:
             self.previous_pose = self.pose
@@ -140,15 +147,24 @@ class BodyTracker(PoseSolver):
         fit = self.solve(data, self.predict())
         if fit.cost > min(self.retry_threshold, LOST_COST) * self.typical_cost:
             starts = [self.pose] if self.last_good_pose is self.pose else [self.pose, self.last_good_pose]
-            fit = min([fit, *(self.solve(data, start) for start in starts)], key=lambda fit: fit.cost)
+            fit = min([fit, *(self.solve(data, start) for start in starts)], key=cost_of)
         return fit
 
-    def _reacquire_body(self, data: FramePoints, fit: Fit) -> Fit:
-        """The best of a fit and of the body turned and moved; see `reacquisition.body_poses`."""
+    def _reacquire_body(self, data: FramePoints, fit: Fit, limit: float) -> Fit:
+        """The best of a fit and of the body turned and moved; see `reacquisition.body_poses`.
+
+        A solution from the fit itself comes first: its prior is the fit and no longer the prediction, which is all that
+        a fast movement needs. No other pose is tried if that costs less than `limit`, square metres. Others are ranked
+        by their costs on few points; the best are solved coarsely, and the best of these in full.
+        """
+        best = min(fit, self.solve(data, fit.pose), key=cost_of)
+        if best.cost < limit:
+            return best
         few = self.coarse_sample(data)
-        starts = reacquisition.body_poses(self, data, [fit.pose, self.pose])
-        coarse = sorted((self.coarse_solve(few, start) for start in starts), key=lambda fit: fit.cost)
-        return min([fit, *(self.solve(data, fit.pose) for fit in coarse[:2])], key=lambda fit: fit.cost)
+        starts = [self.assess(few, pose) for pose in reacquisition.body_poses(self, data, [best.pose, self.pose])]
+        coarse = [self.coarse_solve(few, start.pose) for start in sorted(starts, key=cost_of)[:TURNED_SOLVED]]
+        finalists = sorted(coarse, key=cost_of)[:2]
+        return min([best, *(self.solve(data, fit.pose) for fit in finalists)], key=cost_of)
 
     def _reacquire_limbs(self, data: FramePoints, first: Fit, seed: int) -> Fit:
         """Searches for every limb that has no points near it, while other points are not explained by any link.
@@ -171,7 +187,7 @@ class BodyTracker(PoseSolver):
             before = best
             poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
             fits = [self.assess(data, pose) for pose in poses]
-            by_cost = sorted(fits[1:], key=lambda fit: fit.cost)
+            by_cost = sorted(fits[1:], key=cost_of)
             for fit in (*fits[:1], *by_cost[:1]):
                 if fit.cost < PROMISING_LIMB * best.cost:
                     best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))

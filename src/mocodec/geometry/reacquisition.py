@@ -160,8 +160,8 @@ def body_poses(solver: PoseSolver, data: FramePoints, poses: Sequence[Pose]) -> 
         offset = centre - np.median(solver.skin.posed(a, b, solver.matcher.sample), axis=0)
         shift = offset if np.linalg.norm(offset) > MOVED_M else np.zeros(3)
         headings = exp(np.arange(HEADINGS)[:, None] * (2 * np.pi / HEADINGS) * (a[0] @ solver.upright))
-        for heading in headings:
-            for fixed in ([], solver.above_hips):
+        for number, heading in enumerate(headings):
+            for fixed in ([], solver.above_hips) if number else ([],):  # unturned, both are the same
                 starts.append(_turned(pose, heading, shift, fixed))
     return starts
 
