@@ -20,9 +20,10 @@
 //   varints.cpp     many varints at once, for fields/cursor.py
 //   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers) and
 //                   chunk_synthesis.h (integers to positions); contexts.h is for coefficients.cpp too
-//   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
-//                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
+//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
+//                   matrices)
 //
 // A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
 // name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the

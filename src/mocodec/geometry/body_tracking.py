@@ -38,8 +38,9 @@ PAIR_LOST_SHARE = 0.05
 """Share without data, of both limbs of a pair, above which they may have been confused with each other."""
 UNEXPLAINED_SHARE = 0.006
 """Share of unexplained data points below which no limb is searched for."""
-PROMISING_COARSE, PROMISING_LIMB = 1.3, 1.03
-"""Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb."""
+PROMISING_COARSE, PROMISING_LIMB, PROMISING_FEW = 1.3, 1.03, 1.1
+"""Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb; and below
+which a limb's is assessed in full, by costs on few points."""
 BETTER = 0.97
 """Share of a cost below which another fit is clearly better."""
 TURNED_SOLVED = 10
@@ -169,13 +170,12 @@ class BodyTracker(PoseSolver):
     def _reacquire_limbs(self, data: FramePoints, first: Fit, seed: int) -> Fit:
         """Searches for every limb that has no points near it, while other points are not explained by any link.
 
-        Random poses of the limb are scored by how near they bring it to unexplained points, and those points to it; the
-        best are refined, and replace the pose if they fit clearly better. After a failed search the threshold of the
-        limb rises, and decays per frame; so does the tracker's retry threshold if nothing was found at a high cost.
+        After a failed search the threshold of the limb rises, and decays per frame; so does the tracker's retry
+        threshold if nothing was found at a high cost.
         """
         if np.mean(first.residuals > UNEXPLAINED_M) < UNEXPLAINED_SHARE:
             return first
-        best = first
+        best, few = first, self.coarse_sample(data)
         is_costly = first.cost > self.retry_threshold * self.typical_cost  # a limb may lie on another's points
         is_suspicious = first.cost > SUSPICIOUS_COST * self.typical_cost
         for number, limb in enumerate(self.limbs):
@@ -185,12 +185,7 @@ class BodyTracker(PoseSolver):
             if share < self.limb_thresholds[number] and not is_turn:
                 continue
             before = best
-            poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
-            fits = [self.assess(data, pose) for pose in poses]
-            by_cost = sorted(fits[1:], key=cost_of)
-            for fit in (*fits[:1], *by_cost[:1]):
-                if fit.cost < PROMISING_LIMB * best.cost:
-                    best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
+            best = self._best_of_limb_poses(data, few, best, limb, seed)
             if best is before:  # the missing part is hidden, or not in the template
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
         best = self._swap_confused_limbs(data, best, is_costly)
@@ -199,6 +194,22 @@ class BodyTracker(PoseSolver):
         self.retry_threshold = (
             raised if has_failed else max(min(THRESHOLD_DECAY * self.retry_threshold, raised), RETRY_COST)
         )
+        return best
+
+    def _best_of_limb_poses(self, data: FramePoints, few: FramePoints, best: Fit, limb: LimbChain, seed: int) -> Fit:
+        """The best fit with other poses of a limb; see `reacquisition.limb_poses`. few: some of the data, by which the
+        poses are ranked.
+        """
+        poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
+        if not poses:
+            return best
+        limit = PROMISING_FEW * self.assess(few, best.pose).cost
+        ranked = sorted((self.assess(few, pose) for pose in poses), key=cost_of)
+        for coarse in ranked[:2]:
+            if coarse.cost < limit:
+                fit = self.assess(data, coarse.pose)
+                if fit.cost < PROMISING_LIMB * best.cost:
+                    best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
         return best
 
     def _swap_confused_limbs(self, data: FramePoints, best: Fit, is_costly: bool) -> Fit:
