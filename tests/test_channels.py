@@ -69,6 +69,17 @@ def test_a_slice_reads_only_the_chunks_it_needs() -> None:
         assert source.count - before < sizes["signals"] / 2
 
 
+def test_the_head_of_a_signal_counts_as_signal() -> None:
+    values = np.random.default_rng(3).normal(size=(3000, 4)).astype(np.float32)
+    signal = mc.Signal(values, 1000.0, ("a", "b", "c", "d"), ("N",) * 4)
+    positions = np.zeros((100, 1, 3))
+    tree = {"note": "x" * 500}
+    with mc.open(mc.encode(mc.Motion(positions, 100.0, ("P",), extras={**tree, "analog": signal}))) as f:
+        extras = f.info["bytes_by_part"]["extras"]
+    with mc.open(mc.encode(mc.Motion(positions, 100.0, ("P",), extras={**tree, "analog": 1}))) as f:
+        assert abs(extras - f.info["bytes_by_part"]["extras"]) < 60
+
+
 def test_damage_to_a_chunk_leaves_the_others() -> None:
     blob = bytearray(mc.encode(recording()))
     with mc.open(bytes(blob)) as f:

@@ -7,6 +7,7 @@
 //   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
+//   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py
@@ -37,7 +38,8 @@ namespace nb = nanobind;
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
-    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)
+    PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)  \
+    PART(point_smoothing)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -89,9 +89,11 @@ private:
 
 class Surface {
 public:
-    // points, normals (m, 3); neighbours (m, NEIGHBOURS); spacing: between samples, subunits; depth: of the octree.
-    Surface(Input<int64_t, 2> points, Input<int64_t, 2> normals, Input<int64_t, 2> neighbours, int64_t spacing, int depth)
-        : spacing_(spacing), depth_(depth), points_(rows_of_three(points)), normals_(rows_of_three(normals)),
+    // points, normals (m, 3); neighbours (m, NEIGHBOURS); spacing: between samples, subunits; depth: of the octree;
+    // largest_corrected: side of the largest cubes that correct the surface, subunits.
+    Surface(Input<int64_t, 2> points, Input<int64_t, 2> normals, Input<int64_t, 2> neighbours, int64_t spacing, int depth,
+            int64_t largest_corrected)
+        : spacing_(spacing), largest_corrected_(largest_corrected), depth_(depth), points_(rows_of_three(points)), normals_(rows_of_three(normals)),
           neighbours_(neighbours.data(), neighbours.data() + neighbours.size()) {
         const size_t m = points.shape(0);
         if (normals.shape(0) != m || neighbours.shape(0) != m || neighbours.shape(1) != NEIGHBOURS || spacing < 1 ||
@@ -148,7 +150,8 @@ public:
             ++used;
         }
         if (!used) return;
-        const std::vector<int64_t> mean = mean_around(distances, nearest, 0);
+        std::vector<int64_t> mean(points_.size(), 0);
+        if (size <= largest_corrected_) mean = mean_around(distances, nearest, 0);
         uint64_t sum = 0;
         for (size_t i = 0; i < places.size(); ++i) {
             if (nearest[i] < 0) continue;
@@ -312,7 +315,7 @@ private:
         return result;
     }
 
-    int64_t spacing_;
+    int64_t spacing_, largest_corrected_;
     int depth_;
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;

@@ -334,7 +334,7 @@ nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, c
 
 void bind_point_octree(nb::module_ &m) {
     nb::class_<Surface>(m, "OctreeSurface")
-        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int>());
+        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>());
     m.def("point_octree_encode", &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
     m.def("point_octree_decode", &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
 }

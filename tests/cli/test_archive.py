@@ -40,6 +40,12 @@ def test_list_query_and_stats(command: Command, vault: Path) -> None:
     assert (stats["recordings"], stats["failures"]) == (3, [])
 
 
+def test_info_of_a_recording_of_an_archive(command: Command, vault: Path) -> None:
+    facts = json.loads(command("info", vault / "08" / "run_01", "--json").out)
+    assert (facts["codec"], facts["frames"]) == ("liu2006", 50)
+    assert command("info", vault / "08" / "run_02").code == 3
+
+
 def test_append_remove_merge_extract(command: Command, vault: Path) -> None:
     mc.write(vault.parent / "jump.npz", synthetic.joints(frames=45, rate=60.0, seed=9))
     added = command("archive", "append", vault, vault.parent / "jump.npz", "-j", 2, "--json")

@@ -59,6 +59,11 @@ def test_a_bound_is_promised_and_verified(folder, tmp_path, capsys):
     assert "dB" in said
     run("verify", stored, "--against", folder / "frames", *rate)
     assert "the promise is kept" in capsys.readouterr().out
+    run("verify", stored, "--against", folder / "frames", "--json")  # at the rate of the file
+    verified = json.loads(capsys.readouterr().out)
+    run("compare", folder / "frames", stored, "--json")
+    compared = json.loads(capsys.readouterr().out)
+    assert (compared["d1_m"], compared["y_psnr_db"]) == (verified["d1"], verified["psnr"])
     run("info", stored)
     assert "4 mm" in capsys.readouterr().out
     with mc.open(stored) as opened:

@@ -177,6 +177,17 @@ def test_compare(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
         assert word in text
 
 
+def test_a_file_without_a_rate_is_compared_at_that_of_the_mocz(
+    command: Command, walk: mc.Motion, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "walk.npy", np.nan_to_num(walk.positions))
+    stored = tmp_path / "walk.mocz"
+    assert command("encode", tmp_path / "walk.npy", "-o", stored, "--rate", "50", "--max-error", "5mm").code == 0
+    assert command("compare", tmp_path / "walk.npy", stored).code == 0
+    assert command("verify", stored, "--against", tmp_path / "walk.npy").code == 0
+    assert command("verify", stored, "--against", tmp_path / "walk.npy", "--rate", "60").code == 1
+
+
 def test_compare_draws(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
     pytest.importorskip("matplotlib", reason="drawing needs the [plot] extra")
     assert command("compare", walk_trc, walk_mocz, "--plot", "error.png").code == 0

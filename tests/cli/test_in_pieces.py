@@ -50,6 +50,9 @@ def test_large_files_without_asking(
 
 
 def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> None:
+    done = command("encode", recording, "-o", tmp_path / "x.mocz", "--in-pieces", "--at-once")
+    assert done.code == 2
+    assert "exclude each other" in done.err
     for arguments in (("--codec", "hou2014"), ("--signal-error", "12bit")):
         done = command("encode", recording, "-o", tmp_path / "x.mocz", "--in-pieces", *arguments)
         assert done.code == 2

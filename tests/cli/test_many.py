@@ -55,6 +55,9 @@ def test_a_folder_is_mirrored_and_gone_on_with(folder: Path, command: Command) -
     assert (totals["files"], totals["done"], totals["failed"]) == (4, 3, 1)
     assert totals["bytes"] == sum(Path("out", name).stat().st_size for name in files_below("out"))
     assert totals["ratio"] > 1
+    sizes = {name: Path("in", name).stat().st_size for name in ("a.npz", "a.trc", "sub/b.c3d")}
+    assert by_name["a.trc"]["file_ratio"] == sizes["a.trc"] / by_name["a.trc"]["bytes"]
+    assert totals["file_ratio"] == sum(sizes.values()) / totals["bytes"]
     assert totals["mean_error"] <= totals["max_error"] < 1e-6
 
     written = {name: Path("out", name).stat().st_mtime_ns for name in files_below("out")}

@@ -37,8 +37,10 @@ class Posed:
 class FrameOctree:
     """posed: samples, moved by their learned offsets. neighbours: of the samples in the frame."""
 
-    def __init__(self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]]) -> None:
-        self.bits, self.depth, self.samples = bits, depth, points
+    def __init__(
+        self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]], kind: int
+    ) -> None:
+        self.bits, self.depth, self.samples, self.kind = bits, depth, points, kind
         self.normals, self.near = posed.normals, near
         gaps = sorted(squared(points[row[0]], points[i]) for i, row in enumerate(near))
         self.spacing = max(math.isqrt(gaps[len(gaps) // 2]), 1) if gaps else 0
@@ -99,7 +101,8 @@ class FrameOctree:
             own = {s: [s, *self.near[s]] for s in {nearest[i] for i in rows}}
             return {s: (sum(total[n] for n in o) + extra) // (sum(count[n] for n in o) + 2) for s, o in own.items()}
 
-        offsets = means(far, 0)
+        has_offsets = self.kind == 4 or 2 * h <= self.spacing
+        offsets = means(far, 0) if has_offsets else dict.fromkeys((nearest[i] for i in rows), 0)
         deviations = {i: abs(far[i] - offsets[nearest[i]]) for i in rows}
         usual = sum(deviations.values()) // len(rows) if rows else 0
         spreads = means(deviations, 2 * usual)
@@ -187,6 +190,57 @@ class FrameOctree:
         return weight(left[0]) * 64 // (sum(map(weight, left)) + 1)
 
 
+# --- smoothing
+
+
+class Smoothing:
+    """cells, samples: of the points of a frame; octree: their samples, moved and with normals."""
+
+    def __init__(self, octree: FrameOctree, cells: list[Vector], samples: list[int]) -> None:
+        self.octree, self.cells, self.samples = octree, cells, samples
+        self.references: list[list[int]] = [[] for _ in octree.samples]
+        for i, s in enumerate(samples):
+            if s >= 0:
+                self.references[s].append(i)
+        for s, own in enumerate(self.references):
+            if len(own) > 4:
+                self.references[s] = [own[k * len(own) // 4] for k in range(4)]
+
+    def shifts(self) -> list[Vector]:
+        """Of each point, in 1/256 of a lattice unit."""
+        result = list[Vector]()
+        for i, s in enumerate(self.samples):
+            move, deviation = self.move(i, s) if s >= 0 else (0, 0)
+            if move:
+                n = abs(move)
+                d = min(deviation // 16, 15)
+                contexts = [n // 8, 32 + d, 64 + n // 8 * 16 + d, 1024 + n // 2, 2048]
+                if self.octree.bits.bit([2**20 + c for c in contexts], 1024):
+                    move = 0
+            result.append(tuple(move * x + 512 >> 10 for x in self.octree.normals[s]) if move else (0, 0, 0))
+        return result
+
+    def move(self, i: int, s: int) -> tuple[int, int]:
+        """Move along the normal, and deviation."""
+        normals, spacing = self.octree.normals, min(self.octree.spacing, 2**16)
+        found = list[tuple[int, int]]()
+        for other in [s, *self.octree.near[s]]:
+            if dot(normals[s], normals[other]) < 315 << 10:
+                continue
+            both = [a + b for a, b in zip(normals[s], normals[other], strict=True)]
+            for j in self.references[other]:
+                if j != i:
+                    apart = difference(self.cells[j], self.cells[i])
+                    w = spacing**2 * 1024 // (256 * dot(apart, apart) + spacing**2 // 4 + 1)
+                    found.append((w, 256 * dot(apart, both) >> 11))
+        total = sum(w for w, _ in found)
+        largest = max((w for w, _ in found), default=0)
+        mean = sum(w * d for w, d in found) // max(total + largest, 1)
+        deviation = sum(w * abs(d - mean) for w, d in found) // max(total, 1)
+        gain = min(max(48_000 // max(deviation, 1) - 90, 0), 256)
+        return min(max(mean * gain >> 8, -128), 128), deviation
+
+
 # --- what earlier frames showed
 
 
@@ -245,7 +299,8 @@ def points(
     """Places in metres and colours of each frame. poses: of all bodies in all frames; posed(frame, pose shifts of the
     chunk): the samples of the surface, all of which are in every frame."""
     stream = Bytes(data)
-    assert stream.varint() == 4
+    kind = stream.varint()
+    assert kind in (4, 5)
     depth, luma, chroma = (stream.varint() for _ in range(3))
     corner = [stream.folded() for _ in range(3)]
     step = stream.float64()
@@ -266,7 +321,8 @@ def points(
             tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, corner, strict=True))
             for place in learned.moved(standing)
         ]
-        found = FrameOctree(octrees, depth, subunits, standing, surface.neighbours).decode()
+        octree = FrameOctree(octrees, depth, subunits, standing, surface.neighbours, kind)
+        found = octree.decode()
         assert len(found) == count
         cells, samples = [cell for cell, _ in found], [s for _, s in found]
         whole = [tuple(x + c for x, c in zip(cell, corner, strict=True)) for cell in cells]
@@ -281,5 +337,10 @@ def points(
                 if p is not None:
                     learned.see(s, p, colour)
             own = [rgb(colour) for colour in decoded]
-        result.append(([[x * step for x in cell] for cell in whole], own))
+        shifts = [(0, 0, 0)] * count if kind == 4 else Smoothing(octree, cells, samples).shifts()
+        moved = [
+            [(256 * x + y) * step / 256 for x, y in zip(cell, shift, strict=True)]
+            for cell, shift in zip(whole, shifts, strict=True)
+        ]
+        result.append((moved, own))
     return result

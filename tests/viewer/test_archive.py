@@ -16,7 +16,7 @@ import pytest
 
 import mocodec as mc
 from mocodec import viewer
-from mocodec.archive import Options, build, open_archive
+from mocodec.archive import Options, build, in_archive, open_archive
 from mocodec.testing import synthetic
 from mocodec.viewer.server import ArchiveServer
 
@@ -82,5 +82,5 @@ def test_one_recording_of_an_archive(server: ArchiveServer) -> None:
         assert (shown.name, shown.frames, shown.codec) == ("07_02", 60, "tempo")
     with pytest.raises(mc.BadInput, match="no recording named 09_01"), ExitStack() as opened:
         viewer.shown(folder / "09_01", opened)
-    assert viewer.in_archive(folder / "catalogue.sqlite") is None
-    assert viewer.in_archive(folder.parent / "raw" / "x") is None
+    assert in_archive(folder / "catalogue.sqlite") is None
+    assert in_archive(folder.parent / "raw" / "x") is None

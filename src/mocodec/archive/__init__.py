@@ -11,7 +11,7 @@ train_prior                      a prior of one's own people
 from __future__ import annotations
 
 from .building import Report, build
-from .database import Archive, Entry, Recordings, open_archive
+from .database import Archive, Entry, Recordings, in_archive, is_archive, open_archive
 from .encoding import Options
 from .maintenance import damage, merge, remove, repair, unused_bytes, whole_bytes
 from .pool import dask_cluster
@@ -21,6 +21,6 @@ from .similarity import Hit, Pair, duplicates, index, search
 
 __all__ = [
     "COLUMNS", "Archive", "Entry", "Hit", "Options", "Pair", "Recordings", "Report", "Row", "build", "damage",
-    "dask_cluster", "duplicates", "index", "merge", "open_archive", "remove", "repair", "search", "train_prior",
-    "unused_bytes", "whole_bytes",
+    "dask_cluster", "duplicates", "in_archive", "index", "is_archive", "merge", "open_archive", "remove", "repair",
+    "search", "train_prior", "unused_bytes", "whole_bytes",
 ]  # fmt: skip

@@ -22,7 +22,7 @@ from ..codecs.tempo.models import prior
 from ..errors import BadInput
 from ..file_range import FileRange
 from ..selection import counted
-from . import remote
+from . import catalogue, remote
 from .catalogue import Catalogue
 from .encoding import PRIORS, bytes_of
 from .expressions import Constant, to_sql
@@ -249,3 +249,18 @@ def open_archive(path: str | PathLike[str]) -> Archive:
     archive = Archive(path)
     _ = archive.catalogue
     return archive
+
+
+def is_archive(path: str | PathLike[str]) -> bool:
+    """Whether a folder is an archive."""
+    return (Path(path) / catalogue.NAME).is_file()
+
+
+def in_archive(path: str | PathLike[str]) -> tuple[str, str] | None:
+    """The archive and the recording's name of ARCHIVE/NAME; None for paths that exist or lead to no archive."""
+    if Path(path).exists():
+        return None
+    folder = next((parent for parent in Path(path).parents if parent.exists()), None)
+    if folder is None or not is_archive(folder):
+        return None
+    return str(folder), Path(path).relative_to(folder).as_posix()

@@ -78,16 +78,19 @@ def check(
 
 
 def comparison(a: PointClouds, b: PointClouds, stored: int | None, body: Motion | None) -> dict[str, Any]:
-    """Errors of point clouds against others: nearest points in all frames, other measures in MEASURED_FRAMES of them.
+    """Errors of point clouds against others: between nearest points in all frames, as `measures`; other measures in
+    MEASURED_FRAMES of them.
 
     stored: bytes of the .mocz. body: the tracked body of one of them. Raises BadInput for other numbers of frames.
     """
     found = point_clouds.errors(a, b)
     frames = [frame for frame in spread_frames(a) if point_clouds.has_points(b, frame)]
-    result: dict[str, Any] = {"frames": len(a), "measured_frames": len(frames)}
-    result |= {"mean_error_m": found.mean_error, "max_error_m": found.max_error}
+    result: dict[str, Any] = {"frames": len(a), "mean_error_m": found.mean_error, "max_error_m": found.max_error}
     if frames:
-        result |= point_clouds.compare(a, b, frames)
+        result |= {"d1_m": found.d1, "d1_db": point_clouds.psnr(found.d1**2, point_clouds.PEAK_M)}
+        result |= {"y_psnr_db": found.psnr, "measured_frames": len(frames)}
+        others = point_clouds.compare(a, b, frames)
+        result |= {name: value for name, value in others.items() if name not in result}
         result["floor_m"] = point_clouds.resampling_floor(a, frames[:3])
     if stored:
         result["ratio"] = a.raw_bytes / stored

@@ -95,15 +95,12 @@ def title(a: str, b: str, result: metrics.Comparison) -> str:
 
 
 def read_both(a: str, b: str, options: dict[str, Any]) -> tuple[Recording, Recording]:
-    """Both recordings. A .mocz is read first: it knows the rate of point clouds whose files do not say theirs."""
+    """Both recordings. A .mocz is read first: it knows the rate of files that do not say theirs."""
     found: dict[str, Recording] = {}
     for name in sorted({a, b}, key=lambda name: not files.is_mocz(name)):
         chosen = options_for(name, (a, b), options)
         known = next(iter(found.values()), None)
-        if isinstance(known, PointClouds) and not files.is_mocz(name) and Path(name).suffix.lower() in ("", ".ply"):
-            chosen = files.given(**chosen)
-            chosen |= {} if {"fps", "rate"} & chosen.keys() else {"fps": known.rate}
-        found[name] = files.read(name, **chosen)
+        found[name] = files.read(name, **files.with_known_rate(name, chosen, known))
     return found[a], found[b]
 
 

@@ -71,11 +71,12 @@ from .codec_options import codec_with
 )
 @click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
 @click.option(
-    "--in-pieces/--at-once",
-    "pieces",
-    default=None,
+    "--in-pieces",
+    "piecewise",
+    is_flag=True,
     help="Encode block by block, in some hundred MB of memory; by default for .npy .npz .bvh .trc .amc above 256 MB.",
 )
+@click.option("--at-once", is_flag=True, help="Never encode block by block.")
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
@@ -88,7 +89,8 @@ def command(
     settings: tuple[str, ...],
     signal_error: str | None,
     prior: str | None,
-    pieces: bool | None,
+    piecewise: bool,
+    at_once: bool,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -103,6 +105,9 @@ def command(
     Several files, or a folder, are compressed into the folder OUT under the same names; run the command again to go on
     after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
     """
+    if piecewise and at_once:
+        raise click.UsageError("--in-pieces and --at-once exclude each other; give one of them")
+    pieces = piecewise if piecewise or at_once else None
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
     own_options = files.given(
         **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
@@ -152,14 +157,20 @@ def one(
     Path(where).parent.mkdir(parents=True, exist_ok=True)
     asked = pieces if formats.can_read_blocks(source) else None
     options = {name: value for name, value in chosen.items() if name not in NOT_OF_READERS}
+    size = {"source_bytes": Path(source).stat().st_size} if Path(source).is_file() else {}
     if (record := in_pieces.encoded(source, where, asked, chosen, options)) is not None:
-        return record
+        return with_file_ratio(record | size)
     recording, record, blob = encoded(source, **chosen, quiet=True)
     files.write_bytes(where, blob)
     kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
     lost = api.not_kept(recording, kind)
     left_out = [f"not kept: {', '.join(lost)}"] if lost else []
-    return {**record, "notes": [*left_out, *formats.notes(recording)]}
+    return with_file_ratio({**record, **size, "notes": [*left_out, *formats.notes(recording)]})
+
+
+def with_file_ratio(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with the size of the source, if it is one file, over that of its .mocz."""
+    return record | ({"file_ratio": record["source_bytes"] / record["bytes"]} if "source_bytes" in record else {})
 
 
 def encoded(

@@ -160,6 +160,18 @@ def takes(name: str, format_: str | None, option: str) -> bool:
     return option in formats.read_options(f"x.{format_.lower().lstrip('.')}" if name == "-" and format_ else name)
 
 
+def with_known_rate(name: str, options: dict[str, Any], known: Motion | PointClouds | None) -> dict[str, Any]:
+    """Reader options for a file that does not say its rate (.npy, point clouds): that of the recording that it is
+    compared with, unless the user gave one.
+    """
+    chosen = given(**options)
+    option = {"": "fps", ".ply": "fps", ".npy": "rate"}.get(Path(name).suffix.lower())
+    wanted = PointClouds if option == "fps" else Motion
+    if option is None or is_url(name) or {"fps", "rate"} & chosen.keys() or not isinstance(known, wanted):
+        return chosen
+    return {**chosen, option: known.rate}
+
+
 def with_notes(name: str, recording: Motion | PointClouds) -> Motion | PointClouds:
     """The recording; its reader's notes are left for `run`."""
     for text in formats.notes(recording):

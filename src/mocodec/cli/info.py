@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import click
@@ -25,8 +26,8 @@ MAX_ITEMS = 60
 @many.options
 @files.reader_options
 def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
-    """Show the contents of FILE. Of a .mocz (a path, a URL or "-") only header and index are read; with rotations,
-    also the chunks of a path, for the bytes of positions and of rotations.
+    """Show the contents of FILE. Of a .mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") only header and index
+    are read; with rotations, also the chunks of a path, for the bytes of positions and of rotations.
 
     Of several files, or of a folder, a table shows the main facts; --json has all of them.
     """
@@ -54,6 +55,12 @@ def one(source: str, _: str | None, may_replace: bool = True, **options: Any) ->
 
 def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
     """The facts of a file, a URL or standard input."""
+    if source != "-" and not files.is_url(source) and not Path(source).exists():
+        from ..archive import in_archive, open_archive
+
+        if (within := in_archive(source)) is not None:
+            with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
+                return with_motion(opened.info)
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:

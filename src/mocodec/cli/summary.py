@@ -35,7 +35,8 @@ FORMATS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "rate": ("Hz", lambda value: f"{value:.6g}"),
     "duration": ("duration", _seconds),
     "bytes": ("bytes", _count),
-    "ratio": ("ratio", _ratio),
+    "ratio": ("of float32", _ratio),
+    "file_ratio": ("of file", _ratio),
     "mean_error": ("mean", quantities.length),
     "max_error": ("max", quantities.length),
     "promise": ("promise", str),
@@ -45,7 +46,7 @@ FORMATS: dict[str, tuple[str, Callable[[Any], str]]] = {
 """Heading and format of each value of a record."""
 
 COLUMNS = {
-    "encode": ("bytes", "ratio", "mean_error", "max_error", "seconds"),
+    "encode": ("bytes", "ratio", "file_ratio", "mean_error", "max_error", "seconds"),
     "decode": ("output", "frames", "seconds"),
     "verify": ("frames", "promise", "mean_error", "max_error", "kept"),
     "info": ("kind", "codec", "frames", "points", "rate", "duration", "bytes", "ratio"),
@@ -57,7 +58,7 @@ def line(record: Record) -> str:
     """A record in one line."""
     if record["status"] == "failed":
         return f"{record['file']}: failed: {record['reason']}"
-    shown = ("bytes", "ratio", "mean_error", "max_error", "seconds")
+    shown = ("bytes", "ratio", "file_ratio", "mean_error", "max_error", "seconds")
     return f"{record['file']}: " + ", ".join(
         f"{FORMATS[name][0]} {FORMATS[name][1](record[name])}" for name in shown if record.get(name) is not None
     )
@@ -77,6 +78,9 @@ def report(command: str, records: Sequence[Record], seconds: float) -> dict[str,
     raw = sum(record.get("raw_bytes") or 0 for record in good if record.get("bytes"))
     if raw and totals.get("bytes"):
         totals["ratio"] = raw / totals["bytes"]
+    sized = [record for record in good if record.get("file_ratio")]
+    if sized:
+        totals["file_ratio"] = sum(r["source_bytes"] for r in sized) / sum(r["bytes"] for r in sized)
     measured = [record for record in good if None not in (record.get("mean_error"), record.get("max_error"))]
     if samples := sum(record["samples"] for record in measured):
         totals["mean_error"] = sum(record["mean_error"] * record["samples"] for record in measured) / samples

@@ -106,7 +106,7 @@ def checked(file: str, against: str | None, **options: Any) -> dict[str, Any]:
     report["promise"] = promise
     if against is not None:
         with files.working(f"reading {against}"):
-            source = files.read(against, **options)
+            source = files.read(against, **files.with_known_rate(against, options, decoded))
         comparison, broken = check(report["promise"], source, decoded, facts, shell_of(settings))
         samples = {"samples": int((~source.gaps).sum())} if isinstance(source, Motion) else {}
         report |= {**comparison, **samples, "promise_kept": not broken, "broken": broken}

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from .. import cloud_plots, plots, viewer
-from ..archive import open_archive
+from ..archive import in_archive, is_archive, open_archive
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -69,7 +69,7 @@ def command(
     files.require_suffix(mp4_path, "a film", (".mp4",))
     if (png_path or mp4_path) and len(sources) > 1:
         raise click.UsageError("--png and --mp4 show one recording; name one FILE")
-    if len(sources) == 1 and viewer.is_archive(sources[0]):
+    if len(sources) == 1 and is_archive(sources[0]):
         if against or html_path or png_path or mp4_path:
             raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
         with ExitStack() as opened:
@@ -128,7 +128,7 @@ def picture(shown: Shown, original: Shown | None) -> Any:
 
 def read(name: str, names: tuple[str, ...], options: dict[str, Any], opened: ExitStack) -> Shown:
     """A recording to show; notes of its reader are shown on the page and on standard error."""
-    if files.is_mocz(name) or files.is_url(name) or viewer.in_archive(name):
+    if files.is_mocz(name) or files.is_url(name) or in_archive(name):
         return viewer.shown(name, opened)
     both = (name, next((other for other in names if other != name), name))
     return of_path(name, Path(name).name, files.read(name, **compare.options_for(name, both, options)))

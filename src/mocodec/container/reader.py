@@ -233,6 +233,15 @@ class Reader:
             raise Corrupt(f"the extras: {error}") from None
         return extras, signals
 
+    def _signal_head_bytes(self) -> int:
+        """Bytes of the extras section that belong to signals; 0 if the section is damaged."""
+        if self.layout.chunks == self.layout.signals:
+            return 0
+        try:
+            return self._extras()[1].head_bytes
+        except (Corrupt, Truncated):
+            return 0
+
     def _read_signals(self, start: int, count: int) -> bytes:
         return self.source.read(self.layout.signals + start, count)
 
@@ -282,19 +291,20 @@ class Reader:
         return runs
 
     def info(self) -> dict[str, Any]:
-        """Facts about the file, as JSON values; reads no chunk."""
+        """Facts about the file, as JSON values; reads no chunk, and the extras only if there are signals."""
         header, layout = self.header, self.layout
         about = self.encoded.about
         chunks = self.chunks
         frames, payloads = int(chunks.starts[-1]), int(chunks.lengths.sum())
         points = about.points if isinstance(about, Motion) else None
         fields = {part["field"]: part["bytes"] for part in self.fields()}
+        heads = self._signal_head_bytes()
         chunk_overhead = layout.index_at - layout.chunks - payloads
         sizes = {
             "header": layout.extras - sum(fields.get(name, 0) for name in SEPARATE),
             **{name: fields.get(name, 0) for name in SEPARATE},
-            "extras": layout.signals - layout.extras,
-            "signals": layout.chunks - layout.signals,
+            "extras": layout.signals - layout.extras - heads,
+            "signals": layout.chunks - layout.signals + heads,
             "chunks": payloads,
             "framing": chunk_overhead,
             "index": layout.end - layout.index_at,

@@ -78,11 +78,14 @@ class Section:
         self.read = read
         self.size = size
         self.at = 0
+        self.head_bytes = 0
         self.all: list[StoredSamples] = []
 
     def next(self, cursor: Cursor, dtype: np.dtype[Any], shape: tuple[int, ...]) -> StoredSamples:
         """The samples of the next signal, whose head is read from the extras. Raises Corrupt."""
+        head_at = cursor.at
         head = codec.unpack(cursor, dtype, shape)
+        self.head_bytes += cursor.at - head_at
         offsets = []
         for size in head.chunk_bytes:
             offsets.append(self.at)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import api, formats
-from ..archive import catalogue, open_archive
+from ..archive import in_archive, open_archive
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -53,21 +53,6 @@ def shown(source: Viewable, opened: ExitStack, name: str | None = None, **option
         folder, within = found
         return of_file(name, opened.enter_context(opened.enter_context(open_archive(folder)).entry(within).open(True)))
     return of_path(path, name, api.read(path, **options))
-
-
-def is_archive(path: str | PathLike[str]) -> bool:
-    """Whether a folder is an archive."""
-    return (Path(path) / catalogue.NAME).is_file()
-
-
-def in_archive(path: str | PathLike[str]) -> tuple[str, str] | None:
-    """The archive and the recording's name of ARCHIVE/NAME; None for paths that exist or lead to no archive."""
-    if Path(path).exists():
-        return None
-    folder = next((parent for parent in Path(path).parents if parent.exists()), None)
-    if folder is None or not is_archive(folder):
-        return None
-    return str(folder), Path(path).relative_to(folder).as_posix()
 
 
 def pairs_of(sources: Sequence[Viewable], against: Viewable | None, opened: ExitStack, **options: Any) -> list[Pair]:

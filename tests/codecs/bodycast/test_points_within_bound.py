@@ -243,7 +243,7 @@ def test_duplicates_become_one_point_with_their_mean_colour():
     grid, [frame] = lattice_frames.to_lattice([(points, colours)], 0.001, True)
     assert len(frame.codes) == 1
     assert np.asarray(frame.colours).tolist() == [[15, 0, 0]]
-    assert distances(points, grid.positions(frame.codes)).max() <= 0.001
+    assert distances(points, grid.positions(octree.cells_of_codes(frame.codes))).max() <= 0.001
     assert octree.cells_of_codes(frame.codes).shape == (1, 3)
 
 

@@ -2,8 +2,7 @@
 
 import { chunkDecoder } from "./codecs/index.js";
 import type { Body } from "./codecs/bodies.js";
-import type { PointDecoder } from "./codecs/clouds/bodycast.js";
-import type { Cloud } from "./codecs/clouds/cloud.js";
+import type { Cloud, PointDecoder } from "./codecs/clouds/cloud.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "./codecs/codec.js";
 import { type PriorLoader, bundledPriors } from "./codecs/tempo/prior.js";
 import { type ChunkPlace, type Header, chunksStart, payloadOf, readHeader, readIndex, walkChunks } from "./container/header.js";
@@ -162,16 +161,13 @@ export class MoczFile {
   }
 
   /**
-   * Point clouds of `bodycast` only: frames a … b − 1, one after the other, as each is decoded. The points of a chunk follow from those of the
-   * frames before it: read in order. Throws BadInput for motions, Unsupported for `lien2006` and for surfaces.
+   * Point clouds: frames a … b − 1, one after the other, as each is decoded. The points of a frame follow from those of the frames before it in
+   * its chunk: read in order. Throws BadInput for motions, and Unsupported for pictures of surfaces that another encoder made.
    */
   async *clouds(a = 0, b = this.info.frames): AsyncGenerator<Cloud> {
-    const { codec, kind, colours } = this.info;
-    if (kind !== "clouds") throw new BadInput("the file has no point clouds");
+    if (this.info.kind !== "clouds") throw new BadInput("the file has no point clouds");
     this.checkRange(a, b);
-    if (codec !== "bodycast") throw new Unsupported(`this decoder does not decode points of ${codec}; see poses()`);
-    const { PointDecoder } = await import("./codecs/clouds/bodycast.js");
-    this.pointDecoder ??= new PointDecoder(this.header.shared, colours);
+    this.pointDecoder ??= await this.newPointDecoder();
     for (let i = this.chunkOf(a); i < this.chunks.length && this.chunks[i]!.start < b; i++) {
       const place = this.chunks[i]!;
       if (this.cloudsOfChunk?.number !== i) {
@@ -182,6 +178,14 @@ export class MoczFile {
       const from = Math.max(a, place.start);
       for (let frame = from; frame < Math.min(b, place.start + place.frames); frame++) yield this.cloudOf(chunk, place, frame - place.start);
     }
+  }
+
+  private async newPointDecoder(): Promise<PointDecoder> {
+    const { codec, colours } = this.info;
+    const { shared } = this.header;
+    if (codec === "bodycast") return new (await import("./codecs/clouds/bodycast.js")).BodycastPoints(shared, colours);
+    if (codec === "lien2006") return new (await import("./codecs/clouds/lien2006.js")).LienPoints(shared);
+    throw new BadInput("the file has no point clouds");
   }
 
   private cloudOf({ decoded, rest }: CloudChunk, { start, frames }: ChunkPlace, frame: number): Cloud {

@@ -1,14 +1,14 @@
 import { describe, expect, test } from "vitest";
-import { PointDecoder } from "../src/codecs/clouds/bodycast.js";
+import { BodycastPoints } from "../src/codecs/clouds/bodycast.js";
 import { type Header, payloadOf } from "../src/container/header.js";
-import { MocodecError, Unsupported, open } from "../src/index.js";
+import { MocodecError, open } from "../src/index.js";
 import { goldenBytes, goldenTwin } from "./golden.js";
 
 /** The twins have six digits after the point. */
 const TOLERANCE_M = 0.6e-6;
 
-describe("points of bodycast are those of the twins", () => {
-  test.each(["bodycast-jumper-bounded", "bodycast-jumper-learned"])("%s", async (name) => {
+describe("points are those of the twins", () => {
+  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-jumper-smoothed", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));
     let frame = 0;
@@ -22,20 +22,13 @@ describe("points of bodycast are those of the twins", () => {
     expect(frame).toBe(twin.positions.length);
     for await (const { positions } of file.clouds(1, 2)) expect(positions.length).toBe(twin.positions[1]!.flat().length);
   });
-
-  test("surfaces and other codecs are named as what is missing", async () => {
-    for (const name of ["bodycast-jumper", "lien2006-jumper"]) {
-      const file = await open(goldenBytes(name));
-      await expect(file.clouds().next()).rejects.toThrow(Unsupported);
-    }
-  });
 });
 
 test("damaged chunks end in a named error or in points", async () => {
-  const bytes = goldenBytes("bodycast-jumper-learned");
+  const bytes = goldenBytes("bodycast-jumper-smoothed");
   const file = await open(bytes);
   const { header } = file as unknown as { header: Header };
-  const decoder = new PointDecoder(header.shared, true);
+  const decoder = new BodycastPoints(header.shared, true);
   const { offset, size, frames } = file.info.chunks[0]!;
   const payload = payloadOf(bytes.subarray(offset, offset + size), file.info.chunks[0]!, 0);
   let errors = 0;

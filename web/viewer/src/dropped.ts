@@ -34,7 +34,7 @@ async function sessionOf(sources: (readonly [string, File | string])[], progress
 }
 
 function sameShape(a: Facts, b: Facts): boolean {
-  const isMotion = (facts: Facts) => facts.kind === "motion" && !(facts.decoded.type === "mocz" && facts.decoded.poses);
+  const isMotion = (facts: Facts) => facts.kind === "motion";
   return isMotion(a) && isMotion(b) && a.frames === b.frames && a.points === b.points && a.names.every((name, i) => name === b.names[i]);
 }
 

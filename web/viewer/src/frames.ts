@@ -2,7 +2,7 @@
 
 import { type Cloud, unpackClouds, unpackMotion } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
-import { cloudsOf, fileOf, posesOf } from "./mocz.ts";
+import { cloudsOf, fileOf } from "./mocz.ts";
 
 /** One frame: positions (points · 3) in metres, NaN for a gap; colours 0 to 255 of point clouds. */
 export interface Frame {
@@ -119,7 +119,6 @@ function split(positions: Float32Array, points: number): Frame[] {
 
 async function moczLoader(media: Extract<Media, { type: "mocz" }>, points: number): Promise<Loader> {
   const file = await fileOf(media);
-  if (media.poses) return async (a, b) => split(await posesOf(file, a, b), points);
   return async (a, b) => split(new Float32Array(await file.frames(a, b)), points);
 }
 

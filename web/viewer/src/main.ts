@@ -1,22 +1,19 @@
 /** The page: loads the session, plays it, and answers buttons, keys, clicks and dropped files. */
 
-import { Vector3 } from "three";
+import { Arrangement } from "./arrangement.ts";
 import { Clips } from "./clips.ts";
 import { type Commands, listen } from "./controls.ts";
-import { summary } from "./errors.ts";
 import { addressed, dropped } from "./dropped.ts";
 import { showKeys } from "./keys.ts";
 import { PointList } from "./list.ts";
 import { showLegend, showNumbers, showSignals, showTabs, showWorst } from "./panel.ts";
+import { Readout } from "./readout.ts";
 import { Stage } from "./scene.ts";
 import { type Facts, type Session, load, withReadableTexts } from "./session.ts";
-import { type Unit, length, readable, time, useUnit, whole } from "./text.ts";
+import { type Unit, readable, useUnit, whole } from "./text.ts";
 import { ErrorScale, PALETTES } from "./theme.ts";
 import { Timeline } from "./timeline.ts";
 import { type OriginalPlace, RecordingView } from "./view.ts";
-
-/** Numbers and errors in text change at most this often while playing, milliseconds: faster, nobody could read them. */
-const TEXT_MS = 100;
 
 const $ = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
 
@@ -30,18 +27,15 @@ class Page implements Commands {
   private keepsNotice = false;
   private theme: "light" | "dark" = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   private scale: ErrorScale | null = null;
-  private here: { mean: HTMLElement; max: HTMLElement } | null = null;
   /** Whether the panel is open: of recordings with a list of points, and of those without. */
   private readonly isPanelOpen = { points: innerWidth > 720, display: false };
   private readonly strips = new Set<number>();
   private needsFrame = true;
-  /** How far the last of several recordings stands from the first, metres. */
-  private width = 0;
   private readonly stage = new Stage($("picture"), () => (this.needsFrame = true));
+  private readonly arrangement = new Arrangement(this.stage);
+  private readonly readout = new Readout($("clock"), $("mark"));
   private readonly timeline = new Timeline($("time"), $("tip"), $("head"), $("pointer"), (frame) => this.seek(frame));
   private readonly list = new PointList($("list"), $("filter"), () => (this.needsFrame = true));
-  /** When the text that follows the frame was last set, milliseconds. */
-  private lastText = 0;
   /** Frames drawn late while playing: shown by tests and by `mocodecViewer.late`. */
   late = 0;
   drawn = 0;
@@ -112,7 +106,7 @@ class Page implements Commands {
     $("title").title = facts.name;
     $("title").hidden = this.views.length > 1; // the tabs say it
     showTabs($("tabs"), this.views.map((view) => view.facts.name), number, (other) => this.choose(other));
-    this.here = showNumbers($("numbers"), facts);
+    this.readout.here = showNumbers($("numbers"), facts);
     this.list.show(facts);
     this.strips.clear();
     facts.signals.slice(0, 3).forEach((_, signal) => this.strips.add(signal));
@@ -132,14 +126,7 @@ class Page implements Commands {
 
   /** Put recordings beside each other, and the camera before them. */
   private arrange(): void {
-    this.width = 0;
-    if (this.views.length > 1) {
-      const { x, z } = this.views[0].turned(this.views[0].centre.clone());
-      this.views.forEach((view, number) => {
-        if (number) this.width += 0.45 * (view.extent + this.views[number - 1].extent);
-        view.putAt(x + this.width, this.views[0].lowest, z);
-      });
-    }
+    this.arrangement.place(this.views);
     this.reset();
   }
 
@@ -147,10 +134,7 @@ class Page implements Commands {
     const view = this.view;
     if (!view) return;
     view.show(this.frame, this.place, this.list.selected, this.scale, PALETTES[this.theme]);
-    const middle = view.middle();
-    if (this.views.length > 1) middle.x = this.views[0].middle().x + this.width / 2;
-    if (this.isBeside) middle.add(view.turned(view.sideways(0.375 * view.extent)));
-    this.stage.frame(middle, view.extent + this.width + (this.isBeside ? 0.7 * view.extent : 0));
+    this.arrangement.frame(view, this.isBeside);
     this.ground();
     this.needsFrame = true;
   }
@@ -160,8 +144,7 @@ class Page implements Commands {
   }
 
   private ground(): void {
-    const view = this.view;
-    if (view) this.stage.setGround(view.middle(), view.lowest, 2.5 * view.extent, PALETTES[this.theme]);
+    if (this.view) this.arrangement.ground(this.view, PALETTES[this.theme]);
   }
 
   private rescale(): void {
@@ -238,48 +221,13 @@ class Page implements Commands {
     if (failure) this.notice(`Frames around ${whole(frame)} cannot be shown: ${failure}`);
     else if (isDamaged) this.notice("These frames are damaged");
     else if (!this.keepsNotice) this.notice(null);
-    if ($("follow").getAttribute("aria-pressed") === "true" && this.views.length === 1) this.follow();
+    if ($("follow").getAttribute("aria-pressed") === "true" && this.views.length === 1) this.arrangement.follow(view, this.isBeside);
     void view.trail($("trails").getAttribute("aria-pressed") === "true" ? this.list.selected : -1, frame, palette.accent);
     this.timeline.setFrame(frame);
-    if (!this.isPlaying || performance.now() - this.lastText > TEXT_MS) this.renderText(frame);
-    this.showMark();
-    this.stage.invalidate();
-  }
-
-  private renderText(frame: number): void {
-    const view = this.view!;
-    this.lastText = performance.now();
-    $("clock").textContent = `${time(frame / view.facts.rate)} · frame ${whole(frame)}`;
+    if (this.readout.show(view, frame, this.isPlaying)) this.list.update(view.errors);
     if (!this.isPlaying) this.timeline.announce();
-    if (!this.here) return;
-    const { mean, max, at } = summary(view.errors);
-    this.here.mean.textContent = length(mean);
-    this.here.max.textContent = at < 0 ? "–" : `${length(max)} ${view.facts.names[at] ?? ""}`;
-    this.list.update(view.errors);
-  }
-
-  private follow(): void {
-    const view = this.view!;
-    const middle = view.middle();
-    if (this.isBeside) middle.add(view.turned(view.sideways(0.375 * view.extent)));
-    const still = 0.12 * view.extent; // small movements up and down stay visible as such
-    middle.y = Math.max(middle.y - still, Math.min(middle.y + still, this.stage.controls.target.y));
-    this.stage.follow(middle);
-  }
-
-  /** The name of the chosen point, beside it. */
-  private showMark(): void {
-    const view = this.view!;
-    const point = this.list.selected;
-    const positions = view.positions;
-    const mark = $("mark");
-    mark.hidden = point < 0 || !positions || Number.isNaN(positions[3 * point]);
-    if (mark.hidden || !positions) return;
-    const at = this.stage.project(view.toScene(new Vector3(...positions.slice(3 * point, 3 * point + 3))));
-    mark.style.left = `${at.x}px`;
-    mark.style.top = `${at.y}px`;
-    const error = view.errors[point];
-    mark.textContent = Number.isNaN(error) ? view.facts.names[point] : `${view.facts.names[point]}  ${length(error)}`;
+    this.readout.mark(view, this.list.selected, this.stage);
+    this.stage.invalidate();
   }
 
   worst(): void {

@@ -1,6 +1,6 @@
 /** Opens .mocz files with the decoder in web/decoder, and says of them what the page shows. */
 
-import { type MoczFile, type PriorLoader, type Source, Unsupported, open } from "../../decoder/src/index.js";
+import { type MoczFile, type PriorLoader, type Source, open } from "../../decoder/src/index.js";
 import { findLinks } from "./links.ts";
 import { fromBase64 } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
@@ -47,8 +47,10 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
   } catch (error) {
     notes.push(error instanceof Error ? error.message : String(error));
   }
-  const { names, links, kind, poses } = info.kind === "clouds" ? await shownOfClouds(file, notes) : await shownOfMotion(file);
-  const isRead = kind === "motion" && info.kind === "motion" && info.frames <= MOST_READ_FRAMES;
+  const { kind } = info;
+  const { names, links } = kind === "clouds" ? { names: [], links: [] } : await shownOfMotion(file);
+  if (kind === "clouds") for await (const _ of file.clouds(0, Math.min(1, info.frames))) break; // names damage and what cannot be decoded
+  const isRead = kind === "motion" && info.frames <= MOST_READ_FRAMES;
   const gaps = isRead ? await gapsOf(file) : [];
   const marks = isRead ? await marksOf(file) : [];
   const targets = ["max_error", "mean_error", "max_rotation", "size", "ratio", "psnr"];
@@ -81,34 +83,16 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
     errors: null,
     damage: file.damage.map(({ start, frames }) => [start, start + frames]),
     notes: [...notes, ...file.damage.map(({ error }) => error.message)],
-    decoded: { type: "mocz", id, poses },
+    decoded: { type: "mocz", id },
     original: null,
   };
 }
 
-type ShownPoints = Pick<Facts, "names" | "links" | "kind"> & { poses: boolean };
-
-async function shownOfMotion(file: MoczFile): Promise<ShownPoints> {
+async function shownOfMotion(file: MoczFile): Promise<Pick<Facts, "names" | "links">> {
   const { names, skeleton } = file.info;
   const parents = skeleton?.parents;
   const links = parents ? parents.flatMap((p, j) => (p < 0 ? [] : [[Math.min(p, j), Math.max(p, j)] as [number, number]])) : await linksOf(file);
-  return { names, links, kind: "motion", poses: false };
-}
-
-/** The points; or the bodies' links as a stick figure if the points cannot be decoded here. */
-async function shownOfClouds(file: MoczFile, notes: string[]): Promise<ShownPoints> {
-  try {
-    for await (const _ of file.clouds(0, Math.min(1, file.info.frames))) break;
-    return { names: [], links: [], kind: "clouds", poses: false };
-  } catch (error) {
-    if (!(error instanceof Unsupported)) throw error;
-    const { bodies } = await file.poses(0, 0);
-    if (bodies.length === 0) throw error;
-    notes.push("This page shows the poses of the bodies; \"mocodec view\" shows their surface.");
-    const ends = bodies.flatMap((body) => body.names.flatMap((link) => [link, `${link} end`]));
-    const links = ends.flatMap((_, i) => (i % 2 ? [[i - 1, i] as [number, number]] : []));
-    return { names: ends, links, kind: "motion", poses: true };
-  }
+  return { names, links };
 }
 
 /** Frames a … b − 1 of point clouds. The page stays responsive: it may draw between two frames. */
@@ -122,20 +106,6 @@ export async function cloudsOf(file: MoczFile, a: number, b: number): Promise<{ 
     last = performance.now();
   }
   return clouds;
-}
-
-/** Origins and tips of the links of all bodies in frames a … b − 1: (frames, points, 3), metres. */
-export async function posesOf(file: MoczFile, a: number, b: number): Promise<Float32Array> {
-  const { poses } = await file.poses(a, b);
-  const lanes = poses.map((own) => own.length / Math.max(1, b - a));
-  const width = lanes.reduce((sum, own) => sum + own, 0);
-  const out = new Float32Array(width * (b - a));
-  let at = 0;
-  poses.forEach((own, body) => {
-    for (let t = 0; t < b - a; t++) out.set(own.subarray(t * lanes[body], (t + 1) * lanes[body]), t * width + at);
-    at += lanes[body];
-  });
-  return out;
 }
 
 async function linksOf(file: MoczFile): Promise<[number, number][]> {

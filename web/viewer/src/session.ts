@@ -74,8 +74,8 @@ export interface ErrorFacts {
 export type Media =
   /** A server that decodes: GET url?from=a&to=b (docs/howto/view.md). */
   | { type: "frames"; url: string }
-  /** A .mocz that this page decodes. poses: links of the bodies in point clouds instead of the points. */
-  | { type: "mocz"; url?: string; base64?: string; id?: number; poses?: boolean }
+  /** A .mocz that this page decodes. */
+  | { type: "mocz"; url?: string; base64?: string; id?: number }
   /** All frames within the page: see packed.ts. `step` metres, `origin` metres; relative to the decoded frames or not. */
   | { type: "packed"; base64: string; step: number; origin: [number, number, number]; relative: boolean }
   /** All frames of point clouds within the page. */

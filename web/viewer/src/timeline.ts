@@ -291,24 +291,18 @@ export class Timeline {
     const smallest = Math.min(...low);
     const range = Math.max(...high) - smallest || 1;
     const y = (value: number) => top + (SIGNAL_HEIGHT - 2) * (1 - (value - smallest) / range) + 1;
-    if (low.length >= width / 2) {
-      pen.fillStyle = css("--green");
-      low.forEach((value, i) => {
-        const left = (i / low.length) * width;
-        pen.fillRect(left, y(high[i]), Math.max(1, width / low.length), Math.max(1, y(value) - y(high[i])));
-      });
-    } else {
-      // parts wider than two pixels: a line through all values, since boxes would look like dots
-      pen.strokeStyle = css("--green");
-      pen.lineWidth = 1.25;
-      pen.beginPath();
-      low.forEach((value, i) => {
-        const x = ((i + 0.5) / low.length) * width;
-        pen.lineTo(x, y(value));
-        if (high[i] !== value) pen.lineTo(x, y(high[i]));
-      });
-      pen.stroke();
-    }
+    // one line through the range of every part: boxes of steep signals would not touch one another
+    pen.strokeStyle = css("--green");
+    pen.lineWidth = 1.25;
+    pen.lineJoin = "round";
+    pen.beginPath();
+    low.forEach((value, i) => {
+      const x = ((i + 0.5) / low.length) * width;
+      const isRising = i === 0 || high[i] + value >= high[i - 1] + low[i - 1];
+      pen.lineTo(x, y(isRising ? value : high[i]));
+      if (high[i] !== value) pen.lineTo(x, y(isRising ? high[i] : value));
+    });
+    pen.stroke();
     const text = unit ? `${label} (${unit})` : label;
     pen.textBaseline = "top";
     const box = pen.measureText(text).width;

@@ -104,7 +104,6 @@ export class RecordingView {
     const before = this.original?.at(frame) ?? null;
     if (!now) return false;
     this.shown = now;
-    this.shownFrame = frame;
     if (this.figure instanceof CloudFigure) {
       this.figure.show(now, new Color(palette.point));
     } else {
@@ -127,7 +126,9 @@ export class RecordingView {
         this.ghost.show(before, this.ghostColours, -1);
       }
     }
-    return before !== null || this.original === null || this.original.failure(frame) !== null;
+    const isWhole = before !== null || this.original === null || this.original.failure(frame) !== null;
+    if (isWhole) this.shownFrame = frame;
+    return isWhole;
   }
 
   /** Show the path of one point, or of none. */

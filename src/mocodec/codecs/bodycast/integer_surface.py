@@ -20,7 +20,7 @@ from ...errors import Corrupt
 from ...geometry import articulation
 from ...geometry.articulation import Pose
 from ...typing import Floats, Integers
-from .surface_hints import NEIGHBOURS, NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
+from .surface_hints import NEIGHBOURS, NORMAL_BITS, SUBUNIT_BITS, UNLIMITED, SurfaceHints
 from .surface_sampling import SurfaceSamples
 
 SHIFTS = 64  # of the rounding, in 1/64 of a step
@@ -147,12 +147,19 @@ def _blended_links(links: Integers, neighbours: Integers, count: int) -> tuple[I
 
 
 def hints_of_frame(
-    places: Integers, normals: Integers, neighbours: Integers, step_m: float, corner: Integers, depth: int
+    places: Integers,
+    normals: Integers,
+    neighbours: Integers,
+    step_m: float,
+    corner: Integers,
+    depth: int,
+    large_cubes_correct: bool,
 ) -> SurfaceHints | None:
     """The samples of all bodies in a frame as the octree sees them; None without samples.
 
     places (m, 3): 2^-PLACE_BITS metres. normals (m, 3). neighbours (m, NEIGHBOURS): rows. step_m: unit of the octree.
-    corner (3,): of the octree, in that unit. Raises Corrupt for a pose that is out of range.
+    corner (3,): of the octree, in that unit. large_cubes_correct: also cubes larger than the spacing of the samples,
+    whose centres tell less than the body, correct the surface. Raises Corrupt for a pose that is out of range.
     """
     if not len(places):
         return None
@@ -163,4 +170,4 @@ def hints_of_frame(
     gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
     middle = len(gaps) // 2
     spacing = max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)  # the median distance to the nearest sample
-    return SurfaceHints(points, normals, neighbours, spacing, depth)
+    return SurfaceHints(points, normals, neighbours, spacing, depth, UNLIMITED if large_cubes_correct else spacing)

@@ -25,6 +25,11 @@ def step_of_bound(bound_m: float) -> float:
     return 2 * bound_m / math.sqrt(5) * (1 - ROUNDING)
 
 
+def bound_of_step(step_m: float) -> float:
+    """The inverse of `step_of_bound`."""
+    return step_m * math.sqrt(5) / 2 / (1 - ROUNDING)
+
+
 def nearest(points: Floats, step_m: float) -> Integers:
     """The lattice point (n, 3) nearest to each of the points (n, 3)."""
     scaled = points / step_m

@@ -23,10 +23,16 @@ MAX_CORNER = 1 << 40
 
 
 class LatticeFrame(NamedTuple):
-    """A frame on the lattice. codes (n,): sorted distinct Morton codes. colours (n, 3): mean colours, or None."""
+    """A frame on the lattice.
+
+    codes (n,): sorted distinct Morton codes. colours (n, 3): mean colours, or None. originals (m, 3): the points of the
+    frame, metres. rows (m,): which of the codes is that of each.
+    """
 
     codes: Integers
     colours: Bytes | None
+    originals: Floats
+    rows: Integers
 
 
 @dataclass(frozen=True)
@@ -37,9 +43,13 @@ class LatticeGrid:
     corner: Integers
     depth: int
 
-    def positions(self, codes: Integers) -> Floats:
-        """The places (n, 3) of Morton codes (n,), metres."""
-        return lattice.positions(octree.cells_of_codes(codes) + self.corner, self.step_m)
+    def positions(self, cells: Integers) -> Floats:
+        """The places (n, 3) of cells (n, 3), metres."""
+        return lattice.positions(cells + self.corner, self.step_m)
+
+    def shifted_positions(self, cells: Integers, shifts: Integers, shift_bits: int) -> Floats:
+        """The places (n, 3) of cells after shifts (n, 3) of 2^-shift_bits units, metres."""
+        return lattice.positions((cells + self.corner << shift_bits) + shifts, self.step_m / (1 << shift_bits))
 
     def places(self, cells: Integers) -> Integers:
         """Cells (n, 3) as places in 2^-PLACE_BITS metres, rounded down, at most MAX_PLACE_M from the origin."""
@@ -68,19 +78,23 @@ def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple
         )
     grid = LatticeGrid(step, corner, depth)
     pairs = zip(places, frames, strict=True)
-    return grid, [_lattice_frame(p - corner, colours if coloured else None) for p, (_, colours) in pairs]
+    return grid, [_lattice_frame(p - corner, *frame, coloured) for p, frame in pairs]
 
 
-def _lattice_frame(coordinates: Integers, colours: Bytes | None) -> LatticeFrame:
+def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None, coloured: bool) -> LatticeFrame:
     """Points of one cell become one, with their mean colour."""
-    codes = octree.morton_codes(coordinates)
-    if colours is None or not len(codes):
-        return LatticeFrame(np.unique(codes), None if colours is None else colours)
-    codes, order = _sorted_with_order(codes)
-    starts = np.flatnonzero(np.diff(codes, prepend=-1))
+    if not len(points):
+        return LatticeFrame(np.zeros(0, np.int64), colours if coloured else None, points, np.zeros(0, np.int64))
+    codes, order = _sorted_with_order(octree.morton_codes(coordinates))
+    is_first = np.diff(codes, prepend=-1) > 0
+    starts = np.flatnonzero(is_first)
+    rows = np.empty(len(codes), np.int64)
+    rows[order] = np.cumsum(is_first) - 1
+    if not coloured or colours is None:
+        return LatticeFrame(codes[starts], None, points, rows)
     count = np.diff(starts, append=len(codes))
     sums = np.add.reduceat(colours[order].astype(np.float64), starts, axis=0)
-    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8))
+    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8), points, rows)
 
 
 def _sorted_with_order(codes: Integers) -> tuple[Integers, Integers]:

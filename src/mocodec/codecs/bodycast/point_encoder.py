@@ -18,7 +18,7 @@ from ..clouds.raw_frames import Cloud
 from . import point_targets
 from .colour_lifting import ColourSteps
 from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
-from .point_layer import CodedPlaces, join, pack_colours, pack_places, unpack_points
+from .point_layer import CodedPlaces, LocatedPoints, join, pack_colours, pack_places, unpack_points
 from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence
 
@@ -70,12 +70,17 @@ class PointEncoder:
         if target.max_error is not None:
             return target.max_error
         if target.mean_error is not None:
-            return point_targets.bound_of_mean(self.frames, target.mean_error)
+            return point_targets.bound_of_mean(target.mean_error, self._mean_error)
         if target.size is not None:
             return point_targets.finest_that_fits(
                 target.size, lambda bound: sum(map(len, self.coded(bound))), target.beside
             )
         return point_targets.DEFAULT_BOUND_M if target.psnr is None else point_targets.COLOUR_BOUND_M
+
+    def _mean_error(self, bound: float) -> float:
+        """The mean error of the points that are decoded with this bound, metres."""
+        pairs = [pair for chunk in self._places(bound) for pair in chunk.pairs()]
+        return point_targets.mean_error([(frame, located.positions) for frame, located in pairs])
 
     def coded(self, bound: float) -> list[bytes]:
         """The part of each chunk, with the usual colours of this bound, metres; not checked."""
@@ -99,10 +104,9 @@ class PointEncoder:
             squares = np.zeros((2, 2))
             for chunk, span in zip(chunks, self.spans, strict=True):
                 colours = iter(chunk.with_colours(ColourSteps.of_luma(step))[1])
-                for frame, original in zip(chunk.frames, self.frames[span], strict=True):
-                    if len(frame.codes):
-                        decoded = chunk.grid.positions(frame.codes), next(colours)
-                        squares += point_clouds.luma_squares(original, decoded)
+                originals = [original for original in self.frames[span] if len(original[0])]
+                for (_, located), original in zip(chunk.pairs(), originals, strict=True):
+                    squares += point_clouds.luma_squares(original, (located.positions, next(colours)))
             return not squares[:, 1].all() or point_clouds.pooled_psnr(squares) >= psnr
 
         step = point_targets.coarsest_step(point_targets.step_of_psnr(psnr), meets)
@@ -125,14 +129,15 @@ class PointEncoder:
         for part, expected, chunk, span, poses, absent in progress.over(rows):
             count, waiting = span.stop - span.start, iter(expected)
             decoded = unpack_points(part, count, self.textures, poses, absent, self.coloured)
-            for frame, (points, colour) in zip(chunk.frames, decoded, strict=True):
-                same = np.array_equal(points, chunk.grid.positions(frame.codes))
-                if self.coloured and len(frame.codes):
+            filled = [cloud for cloud in decoded if len(cloud[0])]
+            for (frame, located), (points, colour) in zip(chunk.pairs(), filled, strict=True):
+                same = np.array_equal(points, located.positions)
+                if self.coloured:
                     same = same and np.array_equal(next(waiting), np.asarray(colour))
                 if not same:
                     raise CannotEncode("bodycast: the decoded points are not those that were coded")
-        if len(self.frames) and float(point_targets.own_distances(self.frames, bound).max(initial=0.0)) > bound:
-            raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
+                if point_targets.own_distances(frame, points).max() > bound:
+                    raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
 
 
 class _CodedChunk(NamedTuple):
@@ -141,6 +146,10 @@ class _CodedChunk(NamedTuple):
     grid: LatticeGrid
     frames: list[LatticeFrame]
     places: CodedPlaces
+
+    def pairs(self) -> list[tuple[LatticeFrame, LocatedPoints]]:
+        """The frames with points, and what is decoded of them."""
+        return list(zip((f for f in self.frames if len(f.codes)), self.places.frames, strict=True))
 
     def with_colours(self, steps: ColourSteps | None) -> tuple[bytes, list[Bytes]]:
         """The part of the chunk, and the decoded colours of each frame with points; steps: None without colours."""

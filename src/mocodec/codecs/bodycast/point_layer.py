@@ -1,7 +1,8 @@
 """All points of a chunk's frames within a bound: on a lattice, coded from the bodies' surface.
 
 points ─lattice_frames─► distinct Morton codes ─point_octree─► bytes      colours ─colour_lifting─► bytes
-bodies, poses ─point_scene─► where the surface lies ─┘                       │
+bodies, poses ─point_scene─► where the surface lies ─┘ │                     │
+                                      ├─ point_smoothing: lattice points ─► decoded points
                                       └─ what earlier frames showed there ───┘
 """
 
@@ -18,7 +19,7 @@ from ...entropy.bit_arrays import BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
-from . import integer_surface, octree, point_colours, point_octree
+from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
@@ -26,9 +27,11 @@ from .point_scene import Scene, SurfaceTexture
 from .pose_stream import PoseSequence
 from .surface_memory import ColourMemory, SampleTable
 
-UNLEARNED, LEARNED = 3, 4  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
-KINDS = (UNLEARNED, LEARNED)
-"""UNLEARNED is decoded only: its surface and colours do not depend on earlier frames."""
+UNLEARNED, LEARNED, SMOOTHED = 3, 4, 5  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
+KINDS = (UNLEARNED, LEARNED, SMOOTHED)
+"""UNLEARNED and LEARNED are decoded only: their points are those of the lattice. The surface and colours of UNLEARNED
+do not depend on earlier frames.
+"""
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 
 
@@ -36,12 +39,13 @@ class LocatedPoints(NamedTuple):
     """The points of a frame beside the surface.
 
     cells (n, 3): lattice coordinates. samples (n,): the sample near each among all bodies', −1 without one. places
-    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample.
+    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample. positions (n, 3): as decoded, metres.
     """
 
     cells: Integers
     samples: Integers
     places: Integers
+    positions: Floats
 
 
 class CodedPlaces(NamedTuple):
@@ -115,11 +119,12 @@ def pack_places(
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
-    coder, scene, located = BitEncoder(), Scene(textures, shifts, is_absent, learns=True), list[LocatedPoints]()
-    for k, frame in enumerate(frames):
-        if len(frame.codes):
-            octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k])
-            located.append(octree_of_frame.code(coder, frame.codes, len(frame.codes))[1])
+    coder, scene = BitEncoder(), Scene(textures, shifts, is_absent, learns=True, smooths=True)
+    located = [
+        _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k]).code(coder, frame, len(frame.codes))
+        for k, frame in enumerate(frames)
+        if len(frame.codes)
+    ]
     return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table)
 
 
@@ -135,7 +140,7 @@ def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourStep
 
 def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes:
     """The part of a chunk. steps: None without colours."""
-    kind = varint.write([LEARNED, coded.depth, *((0, 0) if steps is None else steps)])
+    kind = varint.write([SMOOTHED, coded.depth, *((0, 0) if steps is None else steps)])
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
@@ -151,8 +156,9 @@ def unpack_points(
     head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
     grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
     places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
-    scene, waiting = Scene(textures, shifts, is_absent, learns=kind == LEARNED), iter(head.pose_shifts)
-    memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind == LEARNED and coloured else None
+    scene = Scene(textures, shifts, is_absent, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
+    waiting = iter(head.pose_shifts)
+    memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
     for k, count in enumerate(head.counts):
         present = [b for b in range(len(textures)) if not is_absent[k, b]]
         own = [next(waiting) for _ in present]
@@ -160,13 +166,13 @@ def unpack_points(
             yield no_points(coloured)
             continue
         values = [integer_surface.pose_values(textures[b].body, poses[b][k]) for b in present]
-        codes, located = _OctreeOfFrame(scene, grid, k, values, own).code(places, None, count)
+        located = _OctreeOfFrame(scene, grid, k, values, own).code(places, None, count)
         colour = None
         if memory is not None:
             colour = memory.code(colours, None, located)
         elif coloured:
             colour = _unlearned_colours(colours, scene.table.colours, located.samples, steps[0])
-        yield grid.positions(codes), colour
+        yield located.positions, colour
     places.finish()
 
 
@@ -180,10 +186,9 @@ class _OctreeOfFrame:
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
-    def code(
-        self, coder: BitEncoder | BitDecoder, codes: Integers | None, count: int
-    ) -> tuple[Integers, LocatedPoints]:
-        """Code the Morton codes (count,), None in the decoder; the next frames learn from them. Raises Corrupt."""
+    def code(self, coder: BitEncoder | BitDecoder, frame: LatticeFrame | None, count: int) -> LocatedPoints:
+        """Code the points (count,), None in the decoder; the next frames learn from them. Raises Corrupt."""
+        codes = None if frame is None else frame.codes
         codes, nearest = point_octree.code_octree(coder, codes, self.grid.depth, count, self.hints)
         cells = octree.cells_of_codes(codes)
         points, table = self.grid.places(cells), self.scene.table
@@ -192,7 +197,22 @@ class _OctreeOfFrame:
         samples[known] = self.surface.rows[nearest[known]]
         places[known] = table.canonical(self.surface, points[known], nearest[known])
         self.scene.learn(self.surface, points, nearest)
-        return codes, LocatedPoints(cells, samples, places)
+        positions = self._positions(coder, frame, cells, nearest) if self.scene.smooths else self.grid.positions(cells)
+        return LocatedPoints(cells, samples, places, positions)
+
+    def _positions(
+        self, coder: BitEncoder | BitDecoder, frame: LatticeFrame | None, cells: Integers, nearest: Integers
+    ) -> Floats:
+        """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
+        smoothed, stays = point_smoothing.smooth(cells, nearest, self.hints), None
+        if frame is not None:
+            moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
+            away = np.linalg.norm(frame.originals - moved[frame.rows], axis=1)
+            stays = np.zeros(len(cells), bool)
+            stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
+        stays = point_smoothing.code_stays(coder, smoothed, stays)
+        shifts = np.where(stays[:, None], 0, smoothed.shifts)
+        return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
 
 
 class _ColoursOfChunk:

@@ -55,13 +55,19 @@ def _texture(samples: SurfaceSamples, planes: Bytes) -> Integers:
 class Scene:
     """The surfaces of all bodies of a file, frame after frame of a chunk. table: their samples.
 
-    learns: whether the points of earlier frames move the samples of later ones.
+    learns: whether the points of earlier frames move the samples of later ones. smooths: whether decoded points move to
+    the surface that the points around them show.
     """
 
     def __init__(
-        self, textures: Sequence[SurfaceTexture], shifts: Sequence[int], is_absent: Booleans, learns: bool
+        self,
+        textures: Sequence[SurfaceTexture],
+        shifts: Sequence[int],
+        is_absent: Booleans,
+        learns: bool,
+        smooths: bool,
     ) -> None:
-        self.is_absent, self.learns = is_absent, learns
+        self.is_absent, self.learns, self.smooths = is_absent, learns, smooths
         self.surfaces = [texture.integers(shift) for texture, shift in zip(textures, shifts, strict=True)]
         self._starts = np.cumsum([0, *(len(s.points) for s in self.surfaces)])
         neighbours = _joined(self.surfaces, self._starts.tolist())
@@ -89,7 +95,10 @@ class Scene:
         present = [s for b, s in enumerate(self.surfaces) if not self.is_absent[k, b]]
         starts = np.cumsum([0, *(len(s.points) for s in present)]).tolist()
         places = self._memory.corrected(frame) if self.learns else frame.places
-        return integer_surface.hints_of_frame(places, frame.normals, _joined(present, starts), step_m, corner, depth)
+        neighbours = _joined(present, starts)
+        return integer_surface.hints_of_frame(
+            places, frame.normals, neighbours, step_m, corner, depth, large_cubes_correct=not self.smooths
+        )
 
     def learn(self, frame: PosedSurface, points: Integers, samples: Integers) -> None:
         """As `PlaceMemory.learn`."""

@@ -1,6 +1,7 @@
 """Lattices that meet a target: a bound on the error, its mean, the bytes, and the PSNR of the colours.
 
-max_error, mean_error ─► bound of the lattice, before anything is coded
+max_error ─► bound of the lattice
+mean_error ─► bounds, each coded, finer until the mean error is as small
 size ─► bounds between the finest and the coarsest, each coded ─► the finest that fits
 psnr ─► colour step; colours are decoded and measured, until the coarsest step that meets it is found
 """
@@ -14,15 +15,15 @@ import numpy as np
 
 from ...errors import CannotEncode
 from ...typing import Floats
-from ..clouds.raw_frames import Cloud
-from . import lattice, octree, point_colours
+from . import point_colours
+from .lattice_frames import LatticeFrame
 
 DEFAULT_BOUND_M = 0.005  # without a target, of frames without a body
 COLOUR_BOUND_M = 0.002  # of frames with a target for their colours alone
 FINEST_BOUND_M, COARSEST_BOUND_M = 2e-5, 0.04  # that a size is met with
 SIZE_ATTEMPTS = 9  # codings of the points to meet a size
 TIGHTENING = 0.98  # factor on a bound whose mean error is too large
-MEAN_PER_BOUND = 0.66  # mean distance over the bound, of points spread evenly over a cell
+MEAN_PER_BOUND = 0.59  # mean distance over the bound, of points on a smooth surface
 
 
 def usual_colour_step(bound_m: float) -> int:
@@ -30,41 +31,35 @@ def usual_colour_step(bound_m: float) -> int:
     return int(np.clip(round(4 * math.sqrt(bound_m / 0.001)), 1, 16))
 
 
-def own_distances(frames: Sequence[Cloud], bound_m: float) -> Floats:
-    """Distances of all points from their own lattice points, at least those from the nearest."""
-    step = lattice.step_of_bound(bound_m)
-    parts = [np.linalg.norm(p - lattice.positions(lattice.nearest(p, step), step), axis=1) for p, _ in frames]
-    return np.concatenate(parts) if parts else np.zeros(0)
+def own_distances(frame: LatticeFrame, decoded: Floats) -> Floats:
+    """Distances (m,) of the points of a frame from their own decoded points (n, 3), at least those from the nearest."""
+    return np.linalg.norm(frame.originals - decoded[frame.rows], axis=1)
 
 
-def bound_of_mean(frames: Sequence[Cloud], mean_m: float) -> float:
-    """The bound of a lattice whose mean error is at most `mean_m`, from points and from decoded points."""
-    bound = mean_m / MEAN_PER_BOUND
-    while True:
-        if mean_errors(frames, bound) <= mean_m:
-            return bound
-        bound *= TIGHTENING
+def bound_of_mean(mean_m: float, mean_error_of: Callable[[float], float]) -> float:
+    """A bound with which the mean error of the decoded points is at most `mean_m`.
 
-
-def mean_errors(frames: Sequence[Cloud], bound_m: float) -> float:
-    """The larger of the mean distances from points to their lattice points and back, an upper bound of the mean error.
-
-    A lattice point counts with the nearest of its points.
+    mean_error_of: the mean error with a bound, metres; about in proportion to it.
     """
-    distance = own_distances(frames, bound_m)
-    if not len(distance):
-        return 0.0
-    step, back = lattice.step_of_bound(bound_m), list[Floats]()
-    starts = np.cumsum([0, *(len(p) for p, _ in frames)])
-    for (points, _), start in zip(frames, starts[:-1], strict=True):
-        if not len(points):
-            continue
-        whole = lattice.nearest(points, step)
-        code = octree.morton_codes(np.clip(whole - whole.min(axis=0), 0, (1 << octree.MAX_DEPTH) - 1))
-        order = np.lexsort((distance[start : start + len(points)], code))
-        first = np.flatnonzero(np.diff(code[order], prepend=-1))
-        back.append(distance[start : start + len(points)][order[first]])
-    return max(float(distance.mean()), float(np.concatenate(back).mean()))
+    bound = mean_m / MEAN_PER_BOUND
+    while (measured := mean_error_of(bound)) > mean_m:
+        bound *= min(TIGHTENING, mean_m / measured)
+    return bound
+
+
+def mean_error(frames: Sequence[tuple[LatticeFrame, Floats]]) -> float:
+    """The larger of the mean distances from points to their decoded points and back, an upper bound of the mean error.
+
+    frames: with the decoded points (n, 3) of each. A decoded point counts with the nearest of its points.
+    """
+    there, back = list[Floats](), list[Floats]()
+    for frame, decoded in frames:
+        distance = own_distances(frame, decoded)
+        nearest = np.full(len(decoded), np.inf)
+        np.minimum.at(nearest, frame.rows, distance)
+        there.append(distance)
+        back.append(nearest)
+    return max(float(np.concatenate(parts).mean()) for parts in (there, back)) if frames else 0.0
 
 
 def finest_that_fits(size: float, coded_bytes: Callable[[float], float], beside: float) -> float:

@@ -25,6 +25,7 @@ PRIOR_COUNT = 2  # cubes that a correction of zero counts for
 NOWHERE = -1
 SEARCHED = 3  # samples of a cube that are candidates for the nearest
 COARSEST_SPACINGS = 4  # side of the largest cubes that have a nearest sample, in spacings
+UNLIMITED = 1 << 62
 AROUND = np.array([[x, y, z] for x in (0, -1, 1) for y in (0, -1, 1) for z in (0, -1, 1)], np.int64)
 
 
@@ -34,7 +35,7 @@ class SurfaceHints:
 
     points (m, 3): in subunits, from the octree's corner. normals (m, 3): of length 2^NORMAL_BITS. neighbours
     (m, NEIGHBOURS): rows of the samples around each, itself where there are fewer. spacing: between samples, subunits.
-    depth: levels of the octree.
+    depth: levels of the octree. largest_corrected: side of the largest cubes that correct the surface, subunits.
     """
 
     points: Integers
@@ -42,10 +43,11 @@ class SurfaceHints:
     neighbours: Integers
     spacing: int
     depth: int
+    largest_corrected: int = UNLIMITED
 
     def compiled(self, kernel: Callable[..., Any]) -> Any:
         """The same for the compiled octree."""
-        return kernel(self.points, self.normals, self.neighbours, self.spacing, self.depth)
+        return kernel(self.points, self.normals, self.neighbours, self.spacing, self.depth, self.largest_corrected)
 
     def child_size(self, level: int) -> int:
         """The side of the children of a level's cubes, subunits."""
@@ -120,7 +122,8 @@ class SurfaceHints:
         centres = octree.cells_of_codes(cubes[rows]) * size + size // 2 - self._half_unit
         distance = self.distance(centres, nearest[rows])
         own = nearest[rows]
-        result[rows] = self._mean_around(distance, own, 0, PRIOR_COUNT)[own]
+        if size <= self.largest_corrected:
+            result[rows] = self._mean_around(distance, own, 0, PRIOR_COUNT)[own]
         deviation = np.abs(distance - result[rows])
         usual = int(deviation.sum()) // len(rows)
         spread[rows] = self._mean_around(deviation, own, usual * PRIOR_COUNT, PRIOR_COUNT)[own]

@@ -1,4 +1,4 @@
-/** Poses of the bodies in point clouds (docs/payloads/lien2006.md, bodycast.md). Points and surfaces are not decoded. */
+/** Poses of the bodies in point clouds (docs/payloads/lien2006.md, bodycast.md). */
 
 import { Bytes, text } from "../bytes.js";
 import { inverseDct } from "../dct.js";
@@ -14,6 +14,7 @@ const MOST_MM = 10 ** 7;
 const MOST_STEPS = 10 ** 8;
 const MOST_COEFFICIENT = 2 ** 24;
 const MOST_MIDDLE = 200;
+const LEAST_RADIUS_M = 0.001;
 const SHRINK = 0.05;
 const ROOT_STEP_M = 0.002;
 const SHORTEST_LEVER_M = 0.05;
@@ -26,6 +27,8 @@ export interface Body {
   /** Joint of each link with its parent, and its other end, metres. */
   origins: Vector[];
   tips: Vector[];
+  /** Of the cylinder around each link, metres. */
+  radii: number[];
 }
 
 /** Decodes poses of a file's bodies. */
@@ -46,14 +49,14 @@ function clip(value: number, most: number): number {
   return Math.min(Math.max(value, -most), most);
 }
 
-function readBody(part: Bytes): Body {
+export function readBody(part: Bytes): Body {
   const links = part.varintWithin(1, MOST_LINKS, "the number of links");
   const nameBytes = part.varint();
   const tableBytes = part.varint();
   const names = text(inflateZlib(part.take(nameBytes), MOST_NAME_BYTES)).split("\n");
   check(names.length === links, `${part.what}: another number of names`);
   const table = readIntegers(part.take(tableBytes), links, 8);
-  const body: Body = { names, parents: [], origins: [], tips: [] };
+  const body: Body = { names, parents: [], origins: [], tips: [], radii: [] };
   for (let l = 0; l < links; l++) {
     const parent = table[8 * l]! - 1;
     check(l === 0 ? parent === -1 : parent >= 0 && parent < l, `${part.what}: a parent that does not come first`);
@@ -62,6 +65,7 @@ function readBody(part: Bytes): Body {
     body.parents.push(parent);
     body.origins.push(origin);
     body.tips.push(plus(origin, [at(4), at(5), at(6)]));
+    body.radii.push(Math.max(at(7), LEAST_RADIUS_M));
   }
   return body;
 }
@@ -103,41 +107,58 @@ function ofVector(v: Vector): Quaternion {
 
 class Lien2006 implements PoseDecoder {
   readonly bodies: Body[];
-  /** Step of each joint, radians. */
-  private readonly steps: number[];
 
   constructor(shared: Uint8Array) {
-    const body = readBody(new Bytes(shared, "lien2006"));
-    this.bodies = [body];
-    this.steps = body.origins.map((o, l) => {
-      let farthest = 0;
-      for (let below = l; below < body.parents.length; below++) {
-        if (!isBelow(body.parents, below, l)) continue;
-        farthest = Math.max(farthest, lengthOf(minus(body.origins[below]!, o)), lengthOf(minus(body.tips[below]!, o)));
-      }
-      return ROOT_STEP_M / Math.max(SHORTEST_LEVER_M, farthest);
-    });
+    this.bodies = [readBody(new Bytes(shared, "lien2006"))];
   }
 
-  decode({ frames, payload }: StoredChunk): Float64Array[] {
+  decode(chunk: StoredChunk): Float64Array[] {
     const body = this.bodies[0]!;
-    const links = body.parents.length;
-    const part = new Bytes(payload, "lien2006");
-    const poseBytes = part.varint();
-    part.varint();
-    for (let images = part.varintWithin(0, 2 * frames, "the number of images"); images > 0; images--) part.varint();
-    const columns = 4 + 3 * links;
-    const rows = readIntegers(part.take(poseBytes), frames, columns);
-    const out = new Float64Array(6 * frames * links).fill(NaN);
-    for (let t = 0; t < frames; t++) {
-      const row = rows.subarray(t * columns, (t + 1) * columns);
-      if (row[0] !== 0) continue;
-      const at = (column: number) => clip(row[column]!, MOST_STEPS);
-      const local = this.steps.map((step, l) => ofVector(times(step, [at(4 + 3 * l), at(5 + 3 * l), at(6 + 3 * l)])));
-      write(body, placements(body, local, times(ROOT_STEP_M, [at(1), at(2), at(3)])), out, 6 * t * links);
-    }
+    const lanes = 6 * body.parents.length;
+    const out = new Float64Array(chunk.frames * lanes).fill(NaN);
+    readLienChunk(chunk, body).placed.forEach((placed, t) => placed && write(body, placed, out, t * lanes));
     return [out];
   }
+}
+
+/** The parts of a chunk of lien2006. */
+export interface LienChunk {
+  /** Of each frame: where the links stand; null for the next raw frame. */
+  placed: (Placement[] | null)[];
+  rawFrames: Uint8Array;
+  images: Uint8Array[];
+}
+
+/** Throws Corrupt. */
+export function readLienChunk({ frames, payload }: StoredChunk, body: Body): LienChunk {
+  const part = new Bytes(payload, "lien2006");
+  const [poseBytes, rawBytes, count] = [part.varint(), part.varint(), part.varintWithin(0, 2 * frames, "the number of images")];
+  const sizes = Array.from({ length: count }, () => part.varint());
+  const columns = 4 + 3 * body.parents.length;
+  const rows = readIntegers(part.take(poseBytes), frames, columns);
+  const rawFrames = part.take(rawBytes);
+  const images = sizes.map((size) => part.take(size));
+  const steps = jointSteps(body);
+  const placed = Array.from({ length: frames }, (_, t) => {
+    const row = rows.subarray(t * columns, (t + 1) * columns);
+    if (row[0] !== 0) return null;
+    const at = (column: number) => clip(row[column]!, MOST_STEPS);
+    const local = steps.map((step, l) => ofVector(times(step, [at(4 + 3 * l), at(5 + 3 * l), at(6 + 3 * l)])));
+    return placements(body, local, times(ROOT_STEP_M, [at(1), at(2), at(3)]));
+  });
+  return { placed, rawFrames, images };
+}
+
+/** Step of each joint, radians. */
+function jointSteps({ parents, origins, tips }: Body): number[] {
+  return origins.map((o, l) => {
+    let farthest = 0;
+    for (let below = l; below < parents.length; below++) {
+      if (!isBelow(parents, below, l)) continue;
+      farthest = Math.max(farthest, lengthOf(minus(origins[below]!, o)), lengthOf(minus(tips[below]!, o)));
+    }
+    return ROOT_STEP_M / Math.max(SHORTEST_LEVER_M, farthest);
+  });
 }
 
 function isBelow(parents: number[], link: number, above: number): boolean {

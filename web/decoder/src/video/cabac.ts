@@ -1,28 +1,54 @@
-/** The arithmetic decoder of H.265, with the initial contexts of slices that stand alone (ITU-T H.265, 9.3). */
+/** The arithmetic decoder of H.265, with the initial contexts of slices (ITU-T H.265, 9.3). */
 
 import { check } from "../errors.js";
 
-/** Initial values of the contexts, by syntax element (tables 9-5 to 9-37, initType 0). */
+/** Initial values of the contexts, by syntax element (tables 9-5 to 9-37): of slices that stand alone, and of predicted ones. */
 const INITIAL = {
-  saoMerge: [153],
-  saoType: [200],
-  split: [139, 141, 157],
-  parts: [184],
-  isProbable: [184],
-  chromaMode: [63],
-  splitTransform: [153, 138, 138],
-  codedLuma: [111, 141],
-  codedChroma: [94, 138, 182, 154, 154],
-  skip: [139, 139],
-  lastX: [110, 110, 124, 125, 140, 153, 125, 127, 140, 109, 111, 143, 127, 111, 79, 108, 123, 63],
-  lastY: [110, 110, 124, 125, 140, 153, 125, 127, 140, 109, 111, 143, 127, 111, 79, 108, 123, 63],
-  codedBlock: [91, 171, 134, 141],
-  significant: [
-    111, 111, 125, 110, 110, 94, 124, 108, 124, 107, 125, 141, 179, 153, 125, 107, 125, 141, 179, 153, 125, 107, 125, 141, 179, 153, 125,
-    140, 139, 182, 182, 152, 136, 152, 136, 153, 136, 139, 111, 136, 139, 111,
+  saoMerge: [[153], [153]],
+  saoType: [[200], [185]],
+  split: [[139, 141, 157], [107, 139, 126]],
+  isSkipped: [[], [197, 185, 201]],
+  isIntra: [[], [149]],
+  parts: [[184], [154, 139, 154, 154]],
+  isProbable: [[184], [154]],
+  chromaMode: [[63], [152]],
+  isMerged: [[], [110]],
+  mergeIndex: [[], [122]],
+  reference: [[], [153, 153]],
+  vector: [[], [140, 198]],
+  vectorIndex: [[], [168]],
+  hasResidual: [[], [79]],
+  splitTransform: [[153, 138, 138], [124, 138, 94]],
+  codedLuma: [[111, 141], [153, 111]],
+  codedChroma: [[94, 138, 182, 154, 154], [149, 107, 167, 154, 154]],
+  skip: [[139, 139], [139, 139]],
+  lastX: [
+    [110, 110, 124, 125, 140, 153, 125, 127, 140, 109, 111, 143, 127, 111, 79, 108, 123, 63],
+    [125, 110, 94, 110, 95, 79, 125, 111, 110, 78, 110, 111, 111, 95, 94, 108, 123, 108],
   ],
-  aboveOne: [140, 92, 137, 138, 140, 152, 138, 139, 153, 74, 149, 92, 139, 107, 122, 152, 140, 179, 166, 182, 140, 227, 122, 197],
-  aboveTwo: [138, 153, 136, 167, 152, 152],
+  lastY: [
+    [110, 110, 124, 125, 140, 153, 125, 127, 140, 109, 111, 143, 127, 111, 79, 108, 123, 63],
+    [125, 110, 94, 110, 95, 79, 125, 111, 110, 78, 110, 111, 111, 95, 94, 108, 123, 108],
+  ],
+  codedBlock: [[91, 171, 134, 141], [121, 140, 61, 154]],
+  significant: [
+    [
+      111, 111, 125, 110, 110, 94, 124, 108, 124, 107, 125, 141, 179, 153, 125, 107, 125, 141, 179, 153, 125, 107, 125, 141, 179, 153, 125,
+      140, 139, 182, 182, 152, 136, 152, 136, 153, 136, 139, 111, 136, 139, 111,
+    ],
+    [
+      155, 154, 139, 153, 139, 123, 123, 63, 153, 166, 183, 140, 136, 153, 154, 166, 183, 140, 136, 153, 154, 166, 183, 140, 136, 153, 154,
+      170, 153, 123, 123, 107, 121, 107, 121, 167, 151, 183, 140, 151, 183, 140,
+    ],
+  ],
+  aboveOne: [
+    [140, 92, 137, 138, 140, 152, 138, 139, 153, 74, 149, 92, 139, 107, 122, 152, 140, 179, 166, 182, 140, 227, 122, 197],
+    [154, 196, 196, 167, 154, 152, 167, 182, 182, 134, 149, 136, 153, 121, 136, 137, 169, 194, 166, 167, 154, 167, 137, 182],
+  ],
+  aboveTwo: [
+    [138, 153, 136, 167, 152, 152],
+    [107, 167, 91, 122, 107, 167],
+  ],
 } as const;
 
 type Element = keyof typeof INITIAL;
@@ -31,7 +57,7 @@ type Element = keyof typeof INITIAL;
 export const FIRST = (() => {
   let next = 0;
   const first = {} as Record<Element, number>;
-  for (const [name, values] of Object.entries(INITIAL)) {
+  for (const [name, [, values]] of Object.entries(INITIAL)) {
     first[name as Element] = next;
     next += values.length;
   }
@@ -74,8 +100,9 @@ export class Cabac {
   constructor(
     private readonly data: Uint8Array,
     qp: number,
+    isPredicted: boolean,
   ) {
-    const values = Object.values(INITIAL).flat();
+    const values = Object.values(INITIAL).flatMap(([alone, predicted]) => predicted.map((value, i) => (isPredicted ? value : (alone[i] ?? value))));
     this.states = new Uint8Array(values.length);
     this.probable = new Uint8Array(values.length);
     values.forEach((value, i) => {
@@ -135,6 +162,17 @@ export class Cabac {
     let count = 0;
     while (count < most && this.plain()) count++;
     return count;
+  }
+
+  /** A number as an exponential Golomb code of order 1, in plain bits. */
+  golomb(): number {
+    let order = 1;
+    let base = 0;
+    while (this.plain()) {
+      base += 2 ** order++;
+      check(order < 18, "picture: a vector is too long");
+    }
+    return base + this.number(order);
   }
 
   /** The bit that ends a slice. */

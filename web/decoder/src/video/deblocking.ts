@@ -1,39 +1,65 @@
-/** The deblocking filter at edges of transform blocks (ITU-T H.265, 8.7.2), for pictures that stand alone. */
+/** The deblocking filter at edges of blocks (ITU-T H.265, 8.7.2). */
 
 import type { Plane } from "./intra.js";
-import type { Parameters } from "./parameters.js";
+import type { MotionField } from "./motion.js";
+import type { Parameters } from "./slice.js";
 
 /** Table 8-12. */
 const BETA = [...new Array<number>(16).fill(0), 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38, 40, 42, 44, 46, 48, 50, 52, 54, 56, 58, 60, 62, 64];
 const TC = [
   ...new Array<number>(18).fill(0), ...new Array<number>(9).fill(1), 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 5, 5, 6, 6, 7, 8, 9, 10, 11, 13, 14, 16, 18, 20, 22, 24,
 ];
-/** Added to the step where blocks are predicted from samples beside them. */
+/** Added to the step where a block is predicted from samples beside it. */
 const INTRA_OFFSET = 2;
+/** Strengths of edges: of blocks predicted from other pictures, and with one predicted from samples beside it. */
+const WEAK = 1;
+const STRONG = 2;
+
+/** Edges of a block: of transforms at its left and its top; and, shifted, of parts that move apart. */
+export const LEFT = 1;
+export const TOP = 2;
+export const PART_SHIFT = 2;
+
+/** Of each block of 4 × 4: edges, whether its luma has coefficients, and motion. */
+export interface Blocks {
+  edges: Uint8Array;
+  isCoded: Uint8Array;
+  motion: MotionField;
+}
 const GRID = 8;
 
 function clip(value: number, least: number, most: number): number {
   return value < least ? least : value > most ? most : value;
 }
 
-/** edges: of each block of 4 × 4, bit 1 for an edge at its left, bit 2 at its top. */
-export function deblock(planes: Plane[], edges: Uint8Array, parameters: Parameters): void {
+export function deblock(planes: Plane[], blocks: Blocks, parameters: Parameters): void {
   const { width, height, qp, betaOffset, tcOffset, pictureQpOffsets } = parameters;
   const beta = BETA[clip(qp + betaOffset, 0, 51)]!;
   const steps = [qp, ...pictureQpOffsets.map((offset) => Math.min(clip(qp + offset, 0, 57), 51))];
   const tcs = steps.map((step) => TC[clip(step + INTRA_OFFSET + tcOffset, 0, 53)]!);
-  for (const side of [1, 2]) {
-    const [across, along] = side === 1 ? [1, width] : [width, 1];
-    for (let y = 0; y < height; y += side === 1 ? 4 : GRID) {
-      for (let x = 0; x < width; x += side === 1 ? GRID : 4) {
-        if ((side === 1 ? x : y) === 0 || !(edges[(y >> 2) * (width >> 2) + (x >> 2)]! & side)) continue;
+  const weakTc = TC[clip(qp + tcOffset, 0, 53)]!;
+  for (const side of [LEFT, TOP]) {
+    const [across, along] = side === LEFT ? [1, width] : [width, 1];
+    for (let y = 0; y < height; y += side === LEFT ? 4 : GRID) {
+      for (let x = 0; x < width; x += side === LEFT ? GRID : 4) {
+        const block = (y >> 2) * (width >> 2) + (x >> 2);
+        if ((side === LEFT ? x : y) === 0 || !(blocks.edges[block]! & (side | (side << PART_SHIFT)))) continue;
+        const strength = strengthOf(blocks, block, side === LEFT ? block - 1 : block - (width >> 2), side);
         const at = y * width + x;
-        luma(planes[0]!.samples, at, across, along, beta, tcs[0]!);
+        if (strength > 0) luma(planes[0]!.samples, at, across, along, beta, strength === STRONG ? tcs[0]! : weakTc);
+        if (strength < STRONG) continue;
         chroma(planes[1]!.samples, at, across, along, tcs[1]!);
         chroma(planes[2]!.samples, at, across, along, tcs[2]!);
       }
     }
   }
+}
+
+/** 8.7.2.4. */
+function strengthOf({ edges, isCoded, motion }: Blocks, block: number, before: number, side: number): number {
+  if (motion.references[block]! < 0 || motion.references[before]! < 0) return STRONG;
+  if (edges[block]! & side && (isCoded[block] || isCoded[before])) return WEAK;
+  return motion.isNear(block, before) ? 0 : WEAK;
 }
 
 /** Four lines of samples across an edge; s[at] is the first sample behind it. */

@@ -1,56 +1,47 @@
-/** Parameter sets and the slice header of an H.265 picture that stands alone (ITU-T H.265, 7.3). */
+/** Units of a byte stream of H.265, and its parameter sets (ITU-T H.265, 7.3.2). */
 
 import { Bits } from "../bytes.js";
-import { Corrupt, Unsupported, check } from "../errors.js";
+import { Unsupported, check } from "../errors.js";
 
-const VPS_UNIT = 32;
-const SPS_UNIT = 33;
-const PPS_UNIT = 34;
-const FIRST_IDR_UNIT = 19;
-const LAST_IDR_UNIT = 20;
-const INTRA_SLICE = 2;
 /** Samples of a side: an atlas is never larger. */
 const MOST_SIZE = 4096;
 
-/** What the syntax of a picture needs (names as in the standard, without prefixes). */
-export interface Parameters {
+/** What a sequence parameter set says of every picture (names as in the standard, without prefixes). */
+export interface Sequence {
   width: number;
   height: number;
   /** Samples of the conformance window: left, right, top, bottom are cut. */
   window: readonly [number, number, number, number];
+  /** Bits of the order of a picture in its slice header. */
+  orderBits: number;
   minCodingLog2: number;
   codingTreeLog2: number;
   minTransformLog2: number;
   maxTransformLog2: number;
-  maxDepth: number;
+  /** How often transform trees may split, of blocks predicted from other pictures and from samples beside them. */
+  maxInterDepth: number;
+  maxIntraDepth: number;
+  hasUnevenParts: boolean;
   hasSao: boolean;
+  references: ReferenceSet[];
+  hasTemporalMotion: boolean;
   hasStrongSmoothing: boolean;
-  hidesSigns: boolean;
-  skipsTransforms: boolean;
-  qp: number;
-  /** Of Cb and Cr in the picture, and with the slice's added. */
-  pictureQpOffsets: readonly [number, number];
-  qpOffsets: readonly [number, number];
-  saoLuma: boolean;
-  saoChroma: boolean;
-  deblocks: boolean;
-  betaOffset: number;
-  tcOffset: number;
 }
 
-type Sequence = Pick<
-  Parameters,
-  "width" | "height" | "window" | "minCodingLog2" | "codingTreeLog2" | "minTransformLog2" | "maxTransformLog2" | "maxDepth" | "hasSao" | "hasStrongSmoothing"
->;
+/** Earlier pictures that are kept, nearest first: how far before the picture each is, and whether the picture may use it. */
+export type ReferenceSet = { back: number; isUsed: boolean }[];
 
-interface Picture {
+/** What a picture parameter set says. */
+export interface PictureSet {
   hasOutputFlag: boolean;
   extraBits: number;
   hidesSigns: boolean;
+  references: number;
   qp: number;
   skipsTransforms: boolean;
   qpOffsets: readonly [number, number];
   hasSliceQpOffsets: boolean;
+  isWeighted: boolean;
   filtersAcrossSlices: boolean;
   overridesDeblocking: boolean;
   deblocks: boolean;
@@ -58,33 +49,13 @@ interface Picture {
   tcOffset: number;
 }
 
-/** The parameters of a packet of one picture, and its coded slice. Throws Corrupt, Unsupported. */
-export function readPicture(packet: Uint8Array): { parameters: Parameters; slice: Uint8Array } {
-  let sequence: Sequence | undefined;
-  let picture: Picture | undefined;
-  let found: { parameters: Parameters; slice: Uint8Array } | undefined;
-  for (const unit of units(packet)) {
-    const type = (unit[0]! >> 1) & 63;
-    const bits = new Fields(withoutEmulation(unit.subarray(2)), "picture");
-    if (type === SPS_UNIT) sequence = readSequence(bits);
-    else if (type === PPS_UNIT) picture = readPictureParameters(bits);
-    else if (type >= FIRST_IDR_UNIT && type <= LAST_IDR_UNIT) {
-      check(sequence !== undefined && picture !== undefined, "picture: a slice without its parameters");
-      unless(found !== undefined, "several slices");
-      found = { parameters: readSlice(bits, sequence, picture), slice: bits.data.subarray(bits.at / 8) };
-    } else unless(type < VPS_UNIT, "pictures that need others");
-  }
-  if (!found) throw new Corrupt("picture: no slice");
-  return found;
-}
-
 /** Throws Unsupported if a stream uses a tool that mocodec's encoder does not. */
-function unless(isUsed: boolean, tool: string): void {
+export function unless(isUsed: boolean, tool: string): void {
   if (isUsed) throw new Unsupported(`a picture uses ${tool}`);
 }
 
 /** Units of a byte stream, between start codes. */
-function* units(data: Uint8Array): Generator<Uint8Array> {
+export function* units(data: Uint8Array): Generator<Uint8Array> {
   let start = -1;
   for (let i = 0; i <= data.length; i++) {
     const isCode = i + 2 < data.length && data[i] === 0 && data[i + 1] === 0 && data[i + 2] === 1;
@@ -97,7 +68,7 @@ function* units(data: Uint8Array): Generator<Uint8Array> {
   }
 }
 
-function withoutEmulation(data: Uint8Array): Uint8Array {
+export function withoutEmulation(data: Uint8Array): Uint8Array {
   const out = new Uint8Array(data.length);
   let length = 0;
   let zeros = 0;
@@ -112,7 +83,7 @@ function withoutEmulation(data: Uint8Array): Uint8Array {
   return out.subarray(0, length);
 }
 
-class Fields extends Bits {
+export class Fields extends Bits {
   flag(): boolean {
     return this.bit() === 1;
   }
@@ -133,11 +104,12 @@ class Fields extends Bits {
   }
 }
 
-/** Orders of reference pictures, which a picture that stands alone does not use. */
 const MOST_SETS = 64;
+export const MOST_REFERENCES = 16;
+const MOST_BACK = 2 ** 15;
 const MOST_NUMBER = 2 ** 31;
 
-function readSequence(bits: Fields): Sequence {
+export function readSequence(bits: Fields): Sequence {
   bits.number(4);
   unless(bits.number(3) > 0, "layers");
   bits.number(1 + 96);
@@ -148,47 +120,42 @@ function readSequence(bits: Fields): Sequence {
   const edge = () => bits.unsigned(MOST_SIZE);
   const window = bits.flag() ? ([edge(), edge(), edge(), edge()] as const) : ([0, 0, 0, 0] as const);
   unless(bits.unsigned(8) + bits.unsigned(8) > 0, "more than 8 bits");
-  bits.unsigned(12);
+  const orderBits = 4 + bits.unsigned(12);
   bits.flag();
   for (let i = 0; i < 3; i++) bits.unsigned(MOST_NUMBER);
   const minCodingLog2 = 3 + bits.unsigned(3);
   const codingTreeLog2 = minCodingLog2 + bits.unsigned(3);
   const minTransformLog2 = 2 + bits.unsigned(3);
   const maxTransformLog2 = minTransformLog2 + bits.unsigned(3);
-  bits.unsigned(4);
-  const maxDepth = bits.unsigned(4);
+  const [maxInterDepth, maxIntraDepth] = [bits.unsigned(4), bits.unsigned(4)];
   check(codingTreeLog2 <= 6 && maxTransformLog2 <= Math.min(5, codingTreeLog2) && minTransformLog2 < minCodingLog2, "picture: sizes of blocks");
   const size = 2 ** minCodingLog2;
   check(width > 0 && height > 0 && width % size === 0 && height % size === 0, "picture: its size");
   check(window[0] + window[1] < width && window[2] + window[3] < height, "picture: its window");
   unless(bits.flag(), "scaling lists");
-  bits.flag();
+  const hasUnevenParts = bits.flag();
   const hasSao = bits.flag();
   unless(bits.flag(), "raw samples");
-  skipReferenceSets(bits);
+  const references = Array.from({ length: bits.unsigned(MOST_SETS) }, (_, i) => readReferenceSet(bits, i));
   unless(bits.flag(), "long-term references");
-  bits.flag();
+  const hasTemporalMotion = bits.flag();
   const hasStrongSmoothing = bits.flag();
   if (bits.flag()) skipUsability(bits);
   unless(bits.flag(), "extensions");
-  return { width, height, window, minCodingLog2, codingTreeLog2, minTransformLog2, maxTransformLog2, maxDepth, hasSao, hasStrongSmoothing };
+  const blocks = { minCodingLog2, codingTreeLog2, minTransformLog2, maxTransformLog2, maxInterDepth, maxIntraDepth };
+  return { width, height, window, orderBits, ...blocks, hasUnevenParts, hasSao, references, hasTemporalMotion, hasStrongSmoothing };
 }
 
-function skipReferenceSets(bits: Fields): void {
-  const sets = bits.unsigned(MOST_SETS);
-  let deltas = 0;
-  for (let i = 0; i < sets; i++) {
-    if (i && bits.flag()) {
-      bits.flag();
-      bits.unsigned(MOST_NUMBER);
-      let kept = 0;
-      for (let j = 0; j <= deltas; j++) kept += Number(bits.flag() || bits.flag());
-      deltas = kept;
-    } else {
-      deltas = bits.unsigned(16) + bits.unsigned(16);
-      for (let j = 0; j < deltas; j++) bits.unsigned(MOST_NUMBER), bits.flag();
-    }
-  }
+/** Set `number` of the sequence, or that of a slice behind them (7.3.7). */
+export function readReferenceSet(bits: Fields, number: number): ReferenceSet {
+  unless(number > 0 && bits.flag(), "references that follow from others");
+  const [before, after] = [bits.unsigned(MOST_REFERENCES), bits.unsigned(MOST_REFERENCES)];
+  unless(after > 0, "references to later pictures");
+  let back = 0;
+  return Array.from({ length: before }, () => {
+    back += 1 + bits.unsigned(MOST_BACK);
+    return { back, isUsed: bits.flag() };
+  });
 }
 
 /** Video usability information (E.2.1): shape of samples, ranges and timing, none of which changes the decoded samples. */
@@ -211,23 +178,24 @@ function skipUsability(bits: Fields): void {
   }
 }
 
-function readPictureParameters(bits: Fields): Picture {
+export function readPictureSet(bits: Fields): PictureSet {
   bits.unsigned(63);
   bits.unsigned(15);
   unless(bits.flag(), "dependent slices");
   const hasOutputFlag = bits.flag();
   const extraBits = bits.number(3);
   const hidesSigns = bits.flag();
-  bits.flag();
-  bits.unsigned(15);
+  unless(bits.flag(), "other initial contexts");
+  const references = 1 + bits.unsigned(15);
   bits.unsigned(15);
   const qp = 26 + bits.signed(26);
-  bits.flag();
+  unless(bits.flag(), "constrained prediction from samples beside");
   const skipsTransforms = bits.flag();
   unless(bits.flag(), "changing quantisation steps");
   const qpOffsets = [bits.signed(12), bits.signed(12)] as const;
   const hasSliceQpOffsets = bits.flag();
-  bits.number(2);
+  const isWeighted = bits.flag();
+  bits.flag();
   unless(bits.flag(), "blocks without transform");
   unless(bits.flag(), "tiles");
   unless(bits.flag(), "rows that are coded apart");
@@ -239,34 +207,10 @@ function readPictureParameters(bits: Fields): Picture {
     if (deblocks) [betaOffset, tcOffset] = [2 * bits.signed(6), 2 * bits.signed(6)];
   }
   unless(bits.flag(), "scaling lists");
-  bits.flag();
-  bits.unsigned(4);
+  unless(bits.flag(), "sorted references");
+  unless(bits.unsigned(4) > 0, "merging in parallel");
   unless(bits.flag(), "extended slice headers");
   unless(bits.flag(), "extensions");
-  return { hasOutputFlag, extraBits, hidesSigns, qp, skipsTransforms, qpOffsets, hasSliceQpOffsets, filtersAcrossSlices, overridesDeblocking, deblocks, betaOffset, tcOffset };
-}
-
-function readSlice(bits: Fields, sequence: Sequence, picture: Picture): Parameters {
-  unless(!bits.flag(), "several slices");
-  bits.flag();
-  bits.unsigned(63);
-  bits.number(picture.extraBits);
-  unless(bits.unsigned(2) !== INTRA_SLICE, "prediction from other pictures");
-  if (picture.hasOutputFlag) bits.flag();
-  const [saoLuma, saoChroma] = sequence.hasSao ? [bits.flag(), bits.flag()] : [false, false];
-  const qp = picture.qp + bits.signed(77);
-  check(qp >= 0 && qp <= 51, "picture: its quantisation step");
-  const offset = () => (picture.hasSliceQpOffsets ? bits.signed(12) : 0);
-  const [cb, cr] = picture.qpOffsets;
-  const qpOffsets = [cb + offset(), cr + offset()] as const;
-  let { deblocks, betaOffset, tcOffset } = picture;
-  if (picture.overridesDeblocking && bits.flag()) {
-    deblocks = !bits.flag();
-    if (deblocks) [betaOffset, tcOffset] = [2 * bits.signed(6), 2 * bits.signed(6)];
-  }
-  if (picture.filtersAcrossSlices && (saoLuma || saoChroma || deblocks)) bits.flag();
-  check(bits.flag(), "picture: no end of the slice header");
-  while (bits.at % 8) bits.flag();
-  const { hidesSigns, skipsTransforms, qpOffsets: pictureQpOffsets } = picture;
-  return { ...sequence, hidesSigns, skipsTransforms, qp, pictureQpOffsets, qpOffsets, saoLuma, saoChroma, deblocks, betaOffset, tcOffset };
+  const deblocking = { filtersAcrossSlices, overridesDeblocking, deblocks, betaOffset, tcOffset };
+  return { hasOutputFlag, extraBits, hidesSigns, references, qp, skipsTransforms, qpOffsets, hasSliceQpOffsets, isWeighted, ...deblocking };
 }

@@ -3,7 +3,7 @@
 import type { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
 import { readIntegers } from "../../integers/read.js";
-import { decodePicture } from "../../video/picture.js";
+import { VideoDecoder } from "../../video/video.js";
 import { AdaptiveBits, Counts } from "./adaptive.js";
 
 const MOST_TILE_SIDE = 1024;
@@ -37,6 +37,10 @@ export interface Atlas {
   /** In the order of their links. */
   tiles: Tile[];
   coloured: boolean;
+  /** Points of the body in a frame. */
+  points: number;
+  /** Frames that a picture of the changing surface lasts. */
+  interval: number;
   /** (height, width): whether a cell is surface. */
   mask: Uint8Array;
   keyPicture: Uint8Array;
@@ -57,15 +61,15 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   const { height, width } = arrange(tiles);
   check(width <= MOST_SIDE && 2 * height <= MOST_SIDE, "bodycast: the atlas is too large");
   const coloured = part.varintWithin(0, 1, "whether there are colours") === 1;
-  part.varintWithin(1, MOST_POINTS, "the points of a frame");
-  part.varintWithin(1, MOST_INTERVAL, "the interval of pictures");
+  const points = part.varintWithin(1, MOST_POINTS, "the points of a frame");
+  const interval = part.varintWithin(1, MOST_INTERVAL, "the interval of pictures");
   const [maskBytes, keyBytes] = [part.varint(), part.varint()];
   const mask = readMask(part.take(maskBytes), height, width);
   const inside = new Uint8Array(height * width);
   for (const { top, left, height: h, width: w } of tiles) for (let y = top; y < top + h; y++) inside.fill(1, y * width + left, y * width + left + w);
   const keyPicture = part.take(keyBytes);
   part.end();
-  return { height, width, tiles, coloured, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
+  return { height, width, tiles, coloured, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
 }
 
 /** Places tiles on shelves, the tallest first, and sorts them by link. */
@@ -106,9 +110,16 @@ function readMask(data: Uint8Array, height: number, width: number): Uint8Array {
   return mask;
 }
 
-/** The three planes (2 · height, width) of the key picture. Throws Corrupt, Unsupported. */
-export function keyPlanes({ height, width, keyPicture }: Atlas): [Uint8Array, Uint8Array, Uint8Array] {
-  const picture = decodePicture(keyPicture);
+export type Planes = [Uint8Array, Uint8Array, Uint8Array];
+
+/** The three planes (2 · height, width) of the next picture of a video. Throws Corrupt, Unsupported. */
+export function nextPlanes({ height, width }: Atlas, video: VideoDecoder, packet: Uint8Array): Planes {
+  const picture = video.decode(packet);
   check(picture.width === width && picture.height === 2 * height, "bodycast: a picture has another size");
   return picture.planes;
+}
+
+/** The three planes of the key picture. */
+export function keyPlanes(atlas: Atlas): Planes {
+  return nextPlanes(atlas, new VideoDecoder(), atlas.keyPicture);
 }

@@ -1,14 +1,15 @@
-/** Points of `bodycast` (docs/payloads/bodycast.md): exact, on a lattice, and of frames without bodies. */
+/** Points of `bodycast` (docs/payloads/bodycast.md): surfaces of bodies with outliers, exact points, points on a lattice, frames without bodies. */
 
 import { Bytes } from "../../bytes.js";
-import { Unsupported, check } from "../../errors.js";
-import { inflateZlib } from "../../inflate.js";
 import { type ChunkParts, type PosedBody, readPlacements, readPosedBody, splitChunk } from "../bodies.js";
 import type { StoredChunk } from "../codec.js";
 import { type Atlas, readAtlas } from "./atlas.js";
-import { type Cloud, checkCounts } from "./cloud.js";
+import { type Cloud, type PointDecoder, joined } from "./cloud.js";
 import { readExact } from "./exact.js";
-import { LEARNED, UNLEARNED, readLattice } from "./lattice.js";
+import { readOutliers } from "./outliers.js";
+import { NEWEST, UNLEARNED, readLattice } from "./lattice.js";
+import { MovingSurface } from "./moving_surface.js";
+import { readRawFrames } from "./raw_frames.js";
 import { type Surface, type Texture, surfaceOf, textureOf } from "./surface.js";
 
 interface Model extends PosedBody {
@@ -16,10 +17,11 @@ interface Model extends PosedBody {
   /** The samples, once they are needed; and rounded with the last shift. */
   texture?: Texture;
   surface?: { shift: number; surface: Surface };
+  moving?: MovingSurface;
 }
 
 /** Decodes the points of the chunks of one file. */
-export class PointDecoder {
+export class BodycastPoints implements PointDecoder {
   private readonly models: Model[];
 
   constructor(
@@ -33,13 +35,13 @@ export class PointDecoder {
     });
   }
 
-  /** The frames of a chunk, one after the other. Throws Corrupt, and Unsupported for surfaces. */
+  /** The frames of a chunk, one after the other. Throws Corrupt, and Unsupported for pictures of other encoders. */
   *decode(chunk: StoredChunk): Generator<Cloud> {
     const parts = splitChunk(chunk, this.models.length);
     const kind = parts.exactPoints[0];
-    if (kind === UNLEARNED || kind === LEARNED) yield* this.lattice(parts, chunk.frames);
+    if (kind !== undefined && kind >= UNLEARNED && kind <= NEWEST) yield* this.lattice(parts, chunk.frames);
     else if (kind !== undefined) yield* readExact(parts.exactPoints, chunk.frames, this.coloured);
-    else yield* this.rawFrames(parts, chunk.frames);
+    else yield* this.surfaces(parts, chunk.frames);
   }
 
   private *lattice(parts: ChunkParts, frames: number): Generator<Cloud> {
@@ -61,27 +63,22 @@ export class PointDecoder {
     return model.surface.surface;
   }
 
-  /** Frames that no body is in. */
-  private *rawFrames({ absent, rawFrames }: ChunkParts, frames: number): Generator<Cloud> {
-    const isRaw = Array.from({ length: frames }, (_, t) => this.models.every((_, b) => absent[t * this.models.length + b]));
-    if (!isRaw.every(Boolean)) throw new Unsupported("this decoder does not decode surfaces of bodies, only points; see poses()");
-    yield* readRawFrames(rawFrames, frames, this.coloured);
+  /** Surfaces of the bodies in each frame and its outliers; or the points of a frame that no body is in. */
+  private *surfaces({ absent, rawFrames, outliers, poses, pictures }: ChunkParts, frames: number): Generator<Cloud> {
+    const { models, coloured } = this;
+    const bodies = [...models.keys()];
+    const isRaw = Array.from({ length: frames }, (_, t) => bodies.every((b) => absent[t * models.length + b]));
+    const raw = readRawFrames(rawFrames, isRaw.filter(Boolean).length, coloured);
+    const others = readOutliers(outliers, frames, coloured);
+    const surfaces = models.map((model, b) => {
+      model.moving ??= new MovingSurface(model.body, model.atlas);
+      return model.moving.frames(readPlacements(poses[b]!, frames, model), pictures[b]!);
+    });
+    let next = 0;
+    for (let t = 0; t < frames; t++) {
+      const clouds = surfaces.map((surface) => surface.next().value!);
+      if (isRaw[t]) yield raw[next++]!;
+      else yield joined([...clouds.filter((_, b) => !absent[t * models.length + b]), others[t]!], coloured);
+    }
   }
-}
-
-function readRawFrames(data: Uint8Array, frames: number, coloured: boolean): Cloud[] {
-  const part = new Bytes(data, "bodycast: raw frames");
-  const counts = Array.from({ length: frames }, () => part.varint());
-  checkCounts(counts, data.length);
-  const total = counts.reduce((sum, count) => sum + count, 0);
-  const size = (coloured ? 15 : 12) * total;
-  const content = new Bytes(inflateZlib(part.rest(), size), "bodycast: raw frames");
-  check(content.left === size, "bodycast: raw frames have another size");
-  return counts.map((count) => {
-    const bytes = content.take(12 * count);
-    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
-    const cloud: Cloud = { positions: Float64Array.from({ length: 3 * count }, (_, i) => view.getFloat32(4 * i, true)) };
-    if (coloured) cloud.colours = content.take(3 * count).slice();
-    return cloud;
-  });
 }

@@ -1,6 +1,7 @@
 /** Frames of points with colours. */
 
 import { check } from "../../errors.js";
+import type { StoredChunk } from "../codec.js";
 
 /** One frame of a point cloud. */
 export interface Cloud {
@@ -8,6 +9,12 @@ export interface Cloud {
   positions: Float64Array;
   /** (points, 3): red, green, blue, 0 to 255; absent without colours. */
   colours?: Uint8Array;
+}
+
+/** Decodes the points of the chunks of one file: the frames of a chunk, one after the other. */
+export interface PointDecoder {
+  /** Throws Corrupt, Unsupported. */
+  decode(chunk: StoredChunk): Generator<Cloud>;
 }
 
 const MOST_POINTS = 2 ** 24;
@@ -19,7 +26,7 @@ export function checkCounts(counts: number[], bytes: number): void {
   check(total <= MOST_POINTS && total <= MOST_POINTS_IN_BYTE * (bytes + 1), `bodycast: ${total} points in ${bytes} bytes`);
 }
 
-function clip8(value: number): number {
+export function clip8(value: number): number {
   return value < 0 ? 0 : value > 255 ? 255 : value;
 }
 
@@ -34,6 +41,20 @@ export function rgbOf(colours: ArrayLike<number>): Uint8Array {
     out[i + 2] = clip8(blue);
   }
   return out;
+}
+
+/** The points of several clouds as one; coloured: whether it has colours. */
+export function joined(clouds: Cloud[], coloured: boolean): Cloud {
+  const size = clouds.reduce((sum, { positions }) => sum + positions.length, 0);
+  const all: Cloud = { positions: new Float64Array(size) };
+  if (coloured) all.colours = new Uint8Array(size);
+  let at = 0;
+  for (const { positions, colours } of clouds) {
+    all.positions.set(positions, at);
+    if (colours) all.colours?.set(colours, at);
+    at += positions.length;
+  }
+  return all;
 }
 
 /** Y, Co, Cg of a colour. */

@@ -8,12 +8,14 @@ import { Colours, readTexturedColours } from "./colours.js";
 import { MixedBits } from "./mixed.js";
 import { readPoints } from "./point_octree.js";
 import { Scene } from "./scene.js";
+import { FINE, readShifts } from "./smoothing.js";
 import type { Surface } from "./surface.js";
 import { SurfaceHints } from "./surface_hints.js";
 
-/** Kinds of a part: without and with learning from earlier frames. */
+/** Kinds of a part: without and with learning from earlier frames, and with smoothing too. */
 export const UNLEARNED = 3;
-export const LEARNED = 4;
+const SMOOTHED = 5;
+export const NEWEST = SMOOTHED;
 
 const MOST_DEPTH = 20;
 const MOST_STEP = 128;
@@ -36,10 +38,10 @@ export interface Bodies {
 /** The points of the frames of a chunk, one frame after the other. Throws Corrupt. */
 export function* readLattice(data: Uint8Array, frames: number, coloured: boolean, bodies: Bodies): Generator<Cloud> {
   const part = new Bytes(data, "bodycast: points");
-  const kind = part.varintWithin(UNLEARNED, LEARNED, "the kind");
+  const kind = part.varintWithin(UNLEARNED, SMOOTHED, "the kind");
   const depth = part.varintWithin(0, MOST_DEPTH, "the depth");
   const luma = part.varintWithin(0, MOST_STEP, "a colour step");
-  const chroma = kind === LEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
+  const chroma = kind !== UNLEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
   check(luma > 0 === coloured && chroma > 0 === coloured, "bodycast: steps without colours, or colours without steps");
   const corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CORNER, MOST_CORNER, "the corner"));
   const step = part.float64();
@@ -51,7 +53,7 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
   const poseShifts = Array.from({ length: frames }, (_, k) => bodies.present(k).map(shift));
   const octrees = new MixedBits(part.take(part.varint()));
   const colourBits = new MixedBits(part.rest());
-  const scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), kind === LEARNED);
+  const scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), kind !== UNLEARNED);
   const colours = new Colours(colourBits, [luma, chroma, chroma]);
   for (const [k, count] of counts.entries()) {
     if (!count) {
@@ -60,12 +62,13 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
     }
     const present = bodies.present(k);
     const standing = scene.stand(present, present.map((b) => bodies.placements(b, k)), poseShifts[k]!);
-    const hints = standing.count ? new SurfaceHints(standing, step, corner) : undefined;
+    const hints = standing.count ? new SurfaceHints(standing, step, corner, kind !== SMOOTHED) : undefined;
     const { cells, samples } = readPoints(octrees, depth, count, hints);
     const lattice = Float64Array.from(cells, (cell, i) => cell + corner[i % 3]!);
     const located = scene.learn(standing, lattice, samples, step);
-    const cloud: Cloud = { positions: lattice.map((v) => v * step) };
-    if (coloured && kind === LEARNED) {
+    const shifts = kind === SMOOTHED && hints ? readShifts(octrees, cells, samples, hints) : new Float64Array(cells.length);
+    const cloud: Cloud = { positions: lattice.map((v, i) => (v * FINE + shifts[i]!) * (step / FINE)) };
+    if (coloured && kind !== UNLEARNED) {
       const own = colours.frame(cells, located.rows, scene.expected(located));
       scene.see(located, own);
       cloud.colours = rgbOf(own);

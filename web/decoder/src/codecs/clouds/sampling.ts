@@ -20,8 +20,13 @@ export interface Sample {
   link: number;
   place: Vector;
   normal: Vector;
-  /** The cell of the atlas that is nearest. */
-  cell: number;
+  /** Its foot on the link's axis, and the direction away from it; the distance at level 255, metres. */
+  foot: Vector;
+  out: Vector;
+  reach: number;
+  /** The four cells of the atlas around it, and their bilinear weights. */
+  cells: number[];
+  weights: number[];
 }
 
 interface Taps {
@@ -40,14 +45,14 @@ function taps({ height, width }: Tile, y: number, x: number): Taps {
   return { cells, weights: [(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right] };
 }
 
-interface Cylinder {
+export interface Cylinder {
   origin: Vector;
   axis: Vector;
   side: Vector;
   across: Vector;
 }
 
-function cylinderOf({ origins, tips }: Body, link: number): Cylinder {
+export function cylinderOf({ origins, tips }: Pick<Body, "origins" | "tips">, link: number): Cylinder {
   const origin = origins[link]!;
   const along = minus(tips[link]!, origin);
   const axis = times(1 / Math.max(lengthOf(along), 1e-9), along);
@@ -55,7 +60,7 @@ function cylinderOf({ origins, tips }: Body, link: number): Cylinder {
   return { origin, axis, side, across: cross(axis, side) };
 }
 
-function around(cosine: number, sine: number, a: Vector, b: Vector): Vector {
+export function around(cosine: number, sine: number, a: Vector, b: Vector): Vector {
   return plus(times(cosine, a), times(sine, b));
 }
 
@@ -138,7 +143,7 @@ function displacement(atlas: Atlas, tile: Tile, luma: Uint8Array, cell: number):
   return luma[(atlas.height + tile.top + Math.floor(cell / tile.width)) * atlas.width + tile.left + (cell % tile.width)]!;
 }
 
-function halfToEven(value: number): number {
+export function halfToEven(value: number): number {
   const floor = Math.floor(value);
   const rest = value - floor;
   return rest > 0.5 || (rest === 0.5 && floor % 2 !== 0) ? floor + 1 : floor;
@@ -167,7 +172,6 @@ function samplesOfTile(body: Body, atlas: Atlas, tile: Tile, fine: Fine, luma: U
         const y = (row + (wanted - before) / areas[row * columns + column]!) / SUBCELLS;
         const { cells, weights } = taps(tile, y, x);
         const level = cells.reduce((sum, cell, k) => sum + weights[k]! * displacement(atlas, tile, luma, cell), 0);
-        const nearest = cells[weights.indexOf(Math.max(...weights))]!;
         const angle = (x / tile.width) * 2 * Math.PI;
         const foot = plus(origin, times(tile.low / 1000 + (y / tile.height) * (tile.high / 1000 - tile.low / 1000), axis));
         const out = around(Math.cos(angle), Math.sin(angle), side, across);
@@ -175,7 +179,11 @@ function samplesOfTile(body: Body, atlas: Atlas, tile: Tile, fine: Fine, luma: U
           link: tile.link,
           place: plus(foot, times(level * (tile.reach / 1000 / 255), out)),
           normal: fine.normal(row, column),
-          cell: (tile.top + Math.floor(nearest / tile.width)) * atlas.width + tile.left + (nearest % tile.width),
+          foot,
+          out,
+          reach: tile.reach / 1000,
+          cells: cells.map((cell) => (tile.top + Math.floor(cell / tile.width)) * atlas.width + tile.left + (cell % tile.width)),
+          weights,
         });
       }
       place += area;

@@ -43,7 +43,10 @@ export function textureOf(body: Body, atlas: Atlas): Texture {
   const planes = keyPlanes(atlas);
   const samples = sampleSurface(body, atlas, planes[0], SAMPLES);
   const colours = new Int32Array(3 * samples.length);
-  samples.forEach(({ cell }, i) => colours.set(colourOf(planes[0][cell]!, planes[1][cell]! - 128, planes[2][cell]! - 128), 3 * i));
+  samples.forEach(({ cells, weights }, i) => {
+    const nearest = cells[weights.indexOf(Math.max(...weights))]!;
+    colours.set(colourOf(planes[0][nearest]!, planes[1][nearest]! - 128, planes[2][nearest]! - 128), 3 * i);
+  });
   return { samples, colours, links: body.parents.length };
 }
 

@@ -31,12 +31,20 @@ export interface Hints {
 export class SurfaceHints {
   /** (samples, 3), subunits from the corner of the octree. */
   private readonly points: Float64Array;
-  private readonly normals: Float64Array;
-  private readonly neighbours: Int32Array;
-  private readonly spacing: number;
+  readonly normals: Float64Array;
+  readonly neighbours: Int32Array;
+  readonly spacing: number;
 
-  /** step: metres of a lattice unit; corner (3) in lattice units. Throws Corrupt for poses that are out of range. */
-  constructor({ count, moved, normals, neighbours }: Standing, step: number, corner: number[]) {
+  /**
+   * step: metres of a lattice unit; corner (3) in lattice units. largeCubesCorrect: whether cubes larger than the spacing
+   * have offsets. Throws Corrupt for poses that are out of range.
+   */
+  constructor(
+    { count, moved, normals, neighbours }: Standing,
+    step: number,
+    corner: number[],
+    private readonly largeCubesCorrect: boolean,
+  ) {
     const scale = SUBUNITS / (step * PLACE);
     this.points = moved.map((value, i) => {
       check(Math.abs(value) * scale <= MOST_COORDINATE, "bodycast: a pose is out of range");
@@ -166,7 +174,7 @@ export class SurfaceHints {
     const far = new Float64Array(samples.length);
     const at = (i: number, axis: number) => 2 * side * cubes[3 * i + axis]! + side - HALF;
     samples.forEach((s, i) => (far[i] = s < 0 ? 0 : this.distance(s, at(i, 0), at(i, 1), at(i, 2))));
-    const offsets = this.means(samples, far, 0);
+    const offsets = this.largeCubesCorrect || 2 * side <= this.spacing ? this.means(samples, far, 0) : new Float64Array(samples.length);
     let [sum, count] = [0, 0];
     const deviations = far.map((distance, i) => {
       if (samples[i]! < 0) return 0;
