@@ -31,6 +31,9 @@ SIZES = 0.8, 0.87, 0.94, 1.0, 1.0, 1.08, 1.18
 """Factors of the points' height from which a random pose's size is drawn: a crouching person is larger than that."""
 KEPT, LIMB_SAMPLES, PERTURBATIONS, BATCH = 40, 80, 12, 250
 """PoseHypotheses kept in the first round, random rotations of a limb, perturbations of a pose, poses scored at once."""
+ROUGH_POINTS, ROUGH_STRIDE, ROUGH_KEPT = 70, 3, 300
+"""Points that score the first random poses, of how many surface samples one does, and how many poses are kept."""
+EVERY = slice(None)
 DISTINCT_M = 0.12
 """Two poses are distinct if a joint differs by more than this, metres."""
 
@@ -86,7 +89,8 @@ class PoseSearch:
 
     def best(self, count: int = 6, draws: int = 3000, rounds: int = 3) -> PoseHypotheses:
         """The best `count` distinct poses, best first, from `draws` random ones improved in some rounds."""
-        poses = self._best_of_headings(self._scored(self._random_poses(draws)), KEPT)
+        rough = self._scored(self._random_poses(draws), slice(ROUGH_POINTS), slice(None, None, ROUGH_STRIDE))
+        poses = self._best_of_headings(self._scored(self._best_of_headings(rough, ROUGH_KEPT)), KEPT)
         for number in range(rounds):
             spread = 0.6 * 0.5**number
             for limb in self.limbs:
@@ -187,23 +191,24 @@ class PoseSearch:
             a[:, link] = a[:, parent] @ poses.rotations[:, link]
             b[:, link] = (a[:, parent] - a[:, link]) @ origin + b[:, parent]
 
-    def _scored(self, poses: PoseHypotheses) -> PoseHypotheses:
-        """The poses with their costs."""
+    def _scored(self, poses: PoseHypotheses, points: slice = EVERY, samples: slice = EVERY) -> PoseHypotheses:
+        """The poses with their costs, by some of the points and of the surface samples."""
         cost = np.empty(len(poses.cost))
         for start in range(0, len(cost), BATCH):
             batch = poses.take(slice(start, start + BATCH))
             a, b = self._transforms(batch)
-            points, samples = self._point_costs(a, b, batch.size, slice(None)), self._sample_costs(a, b, slice(None))
+            from_points = self._point_costs(a, b, batch.size, slice(None), points).mean(axis=1)
+            from_samples = self._sample_costs(a, b, samples).mean(axis=1)
             penalty = hinge_penalty(self.body, batch.rotations)
-            cost[start : start + BATCH] = points.mean(axis=1) + samples.mean(axis=1) + penalty
+            cost[start : start + BATCH] = from_points + from_samples + penalty
         return poses._replace(cost=cost)
 
-    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any) -> Floats:
-        """(k, n): truncated squared distances of the points from the chosen capsules."""
+    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any, points: slice = EVERY) -> Floats:
+        """(k, n): truncated squared distances of the points, or of some of them, from the chosen capsules."""
         link, ends = self.model.link[chosen], self.joints[self.model.ends[chosen]]
         placed = np.einsum("kcij,cej->kcei", a[:, link], ends) + b[:, link, None]
         radii = self.radii[None, chosen] * size[:, None, None]
-        return np.minimum(surface_distances(self.points, placed, radii), self.truncation) ** 2
+        return np.minimum(surface_distances(self.points[points], placed, radii), self.truncation) ** 2
 
     def _sample_costs(self, a: Floats, b: Floats, chosen: Any) -> Floats:
         """(k, m): truncated squared distances of the chosen surface samples from the points."""
