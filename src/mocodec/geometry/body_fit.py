@@ -2,7 +2,7 @@
 
     points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► FittedSkeleton
 
-Works for any standing pose and any heading, and takes some seconds.
+Works for people who stand or sit, in any heading, and takes some seconds.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class FittedSkeleton(NamedTuple):
 
 
 def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
-    """The figure of the standing person in points (n, 3), metres. Raises CannotEncode if there is none."""
+    """The figure of the standing or seated person in points (n, 3), metres. Raises CannotEncode if there is none."""
     turn = UPRIGHT[up]
     upright = largest_group(points @ turn.T)
     low, high = np.percentile(upright, [0.5, 99.5], axis=0)
@@ -93,7 +93,7 @@ def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
     figure = fitter.figure(best, turn)
     if figure.error_m > MAX_FIT_ERROR_M:
         raise CannotEncode(
-            f"no standing figure fits the first frame ({figure.error_m * 100:.0f} cm off): give a skeleton"
+            f"no standing or seated figure fits the first frame ({figure.error_m * 100:.0f} cm off): give a skeleton"
         )
     return figure
 

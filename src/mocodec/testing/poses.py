@@ -22,20 +22,22 @@ STAND = (DOWN + 0.08 * OUT, DOWN + 0.06 * OUT)
 SEAT = (FORWARD + 0.12 * OUT, DOWN + 0.05 * OUT)
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Joints that share a turn of the trunk."""
-POSES: dict[str, tuple[Limbs, Limbs | None] | tuple[Limbs, Limbs | None, Floats]] = {
-    "arms hanging": ((DOWN + 0.2 * OUT, DOWN + 0.15 * OUT + 0.2 * FORWARD, *STAND), None),
-    "A": ((DOWN + OUT, DOWN + OUT, *STAND), None),
-    "T": ((OUT, OUT, *STAND), None),
-    "arms raised": ((UP + 0.5 * OUT, UP + 0.1 * OUT, *STAND), None),
-    "arms forward": ((FORWARD + 0.1 * OUT, FORWARD, *STAND), None),
-    "one arm up": ((UP + 0.4 * OUT, UP, *STAND), (DOWN - 0.3 * OUT, DOWN - 0.2 * OUT + 0.3 * FORWARD, *STAND)),
-    "hands on hips": ((DOWN + 0.9 * OUT - 0.2 * FORWARD, 0.45 * DOWN - 0.6 * OUT + 0.35 * FORWARD, *STAND), None),
-    "waving": ((OUT, UP + 0.2 * OUT, *STAND), (DOWN - 0.25 * OUT, DOWN - 0.15 * OUT, *STAND)),
+# by name, what `posed` takes: limbs of the left side, of the right side, and the turn of the trunk
+POSES: dict[str, tuple[Limbs, Limbs | None, Floats | None]] = {
+    "arms hanging": ((DOWN + 0.2 * OUT, DOWN + 0.15 * OUT + 0.2 * FORWARD, *STAND), None, None),
+    "A": ((DOWN + OUT, DOWN + OUT, *STAND), None, None),
+    "T": ((OUT, OUT, *STAND), None, None),
+    "arms raised": ((UP + 0.5 * OUT, UP + 0.1 * OUT, *STAND), None, None),
+    "arms forward": ((FORWARD + 0.1 * OUT, FORWARD, *STAND), None, None),
+    "one arm up": ((UP + 0.4 * OUT, UP, *STAND), (DOWN - 0.3 * OUT, DOWN - 0.2 * OUT + 0.3 * FORWARD, *STAND), None),
+    "hands on hips": ((DOWN + 0.9 * OUT - 0.2 * FORWARD, 0.45 * DOWN - 0.6 * OUT + 0.35 * FORWARD, *STAND), None, None),
+    "waving": ((OUT, UP + 0.2 * OUT, *STAND), (DOWN - 0.25 * OUT, DOWN - 0.15 * OUT, *STAND), None),
     "walking": (
         (DOWN + 0.45 * FORWARD + 0.15 * OUT, DOWN + 0.9 * FORWARD, DOWN - 0.35 * FORWARD, DOWN - 0.7 * FORWARD),
         (DOWN - 0.4 * FORWARD - 0.15 * OUT, DOWN - 0.1 * FORWARD, DOWN + 0.5 * FORWARD, DOWN + 0.2 * FORWARD),
+        None,
     ),
-    "legs apart": ((OUT + 0.3 * UP, OUT + 0.5 * UP, DOWN + 0.5 * OUT, DOWN + 0.5 * OUT), None),
+    "legs apart": ((OUT + 0.3 * UP, OUT + 0.5 * UP, DOWN + 0.5 * OUT, DOWN + 0.5 * OUT), None, None),
     "slight crouch": (
         (
             DOWN + 0.5 * FORWARD + 0.2 * OUT,
@@ -44,22 +46,27 @@ POSES: dict[str, tuple[Limbs, Limbs | None] | tuple[Limbs, Limbs | None, Floats]
             DOWN - 0.6 * FORWARD,
         ),
         None,
+        None,
     ),
-    "arms folded": ((DOWN + 0.2 * OUT + 0.3 * FORWARD, 0.1 * UP - OUT + 0.6 * FORWARD, *STAND), None),
-    "seated, hands on thighs": ((DOWN + 0.35 * FORWARD + 0.1 * OUT, FORWARD + 0.45 * DOWN, *SEAT), None),
-    "seated, arms hanging": ((DOWN + 0.25 * OUT, DOWN + 0.2 * OUT + 0.1 * FORWARD, *SEAT), None),
+    "arms folded": ((DOWN + 0.2 * OUT + 0.3 * FORWARD, 0.1 * UP - OUT + 0.6 * FORWARD, *STAND), None, None),
+    "seated, hands on thighs": ((DOWN + 0.35 * FORWARD + 0.1 * OUT, FORWARD + 0.45 * DOWN, *SEAT), None, None),
+    "seated, arms hanging": ((DOWN + 0.25 * OUT, DOWN + 0.2 * OUT + 0.1 * FORWARD, *SEAT), None, None),
     "seated, one leg stretched": (
         (DOWN + 0.3 * FORWARD + 0.2 * OUT, FORWARD + 0.2 * UP, FORWARD + 0.2 * DOWN, FORWARD + 0.5 * DOWN),
         (DOWN + 0.3 * FORWARD - 0.2 * OUT, FORWARD + 0.5 * DOWN, FORWARD - 0.2 * OUT, DOWN + 0.1 * FORWARD),
+        None,
     ),
     "seated, leaning forward": (
-        (DOWN + 0.6 * FORWARD + 0.1 * OUT, FORWARD + 0.3 * DOWN, *SEAT), None, np.array([0.5, 0, 0]),
+        (DOWN + 0.6 * FORWARD + 0.1 * OUT, FORWARD + 0.3 * DOWN, *SEAT),
+        None,
+        np.array([0.5, 0, 0]),
     ),
     "seated, turned": ((DOWN + 0.3 * FORWARD + 0.2 * OUT, FORWARD + 0.2 * OUT, *SEAT), None, np.array([0, 0.7, 0])),
     "turned": ((DOWN + 0.5 * OUT, FORWARD + 0.4 * DOWN, *STAND), None, np.array([0, 0.8, 0])),
     "turned, looking back": (
         (DOWN + 0.3 * OUT, DOWN + 0.3 * FORWARD, DOWN + 0.3 * FORWARD, DOWN - 0.1 * FORWARD),
-        (DOWN - 0.6 * OUT, FORWARD - 0.2 * OUT, DOWN - 0.2 * FORWARD, DOWN - 0.5 * FORWARD), np.array([0.1, -0.9, 0]),
+        (DOWN - 0.6 * OUT, FORWARD - 0.2 * OUT, DOWN - 0.2 * FORWARD, DOWN - 0.5 * FORWARD),
+        np.array([0.1, -0.9, 0]),
     ),
 }
 
