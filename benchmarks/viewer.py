@@ -24,10 +24,12 @@ import numpy as np
 
 import mocodec
 from mocodec import viewer
+from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.tempo.models import prior
 from mocodec.errors import BadInput
 from mocodec.motion import Motion
 from mocodec.pointcloud import PointClouds
+from mocodec.testing import actors, sequences
 from tests.container.web_server import NGINX, serving
 
 from .datasets import packaged
@@ -39,6 +41,7 @@ RATE, HOUR = 120, 3600
 FRAMES = (100_000, 300_000, 50_000, 431_000, 222_222, 10_000, 350_000, 77_777, 400_000, 150_000, 250_000)
 PLAYED_S = 8
 CROWD, CLOUD = 100, 10_000
+DENSE, DENSE_FRAMES = 150_000, 6
 LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0", "seconds": 120}
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -47,6 +50,20 @@ SEEK = """(async () => {
   mocodecViewer.seek(%d);
   while (mocodecViewer.state().shownFrame !== %d) await new Promise((done) => setTimeout(done, 1));
   return performance.now() - begin;
+})()"""
+
+
+DECODE = """(async () => {
+  const begin = performance.now();
+  let worst = 0;
+  for (let last = begin, on = true; on; ) {
+    mocodecViewer.seek(%d);
+    on = mocodecViewer.state().shownFrame !== %d;
+    await new Promise((done) => setTimeout(done, 1));
+    worst = Math.max(worst, performance.now() - last);
+    last = performance.now();
+  }
+  return [performance.now() - begin, worst];
 })()"""
 
 
@@ -88,6 +105,7 @@ def measure(folder: Path) -> dict[str, Any]:
     (site / "short.mocz").write_bytes(mocodec.encode(short, mean_error=0.003))
     (site / "crowd.mocz").write_bytes(mocodec.encode(crowd(short), "lossless"))
     viewer.save(site / "cloud.html", viewer.html(cloud()))
+    (site / "dense.mocz").write_bytes(dense())
     with serving(site, logs) as server:
         seeks = seeking(f"{server.url}/viewer.html?file=hour.mocz", folder)
         asked = [entry for entry in server.requests() if entry[1] == 206]
@@ -96,6 +114,7 @@ def measure(folder: Path) -> dict[str, Any]:
             f"{CROWD} points": playing(f"{server.url}/viewer.html?file=crowd.mocz", folder),
             f"a cloud of {CLOUD:,} points": playing(f"{server.url}/cloud.html", folder),
         }
+        decoded = decoding(f"{server.url}/viewer.html?file=dense.mocz", folder)
     return {
         "machine": machine_description(),
         "page_bytes": len(page),
@@ -105,6 +124,7 @@ def measure(folder: Path) -> dict[str, Any]:
         "requests": len(asked),
         "requested_bytes": sum(sent for _, _, sent in asked),
         "played": played,
+        "dense_cloud": decoded,
     }
 
 
@@ -127,6 +147,22 @@ def cloud() -> PointClouds:
     at = random.normal(size=(CLOUD, 3)) * [0.2, 0.4, 0.2] + [0, 1, 0]
     colours = random.integers(0, 256, (CLOUD, 3)).astype(np.uint8)
     return PointClouds([at + np.array([0.01 * t, 0, 0]) for t in range(60)], 30.0, [colours] * 60)
+
+
+def dense() -> bytes:
+    """A person of DENSE points a frame, within a bound."""
+    performance = sequences.jumping_jacks(actors.capsules(), DENSE_FRAMES)
+    clouds = sequences.record(performance, DENSE, seed=5)
+    return mocodec.encode(clouds, Bodycast(skeleton=performance.skeleton(), max_error=0.004, psnr=28))
+
+
+def decoding(url: str, folder: Path) -> dict[str, float]:
+    """Milliseconds that the page decodes for a frame of a dense cloud, and for which it did not answer meanwhile."""
+    last = DENSE_FRAMES - 1
+    _, _, (whole, blocked) = drive(
+        [{"do": "open", "url": url}, LOADED, {"do": "eval", "code": DECODE % (last, last)}], folder
+    )
+    return {"points": DENSE, "ms_per_frame": round(whole / last, 1), "longest_pause_ms": round(blocked, 1)}
 
 
 def playing(url: str, folder: Path) -> dict[str, float]:
@@ -181,6 +217,9 @@ def report(results: dict[str, Any]) -> str:
             for name, run in played.items()
         ),
     ]
+    dense_cloud = results["dense_cloud"]
+    words = f"a person of {dense_cloud['points']:,} points within 4 mm: decoding a frame, longest pause meanwhile"
+    rows.append([words, f"{dense_cloud['ms_per_frame']:.0f} ms, {dense_cloud['longest_pause_ms']:.0f} ms"])
     return (
         f"{table(['what', 'measured'], rows)}\n\n*{measured_on(results['machine'])} Made by `scripts/bench viewer`.*\n"
     )

@@ -22,12 +22,13 @@ import click
 import numpy as np
 
 import mocodec as mc
-from mocodec import container, native
+from mocodec import container, metrics, native
 from mocodec.codecs.tempo import compiled_chunks
 from mocodec.codecs.tempo.chunk import TRANSFORM, Payload
 from mocodec.codecs.tempo.coding import coefficients, corrections
 from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.encoded import Chunk
+from mocodec.stages import lattice
 
 from ..machine import machine_description
 from ..markdown import table
@@ -36,7 +37,7 @@ from ..results import read_json, rounded, write_json
 from .recordings import DATA
 
 RESULTS, PAGE = Path("docs/results/speed.json"), Path("docs/results/speed.md")
-RUNS, ENCODING_RUNS, WINDOWS, WINDOW_FRAMES = 9, 1, 60, 64
+RUNS, ENCODING_RUNS, ENCODING_THREADED_RUNS, WINDOWS, WINDOW_FRAMES = 9, 3, 3, 60, 64
 SZ3_OF_BOUND = 1 / 1.9
 """SZ3's bound per coordinate for about the same largest distance."""
 LONG_HOURS, THREADED_HOURS = (1, 10), 1 / 6
@@ -47,6 +48,12 @@ CASES = (
     ("41 markers", "cmu/c3d/85_12.c3d", 0.001, "transform"),
 )
 """What is coded: label, file, maximum error in metres, tempo's model."""
+FREE_CALLS = (
+    *((compiled_chunks, name) for name in ("analyse", "of_step", "within_bound", "pack", "decode")),
+    *((lattice, name) for name in ("encode", "decode")),
+    (metrics, "errors"),
+)
+"""What does most of its work without the interpreter."""
 
 
 def seconds(work: Callable[[], object], runs: int = RUNS) -> float:
@@ -66,7 +73,7 @@ def measure(label: str, path: str, bound: float, model: str) -> dict[str, Any]:
     data = mc.encode(motion, "tempo", max_error=bound, model=model)
     sz3, narrow = rivals.Sz3(), motion.positions.astype(np.float32)
     theirs = sz3.encode(narrow, bound * SZ3_OF_BOUND)
-    frames = len(motion)
+    frames, long = len(motion), longer(data, THREADED_HOURS)
     found = {
         "label": label,
         "max_error": bound,
@@ -79,7 +86,9 @@ def measure(label: str, path: str, bound: float, model: str) -> dict[str, Any]:
         "encode": frames / seconds(lambda: mc.encode(motion, "tempo", max_error=bound, model=model), ENCODING_RUNS),
         "sz3_encode": frames / seconds(lambda: sz3.encode(narrow, bound * SZ3_OF_BOUND), ENCODING_RUNS),
         "free_share": interpreter_free_share(data),
-        "two_threads": two_threads_over_one(data),
+        "two_threads": two_threads_over_one(lambda threads: mc.decode(long, threads=threads)),
+        "encode_free_share": encoding_interpreter_free_share(motion, bound, model),
+        "encode_two_threads": two_threads_encoding(motion, bound, model),
         "window_s": window_seconds(data),
         "stages": stages(data),
     }
@@ -108,13 +117,52 @@ def interpreter_free_share(data: bytes) -> float:
         compiled_chunks.decode = decode
 
 
-def two_threads_over_one(data: bytes) -> float:
-    """How many times faster two threads decode ten minutes than one does: medians of elapsed time, in turn."""
-    long, elapsed = longer(data, THREADED_HOURS), dict[int, list[float]]({1: [], 2: []})
-    for _ in range(RUNS):
+def encoding_interpreter_free_share(motion: mc.Motion, bound: float, model: str) -> float:
+    """Share of encoding a long recording that is spent in calls of the compiled module for whole chunks."""
+    long, inside, kept = longer_motion(motion, 0.05), [0.0], {}
+
+    def timed(work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any, **options: Any) -> Any:
+            begin = time.process_time()
+            done = work(*arguments, **options)
+            inside[0] += time.process_time() - begin
+            return done
+
+        return run
+
+    try:
+        for module, name in FREE_CALLS:
+            kept[module, name] = getattr(module, name)
+            setattr(module, name, timed(kept[module, name]))
+        begin = time.process_time()
+        mc.encode(long, "tempo", max_error=bound, model=model, threads=1)
+        return inside[0] / (time.process_time() - begin)
+    finally:
+        for (module, name), work in kept.items():
+            setattr(module, name, work)
+
+
+def two_threads_encoding(motion: mc.Motion, bound: float, model: str) -> float:
+    """The same as `two_threads_over_one` of encoding ten minutes."""
+    long = longer_motion(motion, THREADED_HOURS)
+    encode = lambda threads: mc.encode(long, "tempo", max_error=bound, model=model, threads=threads)  # noqa: E731
+    return two_threads_over_one(encode, ENCODING_THREADED_RUNS)
+
+
+def longer_motion(motion: mc.Motion, hours: float) -> mc.Motion:
+    """Forth and back over and over."""
+    there_and_back = np.concatenate([motion.positions, motion.positions[-2:0:-1]])
+    times = -(-round(hours * 3600 * motion.rate) // len(there_and_back))
+    return replace(motion, positions=np.tile(there_and_back, (times, 1, 1)))
+
+
+def two_threads_over_one(work: Callable[[int], object], runs: int = RUNS) -> float:
+    """How many times faster work on ten minutes is with two threads than with one: medians of elapsed time, in turn."""
+    elapsed = dict[int, list[float]]({1: [], 2: []})
+    for _ in range(runs):
         for threads, times in elapsed.items():
             begin = time.perf_counter()
-            mc.decode(long, threads=threads)
+            work(threads)
             times.append(time.perf_counter() - begin)
     return statistics.median(elapsed[1]) / statistics.median(elapsed[2])
 
@@ -205,6 +253,9 @@ def page(results: dict[str, Any]) -> str:
             f"{c['free_share']:.2f}",
             f"{1 / (1 - c['free_share'] / 2):.2f}",
             f"{c['two_threads']:.2f}" if "two_threads" in c else "–",
+            f"{c['encode_free_share']:.2f}",
+            f"{1 / (1 - c['encode_free_share'] / 2):.2f}",
+            f"{c['encode_two_threads']:.2f}",
             f"{1000 * c['window_s']:.2f} ms",
         ]
         for c in cases
@@ -234,8 +285,11 @@ def page(results: dict[str, Any]) -> str:
             table(
                 [
                     "maximum error",
-                    "share without the interpreter",
+                    "decoding: share without the interpreter",
                     "two threads over one, at most",
+                    "measured",
+                    "encoding: share",
+                    "at most",
                     "measured",
                     "window",
                 ],

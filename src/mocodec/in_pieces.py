@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-from . import container, formats, packing
+from . import container, formats, metrics, packing
 from . import progress as progress_
 from .codecs.base import Codec
 from .codecs.tempo import Tempo
@@ -27,7 +27,6 @@ from .codecs.tempo.in_pieces import Piece, PieceEncoder, joined
 from .encoded import Chunk, Encoded
 from .errors import BadInput, CannotEncode, Corrupt
 from .formats.blocks import Blocks
-from .metrics import distances
 from .motion import Motion
 
 SAMPLED_SECONDS, MOST_SAMPLED = 300.0, 1 << 20
@@ -213,13 +212,15 @@ class Errors:
 
     def add(self, original: Motion, result: Motion) -> None:
         """Raises CannotEncode where gaps differ, an internal error."""
-        if (original.gaps != result.gaps).any():
+        found = metrics.errors(original.positions, result.positions)
+        if not found.same_gaps:
             raise CannotEncode("tempo did not restore the gaps, so nothing was written")
-        off = distances(original.positions, result.positions)[~original.gaps]
+        if np.isnan(found.max):
+            raise CannotEncode("tempo decoded positions that are not numbers, so nothing was written")
         self.frames += len(original)
-        self.samples += off.size
-        self._sum += float(off.sum())
-        self._largest = max(self._largest, float(off.max(initial=0.0)))
+        self.samples += found.samples
+        self._sum += found.sum
+        self._largest = max(self._largest, found.max)
 
     def written(self, points: int, size: int, extras: int) -> Written:
         none = self.samples == 0

@@ -1,150 +1,265 @@
-// entropy/bulk.py, _tokens: long arrays of tokens, diagonal by diagonal. Integers of 16 and 32 bits, as there.
+// entropy/bulk.py: long arrays of integers to bytes and back, diagonal by diagonal. Integers of 16 and 32 bits, as there.
 
-#include <algorithm>
+#include <nanobind/stl/optional.h>
+
+#include <optional>
 #include <stdexcept>
-#include <vector>
 
 #include "arrays.h"
+#include "bulk_layout.h"
 
 namespace {
 
+using namespace bulk;
+
 constexpr int PRECISION = 12;
-constexpr uint32_t MASK = (1u << PRECISION) - 1, LOWEST = 1u << 16;
+constexpr uint32_t TOTAL = 1u << PRECISION, MASK = TOTAL - 1, LOWEST = 1u << 16, ESCAPE_FLAG = 1u << 31;
 constexpr uint16_t ESCAPE = 255;
-constexpr int64_t TOO_FEW_WORDS = -1, OUT_OF_RANGE = -2;
+constexpr int64_t MAX_TURNS = 15;
+constexpr unsigned DIRECT = 16, TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
 
-// layout.Layout: places of the flat array.
-struct Layout {
-    int64_t steps, lanes, segments, row;
-};
+// models.mantissa_bits, models.token_floor
+unsigned mantissa_bits(unsigned token) { return token < DIRECT ? 0 : (token - DIRECT) / 4 + 2; }
+int64_t token_floor(unsigned token) { return token < DIRECT ? token : int64_t(4 + token % 4) << mantissa_bits(token); }
 
-// bulk._DiagonalContexts
-class Contexts {
+// Bits in a row, highest first; those behind the end are 0.
+class Bits {
 public:
-    Contexts(const Layout &layout, uint16_t *tokens, const uint16_t *weights, const uint16_t *hints)
-        : of_(layout), tokens_(tokens), weights_(weights), hints_(hints), mean_(size_t(layout.lanes * layout.segments), 0) {}
+    Bits(const uint8_t *data, size_t bytes) : data_(data), size(8 * bytes) {}
 
-    void expected(int64_t i, int64_t begin, int64_t end, uint16_t *out) const {
-        const int64_t row = of_.row, k = of_.segments, count = end - begin;
-        const int64_t offsets[] = {row, 2 * row, row + k, 2 * row + 2 * k, 2 * row + k};
-        std::fill_n(out, count, uint16_t(0));
-        for (int n = 0; n < 5; ++n) {
-            const uint16_t weight = weights_[n], *near = tokens_ + begin - offsets[n];
-            for (int64_t j = 0; weight && j < count; ++j) out[j] = uint16_t(out[j] + near[j] * weight);
-        }
-        const uint16_t of_mean = weights_[5], of_hint = hints_ ? weights_[6] : uint16_t(0);
-        const uint16_t *means = mean_.data() + first(i, begin);
-        for (int64_t j = 0; of_mean && j < count; ++j)
-            out[j] = uint16_t(out[j] + (uint16_t((means[j] >> 4) * of_mean) >> 4));
-        for (int64_t j = 0; of_hint && j < count; ++j) out[j] = uint16_t(out[j] + hints_[begin + j] * of_hint);
+    uint32_t take(unsigned width) {
+        uint64_t window = 0;
+        const uint8_t *from = data_ + at / 8;
+        if (at + 40 <= size)
+            for (size_t i = 0; i < 5; ++i) window = window << 8 | from[i];
+        else
+            for (size_t i = 0; i < 5; ++i) window = window << 8 | (8 * (at / 8 + i) < size ? from[i] : 0);
+        const uint32_t value = uint32_t(window >> (40 - at % 8 - width)) & uint32_t((uint64_t(1) << width) - 1);
+        at += width;
+        return value;
     }
 
-    void update(int64_t i, int64_t begin, int64_t end) {
-        const int64_t k = of_.segments, left = (i + 2) * of_.row;
-        if (i < of_.steps) {
-            std::copy_n(tokens_ + left + 2 * k, k, tokens_ + left + k);
-            std::copy_n(tokens_ + left + 2 * k, k, tokens_ + left);
-        }
-        if (weights_[5]) {
-            uint16_t *means = mean_.data() + first(i, begin);
-            for (int64_t j = 0; j < end - begin; ++j) {
-                const int64_t age = i - j / k - std::max<int64_t>(0, i - of_.steps + 1);
-                const int speed = age == 0 ? 1 : age < 3 ? 2 : 3;
-                means[j] = uint16_t(means[j] - (means[j] >> speed) + (tokens_[begin + j] << (8 - speed)));
-            }
-        }
-        if (i + 1 < of_.lanes) {
-            const int64_t ours = left + (i + 2) * k;
-            for (int64_t j = 0; j < k; ++j) {
-                const uint16_t newest = tokens_[ours + j];
-                tokens_[ours + k + j] = tokens_[ours + k - of_.row + j] = newest;
-                mean_[size_t((i + 1) * k + j)] = uint16_t(newest << 8);
-            }
-        }
+    bool rest_is_zero() {
+        while (at < size)
+            if (take(unsigned(std::min<size_t>(8, size - at)))) return false;
+        return true;
     }
 
 private:
-    int64_t first(int64_t i, int64_t begin) const { return begin - (i + 2) * of_.row - 2 * of_.segments; }
+    const uint8_t *data_;
 
-    const Layout of_;
-    uint16_t *tokens_;
-    const uint16_t *weights_, *hints_;
-    std::vector<uint16_t> mean_;
+public:
+    const size_t size;
+    size_t at = 0;
 };
+
+// bulk._unpack_states: the states, and how many bytes they took; none for bytes that no encoder writes.
+bool unpack_states(const uint8_t *data, size_t size, std::vector<uint32_t> &states, size_t &used) {
+    const size_t n = states.size(), nibbles = (n + 1) / 2;
+    if (size < nibbles || (n % 2 && data[nibbles - 1] & 15)) return false;
+    size_t total = 0;
+    for (size_t i = 0; i < n; ++i) total += 16 + (data[i / 2] >> (i % 2 ? 0 : 4) & 15);
+    used = nibbles + (total + 7) / 8;
+    if (size < used) return false;
+    Bits bits(data + nibbles, used - nibbles);
+    for (size_t i = 0; i < n; ++i) {
+        const unsigned width = 16 + (data[i / 2] >> (i % 2 ? 0 : 4) & 15);
+        states[i] = bits.take(width) | uint32_t(1) << width;
+    }
+    return bits.rest_is_zero();
+}
+
+struct Tables {
+    Tables(const Input<uint8_t, 1> &ladder, const Input<int64_t, 1> &last)
+        : ladder(ladder.data()), rungs(int64_t(ladder.shape(0))), last(last.data()), laws(int64_t(last.shape(0)) - 1) {
+        if (laws < 1 || std::any_of(this->ladder, this->ladder + rungs, [=](uint8_t law) { return law >= laws; }))
+            throw std::invalid_argument("bulk: a law without a table");
+    }
+
+    const uint8_t *ladder;
+    const int64_t rungs;
+    const int64_t *last;
+    const int64_t laws;  // the table behind them is of what escapes are beyond their law
+};
+
+// Laws of the tokens of a diagonal: false for an expected token beyond the ladder.
+bool laws_of(const Tables &tables, const Contexts &contexts, int64_t i, int64_t begin, int64_t end, std::vector<uint16_t> &laws) {
+    contexts.expected(i, begin, end, laws.data());
+    for (int64_t j = 0; j < end - begin; ++j) {
+        if (laws[size_t(j)] >= tables.rungs) return false;
+        laws[size_t(j)] = tables.ladder[laws[size_t(j)]];
+    }
+    return true;
+}
 
 // bulk._pop: false where there are too few words. law(j): of symbol j; put(j, symbol).
 template <class Law, class Put>
-bool pop(uint32_t *states, int64_t count_of_states, int64_t count, const uint32_t *slots, const uint16_t *words,
-         int64_t known, int64_t &used, Law law, Put put) {
-    for (int64_t turn = 0; turn < count; turn += count_of_states)
-        for (int64_t j = turn; j < std::min(turn + count_of_states, count); ++j) {
-            uint32_t x = states[j - turn];
+bool pop(std::vector<uint32_t> &states, int64_t count, const uint32_t *slots, const uint8_t *words, size_t known, size_t &used,
+         Law law, Put put) {
+    const int64_t n = int64_t(states.size());
+    for (int64_t turn = 0; turn < count; turn += n)
+        for (int64_t j = turn; j < std::min(turn + n, count); ++j) {
+            uint32_t x = states[size_t(j - turn)];
             const uint32_t found = slots[(size_t(law(j)) << PRECISION) + (x & MASK)];
             put(j, uint16_t(found & 255));
             x = (x >> PRECISION) * (found >> 20) + ((found >> 8) & MASK);
             if (x < LOWEST) {
                 if (used == known) return false;
-                x = x << 16 | words[used++];
+                x = x << 16 | words[2 * used] | uint32_t(words[2 * used + 1]) << 8;
+                ++used;
             }
-            states[j - turn] = x;
+            states[size_t(j - turn)] = x;
         }
     return true;
 }
 
-// Fills `tokens` (flat) and leaves the last states in `states`; returns how many words were taken, or what is wrong.
-// diagonals (n, 3): Layout.diagonals; shape: steps, lanes, segments, row; hints: flat, or none.
-int64_t bulk_tokens(InPlace<uint16_t, 1> tokens, InPlace<uint32_t, 1> states, Input<int64_t, 2> diagonals,
-                    Input<int64_t, 1> shape, Input<uint16_t, 1> weights, Input<uint8_t, 1> ladder, Input<uint32_t, 1> slots,
-                    Input<int64_t, 1> last, Input<uint16_t, 1> words, Input<uint16_t, 1> hints) {
-    if (shape.shape(0) != 4 || weights.shape(0) != 7 || diagonals.shape(1) != 3 || !last.shape(0) || !states.shape(0) ||
-        slots.shape(0) != last.shape(0) << PRECISION || (hints.shape(0) && hints.shape(0) != tokens.shape(0)))
-        throw std::invalid_argument("bulk_tokens: shapes differ");
-    const Layout layout{shape.data()[0], shape.data()[1], shape.data()[2], shape.data()[3]};
-    if (int64_t(tokens.shape(0)) != (layout.steps + layout.lanes + 1) * layout.row || layout.segments < 1 ||
-        layout.row != (layout.lanes + 2) * layout.segments)
-        throw std::invalid_argument("bulk_tokens: another layout");
-    const int64_t laws = int64_t(last.shape(0)) - 1;  // the last table is of what escapes are beyond their law
-    if (std::any_of(ladder.data(), ladder.data() + ladder.shape(0), [=](uint8_t law) { return law >= laws; }))
-        throw std::invalid_argument("bulk_tokens: a law without a table");
-    uint16_t *flat = tokens.data();
-    Contexts contexts(layout, flat, weights.data(), hints.shape(0) ? hints.data() : nullptr);
-    std::vector<uint16_t> expected(size_t(layout.lanes * layout.segments));
+// bulk._tokens_by_numpy: fills `flat` and leaves the last states in `states`.
+bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *slots, Contexts &contexts, uint16_t *flat,
+                   std::vector<uint32_t> &states, const uint8_t *words, size_t known, size_t &used) {
+    std::vector<uint16_t> law(size_t(layout.lanes * layout.segments));
     std::vector<int64_t> escaped;
-    int64_t used = 0;
-    const int64_t known = int64_t(words.shape(0)), count_of_states = int64_t(states.shape(0));
-    nb::gil_scoped_release release;
-    for (size_t d = 0; d < diagonals.shape(0); ++d) {
-        const int64_t i = diagonals.data()[3 * d], begin = diagonals.data()[3 * d + 1], end = diagonals.data()[3 * d + 2];
-        const int64_t place = begin - (i + 2) * layout.row - 2 * layout.segments;
-        if (i < 0 || i >= layout.steps + layout.lanes - 1 || place < 0 || end <= begin ||
-            place + end - begin > layout.lanes * layout.segments)
-            return OUT_OF_RANGE;
-        contexts.expected(i, begin, end, expected.data());
-        uint16_t most = 0;
-        for (int64_t j = 0; j < end - begin; ++j) most = std::max(most, expected[size_t(j)]);
-        if (most >= ladder.shape(0)) return OUT_OF_RANGE;
+    for (int64_t i = 0, begin, end; i < layout.diagonals(); ++i) {
+        layout.diagonal(i, begin, end);
+        if (begin == end) continue;
+        if (!laws_of(tables, contexts, i, begin, end, law)) return false;
         escaped.clear();
-        auto law = [&](int64_t j) { return ladder.data()[expected[size_t(j)]]; };
         auto put = [&](int64_t j, uint16_t symbol) {
             flat[begin + j] = symbol;
             if (symbol == ESCAPE) escaped.push_back(j);
         };
         auto beyond = [&](int64_t e, uint16_t symbol) {
             const int64_t j = escaped[size_t(e)];
-            flat[begin + j] = uint16_t(std::min<int64_t>(last.data()[law(j)] + symbol, 255));
+            flat[begin + j] = uint16_t(std::min<int64_t>(tables.last[law[size_t(j)]] + symbol, 255));
         };
-        if (!pop(states.data(), count_of_states, end - begin, slots.data(), words.data(), known, used, law, put) ||
-            !pop(states.data(), count_of_states, int64_t(escaped.size()), slots.data(), words.data(), known, used,
-                 [=](int64_t) { return laws; }, beyond))
-            return TOO_FEW_WORDS;
+        if (!pop(states, end - begin, slots, words, known, used, [&](int64_t j) { return law[size_t(j)]; }, put) ||
+            !pop(states, int64_t(escaped.size()), slots, words, known, used, [&](int64_t) { return tables.laws; }, beyond))
+            return false;
         contexts.update(i, begin, end);
     }
-    return used;
+    return true;
+}
+
+// bulk._values: signs, then mantissas, from the last states and from the bytes behind the words.
+bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states, const uint8_t *rest, size_t size, int64_t *out) {
+    std::vector<uint8_t> raw(2 * states.size() + size);
+    for (size_t i = 0; i < states.size(); ++i) {
+        if (states[i] >> 16 != 1) return false;
+        raw[2 * i] = uint8_t(states[i] >> 8), raw[2 * i + 1] = uint8_t(states[i]);
+    }
+    std::copy_n(rest, size, raw.data() + 2 * states.size());
+    Bits bits(raw.data(), raw.size());
+    const size_t n = tokens.size();
+    size_t signs = 0, mantissas = 0;
+    for (uint8_t token : tokens) {
+        if (token >= TOO_WIDE) return false;
+        signs += token > 0, mantissas += mantissa_bits(token);
+    }
+    const size_t used = signs + mantissas, in_states = 16 * states.size();
+    const size_t later = used > in_states ? used - in_states : 0;
+    if (8 * size < later || 8 * size - later >= 8) return false;
+    Bits magnitude(raw.data(), raw.size());
+    magnitude.at = signs;
+    for (size_t i = 0; i < n; ++i) {
+        const unsigned token = tokens[i];
+        if (!token) {
+            out[i] = 0;
+            continue;
+        }
+        const int64_t value = token < DIRECT ? token : token_floor(token) | int64_t(magnitude.take(mantissa_bits(token)));
+        out[i] = bits.take(1) ? -value : value;
+    }
+    return magnitude.rest_is_zero();
+}
+
+// bulk.unpack: integers (steps, lanes); none for bytes that no encoder writes. hints: flat, or none.
+std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_t lanes, Input<uint16_t, 1> weights,
+                                           Input<uint8_t, 1> ladder, Input<uint32_t, 1> slots, Input<int64_t, 1> last,
+                                           Input<uint16_t, 1> hints) {
+    const Tables tables(ladder, last);
+    if (steps < 1 || lanes < 1 || weights.shape(0) != 7 || slots.shape(0) != last.shape(0) << PRECISION)
+        throw std::invalid_argument("bulk_unpack: shapes differ");
+    const Layout layout(steps, lanes);
+    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_unpack: another layout");
+    const uint8_t *bytes = static_cast<const uint8_t *>(data.data());
+    const size_t size = data.size();
+    if (!size || bytes[0] < 1 || bytes[0] > MAX_TURNS) return std::nullopt;
+    Fresh<int64_t> out(size_t(steps * lanes));
+    bool whole = false;
+    {
+        nb::gil_scoped_release release;
+        std::vector<uint32_t> states(size_t((layout.width + bytes[0] - 1) / bytes[0]));
+        std::vector<uint16_t> flat(size_t(layout.places()), 0);
+        std::vector<uint8_t> tokens(size_t(steps * lanes));
+        Contexts contexts(layout, flat.data(), weights.data(), hints.shape(0) ? hints.data() : nullptr);
+        size_t at = 0, used = 0;
+        if (unpack_states(bytes + 1, size - 1, states, at)) {
+            const uint8_t *words = bytes + 1 + at;
+            const size_t left = size - 1 - at;
+            if (decode_tokens(layout, tables, slots.data(), contexts, flat.data(), states, words, left / 2, used)) {
+                layout.each([&](int64_t place, int64_t to) { tokens[size_t(to)] = uint8_t(flat[size_t(place)]); });
+                whole = values_of(tokens, states, words + 2 * used, left - 2 * used, out.data.get());
+            }
+        }
+    }
+    if (!whole) return std::nullopt;
+    return out.give({size_t(steps), size_t(lanes)});
+}
+
+// rans.push of one symbol; its word moves out first where the state is full.
+inline void push(uint32_t &x, uint32_t code, std::vector<uint16_t> &words) {
+    const uint32_t frequency = code >> PRECISION, start = code & MASK;
+    if (x >= frequency << (32 - PRECISION)) words.push_back(uint16_t(x)), x >>= 16;
+    x += x / frequency * (TOTAL - frequency) + start;
+}
+
+// bulk._push_all: tokens (steps, lanes) into the states (n), in place; the words in the order of decoding.
+Output<uint16_t> bulk_push(InPlace<uint32_t, 1> states, Input<uint8_t, 2> token, Input<uint16_t, 1> weights,
+                           Input<uint8_t, 1> ladder, Input<uint32_t, 1> code, Input<int64_t, 1> last, Input<uint16_t, 1> hints) {
+    const Tables tables(ladder, last);
+    if (!token.shape(0) || !token.shape(1) || weights.shape(0) != 7 || !states.shape(0) || code.shape(0) != 256 * last.shape(0))
+        throw std::invalid_argument("bulk_push: shapes differ");
+    const Layout layout(int64_t(token.shape(0)), int64_t(token.shape(1)));
+    if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_push: another layout");
+    std::vector<uint16_t> flat(size_t(layout.places()), 0), words, laws;
+    std::vector<uint8_t> law(size_t(layout.places()));
+    {
+        nb::gil_scoped_release release;
+        layout.each([&](int64_t place, int64_t from) { flat[size_t(place)] = token.data()[from]; });
+        Contexts contexts(layout, flat.data(), weights.data(), hints.shape(0) ? hints.data() : nullptr);
+        laws.resize(size_t(layout.lanes * layout.segments));
+        for (int64_t i = 0, begin, end; i < layout.diagonals(); ++i) {
+            layout.diagonal(i, begin, end);
+            if (begin == end) continue;
+            if (!laws_of(tables, contexts, i, begin, end, laws)) throw std::invalid_argument("bulk_push: a token beyond the ladder");
+            std::copy_n(laws.begin(), end - begin, law.begin() + begin);
+            contexts.update(i, begin, end);
+        }
+        const int64_t n = int64_t(states.shape(0));
+        std::vector<uint32_t> codes, beyond;
+        auto push_all = [&](const std::vector<uint32_t> &of) {  // in turns, all backwards
+            for (int64_t j = int64_t(of.size()); j-- > 0;) push(states.data()[j % n], of[size_t(j)], words);
+        };
+        for (int64_t i = layout.diagonals(), begin, end; i-- > 0;) {
+            layout.diagonal(i, begin, end);
+            codes.clear(), beyond.clear();
+            for (int64_t at = begin; at < end; ++at) {
+                const int64_t own = law[size_t(at)], symbol = flat[size_t(at)];
+                const uint32_t found = code.data()[256 * own + symbol];
+                codes.push_back(found & (ESCAPE_FLAG - 1));
+                if (found >= ESCAPE_FLAG) beyond.push_back(code.data()[256 * tables.laws + symbol - tables.last[own]]);
+            }
+            push_all(beyond);
+            push_all(codes);
+        }
+    }
+    Fresh<uint16_t> out(words.size());
+    std::reverse_copy(words.begin(), words.end(), out.data.get());
+    return out.give({out.size});
 }
 
 }  // namespace
 
 void bind_bulk(nb::module_ &m) {
-    m.def("bulk_tokens", &bulk_tokens, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(), nb::arg(), nb::arg(),
-          nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
+    m.def("bulk_unpack", &bulk_unpack);
+    m.def("bulk_push", &bulk_push, nb::arg().noconvert(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
 }

@@ -1,6 +1,7 @@
 // Chunks of codecs/tempo without the interpreter, for codecs/tempo/compiled_chunks.py: from bytes to positions in the
-// caller's array, and from coefficients to integers and what these decode to. Its parts are chunk_symbols.h (bytes to
-// integers), chunk_synthesis.h (integers to positions), chunk_quantiser.h (coefficients to integers) and chunk_errors.h.
+// caller's array; from positions to coefficients, to integers and what these decode to, and to bytes. Its parts are
+// chunk_symbols.h (bytes to integers), chunk_synthesis.h (integers to positions) and chunk_errors.h; chunk_analysis.h
+// (positions to coefficients), chunk_quantiser.h (coefficients to integers) and chunk_packer.h (integers to bytes).
 
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -10,7 +11,9 @@
 #include <stdexcept>
 
 #include "arrays.h"
+#include "chunk_analysis.h"
 #include "chunk_errors.h"
+#include "chunk_packer.h"
 #include "chunk_quantiser.h"
 #include "chunk_synthesis.h"
 
@@ -28,6 +31,16 @@ void synthesise(const Synthesis &synthesis, const Integers &integers, const Targ
 #ifdef HAS_AVX2_TWIN
 WITH_AVX2 void synthesise_with_avx2(const Synthesis &synthesis, const Integers &integers, const Target &out) {
     synthesis.run(integers, out);
+}
+#endif
+
+void analyse(const Analyser &analyser, const double *positions, size_t rows, double *out) {
+    analyser.run(positions, rows, out);
+}
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void analyse_with_avx2(const Analyser &analyser, const double *positions, size_t rows, double *out) {
+    analyser.run(positions, rows, out);
 }
 #endif
 
@@ -96,11 +109,65 @@ public:
         shape->tree = std::move(tree);
     }
 
+    // For encoding: bits of each symbol in each table (tables · symbols,), without and with its raw bits; for each band
+    // the transpose of its basis after `scale`, (dimensions, components); of trees: the joint of each bone in schedule
+    // order (bones,) and bones::Schedule's pairs (hubs, 2) and pair_frames (hubs, 3, 3).
+    void set_encoding(Input<double, 1> costs, Input<double, 1> prices, std::vector<Input<double, 2>> bases,
+                      Input<int64_t, 1> joints, Input<int64_t, 2> pairs, Input<double, 3> pair_frames) {
+        auto made = std::make_shared<Encoding>();
+        made->costs = copied<double>(costs), made->prices = copied<double>(prices);
+        bool fits = costs.size() >= 3 * CLASSES * SYMBOLS && prices.size() >= 3 * CLASSES * SYMBOLS &&
+                    bases.size() == shape->bases.size() && tables->symbols == SYMBOLS;
+        for (const auto &basis : bases)
+            fits = fits && basis.shape(0) == shape->dimensions && basis.shape(1) == components;
+        if (!fits) throw std::invalid_argument("ChunkDecoder.set_encoding: shapes differ");
+        for (size_t band = 0; band < bases.size(); ++band) {
+            const bool same = band && bases[band].data() == bases[band - 1].data();
+            made->analysis.bases.push_back(same ? made->analysis.bases.back() : in_panels(bases[band]));
+        }
+        if (shape->tree) set_joints(joints, pairs, pair_frames, made->analysis);
+        else if (shape->dimensions != 3 * shape->points)
+            throw std::invalid_argument("ChunkDecoder.set_encoding: three coordinates a point");
+        encoding = std::move(made);
+    }
+
+    struct Encoding {
+        std::vector<double> costs, prices;
+        Analysis analysis;
+    };
+
     std::shared_ptr<Tables> tables;
     std::shared_ptr<Shape> shape;
+    std::shared_ptr<const Encoding> encoding;
     size_t components = 0;
 
 private:
+    static std::shared_ptr<const std::vector<double>> in_panels(const Input<double, 2> &basis) {
+        const size_t dimensions = basis.shape(0), parts = basis.shape(1), panels = (parts + PANEL - 1) / PANEL;
+        auto out = std::make_shared<std::vector<double>>(panels * dimensions * PANEL, 0.0);
+        for (size_t d = 0; d < dimensions; ++d)
+            for (size_t c = 0; c < parts; ++c)
+                (*out)[(c / PANEL * dimensions + d) * PANEL + c % PANEL] = basis.data()[d * parts + c];
+        return out;
+    }
+
+    // Joints become columns of the points.
+    void set_joints(const Input<int64_t, 1> &joints, const Input<int64_t, 2> &pairs, const Input<double, 3> &pair_frames,
+                    Analysis &out) const {
+        const Tree &tree = *shape->tree;
+        auto is_joint = [&](int64_t j) { return j >= 0 && j < int64_t(shape->points) && tree.parents[size_t(j)] >= 0; };
+        bool fits = joints.size() >= tree.bones && pairs.size() == 2 * tree.hubs && pair_frames.size() == 9 * tree.hubs;
+        for (size_t b = 0; fits && b < tree.bones; ++b) fits = is_joint(joints.data()[b]);
+        for (size_t i = 0; fits && i < 2 * tree.hubs; ++i) fits = is_joint(pairs.data()[i]);
+        if (!fits) throw std::invalid_argument("ChunkDecoder.set_encoding: a tree that does not fit");
+        for (size_t b = 0; b < tree.bones; ++b) out.joints.push_back(tree.column[size_t(joints.data()[b])]);
+        for (size_t i = 0; i < 2 * tree.hubs; ++i) out.pairs.push_back(tree.column[size_t(pairs.data()[i])]);
+        out.pair_frames = copied<double>(pair_frames);
+        out.parents.assign(shape->points, 0);
+        for (size_t j = 0; j < shape->points; ++j)
+            if (tree.parents[j] >= 0) out.parents[size_t(tree.column[j])] = tree.column[size_t(tree.parents[j])];
+    }
+
     void require_fits(Tree &tree, bool is_program) const {
         const int64_t bones = int64_t(tree.bones), hubs = int64_t(tree.hubs);
         const int64_t directions = bones + int64_t(tree.ends.size() / 3), points = int64_t(shape->points);
@@ -141,9 +208,12 @@ std::shared_ptr<const Cosines> cosines_of(size_t frames) {
 class ChunksOfLength {
 public:
     // expected (frames, rows): Model.expected with a step of 0. band_ends: the frequency behind each band.
-    ChunksOfLength(const ChunkDecoder &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step)
-        : shape_(of.shape), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
-          cosines_of_length_(cosines_of(expected.shape(0))), cosines_(*cosines_of_length_), band_ends_(std::move(band_ends)), heading_step_(heading_step) {
+    // heading_frequencies: of analysis.
+    ChunksOfLength(const ChunkDecoder &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step,
+                   size_t heading_frequencies)
+        : shape_(of.shape), encoding_(of.encoding), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
+          cosines_of_length_(cosines_of(expected.shape(0))), cosines_(*cosines_of_length_), band_ends_(std::move(band_ends)),
+          heading_step_(heading_step), heading_frequencies_(heading_frequencies) {
         if (expected.shape(1) != of.components + POSE || !expected.shape(0) || band_ends_.size() != shape_->bases.size() ||
             band_ends_.back() != expected.shape(0))
             throw std::invalid_argument("ChunksOfLength: shapes differ");
@@ -171,50 +241,111 @@ public:
         return true;
     }
 
+    // Model.analyse: coefficients (frames, rows) of positions (frames, points, 3), y up.
+    Output<double> analyse(Input<double, 3> of) const {
+        if (!encoding_ || of.shape(0) != cosines_.frames || of.shape(1) != shape_->points || of.shape(2) != 3)
+            throw std::invalid_argument("ChunksOfLength.analyse: shapes differ");
+        Fresh<double> out(cosines_.frames * expectations_.rows);
+        {
+            nb::gil_scoped_release release;
+            const Analyser analyser(*shape_, encoding_->analysis, cosines_, band_ends_.data(), heading_step_,
+                                    heading_frequencies_);
+#ifdef HAS_AVX2_TWIN
+            static const bool has_avx2 = processor_has_avx2();
+            if (has_avx2) analyse_with_avx2(analyser, of.data(), expectations_.rows, out.data.get());
+            else
+#endif
+                ::analyse(analyser, of.data(), expectations_.rows, out.data.get());
+        }
+        return out.give({cosines_.frames, expectations_.rows});
+    }
+
     // A chunk in one step: codecs/tempo/trial.py. spectrum (frames, rows); wanted (frames, points, 3); apart (frames,
-    // points), or empty; size: the step in metres; bound: 0 for none; correction_step: metres; keeps: whether the decoded
-    // positions are returned. None for errors too large to correct, or values (frequencies, rows), threshold, bits, sum of
-    // distances, sum of squared distances, corrections as starts, lengths and vectors, decoded positions.
-    nb::object trial(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step, double size,
-                     double slope, size_t free, Input<double, 1> prices, double bound, double correction_step,
-                     bool keeps) const {
-        const size_t frames = cosines_.frames, rows = expectations_.rows, points = shape_->points;
-        if (spectrum.shape(0) != frames || spectrum.shape(1) != rows || wanted.shape(0) != frames ||
-            wanted.shape(1) != points || wanted.shape(2) != 3 || (apart.size() && apart.size() != frames * points) ||
-            prices.size() < 3 * CLASSES * SYMBOLS)
-            throw std::invalid_argument("ChunksOfLength.trial: shapes differ");
+    // points), or empty; size: the step in metres; free: the first row whose integers are chosen by rate and distortion;
+    // keeps: whether the decoded positions are returned. Values (frequencies, rows), threshold, bits, sum of distances,
+    // sum of squared distances, decoded positions.
+    nb::object of_step(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
+                       double size, double slope, size_t free, bool keeps) const {
+        require_fits(spectrum, wanted, apart);
+        const size_t frames = cosines_.frames, points = shape_->points;
         Fresh<double> decoded(3 * frames * points);
         Quantised found;
         Sums sums;
-        Found corrections;
-        bool fits = true;
         {
             nb::gil_scoped_release release;
-            const Quantisation asked{step, heading_step_, size, slope, INWARD, prices.data(), free};
-            Quantiser(expectations_).run(spectrum.data(), asked, found);
-            positions(found.integers, {decoded.data.get(), 0, frames, {0, 1, 2}});
-            const double *weights = shape_->weights.empty() ? nullptr : shape_->weights.data();
-            const Samples samples{wanted.data(), decoded.data.get(), apart.size() ? apart.data() : nullptr, weights, frames,
-                                  points};
-            if (bound > 0) fits = find_corrections(samples, bound, correction_step, corrections);
-            else sums = sums_of(samples);
+            quantise(spectrum.data(), step, size, slope, free, decoded.data.get(), found);
+            sums = sums_of(samples(wanted, apart, decoded.data.get()));
         }
-        if (!fits) return nb::none();
-        Fresh<int64_t> values(found.frequencies * rows);
-        std::fill_n(values.data.get(), found.frequencies * rows, 0);
-        for (const Coefficient &c : found.integers.coefficients) values.data[c.frequency * rows + c.row] = c.value;
-        const size_t n = corrections.start.size();
-        return nb::make_tuple(values.give({found.frequencies, rows}), found.threshold, found.bits, sums.distance,
-                              sums.squared, given(corrections.start, {n}), given(corrections.length, {n}),
-                              given(corrections.by, {n, 3}),
+        return nb::make_tuple(values_of(found), found.threshold, found.bits, sums.distance, sums.squared,
                               keeps ? nb::cast(decoded.give({frames, points, 3})) : nb::none());
     }
 
+    // The same with corrections, in steps of `correction_step` metres, that bring all samples within the bound (metres).
+    // None for errors too large to correct, or values, threshold, bits with those of the corrections, and the corrections'
+    // numbers (FIELDS, n).
+    nb::object within_bound(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
+                            double size, double slope, size_t free, double bound, double correction_step) const {
+        require_fits(spectrum, wanted, apart);
+        static thread_local std::vector<double> decoded;
+        Quantised found;
+        Found corrections;
+        std::vector<int64_t> lists;
+        bool fits = true;
+        {
+            nb::gil_scoped_release release;
+            decoded.resize(wanted.size());
+            quantise(spectrum.data(), step, size, slope, free, decoded.data(), found);
+            fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
+            lists = numbers_of(corrections);
+            found.bits += list_coding(encoding_->costs.data(), lists.data(), lists.size() / FIELDS).bits;
+        }
+        if (!fits) return nb::none();
+        Fresh<int64_t> listed(lists.size());
+        std::copy(lists.begin(), lists.end(), listed.data.get());
+        return nb::make_tuple(values_of(found), found.threshold, found.bits, listed.give({FIELDS, lists.size() / FIELDS}));
+    }
+
+    // coefficients.pack of one chunk: values (frequencies, rows), lists (FIELDS, n).
+    nb::bytes pack(Input<int64_t, 2> values, int64_t step, int64_t threshold, Input<int64_t, 2> lists) const {
+        if (!encoding_ || values.shape(1) != expectations_.rows || (lists.size() && lists.shape(0) != FIELDS))
+            throw std::invalid_argument("ChunksOfLength.pack: shapes differ");
+        std::vector<uint8_t> out;
+        {
+            nb::gil_scoped_release release;
+            const Numbers numbers{step, threshold, values.data(), values.shape(0), lists.data(), lists.size() / FIELDS};
+            out = Packer(expectations_, encoding_->costs.data()).run(numbers);
+        }
+        return nb::bytes(reinterpret_cast<const char *>(out.data()), out.size());
+    }
+
 private:
-    static Output<int64_t> given(const std::vector<int64_t> &numbers, std::initializer_list<size_t> shape) {
-        Fresh<int64_t> out(numbers.size());
-        std::copy(numbers.begin(), numbers.end(), out.data.get());
-        return out.give(shape);
+    void require_fits(const Input<double, 2> &spectrum, const Input<double, 3> &wanted, const Input<uint8_t, 2> &apart) const {
+        const size_t frames = cosines_.frames, points = shape_->points;
+        if (!encoding_ || spectrum.shape(0) != frames || spectrum.shape(1) != expectations_.rows ||
+            wanted.shape(0) != frames || wanted.shape(1) != points || wanted.shape(2) != 3 ||
+            (apart.size() && apart.size() != frames * points))
+            throw std::invalid_argument("ChunksOfLength: shapes differ");
+    }
+
+    // Integers of coefficients, and the positions that they decode to.
+    void quantise(const double *spectrum, int64_t step, double size, double slope, size_t free, double *decoded,
+                  Quantised &found) const {
+        const Quantisation asked{step, heading_step_, size, slope, INWARD, encoding_->prices.data(), free};
+        Quantiser(expectations_).run(spectrum, asked, found);
+        positions(found.integers, {decoded, 0, cosines_.frames, {0, 1, 2}});
+    }
+
+    Samples samples(const Input<double, 3> &wanted, const Input<uint8_t, 2> &apart, const double *decoded) const {
+        const double *weights = shape_->weights.empty() ? nullptr : shape_->weights.data();
+        return {wanted.data(), decoded, apart.size() ? apart.data() : nullptr, weights, cosines_.frames, shape_->points};
+    }
+
+    Output<int64_t> values_of(const Quantised &found) const {
+        const size_t rows = expectations_.rows;
+        Fresh<int64_t> values(found.frequencies * rows);
+        std::fill_n(values.data.get(), found.frequencies * rows, 0);
+        for (const Coefficient &c : found.integers.coefficients) values.data[c.frequency * rows + c.row] = c.value;
+        return values.give({found.frequencies, rows});
     }
 
     void positions(const Integers &integers, const Target &to) const {
@@ -229,11 +360,13 @@ private:
     }
 
     std::shared_ptr<const Shape> shape_;
+    std::shared_ptr<const ChunkDecoder::Encoding> encoding_;
     const Expectations expectations_;
     const std::shared_ptr<const Cosines> cosines_of_length_;
     const Cosines &cosines_;
     const std::vector<size_t> band_ends_;
     const double heading_step_;
+    const size_t heading_frequencies_;
 };
 
 }  // namespace
@@ -242,9 +375,13 @@ void bind_chunk_decoder(nb::module_ &m) {
     nb::class_<ChunkDecoder>(m, "ChunkDecoder")
         .def(nb::init<Input<int64_t, 2>, Input<int64_t, 1>, Input<int64_t, 1>, int64_t, Input<int64_t, 1>,
                       std::vector<Input<double, 2>>, Input<double, 2>, Input<double, 1>>())
-        .def("set_tree", &ChunkDecoder::set_tree);
+        .def("set_tree", &ChunkDecoder::set_tree)
+        .def("set_encoding", &ChunkDecoder::set_encoding);
     nb::class_<ChunksOfLength>(m, "ChunksOfLength")
-        .def(nb::init<const ChunkDecoder &, Input<int64_t, 2>, std::vector<size_t>, double>())
+        .def(nb::init<const ChunkDecoder &, Input<int64_t, 2>, std::vector<size_t>, double, size_t>())
         .def("decode", &ChunksOfLength::decode, nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg(), nb::arg())
-        .def("trial", &ChunksOfLength::trial);
+        .def("analyse", &ChunksOfLength::analyse)
+        .def("of_step", &ChunksOfLength::of_step)
+        .def("within_bound", &ChunksOfLength::within_bound)
+        .def("pack", &ChunksOfLength::pack);
 }

@@ -57,6 +57,20 @@ struct Found {
     }
 };
 
+// corrections.numbers: (5, n), by x, y, z, samples since the one before, frames less one.
+inline std::vector<int64_t> numbers_of(const Found &of) {
+    const size_t n = of.start.size();
+    std::vector<int64_t> out(5 * n);
+    int64_t end = 0;
+    for (size_t i = 0; i < n; ++i) {
+        for (size_t k = 0; k < 3; ++k) out[k * n + i] = of.by[3 * i + k];
+        out[3 * n + i] = of.start[i] - end;
+        out[4 * n + i] = of.length[i] - 1;
+        end = of.start[i] + of.length[i];
+    }
+    return out;
+}
+
 constexpr double LARGEST_ERROR_STEPS = 1125899906842624.0;  // coding/direct.py, LARGEST
 
 // False for errors too large to count in steps.
@@ -66,6 +80,11 @@ inline bool find_corrections(const Samples &of, double bound, double step, Found
     bool fits = true;
     for (size_t at = 0; at < of.frames * of.points; ++at) {
         double e[3];
+        if (!of.weights) {  // most samples are within the bound
+            const double *a = of.wanted + 3 * at, *b = of.decoded + 3 * at;
+            const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+            if (!(x * x + y * y + z * z > limit)) continue;
+        }
         of.error(at, e);
         if (!(e[0] * e[0] + e[1] * e[1] + e[2] * e[2] > limit) || of.skips(at)) continue;
         for (double each : e) fits = fits && std::fabs(each) < LARGEST_ERROR_STEPS * step;

@@ -32,7 +32,7 @@ public:
     void run(const double *spectrum, const Quantisation &in, Quantised &out) {
         out.integers.step = in.step;
         find_choices(spectrum, in);
-        const auto base = of_.contexts_of(in.step);
+        const auto base = of_.contexts_of(in.step, frequencies_);
         const int64_t top = highest_at(0, in.step);
         out.threshold = top + 1;
         if (!choices_.empty()) {
@@ -67,6 +67,8 @@ private:
         choices_.clear();
         for (size_t f = 0; f < of_.frames; ++f)
             for (size_t r = 0; r < rows_; ++r) {
+                // most are far smaller than a step: divisions are slow
+                if (!(std::fabs(spectrum[f * rows_ + r]) > 0.4999 * (r ? in.size : in.heading_size))) continue;
                 const double scaled = spectrum[f * rows_ + r] / (r ? in.size : in.heading_size), size = std::fabs(scaled);
                 if (!(size > 0.5)) continue;
                 Choice c{};
@@ -81,14 +83,13 @@ private:
         frequencies_ = choices_.empty() ? 0 : choices_.back().at / rows_ + 1;
     }
 
-    static int64_t floor_of(int64_t log) { return log >> 4; }
-    static_assert(THRESHOLD_UNIT == 16, "floor_of divides by the unit");
+    static_assert(THRESHOLD_UNIT == 16, "logarithms are shifted by 4");
 
     // The highest threshold whose coded zone includes the first frequencies of some row.
     int64_t highest_at(size_t frequency, int64_t step) const {
         int64_t top = INT64_MIN;
         for (size_t r = 0; r < rows_; ++r)
-            top = std::max(top, floor_of(of_.highest_[r * of_.frames + frequency] - (r ? step : 0)));
+            top = std::max(top, (of_.highest_by_frequency_[frequency * rows_ + r] - (r ? step : 0)) >> 4);
         return top;
     }
 
@@ -137,9 +138,9 @@ private:
     void threshold(const Quantisation &in, int64_t top, Quantised &out) {
         const size_t count = frequencies_ * rows_;
         heights_.resize(count);
-        for (size_t r = 0; r < rows_; ++r)
-            for (size_t f = 0; f < frequencies_; ++f)
-                heights_[f * rows_ + r] = int32_t(floor_of(of_.highest_[r * of_.frames + f] - (r ? in.step : 0)));
+        const int32_t *highest_from = of_.highest_by_frequency_.data(), step = int32_t(in.step);
+        for (size_t at = 0; at < count; ++at) heights_[at] = (highest_from[at] - step) >> 4;
+        for (size_t at = 0; at < count; at += rows_) heights_[at] = highest_from[at] >> 4;  // the heading's own step
         int64_t highest = top;
         for (const Choice &c : choices_)
             if (!c.free && c.chosen() > 0) highest = std::min<int64_t>(highest, heights_[c.at]);

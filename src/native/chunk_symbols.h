@@ -22,7 +22,7 @@ constexpr int LANE_CODE = 7, HAS_LISTS = 8, THRESHOLD_SHIFT = 4;
 constexpr size_t LANES[] = {1, 2, 4, 8, 12, 16, 24, 32}, MOST_LANES = 32;
 constexpr size_t FIELDS = 5, SIGNED_FIELDS = 3;
 constexpr int64_t GROUPS[][2] = {{0, 1}, {16, 2}, {64, 4}, {128, 8}};  // first frequency, size: contexts.GROUPS
-constexpr size_t STEPS_KEPT = 8;  // steps whose contexts are kept
+constexpr size_t STEPS_KEPT = 32;  // steps whose contexts are kept
 
 // Big-endian bits behind one another; zeros follow the last.
 class Bits {
@@ -81,13 +81,14 @@ public:
     // expected (frames, rows): Model.expected with a step of 0.
     Expectations(std::shared_ptr<const Tables> tables, const int64_t *expected, size_t frames, size_t rows, size_t points)
         : frames(frames), rows(rows), points(points), tables_(std::move(tables)), expected_(frames * rows),
-          highest_(frames * rows), starts_() {
+          highest_(frames * rows), highest_by_frequency_(frames * rows), starts_() {
         for (size_t i = 0; i < frames * rows; ++i)
             expected_[i] = int32_t(std::clamp<int64_t>(expected[i], -1000000, 1000000));
         for (size_t f = frames; f-- > 0;)
             for (size_t r = 0; r < rows; ++r) {
                 const int32_t after = f + 1 < frames ? highest_[r * frames + f + 1] : INT32_MIN;
                 highest_[r * frames + f] = std::max(expected_[f * rows + r], after);
+                highest_by_frequency_[f * rows + r] = highest_[r * frames + f];
             }
         for (size_t i = 0; i < 4; ++i) {
             const int64_t end = i < 3 ? std::min<int64_t>(GROUPS[i + 1][0], int64_t(frames)) : int64_t(frames);
@@ -119,7 +120,7 @@ public:
         lanes.count = (size - at) / 2;
         std::vector<uint8_t> listed(size_t(n) * FIELDS);
         std::vector<uint8_t> symbols;
-        coefficients(reach, frequencies, *contexts_of(out.step), lanes, out.coefficients, symbols);
+        coefficients(reach, frequencies, *contexts_of(out.step, frequencies), lanes, out.coefficients, symbols);
         lists(size_t(n), classes, lanes, listed);
         return raw_bits(data + at, size - at, frequencies, lanes, symbols, listed, out);
     }
@@ -128,6 +129,7 @@ public:
 
 private:
     friend class Quantiser;
+    friend class Packer;
 
     using Base = std::vector<int16_t>;
 
@@ -196,20 +198,22 @@ private:
         return tables_->numerator_logs[std::min<size_t>(size_t(sum), tables_->numerator_logs.size() - 1)];
     }
 
-    // contexts.base of all frequencies; what lies far beyond the classes is clipped.
-    std::shared_ptr<const Base> contexts_of(int64_t step) const {
+    // contexts.base of at least the lowest `wanted` frequencies; what lies far beyond the classes is clipped.
+    std::shared_ptr<const Base> contexts_of(int64_t step, size_t wanted) const {
         {
             const std::lock_guard<std::mutex> guard(lock_);
-            if (auto found = bases_.find(step); found != bases_.end()) return found->second;
+            if (auto found = bases_.find(step); found != bases_.end() && found->second->size() >= wanted * rows)
+                return found->second;
         }
-        auto base = std::make_shared<Base>(frames * rows);
-        Field field(frames, rows);
+        const size_t known = std::min(frames, (wanted + 31) / 32 * 32);
+        auto base = std::make_shared<Base>(known * rows);
+        Field field(known, rows);
         std::vector<int16_t> logs(rows);
-        for (size_t g = 0; g + 1 < starts_.size(); ++g) {
+        for (size_t g = 0; g + 1 < starts_.size() && starts_[g] < known; ++g) {
             const int32_t *below[DEPTH + 1];
             field.below(starts_[g], below);
             neighbourhood(below, rows, [&](size_t r, int32_t sum) { logs[r] = log_of(sum / 16); });
-            for (size_t f = starts_[g]; f < starts_[g + 1]; ++f) {
+            for (size_t f = starts_[g]; f < std::min(starts_[g + 1], known); ++f) {
                 int32_t *magnitudes = field.row(f);
                 for (size_t r = 0; r < rows; ++r) {
                     const int64_t log = expected_[f * rows + r] - (r ? step : 0);
@@ -332,7 +336,8 @@ private:
     }
 
     std::shared_ptr<const Tables> tables_;
-    std::vector<int32_t> expected_, highest_;  // (frames, rows), and (rows, frames): the highest from a frequency on
+    std::vector<int32_t> expected_, highest_;    // (frames, rows), and (rows, frames): the highest from a frequency on
+    std::vector<int32_t> highest_by_frequency_;  // the same, (frames, rows)
     std::vector<size_t> starts_;               // of the groups, and the number of frames
     mutable std::mutex lock_;
     mutable std::map<int64_t, std::shared_ptr<const Base>> bases_;

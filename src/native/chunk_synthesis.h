@@ -99,6 +99,11 @@ inline bool corrections_of(const std::vector<int64_t> &lists, size_t frames, siz
 
 struct Scratch {
     std::vector<double> panels, curves, row, frames, directions, pose;  // the last three: four doubles each
+
+    static NEVER_INLINE Scratch &of_thread() {  // its address is looked up once
+        static thread_local Scratch scratch;
+        return scratch;
+    }
 };
 
 class Synthesis {
@@ -107,11 +112,29 @@ public:
         : of_(shape), cosines_(cosines), band_ends_(band_ends), step_m_(step_m), heading_step_(heading_step) {}
 
     ALWAYS_INLINE void run(const Integers &integers, const Target &out) const {
-        static thread_local Scratch scratch;
+        Scratch &scratch = Scratch::of_thread();
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
         spectrum(integers, known, scratch);
         curves(known, scratch, out);
         poses(scratch, out);
+    }
+
+    // sums[i][…] = Σ cosines[f][i] · panel[f][…]
+    ALWAYS_INLINE static void tile(const double *cosines, const double *panel, size_t count, Four (&sums)[TILE][2]) {
+        const Four zero = Four{} * 0.0;
+        Four a0 = zero, a1 = zero, b0 = zero, b1 = zero, c0 = zero, c1 = zero, d0 = zero, d1 = zero;
+        for (size_t f = 0; f < count; ++f) {
+            Four left, right;
+            load(left, panel + f * PANEL);
+            load(right, panel + f * PANEL + 4);
+            const double *c = cosines + f * TILE;
+            a0 += left * c[0], a1 += right * c[0];
+            b0 += left * c[1], b1 += right * c[1];
+            c0 += left * c[2], c1 += right * c[2];
+            d0 += left * c[3], d1 += right * c[3];
+        }
+        sums[0][0] = a0, sums[0][1] = a1, sums[1][0] = b0, sums[1][1] = b1;
+        sums[2][0] = c0, sums[2][1] = c1, sums[3][0] = d0, sums[3][1] = d1;
     }
 
 private:
@@ -193,24 +216,6 @@ private:
         for (size_t i = 0; i < 3; ++i)  // so that the last frames are four, too
             std::memcpy(scratch.curves.data() + (frames + i) * columns, scratch.curves.data() + (frames - 1) * columns,
                         columns * sizeof(double));
-    }
-
-    // sums[i][…] = Σ cosines[f][i] · panel[f][…]
-    ALWAYS_INLINE static void tile(const double *cosines, const double *panel, size_t count, Four (&sums)[TILE][2]) {
-        const Four zero = Four{} * 0.0;
-        Four a0 = zero, a1 = zero, b0 = zero, b1 = zero, c0 = zero, c1 = zero, d0 = zero, d1 = zero;
-        for (size_t f = 0; f < count; ++f) {
-            Four left, right;
-            load(left, panel + f * PANEL);
-            load(right, panel + f * PANEL + 4);
-            const double *c = cosines + f * TILE;
-            a0 += left * c[0], a1 += right * c[0];
-            b0 += left * c[1], b1 += right * c[1];
-            c0 += left * c[2], c1 += right * c[2];
-            d0 += left * c[3], d1 += right * c[3];
-        }
-        sums[0][0] = a0, sums[0][1] = a1, sums[1][0] = b0, sums[1][1] = b1;
-        sums[2][0] = c0, sums[2][1] = c1, sums[3][0] = d0, sums[3][1] = d1;
     }
 
     ALWAYS_INLINE void poses(Scratch &scratch, const Target &out) const {

@@ -1,24 +1,19 @@
-// Iterative closest points of several rigid parts among clustered data points, for geometry/icp.py; nearest links and
-// neighbourhoods of points, for geometry/articulated_icp.py and geometry/normals.py.
+// Iterative closest points of rigid parts among clustered data points, for geometry/icp.py and geometry/articulated_icp.py;
+// neighbourhoods of points, for geometry/normals.py.
 //
 //     model points ──nearest of the allowed clusters──► data points ──rigid──► model points, again
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdint>
-#include <limits>
-#include <numeric>
 #include <stdexcept>
 #include <vector>
 
-#include "algebra3.h"
-#include "arrays.h"
+#include "clustered_points.h"
 
 namespace {
 
-constexpr size_t LEAF = 8;  // points of a leaf, at most
-constexpr double ROUNDING = 1e-12;
+constexpr size_t CANDIDATES = 5;  // points among which the nearest is looked for while a part moves little
 constexpr int SWEEPS = 30;  // of Jacobi rotations, at most; five are usual
 
 // out = the rotation that turns p closest to q, from Σ p qᵀ: the largest eigenvector of Horn's 4 × 4 matrix (1987).
@@ -91,28 +86,10 @@ void smallest_eigenvector(const double *covariance, double *out) {
     for (int d = 0; d < 3; ++d) out[d] = adjugate[3 * d + column] / length;
 }
 
-// Data points in a k-d tree. Each node knows the clusters of its points, so that a query skips what it does not allow.
+// icp.ClusteredTree: data points for queries that are each matched within some clusters.
 class ClusteredPoints {
 public:
-    // points (n, 3), metres; clusters (n), below 64.
-    ClusteredPoints(Input<double, 2> points, Input<uint8_t, 1> clusters) {
-        const size_t n = points.shape(0);
-        if (points.shape(1) != 3 || clusters.shape(0) != n || !n) throw std::invalid_argument("ClusteredPoints: shapes differ");
-        points_.resize(n);
-        order_.resize(n);
-        std::iota(order_.begin(), order_.end(), 0);
-        for (size_t i = 0; i < n; ++i) {
-            std::copy_n(points.data() + 3 * i, 3, points_[i].begin());
-            for (double value : points_[i])
-                if (!std::isfinite(value)) throw std::invalid_argument("ClusteredPoints: a coordinate is not finite");
-            if (clusters.data()[i] >= 64) throw std::invalid_argument("ClusteredPoints: a cluster beyond 63");
-        }
-        build(0, n, clusters.data());
-        for (size_t row : order_) {
-            sorted_.push_back(points_[row]);
-            masks_.push_back(uint64_t(1) << clusters.data()[row]);
-        }
-    }
+    ClusteredPoints(Input<double, 2> points, Input<uint8_t, 1> clusters) : tree_(points, clusters) {}
 
     // icp.icp_many: model points (n, 3) of parts of these sizes, one after another; allowed (n): the clusters that each is
     // matched within, as bits; pivots (parts, 3), NaN for a free part. Returns R (parts, 3, 3), t (parts, 3) and the errors
@@ -129,8 +106,9 @@ public:
         for (size_t p = 0, first = 0; p < parts; ++p) {
             const size_t size = size_t(sizes.data()[p]);
             std::vector<double> moved(points.data() + 3 * first, points.data() + 3 * (first + size));
-            const std::vector<double> found =
-                fit(moved, allowed.data() + first, pivots.data() + 3 * p, iterations, tolerance, &r.data[9 * p], &t.data[3 * p]);
+            const double *pivot = pivots.data() + 3 * p;
+            const std::vector<double> found = fit(moved, allowed.data() + first, std::isnan(pivot[0]) ? nullptr : pivot, iterations,
+                                                  tolerance, &r.data[9 * p], &t.data[3 * p]);
             nb::list own;
             for (double error : found) own.append(error);
             errors.append(own);
@@ -139,24 +117,60 @@ public:
         return nb::make_tuple(r.give({parts, 3, 3}), t.give({parts, 3}), errors);
     }
 
+    // articulated_icp.ArticpTracker._fit_links, of links (m) in an order in which parents come first. a (links, 3, 3) and
+    // b (links, 3) are moved in place. points (n, 3), allowed (n): of the model, link after link from starts (links + 1) on.
+    // origins (links, 3): joints in the canonical pose; is_free (links): whether they may move. subtrees (links, links).
+    void fit_links(InPlace<double, 3> a, InPlace<double, 2> b, Input<int64_t, 1> links, Input<double, 2> points,
+                   Input<int64_t, 1> starts, Input<uint64_t, 1> allowed, Input<double, 2> origins, Input<uint8_t, 1> is_free,
+                   Input<uint8_t, 2> subtrees, int iterations, double tolerance) const {
+        const size_t count = a.shape(0), n = points.shape(0);
+        if (a.shape(1) != 3 || a.shape(2) != 3 || b.shape(0) != count || b.shape(1) != 3 || points.shape(1) != 3 ||
+            starts.shape(0) != count + 1 || allowed.shape(0) != n || origins.shape(0) != count || origins.shape(1) != 3 ||
+            is_free.shape(0) != count || subtrees.shape(0) != count || subtrees.shape(1) != count || starts.data()[0] != 0 ||
+            size_t(starts.data()[count]) != n || !std::is_sorted(starts.data(), starts.data() + count + 1))
+            throw std::invalid_argument("ClusteredPoints.fit_links: shapes differ");
+        for (size_t i = 0; i < links.shape(0); ++i) {
+            const size_t link = size_t(links.data()[i]);
+            if (link >= count) throw std::invalid_argument("ClusteredPoints.fit_links: no such link");
+            const size_t first = size_t(starts.data()[link]), size = size_t(starts.data()[link + 1]) - first;
+            if (!size) continue;
+            std::vector<double> moved(3 * size);
+            for (size_t p = 0; p < size; ++p) posed(a, b, link, points.data() + 3 * (first + p), &moved[3 * p]);
+            double pivot[3], r[9], t[3], turned[9], shifted[3];
+            posed(a, b, link, origins.data() + 3 * link, pivot);
+            fit(moved, allowed.data() + first, is_free.data()[link] ? nullptr : pivot, iterations, tolerance, r, t);
+            for (size_t below = 0; below < count; ++below) {
+                if (!subtrees.data()[link * count + below]) continue;
+                multiply(r, a.data() + 9 * below, turned);
+                std::copy_n(turned, 9, a.data() + 9 * below);
+                transform(r, b.data() + 3 * below, shifted);
+                for (size_t d = 0; d < 3; ++d) b.data()[3 * below + d] = shifted[d] + t[d];
+            }
+        }
+    }
+
     // normals.estimate: unit normals (n, 3), the direction of least variance of the `neighbours` points nearest to each
     // place (n, 3).
     Output<double> normals(Input<double, 2> places, size_t neighbours) const {
         const size_t n = places.shape(0);
         if (places.shape(1) != 3 || neighbours < 1) throw std::invalid_argument("ClusteredPoints.normals: shapes differ");
-        neighbours = std::min(neighbours, sorted_.size());
+        neighbours = std::min(neighbours, tree_.count());
         Fresh<double> out(3 * n);
-        std::vector<std::pair<double, int32_t>> nearest;
-        for (size_t i = 0; i < n; ++i) {
+        PointTree::Nearest nearest;
+        const double *before = nullptr;
+        for (size_t i : in_order_of_space(places)) {
             const double *place = places.data() + 3 * i;
-            search_many(place, neighbours, nearest);
+            const double limit =
+                before ? PointTree::limit_from(nearest, std::sqrt(squared_distance(place, before))) : PointTree::INFINITE;
+            tree_.search(place, PointTree::ALL, neighbours, limit, nearest);
+            before = place;
             double mean[3] = {0, 0, 0};
-            for (const auto &[square, row] : nearest)
-                for (size_t d = 0; d < 3; ++d) mean[d] += (sorted_[size_t(row)][d] - place[d]) / double(neighbours);
+            for (const auto &[square, number] : nearest)
+                for (size_t d = 0; d < 3; ++d) mean[d] += (tree_.at(number)[d] - place[d]) / double(neighbours);
             double sums[9] = {};
-            for (const auto &[square, row] : nearest) {
+            for (const auto &[square, number] : nearest) {
                 double off[3];
-                for (size_t d = 0; d < 3; ++d) off[d] = sorted_[size_t(row)][d] - place[d] - mean[d];
+                for (size_t d = 0; d < 3; ++d) off[d] = tree_.at(number)[d] - place[d] - mean[d];
                 for (int j = 0; j < 3; ++j)
                     for (int k = 0; k < 3; ++k) sums[3 * j + k] += off[j] * off[k];
             }
@@ -166,159 +180,98 @@ public:
     }
 
 private:
-    struct Node {
-        std::array<double, 3> low, high;
-        uint64_t clusters = 0;
-        size_t first, last;
-        int32_t left = -1, right = -1;
+    static void posed(const InPlace<double, 3> &a, const InPlace<double, 2> &b, size_t link, const double *point, double *out) {
+        transform(a.data() + 9 * link, point, out);
+        for (size_t d = 0; d < 3; ++d) out[d] += b.data()[3 * link + d];
+    }
+
+    // Numbers of places so that most are near the one before: the order of the tree if they are its points.
+    std::vector<size_t> in_order_of_space(const Input<double, 2> &places) const {
+        const size_t n = places.shape(0);
+        std::vector<size_t> order(n);
+        bool same = n == tree_.count();
+        for (size_t i = 0; i < n && same; ++i) {
+            order[i] = tree_.row(i);
+            same = std::equal(tree_.at(int32_t(i)), tree_.at(int32_t(i)) + 3, places.data() + 3 * order[i]);
+        }
+        if (same) return order;
+        PointTree::Nearest nearest;
+        std::vector<int32_t> leaf(n);
+        for (size_t i = 0; i < n; ++i) {
+            tree_.search(places.data() + 3 * i, PointTree::ALL, 1, PointTree::INFINITE, nearest);
+            leaf[i] = nearest[0].second;
+        }
+        std::iota(order.begin(), order.end(), size_t(0));
+        std::sort(order.begin(), order.end(), [&](size_t i, size_t j) { return std::pair(leaf[i], i) < std::pair(leaf[j], j); });
+        return order;
+    }
+
+    // The points that a model point may be matched with: the nearest ones to the place from which they were searched.
+    struct Candidates {
+        std::array<double, 3> from;
+        double reach = -1;  // no other allowed point is nearer to `from`
+        std::array<int32_t, CANDIDATES> numbers;
+        size_t count = 0;
     };
 
-    int32_t build(size_t first, size_t last, const uint8_t *clusters) {
-        const int32_t own = int32_t(nodes_.size());
-        nodes_.emplace_back();
-        Node node;
-        node.first = first, node.last = last;
-        node.low = node.high = points_[order_[first]];
-        for (size_t i = first; i < last; ++i) {
-            const size_t row = order_[i];
-            node.clusters |= uint64_t(1) << clusters[row];
-            for (size_t d = 0; d < 3; ++d) {
-                node.low[d] = std::min(node.low[d], points_[row][d]);
-                node.high[d] = std::max(node.high[d], points_[row][d]);
-            }
+    // The allowed point nearest to a place, and its squared distance.
+    std::pair<int32_t, double> match(const double *place, uint64_t allowed, Candidates &own, PointTree::Nearest &nearest) const {
+        int32_t found = -1;
+        double best = PointTree::INFINITE;
+        for (size_t i = 0; i < own.count; ++i) {
+            const double square = squared_distance(place, tree_.at(own.numbers[i]));
+            if (square < best) best = square, found = own.numbers[i];
         }
-        if (last - first > LEAF) {
-            size_t axis = 0;
-            for (size_t d = 1; d < 3; ++d)
-                if (node.high[d] - node.low[d] > node.high[axis] - node.low[axis]) axis = d;
-            const size_t middle = (first + last) / 2;
-            std::nth_element(order_.begin() + long(first), order_.begin() + long(middle), order_.begin() + long(last),
-                             [&](size_t a, size_t b) { return points_[a][axis] < points_[b][axis]; });
-            node.left = build(first, middle, clusters);
-            node.right = build(middle, last, clusters);
-        }
-        nodes_[size_t(own)] = node;
-        return own;
+        // no other point can be nearer while the place has moved by less than the lead over points that are no candidates
+        if (found >= 0 && std::sqrt(best) + std::sqrt(squared_distance(place, own.from.data())) <
+                              (1 - PointTree::ROUNDING) * own.reach)
+            return {found, best};
+        tree_.search(place, allowed, CANDIDATES, PointTree::INFINITE, nearest);
+        std::copy_n(place, 3, own.from.begin());
+        own.reach = std::sqrt(nearest.back().first);
+        own.count = 0;
+        for (const auto &[square, number] : nearest)
+            if (number >= 0) own.numbers[own.count++] = number;
+        return {nearest[0].second, nearest[0].first};
     }
 
-    static double box_distance(const Node &node, const double *place) {
-        double sum = 0;
-        for (size_t d = 0; d < 3; ++d)
-            sum += squared(std::max(0.0, std::max(node.low[d] - place[d], place[d] - node.high[d])));
-        return sum;
-    }
-
-    // The nearest allowed point: its number in `sorted_`. `found` and `best` start with a guess and its squared distance.
-    // Returns the squared distance of the second nearest.
-    double search(const double *place, uint64_t allowed, int32_t &found, double &best) const {
-        const size_t guess = size_t(found);
-        double second = std::numeric_limits<double>::infinity();
-        struct Waiting {
-            int32_t node;
-            double distance;
-        };
-        Waiting stack[128];
-        int count = 0;
-        stack[count++] = {0, box_distance(nodes_[0], place)};
-        while (count) {
-            const Waiting next = stack[--count];
-            if (next.distance >= second) continue;
-            const Node &node = nodes_[size_t(next.node)];
-            if (node.left < 0) {
-                for (size_t i = node.first; i < node.last; ++i) {
-                    if (!(masks_[i] & allowed) || i == guess) continue;
-                    const double square = squared_distance(place, sorted_[i].data());
-                    if (square < best)
-                        second = best, best = square, found = int32_t(i);
-                    else
-                        second = std::min(second, square);
-                }
-                continue;
-            }
-            Waiting children[2] = {{node.left, 0}, {node.right, 0}};
-            for (Waiting &child : children) {
-                const Node &of = nodes_[size_t(child.node)];
-                child.distance = of.clusters & allowed ? box_distance(of, place) : std::numeric_limits<double>::infinity();
-            }
-            if (children[0].distance < children[1].distance) std::swap(children[0], children[1]);
-            for (const Waiting &child : children)
-                if (child.distance < second) stack[count++] = child;
-        }
-        return second;
-    }
-
-    // The squared distances and numbers in `sorted_` of the nearest points, nearest first.
-    void search_many(const double *place, size_t wanted, std::vector<std::pair<double, int32_t>> &nearest) const {
-        nearest.assign(wanted, {std::numeric_limits<double>::infinity(), 0});
-        std::pair<int32_t, double> stack[128];
-        int count = 0;
-        stack[count++] = {0, box_distance(nodes_[0], place)};
-        while (count) {
-            const auto [number, distance] = stack[--count];
-            if (distance >= nearest.back().first) continue;
-            const Node &node = nodes_[size_t(number)];
-            if (node.left < 0) {
-                for (size_t i = node.first; i < node.last; ++i) {
-                    const double square = squared_distance(place, sorted_[i].data());
-                    if (square >= nearest.back().first) continue;
-                    size_t at = wanted - 1;
-                    for (; at && nearest[at - 1].first > square; --at) nearest[at] = nearest[at - 1];
-                    nearest[at] = {square, int32_t(i)};
-                }
-                continue;
-            }
-            std::pair<int32_t, double> near{node.left, box_distance(nodes_[size_t(node.left)], place)};
-            std::pair<int32_t, double> far{node.right, box_distance(nodes_[size_t(node.right)], place)};
-            if (far.second < near.second) std::swap(near, far);
-            stack[count++] = far;
-            stack[count++] = near;
-        }
-    }
-
-    // ICP of one part; moves its points. Returns the mean squared error before each step.
+    // ICP of one part; moves its points. pivot: none for a free part. Returns the mean squared error before each step.
     std::vector<double> fit(std::vector<double> &moved, const uint64_t *allowed, const double *pivot, int iterations,
                             double tolerance, double *r, double *t) const {
         const size_t n = moved.size() / 3;
-        const bool is_free = std::isnan(pivot[0]);
-        std::vector<int32_t> nearest(n, -1);
-        std::vector<std::array<double, 3>> searched(n);  // where the nearest point was searched from
-        std::vector<double> second(n), errors;           // distance of the second nearest from there
-        double last = std::numeric_limits<double>::infinity();
+        std::vector<int32_t> matched(n);
+        std::vector<Candidates> candidates(n);
+        PointTree::Nearest nearest;
+        std::vector<double> errors;
+        double last = PointTree::INFINITE;
         const double identity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
         std::copy_n(identity, 9, r);
         std::fill_n(t, 3, 0.0);
         for (int iteration = 0; iteration < iterations; ++iteration) {
             double sum = 0;
             for (size_t i = 0; i < n; ++i) {
-                const double *place = &moved[3 * i];
-                double best = nearest[i] < 0 ? std::numeric_limits<double>::infinity()
-                                             : squared_distance(place, sorted_[size_t(nearest[i])].data());
-                // no other point can be nearer while the place has moved by less than the lead of the nearest
-                if (nearest[i] < 0 ||
-                    std::sqrt(best) + std::sqrt(squared_distance(place, searched[i].data())) >= (1 - ROUNDING) * second[i]) {
-                    second[i] = std::sqrt(search(place, allowed[i], nearest[i], best));
-                    std::copy_n(place, 3, searched[i].begin());
-                }
-                if (nearest[i] < 0) throw std::invalid_argument("ClusteredPoints.icp: a point has no data to match");
-                sum += best;
+                const auto [number, square] = match(&moved[3 * i], allowed[i], candidates[i], nearest);
+                if (number < 0) throw std::invalid_argument("ClusteredPoints.icp: a point has no data to match");
+                matched[i] = number;
+                sum += square;
             }
             errors.push_back(sum / double(n));
             const double root = std::sqrt(errors.back());
             if (!(last - root >= tolerance)) break;
             last = root;
-            step(moved, nearest, is_free ? nullptr : pivot, r, t);
+            step(moved, matched, pivot, r, t);
         }
         return errors;
     }
 
     // The rigid transform of the points onto those they are matched with, applied to them and to R and t.
-    void step(std::vector<double> &moved, const std::vector<int32_t> &nearest, const double *pivot, double *r, double *t) const {
-        const size_t n = nearest.size();
+    void step(std::vector<double> &moved, const std::vector<int32_t> &matched, const double *pivot, double *r, double *t) const {
+        const size_t n = matched.size();
         double centre_p[3] = {0, 0, 0}, centre_q[3] = {0, 0, 0}, covariance[9] = {};
         for (size_t i = 0; i < n && !pivot; ++i)
             for (size_t d = 0; d < 3; ++d) {
                 centre_p[d] += moved[3 * i + d];
-                centre_q[d] += sorted_[size_t(nearest[i])][d];
+                centre_q[d] += tree_.at(matched[i])[d];
             }
         for (size_t d = 0; d < 3; ++d) {
             centre_p[d] = pivot ? pivot[d] : centre_p[d] / double(n);
@@ -327,7 +280,7 @@ private:
         for (size_t i = 0; i < n; ++i)
             for (size_t j = 0; j < 3; ++j)
                 for (size_t k = 0; k < 3; ++k)
-                    covariance[3 * j + k] += (moved[3 * i + j] - centre_p[j]) * (sorted_[size_t(nearest[i])][k] - centre_q[k]);
+                    covariance[3 * j + k] += (moved[3 * i + j] - centre_p[j]) * (tree_.at(matched[i])[k] - centre_q[k]);
         for (double &value : covariance) value /= double(n);
         double turn[9], turned[9], shift[3], move[3];
         closest_rotation(covariance, turn);
@@ -343,44 +296,8 @@ private:
         for (int d = 0; d < 3; ++d) t[d] = shift[d] + move[d];
     }
 
-    std::vector<std::array<double, 3>> points_, sorted_;
-    std::vector<uint64_t> masks_;
-    std::vector<size_t> order_;
-    std::vector<Node> nodes_;
+    const PointTree tree_;
 };
-
-// articulated_icp.segment: the link of greatest closeness to each point. points (n, 3); normals (n, 3), or (0, 3); joints
-// and axes (links, 3), lengths and radii (links), of the posed cylinders.
-Output<int64_t> closest_links(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints,
-                              Input<double, 2> axes, Input<double, 1> lengths, Input<double, 1> radii) {
-    const size_t n = points.shape(0), links = joints.shape(0);
-    const bool has_normals = normals.shape(0) > 0;
-    if (points.shape(1) != 3 || joints.shape(1) != 3 || axes.shape(1) != 3 || axes.shape(0) != links || !links ||
-        lengths.shape(0) != links || radii.shape(0) != links || normals.shape(1) != 3 || (has_normals && normals.shape(0) != n))
-        throw std::invalid_argument("closest_links: shapes differ");
-    Fresh<int64_t> out(n);
-    for (size_t i = 0; i < n; ++i) {
-        const double *point = points.data() + 3 * i;
-        double best = -1, best_facing = 0;  // regardless of the normal, and of links that it faces away from
-        int64_t nearest = 0, facing = 0;
-        for (size_t link = 0; link < links; ++link) {
-            const double *axis = axes.data() + 3 * link, *joint = joints.data() + 3 * link;
-            const double radius = radii.data()[link];
-            double offset[3];
-            for (int d = 0; d < 3; ++d) offset[d] = point[d] - joint[d];
-            const double along = dot(axis, offset), foot = std::clamp(along, 0.0, lengths.data()[link]), beyond = along - foot;
-            const double radial = std::sqrt(std::max(dot(offset, offset) - along * along, 0.0));
-            const double over = std::max(radial - radius, 0.0), distance = std::sqrt(over * over + beyond * beyond);
-            const double close = distance <= 0 ? 1 + std::max(1 - radial / radius, 0.0) : std::exp(-distance / radius);
-            if (close > best) best = close, nearest = int64_t(link);
-            if (!has_normals || close <= best_facing) continue;
-            const double *normal = normals.data() + 3 * i;
-            if (dot(offset, normal) - foot * dot(axis, normal) > 0) best_facing = close, facing = int64_t(link);
-        }
-        out.data[i] = best_facing > 0 ? facing : nearest;
-    }
-    return out.give({n});
-}
 
 }  // namespace
 
@@ -388,6 +305,7 @@ void bind_clustered_icp(nb::module_ &m) {
     nb::class_<ClusteredPoints>(m, "ClusteredPoints")
         .def(nb::init<Input<double, 2>, Input<uint8_t, 1>>())
         .def("icp", &ClusteredPoints::icp)
+        .def("fit_links", &ClusteredPoints::fit_links, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(), nb::arg(),
+             nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg())
         .def("normals", &ClusteredPoints::normals);
-    m.def("closest_links", &closest_links);
 }

@@ -1,64 +1,272 @@
-// Natural cubic splines, for stages/spline.py.
+// Natural cubic splines through key frames, for stages/spline.py. Floats by the same operations in the same order as there.
+
+#include <nanobind/stl/optional.h>
 
 #include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <optional>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "arrays.h"
 
 namespace {
 
-// spline.interpolate: through values (keys, k) at ascending key frames, at frames in any order, (at, k). The same
-// operations in the same order as there: LAPACK's ptsv for the curvature, then the cubic of each interval.
-Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> values, Input<int64_t, 1> at) {
-    const size_t keys = keyframes.shape(0), k = values.shape(1), count = at.shape(0);
-    if (keys < 2 || values.shape(0) != keys) throw std::invalid_argument("spline_interpolate: shapes differ");
-    const int64_t *key = keyframes.data();
-    const double *value = values.data();
-    std::vector<double> width(keys - 1), curvature(keys * k, 0.0);
-    for (size_t i = 0; i + 1 < keys; ++i) {
-        if (key[i + 1] <= key[i]) throw std::invalid_argument("spline_interpolate: key frames that do not ascend");
-        width[i] = double(key[i + 1] - key[i]);
+using Frames = std::vector<int64_t>;
+
+// The natural cubic spline through values (keys, k) at ascending key frames.
+class Spline {
+public:
+    // value(i): the k values of key i.
+    template <class Value>
+    Spline(const int64_t *keys, size_t count, size_t k, Value value) : key_(keys), count_(count), k_(k), values_(count * k) {
+        for (size_t i = 0; i < count; ++i) std::copy_n(value(i), k, &values_[i * k]);
+        if (count < 2) return;
+        width_.resize(count - 1), curvature_.assign(count * k, 0.0);
+        for (size_t i = 0; i + 1 < count; ++i) width_[i] = double(key_[i + 1] - key_[i]);
+        if (count > 2 && k) bend();
     }
-    if (keys > 2 && k) {
-        const size_t inner = keys - 2;
+
+    void at(int64_t t, double *out) {
+        if (count_ < 2) {
+            std::copy_n(values_.data(), k_, out);
+            return;
+        }
+        if (t < key_[left_] || t >= key_[left_ + 1])  // frames mostly ascend
+            left_ = std::clamp<size_t>(size_t(std::upper_bound(key_, key_ + count_, t) - key_), 1, count_ - 1) - 1;
+        const double b = double(t - key_[left_]) / width_[left_], a = 1.0 - b, bend = width_[left_] * width_[left_] / 6;
+        const double of_left = (a * a * a - a) * bend, of_right = (b * b * b - b) * bend;
+        const double *v = &values_[left_ * k_], *c = &curvature_[left_ * k_];
+        for (size_t i = 0; i < k_; ++i) out[i] = a * v[i] + b * v[k_ + i] + of_left * c[i] + of_right * c[k_ + i];
+    }
+
+private:
+    // spline._curvature: LAPACK's ptsv.
+    void bend() {
+        const size_t inner = count_ - 2, k = k_;
         std::vector<double> diagonal(inner), beside(inner);
         for (size_t i = 0; i < inner; ++i) {
-            diagonal[i] = (width[i] + width[i + 1]) / 3;
-            beside[i] = width[i + 1] / 6;
+            diagonal[i] = (width_[i] + width_[i + 1]) / 3;
+            beside[i] = width_[i + 1] / 6;
         }
         for (size_t i = 0; i + 1 < inner; ++i) {  // pttrf: L D Lᵀ
             const double e = beside[i];
             beside[i] = e / diagonal[i];
             diagonal[i + 1] -= beside[i] * e;
         }
-        double *right = curvature.data() + k;
+        double *right = curvature_.data() + k;
+        const double *value = values_.data();
         for (size_t i = 0; i < inner; ++i)
             for (size_t c = 0; c < k; ++c)
-                right[i * k + c] = (value[(i + 2) * k + c] - value[(i + 1) * k + c]) / width[i + 1] -
-                                   (value[(i + 1) * k + c] - value[i * k + c]) / width[i];
+                right[i * k + c] = (value[(i + 2) * k + c] - value[(i + 1) * k + c]) / width_[i + 1] -
+                                   (value[(i + 1) * k + c] - value[i * k + c]) / width_[i];
         for (size_t i = 1; i < inner; ++i)  // pttrs: forwards, then back
             for (size_t c = 0; c < k; ++c) right[i * k + c] -= right[(i - 1) * k + c] * beside[i - 1];
         for (size_t c = 0; c < k; ++c) right[(inner - 1) * k + c] /= diagonal[inner - 1];
         for (size_t i = inner - 1; i-- > 0;)
-            for (size_t c = 0; c < k; ++c)
-                right[i * k + c] = right[i * k + c] / diagonal[i] - right[(i + 1) * k + c] * beside[i];
+            for (size_t c = 0; c < k; ++c) right[i * k + c] = right[i * k + c] / diagonal[i] - right[(i + 1) * k + c] * beside[i];
     }
+
+    const int64_t *key_;
+    size_t count_, k_, left_ = 0;
+    std::vector<double> values_, width_, curvature_;
+};
+
+void require_ascending(const int64_t *keys, size_t count) {
+    for (size_t i = 0; i + 1 < count; ++i)
+        if (keys[i + 1] <= keys[i]) throw std::invalid_argument("splines: key frames that do not ascend");
+}
+
+// spline.interpolate: through values (keys, k) at ascending key frames, at frames in any order, (at, k).
+Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> values, Input<int64_t, 1> at) {
+    const size_t keys = keyframes.shape(0), k = values.shape(1), count = at.shape(0);
+    if (keys < 2 || values.shape(0) != keys) throw std::invalid_argument("spline_interpolate: shapes differ");
+    require_ascending(keyframes.data(), keys);
+    Spline spline(keyframes.data(), keys, k, [&](size_t i) { return values.data() + i * k; });
     Fresh<double> out(count * k);
-    size_t left = 0;
-    for (size_t j = 0; j < count; ++j) {
-        const int64_t t = at.data()[j];
-        if (t < key[left] || t >= key[left + 1])  // frames mostly ascend
-            left = std::clamp<size_t>(size_t(std::upper_bound(key, key + keys, t) - key), 1, keys - 1) - 1;
-        const double b = double(t - key[left]) / width[left], a = 1.0 - b, bend = width[left] * width[left] / 6;
-        const double of_left = (a * a * a - a) * bend, of_right = (b * b * b - b) * bend;
-        const double *v = value + left * k, *c = curvature.data() + left * k;
-        for (size_t i = 0; i < k; ++i)
-            out.data[j * k + i] = a * v[i] + b * v[k + i] + of_left * c[i] + of_right * c[k + i];
-    }
+    for (size_t j = 0; j < count; ++j) spline.at(at.data()[j], &out.data[j * k]);
     return out.give({count, k});
+}
+
+// spline.evenly
+Frames evenly(int64_t frames) {
+    Frames keys;
+    for (int i = 0; i < 4; ++i) {
+        const int64_t key = i == 3 ? frames - 1 : int64_t(std::nearbyint(i * (double(frames - 1) / 3)));
+        if (keys.empty() || key > keys.back()) keys.push_back(key);
+    }
+    return keys;
+}
+
+// spline._halve: levels of key frames, one after another. halved(middle): whether the interval with this middle is halved.
+template <class Halved>
+void halve(int64_t frames, Halved halved, Frames &by_level, Frames &sizes) {
+    by_level = evenly(frames);
+    sizes = {int64_t(by_level.size())};
+    std::vector<std::pair<int64_t, int64_t>> intervals, next;
+    for (size_t i = 0; i + 1 < by_level.size(); ++i) intervals.emplace_back(by_level[i], by_level[i + 1]);
+    for (;;) {
+        next.clear();
+        const size_t before = by_level.size();
+        for (const auto &[left, right] : intervals) {
+            const int64_t middle = (left + right) / 2;
+            if (right - left < 2 || !halved(middle)) continue;
+            by_level.push_back(middle);
+            next.emplace_back(left, middle), next.emplace_back(middle, right);
+        }
+        if (by_level.size() == before) return;
+        sizes.push_back(int64_t(by_level.size() - before));
+        intervals.swap(next);
+    }
+}
+
+template <class T>
+Output<T> array_of(const std::vector<T> &values) {
+    Fresh<T> out(values.size());
+    std::copy(values.begin(), values.end(), out.data.get());
+    return out.give({values.size()});
+}
+
+// spline.splits of key frames (keys) of a run of `frames` frames.
+Output<uint8_t> spline_splits(Input<int64_t, 1> keys, int64_t frames) {
+    if (frames < 1) throw std::invalid_argument("spline_splits: no frames");
+    std::vector<uint8_t> chosen(size_t(frames), 0), splits;
+    for (size_t i = 0; i < keys.shape(0); ++i) {
+        if (keys.data()[i] < 0 || keys.data()[i] >= frames) throw std::invalid_argument("spline_splits: a key frame outside");
+        chosen[size_t(keys.data()[i])] = 1;
+    }
+    Frames by_level, sizes;
+    auto halved = [&](int64_t middle) {
+        splits.push_back(chosen[size_t(middle)]);
+        return splits.back() != 0;
+    };
+    halve(frames, halved, by_level, sizes);
+    return array_of(splits);
+}
+
+// spline.keyframes of a trajectory (frames, k): frames by level, sizes of the levels.
+nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
+    const int64_t frames = int64_t(trajectory.shape(0));
+    const size_t k = trajectory.shape(1);
+    if (frames < 1) throw std::invalid_argument("spline_keyframes: no frames");
+    auto wanted = [&](int64_t t) { return trajectory.data() + size_t(t) * k; };
+    Frames keys = evenly(frames), middles, merged;
+    std::vector<double> found(k);
+    const double limit = tolerance * tolerance;
+    while (int64_t(keys.size()) < frames) {
+        Spline spline(keys.data(), keys.size(), k, [&](size_t i) { return wanted(keys[i]); });
+        auto too_far = [&](int64_t t) {
+            spline.at(t, found.data());
+            double sum = 0;
+            for (size_t c = 0; c < k; ++c) sum += (found[c] - wanted(t)[c]) * (found[c] - wanted(t)[c]);
+            return sum > limit;
+        };
+        middles.clear();
+        for (size_t i = 0; i + 1 < keys.size(); ++i) {
+            const int64_t middle = (keys[i] + keys[i + 1]) / 2;
+            bool off = middle > keys[i] && too_far(middle);  // where the error is mostly largest
+            for (int64_t t = keys[i] + 1; !off && t < keys[i + 1]; ++t) off = too_far(t);
+            if (off) middles.push_back(middle);
+        }
+        if (middles.empty()) break;
+        merged.resize(keys.size() + middles.size());
+        std::merge(keys.begin(), keys.end(), middles.begin(), middles.end(), merged.begin());
+        keys.swap(merged);
+    }
+    std::vector<uint8_t> chosen(size_t(frames), 0);
+    for (int64_t key : keys) chosen[size_t(key)] = 1;
+    Frames by_level, sizes;
+    halve(frames, [&](int64_t middle) { return chosen[size_t(middle)] != 0; }, by_level, sizes);
+    return nb::make_tuple(array_of(by_level), array_of(sizes));
+}
+
+// spline.from_splits: frames by level, sizes of the levels, how many bits they took; none for too few bits.
+std::optional<nb::tuple> spline_from_splits(Input<uint8_t, 1> bits, int64_t frames) {
+    if (frames < 1) throw std::invalid_argument("spline_from_splits: no frames");
+    size_t used = 0;
+    bool enough = true;
+    Frames by_level, sizes;
+    auto halved = [&](int64_t) {
+        if (used >= bits.shape(0)) return enough = false;
+        return bits.data()[used++] != 0;
+    };
+    halve(frames, halved, by_level, sizes);
+    if (!enough) return std::nullopt;
+    return nb::make_tuple(array_of(by_level), array_of(sizes), used);
+}
+
+// spline._descend: values (keys, k), level by level; decode(i, prediction, out) makes the values of key i.
+template <class Decode>
+void descend(const Input<int64_t, 1> &by_level, const Input<int64_t, 1> &sizes, size_t k, double *values, Decode decode) {
+    const size_t keys = by_level.shape(0);
+    const int64_t *frames = by_level.data();
+    size_t stop = 0;
+    for (size_t level = 0; level < sizes.shape(0); ++level) {
+        const size_t start = stop;
+        stop += size_t(std::max<int64_t>(0, sizes.data()[level]));
+        if (stop > keys) throw std::invalid_argument("splines: levels with more key frames than there are");
+        if (!level) {
+            const std::vector<double> zero(k, 0.0);
+            for (size_t i = 0; i < stop; ++i) decode(i, i ? values + (i - 1) * k : zero.data(), values + i * k);
+            continue;
+        }
+        std::vector<size_t> order(start);
+        std::iota(order.begin(), order.end(), size_t(0));
+        std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return frames[a] < frames[b]; });
+        Frames known(start);
+        for (size_t i = 0; i < start; ++i) known[i] = frames[order[i]];
+        require_ascending(known.data(), start);
+        Spline spline(known.data(), start, k, [&](size_t i) { return values + order[i] * k; });
+        std::vector<double> prediction(k);
+        for (size_t i = start; i < stop; ++i) {
+            spline.at(frames[i], prediction.data());
+            decode(i, prediction.data(), values + i * k);
+        }
+    }
+    if (stop != keys) throw std::invalid_argument("splines: levels with fewer key frames than there are");
+}
+
+// spline.values
+Output<double> spline_values(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes, Input<int64_t, 2> numbers, double step) {
+    const size_t keys = by_level.shape(0), k = numbers.shape(1);
+    if (numbers.shape(0) != keys) throw std::invalid_argument("spline_values: shapes differ");
+    Fresh<double> out(keys * k);
+    descend(by_level, sizes, k, out.data.get(), [&](size_t i, const double *prediction, double *value) {
+        for (size_t c = 0; c < k; ++c) value[c] = prediction[c] + double(numbers.data()[i * k + c]) * step;
+    });
+    return out.give({keys, k});
+}
+
+// spline.differences: integers and values; none beyond ±2^52.
+std::optional<nb::tuple> spline_differences(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes, Input<double, 2> wanted, double step) {
+    const size_t keys = by_level.shape(0), k = wanted.shape(1);
+    if (wanted.shape(0) != keys) throw std::invalid_argument("spline_differences: shapes differ");
+    Fresh<double> values(keys * k);
+    Fresh<int64_t> numbers(keys * k);
+    bool fits = true;
+    descend(by_level, sizes, k, values.data.get(), [&](size_t i, const double *prediction, double *value) {
+        for (size_t c = 0; c < k; ++c) {
+            const double scaled = (wanted.data()[i * k + c] - prediction[c]) / step;
+            const bool small = std::abs(scaled) < 4503599627370496.0;
+            fits = fits && small;
+            const int64_t number = small ? int64_t(std::copysign(std::floor(std::abs(scaled) + 0.5), scaled)) : 0;
+            numbers.data[i * k + c] = number;
+            value[c] = prediction[c] + double(number) * step;
+        }
+    });
+    if (!fits) return std::nullopt;
+    return nb::make_tuple(numbers.give({keys, k}), values.give({keys, k}));
 }
 
 }  // namespace
 
-void bind_splines(nb::module_ &m) { m.def("spline_interpolate", &spline_interpolate); }
+void bind_splines(nb::module_ &m) {
+    m.def("spline_interpolate", &spline_interpolate);
+    m.def("spline_keyframes", &spline_keyframes);
+    m.def("spline_splits", &spline_splits);
+    m.def("spline_from_splits", &spline_from_splits);
+    m.def("spline_values", &spline_values);
+    m.def("spline_differences", &spline_differences);
+}

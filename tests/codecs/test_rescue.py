@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import mocodec as mc
-from mocodec import metrics
+from mocodec import metrics, native
 from mocodec.codecs.lossless import Lossless
-from mocodec.codecs.tempo import Tempo, chunk, engine_choice, fallback, model_choice, repeats, trial
+from mocodec.codecs.tempo import Tempo, chunk, compiled_chunks, engine_choice, fallback, model_choice, repeats, trial
 from mocodec.codecs.tempo.coding import coefficients, direct
-from mocodec.codecs.tempo.models.model import Model
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
 from mocodec.stages import lattice, lattice_chunk
@@ -25,6 +24,7 @@ def rescued(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MOCODEC_STRICT", "0")
 
 
+PACK = (compiled_chunks if native.available() else coefficients, "pack")
 WALK = synthetic.markers(frames=200, seed=8).select(["C7", "LSHO", "RSHO", "LKNE", "LTOE", "RTOE"])
 
 
@@ -63,9 +63,9 @@ def fail(monkeypatch: pytest.MonkeyPatch, where: Any, name: str, times: int = 10
     ("where", "name"),
     [
         (model_choice, "choose"),
-        (Model, "analyse"),
+        (compiled_chunks, "analyse"),
         (trial, "of_step"),
-        (coefficients, "pack"),
+        PACK,
         (fallback, "smaller"),
         (repeats, "distinct_frames"),
         (chunk.ChunkEncoder, "_numbers"),
@@ -125,7 +125,7 @@ def test_interrupts_pass_through(monkeypatch: pytest.MonkeyPatch, error: type[Ba
     def interrupted(*_: Any, **__: Any) -> Any:
         raise error
 
-    for where, name in ((model_choice, "choose"), (Model, "analyse"), (coefficients, "pack")):
+    for where, name in ((model_choice, "choose"), (compiled_chunks, "analyse"), PACK):
         with monkeypatch.context() as patch:
             patch.setattr(lattice, "is_fast", lambda: False)
             patch.setattr(where, name, interrupted)

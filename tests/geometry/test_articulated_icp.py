@@ -36,7 +36,7 @@ def test_theorem_3_1_the_error_never_rises(seed, jointed):
     p, n, c = blob()
     r = articulation.exp(rng.normal(scale=0.4, size=3))
     q = (p @ r.T + rng.normal(scale=0.1, size=3))[rng.permutation(len(p))[:500]] + rng.normal(scale=0.01, size=(500, 3))
-    label = icp.labels(n, c, len(p))
+    label = icp.labels(n, icp.colour_cluster(c), len(p))
     tree = icp.ClusteredTree.build(q, normals.estimate(q), c[rng.permutation(len(p))[:500]], label)
     pivot = np.array([0.0, 0.5, 0.0]) if jointed else None
     _, _, errors = icp.icp(p, label, tree, pivot=pivot, iterations=40, tolerance=-1)
@@ -47,7 +47,7 @@ def test_theorem_3_1_the_error_never_rises(seed, jointed):
 
 def test_neighbourhoods_contain_only_similar_normals_and_colours():
     p, n, c = blob()
-    label = icp.labels(n, c, len(p))
+    label = icp.labels(n, icp.colour_cluster(c), len(p))
     tree = icp.ClusteredTree.build(p, n, c, label)
     row, distance = tree.closest(tree.queries(p, label))
     full = tree.filled[label]
@@ -114,9 +114,9 @@ def test_third_moments_distinguish_a_bent_link():
 
 def test_icp_many_equals_icp_of_each_part():
     p, n, c = blob(400)
-    tree = icp.ClusteredTree.build(p, n, c, icp.labels(n, c, 400))
+    tree = icp.ClusteredTree.build(p, n, c, icp.labels(n, icp.colour_cluster(c), 400))
     moved = p @ articulation.exp(np.array([0.05, 0.1, -0.04])).T + 0.01
-    label, pivot = icp.labels(n, c, 400), np.array([0, 0.4, 0.0])
+    label, pivot = icp.labels(n, icp.colour_cluster(c), 400), np.array([0, 0.4, 0.0])
     pivots = np.stack([np.full(3, np.nan), pivot])
     r, t, errors = icp.icp_many(moved, label, [150, 250], tree, pivots)
     for part, rows, joint in ((0, slice(150), None), (1, slice(150, 400), pivot)):

@@ -34,7 +34,7 @@ def test_icp_of_several_parts(count, grouped):
     def found() -> tuple[np.ndarray, np.ndarray, list[list[float]]]:
         if grouped:
             return icp.icp_many(p, groups, sizes, icp.ClusteredTree.of_groups(q, groups, 3), pivots, iterations=20)
-        label = icp.labels(n, c, len(p))
+        label = icp.labels(n, icp.colour_cluster(c), len(p))
         return icp.icp_many(p, label, sizes, icp.ClusteredTree.build(q, n, c, label), pivots, iterations=20)
 
     r, t, errors = found()
@@ -67,6 +67,25 @@ def test_segmentation(with_normals):
     ours = articulated_icp.segment(body, a, b, points, directions)
     with native.without():
         np.testing.assert_array_equal(ours, articulated_icp.segment(body, a, b, points, directions))
+
+
+def test_sides_and_moments():
+    performance = sequences.jumping_jacks(actors.capsules(), 2)
+    actor, rng = performance.actor, np.random.default_rng(2)
+    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0], one_trunk=True, shortest=0.1)
+    a, b = articulation.transforms(body, articulation.Pose.canonical(len(body)))
+    points = rng.uniform(performance.joints[0].min(axis=0) - 0.1, performance.joints[0].max(axis=0) + 0.1, (900, 3))
+    links = rng.integers(0, len(body) - 1, len(points))  # the last link has no points
+
+    def found() -> tuple[np.ndarray, np.ndarray]:
+        normal = articulated_icp.outward_normals(body, a, b, points)
+        return normal, articulated_icp.third_moments(points, links, len(body))
+
+    ours = found()
+    with native.without():
+        theirs = found()
+    np.testing.assert_allclose(np.sum(ours[0] * theirs[0], axis=1), 1, atol=1e-9)
+    np.testing.assert_allclose(ours[1], theirs[1], atol=1e-14)
 
 
 def test_tracking():

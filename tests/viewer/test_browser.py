@@ -18,7 +18,7 @@ import pytest
 import mocodec as mc
 from mocodec import viewer
 from mocodec.testing import hinged_figures, synthetic
-from mocodec.viewer import marks, page, session
+from mocodec.viewer import facts, marks, page, session
 from mocodec.viewer.recording import Shown, of_file
 from mocodec.viewer.server import Server
 
@@ -34,6 +34,7 @@ pytestmark = [
 
 LOADED = {"do": "wait", "for": "mocodecViewer.state().shownFrame >= 0"}
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "cmu" / "c3d" / "85_12.c3d"
+PLATES = REAL.parents[2] / "field-c3d" / "FP_Type1.c3d"
 HOSTILE = "<img src=x onerror=\"document.title='broken'\">"
 
 
@@ -282,6 +283,32 @@ def test_a_real_recording_shows_its_errors(codec: str, tmp_path: Path) -> None:
         assert f"{1000 * measured.max_error:.2f} mm" in answers[7]
     shown = np.array(answers[6]["positions"], float).reshape(-1, 3)
     np.testing.assert_allclose(shown, decoded.positions[600][: len(shown)], atol=1e-3)
+
+
+@pytest.mark.skipif(not PLATES.is_file(), reason="needs a recording of force plates in ../shared/data")
+def test_a_dropped_file_of_a_lab_shows_its_forces(server: Server, tmp_path: Path) -> None:
+    m = mc.read(PLATES, mc.Motion)
+    data = mc.encode(m, max_error=0.002)
+    (tmp_path / "lab.mocz").write_bytes(data)
+    answers = drive(
+        [
+            {"do": "open", "url": server.url.partition("?")[0]},
+            {"do": "drop", "files": [str(tmp_path / "lab.mocz")]},
+            LOADED,
+            *seek(len(m) // 2),
+            {"do": "eval", "code": "JSON.stringify(mocodecViewer.view.facts.signals)"},
+            {"do": "eval", "code": "document.getElementById('time').clientHeight"},
+        ],
+        tmp_path,
+    )
+    shown = np.array(answers[5]["positions"], float).reshape(-1, 3)
+    np.testing.assert_allclose(shown, mc.decode(data, mc.Motion).positions[len(m) // 2][: len(shown)], atol=1e-5)
+    strips, wanted = json.loads(answers[6]), facts.signals(m.extras)
+    assert [strip["label"] for strip in strips] == [strip["label"] for strip in wanted]
+    for strip, other in zip(strips, wanted, strict=True):
+        assert min(strip["low"]) == pytest.approx(min(other["low"]), rel=1e-4)
+        assert max(strip["high"]) == pytest.approx(max(other["high"]), rel=1e-4)
+    assert answers[7] > 100  # three strips
 
 
 def test_the_worst_error_is_named_on_the_first_screen(

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import CannotEncode
 from ..motion import Skeleton
-from ..typing import Floats
+from ..typing import Floats, Integers
 from . import arrays, limits, names
 from .tables import REFERENCE_OFFSETS, TREES
 from .wire import BitReader, BitWriter, Cursor, blob, unzigzag, zigzag
@@ -81,14 +81,10 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
     if exact:
         return bytes([flags]) + head + bits.bytes() + arrays.pack(skeleton.offsets)
     steps = np.rint(skeleton.offsets / STEP_M).astype(np.int64)
+    axis, chained = _cheapest_prediction(steps, skeleton.names, tree)
     offsets: list[Vector] = [(int(x), int(y), int(z)) for x, y, z in steps]
-    candidates = []
-    for axis, chained in product(range(4), (0, CHAINED)):
-        trial = BitWriter()
-        trial.bits = bits.bits.copy()
-        _put_offsets(trial, offsets, _predictors(skeleton.names, tree, axis), bool(chained))
-        candidates.append(bytes([flags | chained | axis << MIRROR]) + head + trial.bytes())
-    return min(candidates, key=len)
+    _put_offsets(bits, offsets, _predictors(skeleton.names, tree, axis), bool(chained))
+    return bytes([flags | chained | axis << MIRROR]) + head + bits.bytes()
 
 
 def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
@@ -224,6 +220,58 @@ def _residuals(
         scaled = _scaled(vector, main, offset[main])
         others.extend(zigzag(offset[axis] - scaled[axis]) for axis in range(3) if axis != main)
     return mains, others
+
+
+def _cheapest_prediction(steps: Integers, joint_names: tuple[str, ...], tree: int) -> tuple[int, int]:
+    """The axis (0 without mirroring, else 1 + the mirror axis) and flag (CHAINED or 0) of the fewest bits."""
+    # Products of large offsets exceed 64 bits: Python's integers do not.
+    offsets = steps if np.abs(steps).max(initial=0) < LARGEST_FAST else steps.astype(object)
+    choices = list(product(range(4), (0, CHAINED)))
+    unscaled = np.stack([_predicted(offsets, _predictors(joint_names, tree, axis)) for axis, _ in choices])
+    predicted = np.take_along_axis(unscaled, (main := _main_axis(unscaled)), 2)
+    actual = np.take_along_axis(np.broadcast_to(offsets, unscaled.shape), main, 2)
+    scales = (actual * predicted > 0) & (np.array([c for _, c in choices]) > 0)[:, None, None]
+    # the ratio of each joint scales the prediction of the next one
+    over, under = (np.where(scales, each, 1)[:, :-1] for each in (actual, predicted))
+    vector = unscaled.copy()
+    vector[:, 1:] = (2 * unscaled[:, 1:] * over + under) // (2 * under)
+    main = _main_axis(vector)
+    divisor, value = (np.take_along_axis(np.broadcast_to(each, vector.shape), main, 2) for each in (vector, offsets))
+    scaled = np.where(divisor != 0, (2 * vector * value + divisor) // np.where(divisor != 0, 2 * divisor, 1), vector)
+    residual = offsets - scaled
+    of_main = (value - divisor)[..., 0]
+    others = residual[np.arange(3) != main].reshape(len(choices), -1)
+    bits = [_least_bits(of_main[i]) + _least_bits(others[i]) for i in range(len(choices))]
+    return choices[int(np.argmin(-(-(np.array(bits) + 8) // 8)))]
+
+
+LARGEST_FAST = 1 << 20
+"""Offsets below this many steps, 10 m, have products below 2⁶³."""
+
+
+def _predicted(offsets: Integers, predictors: Sequence[Predictor]) -> Integers:
+    """`_predict` of all joints, (joints, 3)."""
+    out = np.empty_like(offsets)
+    for joint, predictor in enumerate(predictors):
+        if len(predictor) == 3:
+            out[joint] = predictor
+        else:
+            out[joint] = offsets[predictor[0]]
+            out[joint, predictor[1]] *= -1
+    return out
+
+
+def _main_axis(vectors: Integers) -> Integers:
+    """`_main` of vectors (…, 3), (…, 1)."""
+    return np.abs(vectors).argmax(axis=-1)[..., None]
+
+
+def _least_bits(residuals: Integers) -> int:
+    """Bits of residuals (n,) in exponential Golomb code of the best order."""
+    folded = np.abs(2 * residuals.astype(np.float64)) - (residuals < 0)
+    below = (folded - 1)[:, None] + 2.0 ** np.arange(16)
+    cost = np.where(folded[:, None] == 0, 1, 2 * np.frexp(below)[1] - np.arange(16))
+    return int(cost.sum(axis=0).min())
 
 
 def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], predictors: Sequence[Predictor], chained: bool) -> None:

@@ -8,7 +8,6 @@ slot are one 32-bit number, and the table of all slots stays in the processor's 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -161,15 +160,24 @@ def pack(
     """
     layout = Layout(token.shape)
     turns = min(MAX_TURNS, max(1, round(layout.width * BITS_PER_STATE / max(expected_bits, 1))))
-    index, ends = _indices(layout, token, mixing, hints)
     nonzero = np.flatnonzero(token)
     raw = _raw_bits(token.ravel()[nonzero], values.ravel()[nonzero])
     states = -(-layout.width // turns)
     in_states = np.zeros(16 * states, np.uint8)
     in_states[: len(raw)] = raw[: 16 * states]
     x = rans.LOW | np.packbits(in_states).view(">u2").astype(np.uint32)
-    words = _push_all(x, index, ends, table)
-    return b"".join([bytes([turns]), _pack_states(x), *reversed(words), np.packbits(raw[16 * states :]).tobytes()])
+    if (kernel := native.kernel("bulk_push")) is not None:
+        skewed, weights = _skewed_hints(layout, mixing, hints), np.array(mixing.weights, np.uint16)
+        words = kernel(x, token, weights, mixing.ladder, table.code, table.last, skewed).astype("<u2").tobytes()
+    else:
+        index, ends = _indices(layout, token, mixing, hints)
+        words = b"".join(reversed(_push_all(x, index, ends, table)))
+    return b"".join([bytes([turns]), _pack_states(x), words, np.packbits(raw[16 * states :]).tobytes()])
+
+
+def _skewed_hints(layout: Layout, mixing: Mixing, hints: AnyInteger | None) -> AnyInteger:
+    """Hints as the compiled module takes them: flat, diagonal after diagonal; none where they have no weight."""
+    return np.zeros(0, np.uint16) if hints is None or not mixing.weights[-1] else layout.skewed(hints, np.uint16)
 
 
 def _push_all(x: AnyInteger, index: AnyInteger, ends: list[int], table: Laws) -> list[bytes]:
@@ -243,11 +251,20 @@ def _indices(
 def unpack(data: bytes, shape: tuple[int, int], mixing: Mixing, table: Laws, hints: AnyInteger | None) -> Integers:
     """The values of `pack`. Raises Corrupt."""
     layout = Layout(shape)
+    if (kernel := native.kernel("bulk_unpack")) is not None:
+        skewed, weights = _skewed_hints(layout, mixing, hints), np.array(mixing.weights, np.uint16)
+        values = kernel(data, *shape, weights, mixing.ladder, table.slots, table.last, skewed)
+        if values is not None:
+            return values
     if not 1 <= data[0] <= MAX_TURNS:
         raise Corrupt("coded integers of an unknown kind")
     x, at = _unpack_states(data, 1, -(-layout.width // data[0]))
     words = np.frombuffer(data, "<u2", (len(data) - at) // 2, at).astype(np.uint32)
-    token, used = _tokens(layout, x, words, mixing, table, hints)
+    tokens = layout.empty(np.uint16)
+    used = _tokens(layout, tokens, x, words, mixing, table, hints)
+    token = layout.unskewed(tokens, np.uint8)
+    if token.max() >= models.TOKENS:
+        raise Corrupt("coded integers out of range")
     rest = np.unpackbits(np.frombuffer(data[at + 2 * used :], np.uint8))
     if (x >> np.uint32(16) != 1).any():
         raise Corrupt("coded integers do not end where they should")
@@ -255,40 +272,6 @@ def unpack(data: bytes, shape: tuple[int, int], mixing: Mixing, table: Laws, hin
 
 
 def _tokens(
-    layout: Layout, x: AnyInteger, words: AnyInteger, mixing: Mixing, table: Laws, hints: AnyInteger | None
-) -> tuple[Bytes, int]:
-    """Tokens (steps, lanes), and how many words they took. The states become the ones that the encoder started from."""
-    tokens = layout.empty(np.uint16)
-    if (kernel := native.kernel("bulk_tokens")) is not None:
-        at = _tokens_compiled(kernel, layout, tokens, x, words, mixing, table, hints)
-    else:
-        at = _tokens_by_numpy(layout, tokens, x, words, mixing, table, hints)
-    token = layout.unskewed(tokens, np.uint8)
-    if token.max() >= models.TOKENS:
-        raise Corrupt("coded integers out of range")
-    return token, at
-
-
-def _tokens_compiled(
-    kernel: Callable[..., int], layout: Layout, tokens: AnyInteger, x: AnyInteger, words: AnyInteger, mixing: Mixing,
-    table: Laws, hints: AnyInteger | None,
-) -> int:  # fmt: skip
-    """As `_tokens_by_numpy`."""
-    shape = np.array([layout.steps, layout.lanes, layout.segments, layout.row])
-    skewed = np.zeros(0, np.uint16)
-    if hints is not None and mixing.weights[-1]:
-        skewed = layout.skewed(hints, np.uint16)
-    used = kernel(
-        tokens, x, np.array(list(layout.diagonals())).reshape(-1, 3), shape, np.array(mixing.weights, np.uint16),
-        mixing.ladder, table.slots, table.last, words.astype(np.uint16),
-        skewed,
-    )  # fmt: skip
-    if used < 0:
-        raise Corrupt("coded integers end too early" if used == -1 else "coded integers out of range")
-    return used
-
-
-def _tokens_by_numpy(
     layout: Layout, tokens: AnyInteger, x: AnyInteger, words: AnyInteger, mixing: Mixing, table: Laws,
     hints: AnyInteger | None,
 ) -> int:  # fmt: skip

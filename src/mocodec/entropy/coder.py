@@ -10,6 +10,8 @@ by counting (`choice`) and sent in a few bits. docs/entropy.md has format, figur
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -172,7 +174,25 @@ def _context_tokens(contexts: AnyInteger, shape: tuple[int, int]) -> Bytes:
     return models.tokens(np.abs(np.asarray(contexts)[: shape[0], : shape[1]].astype(np.int64)).view(np.uint64))
 
 
+@cache
+def _state_streams(kernel: Callable[..., Any], long_ladder: bool) -> Any:
+    """The compiled decoder of short arrays, with its tables."""
+    streams = kernel(models.usual_law(), np.array(MIXTURES, np.int64), long_ladder)
+    laws = models.LAWS_LARGE if long_ladder else models.LAWS
+    families = [models.family(laws, shape) for shape in range(len(models.SHAPES))]
+    for tables in (choice.parameter_tables(), *families):
+        streams.add(tables.frequency, tables.start, tables.symbol, tables.sizes)
+    return streams
+
+
 def _unpack_dense(data: bytes, shape: tuple[int, int], contexts: AnyInteger | None) -> Integers:
+    if (kernel := native.kernel("StateStreams")) is not None and not _is_bulk(data):
+        streams = _state_streams(kernel, False)
+        if streams.has_long_ladder(data):
+            streams = _state_streams(kernel, True)
+        found = streams.unpack(data, *shape, ONE_STATE_SYMBOLS_SPARSE)
+        if found is not None:
+            return found
     decoder = None if _is_bulk(data) else StateDecoder(data)
     if decoder:
         parameters = Parameters(*decoder.next(choice.parameter_tables(), np.arange(len(Parameters._fields))).tolist())

@@ -133,13 +133,14 @@ def law_of_expectation(laws: int, zero_law: int, offset: int) -> Bytes:
 
     zero_law: the law where all neighbours are zero. offset: how many rungs wider than usual the others are.
     """
-    result = (_usual_law() + offset).clip(0, laws - 1).astype(np.uint8)
+    result = (usual_law() + offset).clip(0, laws - 1).astype(np.uint8)
     result[0] = zero_law
     return result
 
 
 @cache
-def _usual_law() -> Integers:
+def usual_law() -> Integers:
+    """The law of each expected token in sixteenths, 0 … 16 × 255, without an offset."""
     result = np.zeros(16 * 256, np.int64)
     law = 0
     for expected in range(1, len(result)):

@@ -78,6 +78,11 @@ def _cylindrical(body: Body, a: Floats, b: Floats, points: Floats) -> tuple[Floa
     return np.sqrt(np.maximum(square - along**2, 0)), foot, along - foot
 
 
+def _cylinders(body: Body, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The posed cylinders as the compiled module takes them: joints and axes (links, 3), lengths and radii (links,)."""
+    return joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes), body.lengths, body.radii
+
+
 def _facing(body: Body, a: Floats, b: Floats, points: Floats, directions: Floats, foot: Floats) -> Floats:
     """(links, n): positive where directions (n, 3) point away from a link's axis; `foot` as `_cylindrical` gives it."""
     origins, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
@@ -90,6 +95,8 @@ def outward_normals(body: Body, a: Floats, b: Floats, points: Floats, among: Flo
     among (m, 3): all the points of the frame, from which normals are estimated; `points` unless given.
     """
     n = estimate(points, among)
+    if (kernel := native.kernel("turned_outward")) is not None:
+        return np.asarray(kernel(points, n, *_cylinders(body, a, b)))
     radial, foot, beyond = _cylindrical(body, a, b, points)
     nearest = (np.hypot(radial, beyond) - body.radii[:, None]).argmin(axis=0)
     facing = np.take_along_axis(_facing(body, a, b, points, n, foot), nearest[None], axis=0)[0]
@@ -102,9 +109,8 @@ def segment(body: Body, a: Floats, b: Floats, points: Floats, normals: Floats | 
     For a point whose normal faces every link's axis, the normal is ignored.
     """
     if (kernel := native.kernel("closest_links")) is not None:
-        joints, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
         of_points = np.zeros((0, 3)) if normals is None else normals
-        return np.asarray(kernel(points, of_points, joints, axes, body.lengths, body.radii))
+        return np.asarray(kernel(points, of_points, *_cylinders(body, a, b)))
     close = closeness(body, a, b, points, normals)
     faces_all = close.max(axis=0) <= 0
     if faces_all.any():
@@ -254,6 +260,8 @@ def third_moments(points: Floats, links: AnyInteger, count: int) -> Floats:
     """(count, 3, 3, 3): μ3 of every link, cubic metres: the mean of x ⊗ x ⊗ x over its points (n, 3), relative to the
     link's centre; zero without points.
     """
+    if (kernel := native.kernel("third_moments")) is not None:
+        return np.asarray(kernel(points, links, count))
     moments, points_of = np.empty((count, 3, 3, 3)), np.maximum(np.bincount(links, minlength=count), 1)
     for i, j, k in itertools.combinations_with_replacement(range(3), 3):
         product = points[:, i] * points[:, j] * points[:, k]
@@ -297,6 +305,11 @@ class ArticpTracker:
         depth = body.ancestors.sum(axis=0)
         self.levels = [np.flatnonzero(depth == level).tolist() for level in range(1, depth.max() + 1)]
         self.rows_of_link = [np.flatnonzero(model.links == link) for link in range(len(body))]
+        self.rows = np.concatenate(self.rows_of_link)
+        self.points = model.points[self.rows]
+        self.starts = np.cumsum([0, *map(len, self.rows_of_link)])
+        self.colour_cluster = None if model.colours is None else icp.colour_cluster(model.colours)
+        self.is_free = np.array([not (link and self.settings.articulation) for link in range(len(body))])
         centres = (body.origins + body.tips) / 2
         self.moments = third_moments(model.points - centres[model.links], model.links, len(body))
 
@@ -318,29 +331,39 @@ class ArticpTracker:
         a, b = transforms(body, self.pose)
         n = outward_normals(body, a, b, points, among) if normals is None else normals
         model_normals = np.einsum("nij,nj->ni", a[model.links], model.normals)
-        label = icp.labels(model_normals, None if colours is None else model.colours, len(model.points))
+        label = icp.labels(model_normals, None if colours is None else self.colour_cluster, len(model.points))
         tree = icp.ClusteredTree.build(points, n, None if model.colours is None else colours, label)
-        for links in self.levels:  # the paper's queue; links of one level do not move one another
-            self._fit_links(links, a, b, label, tree)
+        self._fit_links(self.levels, a, b, label, tree)
         if self.settings.global_fitting:
             self._fit_globally(a, b, points, n, colours, label)
         self.pose = self._to_pose(a, b)
         return self.pose
 
     def _fit_links(
+        self, levels: Sequence[Sequence[int]], a: Floats, b: Floats, label: AnyInteger, tree: icp.ClusteredTree
+    ) -> None:
+        """ICP of links, level by level: the paper's queue. The transform of each moves its whole subtree, in place."""
+        levels = [[link for link in level if len(self.rows_of_link[link]) >= MIN_ICP_POINTS] for level in levels]
+        if (compiled := tree.compiled) is not None:
+            compiled.fit_links(
+                a, b, np.array(list(itertools.chain(*levels)), np.int64), self.points, self.starts,
+                tree.allowed(label[self.rows]), self.body.origins, self.is_free.view(np.uint8),
+                self.subtrees.view(np.uint8), self.settings.iterations, icp.TOLERANCE_M,
+            )  # fmt: skip
+            return
+        for level in levels:
+            if level:
+                self._fit_level(level, a, b, label, tree)
+
+    def _fit_level(
         self, links: Sequence[int], a: Floats, b: Floats, label: AnyInteger, tree: icp.ClusteredTree
     ) -> None:
-        """ICP of links that are not ancestors of one another; the transform of each moves its whole subtree, in
-        place.
-        """
-        links = [link for link in links if len(self.rows_of_link[link]) >= MIN_ICP_POINTS]
-        if not links:
-            return
+        """`_fit_links` of links of one level, which do not move one another, at once."""
         rows = np.concatenate([self.rows_of_link[link] for link in links])
         owner = self.model.links[rows]
         moved = np.einsum("nij,nj->ni", a[owner], self.model.points[rows]) + b[owner]
         pivots = np.einsum("lij,lj->li", a[links], self.body.origins[links]) + b[links]
-        pivots[[not (link and self.settings.articulation) for link in links]] = np.nan
+        pivots[self.is_free[links]] = np.nan
         sizes = [len(self.rows_of_link[link]) for link in links]
         r, t, _ = icp.icp_many(moved, label[rows], sizes, tree, pivots, iterations=self.settings.iterations)
         for i, link in enumerate(links):
@@ -366,8 +389,8 @@ class ArticpTracker:
             if number == self.settings.rounds or not bad.any():
                 break
             own = icp.ClusteredTree.of_groups(points, links, len(errors))
-            for level in self.levels:
-                self._fit_links([link for link in level if bad[link]], a, b, self.model.links, own)
+            wanted = [[link for link in level if bad[link]] for level in self.levels]
+            self._fit_links(wanted, a, b, self.model.links, own)
         a[:], b[:] = best_transforms
 
     def _to_pose(self, a: Floats, b: Floats) -> Pose:

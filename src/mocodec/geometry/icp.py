@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ SEPARATION_M = 1e3
 MIN_NEIGHBOURHOOD = 3
 """Data points that a neighbourhood must have; otherwise all points are searched."""
 
+TOLERANCE_M = 2e-4
+"""An ICP ends when the root of the error falls by less, metres."""
 MAX_COMPILED_CLUSTERS = 64
 """Clusters of points that the compiled module takes: the bits of a number."""
 
@@ -81,6 +83,14 @@ def _near_colours() -> Booleans:
 NEAR_NORMALS, NEAR_COLOURS = _near_normals(), _near_colours()
 
 
+@cache
+def _neighbourhoods(by_normals: bool, by_colours: bool) -> Booleans:
+    """(labels, clusters): which clusters are in the neighbourhood of each label."""
+    near_normals = NEAR_NORMALS if by_normals else np.ones_like(NEAR_NORMALS)
+    near_colours = NEAR_COLOURS if by_colours else np.ones_like(NEAR_COLOURS)
+    return np.kron(near_normals, near_colours)
+
+
 @dataclass(frozen=True, eq=False)
 class ClusteredTree:
     """Data points for queries that are each matched within a neighbourhood: some clusters of the points.
@@ -102,9 +112,7 @@ class ClusteredTree:
         """
         n_label = np.zeros(len(points), np.int64) if normals is None else normal_cluster(normals)
         c_label = np.zeros(len(points), np.int64) if colours is None else colour_cluster(colours)
-        near_normals = NEAR_NORMALS if normals is not None else np.ones_like(NEAR_NORMALS)
-        near_colours = NEAR_COLOURS if colours is not None else np.ones_like(NEAR_COLOURS)
-        near = np.kron(near_normals, near_colours)
+        near = _neighbourhoods(normals is not None, colours is not None)
         clusters = n_label * COLOUR_CLUSTERS + c_label
         filled = near @ np.bincount(clusters, minlength=len(near)) >= MIN_NEIGHBOURHOOD
         return ClusteredTree(points, clusters, near, filled, np.unique(wanted))
@@ -139,7 +147,7 @@ class ClusteredTree:
     def allowed(self, labels: AnyInteger) -> NDArray[np.uint64]:
         """(n,): the clusters of the neighbourhoods of labels (n,), as bits."""
         bits = np.left_shift(np.uint64(1), np.arange(self.near.shape[1], dtype=np.uint64))
-        masks = np.where(self.filled, (self.near * bits).sum(axis=1, dtype=np.uint64), ~np.uint64(0))
+        masks = np.where(self.filled, self.near @ bits, ~np.uint64(0))
         return masks[labels]
 
     def queries(self, points: Floats, labels: AnyInteger) -> Floats:
@@ -159,10 +167,10 @@ def _tree(points: Floats, keys: AnyInteger) -> Any:
     return cKDTree(np.column_stack([points, keys * SEPARATION_M]), 16, compact_nodes=False, balanced_tree=False)
 
 
-def labels(normals: Floats | None, colours: AnyInteger | None, count: int) -> AnyInteger:
-    """(n,): the label of each model point: the neighbourhood in which it is matched."""
+def labels(normals: Floats | None, clusters: AnyInteger | None, count: int) -> AnyInteger:
+    """(n,): the label of each model point: the neighbourhood in which it is matched. clusters (n,): of its colour."""
     n = np.zeros(count, np.int64) if normals is None else normal_cluster(normals)
-    c = np.full(count, GREY) if colours is None else colour_cluster(colours)
+    c = np.full(count, GREY) if clusters is None else clusters
     return n * COLOUR_CLUSTERS + c
 
 
@@ -173,7 +181,7 @@ def icp(
     *,
     pivot: Floats | None = None,
     iterations: int = 12,
-    tolerance: float = 2e-4,
+    tolerance: float = TOLERANCE_M,
 ) -> tuple[Floats, Floats, list[float]]:
     """Algorithm 2.1: R (3, 3), t (3,) that move model points (n, 3) onto the data, and the error of equation (1) before
     each step.
@@ -194,7 +202,7 @@ def icp_many(
     pivots: Floats,
     *,
     iterations: int = 12,
-    tolerance: float = 2e-4,
+    tolerance: float = TOLERANCE_M,
 ) -> tuple[Floats, Floats, list[list[float]]]:
     """`icp` of several independent rigid parts at once, vectorised over the parts.
 

@@ -8,9 +8,11 @@ splats          the rendering of point clouds that the views are compared by
 
 from .motion import (
     Comparison,
+    Errors,
     compare,
     distances,
     distortion_percent,
+    errors,
     in_order_of,
     mean_distance,
     rms_per_frame,
@@ -20,11 +22,13 @@ from .skeletal import SHELL_M, SkeletalErrors, Spread
 __all__ = [
     "SHELL_M",
     "Comparison",
+    "Errors",
     "SkeletalErrors",
     "Spread",
     "compare",
     "distances",
     "distortion_percent",
+    "errors",
     "in_order_of",
     "mean_distance",
     "rms_per_frame",

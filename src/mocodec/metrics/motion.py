@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from html import escape
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from .. import native
 from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats
@@ -18,6 +19,31 @@ from . import skeletal
 def distances(original: Floats, decoded: Floats) -> Floats:
     """Euclidean distance of every point in every frame: (frames, points, 3) twice → (frames, points); NaN at gaps."""
     return np.sqrt(np.einsum("fpc,fpc->fp", d := original - decoded, d))
+
+
+class Errors(NamedTuple):
+    """same_gaps: whether the same samples are missing. samples: number of the others; sum, max: of their distances,
+    metres, NaN where a position is."""
+
+    same_gaps: bool
+    samples: int
+    sum: float
+    max: float
+
+    @property
+    def mean(self) -> float:
+        """Metres; 0 without samples."""
+        return self.sum / max(1, self.samples)
+
+
+def errors(original: Floats, decoded: Floats) -> Errors:
+    """Of positions (frames, points, 3) twice, NaN at gaps."""
+    if (kernel := native.kernel("compare_positions")) is not None:
+        return Errors(*kernel(original, decoded))
+    gaps = np.isnan(original[..., 0])
+    off = distances(original, decoded)[~gaps]
+    same_gaps = bool((np.isnan(decoded[..., 0]) == gaps).all())
+    return Errors(same_gaps, off.size, float(off.sum()), float(off.max(initial=0.0)))
 
 
 def mean_distance(original: Floats, decoded: Floats) -> float:

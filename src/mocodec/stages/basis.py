@@ -15,6 +15,9 @@ exactly orthonormal. Encoder and decoder must both use the basis that `unpack` r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from .. import native
@@ -94,17 +97,29 @@ def rounded(basis: Floats, precision: Integers) -> Floats:
 def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> bytes:
     """Bytes of an orthonormal basis (n, k), rounded to `precision` (k,). Neither n nor the precision is stored.
 
+    alike: as `pack_each` takes them.
+    """
+    return pack_each(basis, precision, [alike])[0]
+
+
+def pack_each(basis: Floats, precision: Integers, alikes: Sequence[Integers | None]) -> list[bytes]:
+    """`pack` with each of several predictions of dimensions.
+
     alike (n,): for each dimension an earlier one that moves much the same (the same axis of the point next to it on the
     body), or −1. Leading components are stored as differences between them, for as many components as this saves bytes.
     """
     entries = _decompose(basis, precision)
+    return [_pack_entries(entries, alike) for alike in alikes]
+
+
+def _pack_entries(entries: Integers, alike: Integers | None) -> bytes:
     differences = _differences(entries, alike)
     sizes = np.log2(1 + np.abs(np.stack([entries, differences]))).sum(axis=1)
     saved = np.cumsum(np.append(0, sizes[0] - sizes[1]))
     leading = int(saved.argmax()) if alike is not None else 0
     values = np.concatenate([differences[:, :leading], entries[:, leading:]], axis=1)
     packed = varint.write([leading]) + coder.pack(values)
-    n, k = basis.shape
+    n, k = entries.shape
     if not _is_affordable(n, k, len(packed)):
         raise CannotEncode(f"a basis of {k} components for {n} dimensions is too large to decode")
     return packed
@@ -127,20 +142,23 @@ def unpack(data: bytes, dimensions: int, precision: Integers, alike: Integers | 
         raise Corrupt("a basis with differences between dimensions that are not there")
     values = coder.unpack(data[at:], (n, k))
     if alike is not None:
-        _sum_differences(values[:, :leading], alike)
+        _sum_differences(values, alike, leading)
     return _compose(values, n)
 
 
 def _decompose(basis: Floats, precision: Integers) -> Integers:
     """Rounded entries, (n, k), zero above the diagonal; column i is in the coordinates that i reflections leave."""
     n, k = basis.shape
+    scales = np.array([2.0 ** (int(p) / 2) for p in precision])
+    if (kernel := native.kernel("basis_decompose")) is not None:
+        return kernel(basis, scales)
     rest = np.array(basis, np.float64)
     entries = np.zeros((n, k), np.int64)
     for i in range(k):
         direction = rest[i:, i]
         if direction[0] > 0:
             direction = -direction
-        entries[i:, i] = np.rint(direction * 2.0 ** (int(precision[i]) / 2))
+        entries[i:, i] = np.rint(direction * scales[i])
         _reflect(rest[i:, i + 1 :], _mirror(entries[i:, i]))
     return entries
 
@@ -163,10 +181,12 @@ def _differences(entries: Integers, alike: Integers | None) -> Integers:
     return entries - np.where((alike >= 0)[:, None], entries[alike], 0)
 
 
-def _sum_differences(values: Integers, alike: Integers) -> None:
-    """Undo `_differences`, in place."""
+def _sum_differences(values: Integers, alike: Integers, leading: int) -> None:
+    """Undo `_differences` of the leading columns, in place."""
+    if (kernel := native.kernel("basis_sum_differences")) is not None:
+        return kernel(values, alike, leading)
     for row in np.flatnonzero(alike >= 0):
-        values[row] += values[alike[row]]
+        values[row, :leading] += values[alike[row], :leading]
 
 
 def _signed(vectors: Floats) -> Floats:
@@ -181,16 +201,22 @@ def _mirror(entries: Integers) -> Floats:
     The first entry is never positive, so u never vanishes. Entries that all rounded to zero stand for −e₁.
     """
     u = entries.astype(np.float64)
-    norm = float(np.sqrt(u @ u))
+    norm = float(np.sqrt(_in_order(u * u)))
     if norm == 0 or u[0] > 0:
         u[:] = 0
         norm = 1.0
         u[0] = -1.0
     u /= norm
     u[0] -= 1
-    return u / np.sqrt(u @ u)
+    return u / np.sqrt(_in_order(u * u))
+
+
+def _in_order(terms: Floats) -> Any:
+    """The sum along the first axis from its first term to its last, as the compiled module adds."""
+    return np.cumsum(terms, axis=0)[-1]
 
 
 def _reflect(columns: Floats, mirror: Floats) -> None:
     """Apply I − 2uuᵀ to the columns, in place."""
-    columns -= (2 * mirror)[:, None] * (mirror @ columns)
+    if columns.shape[1]:
+        columns -= (2 * mirror)[:, None] * _in_order(mirror[:, None] * columns)

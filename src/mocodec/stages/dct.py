@@ -21,6 +21,8 @@ from ..typing import Floats
 
 MATRIX_FRAMES = 1024
 """Longer runs are transformed by FFT."""
+PANEL = 16
+"""Columns that `inverse_panels` transforms together."""
 
 
 def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> Floats:
@@ -30,8 +32,7 @@ def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> F
     frames = len(samples)
     count = frames if frequencies is None else min(frequencies, frames)
     if frames > MATRIX_FRAMES:
-        spectrum = np.fft.fft(np.concatenate([samples[::2], samples[1::2][::-1]]), axis=0)
-        return (spectrum * _turns(frames).reshape(-1, *[1] * (samples.ndim - 1))).real[:count]
+        return _forward_by_fft(samples)[:count]
     if not frames:
         return np.zeros(samples.shape)
     even, odd = _half_matrices(frames)
@@ -67,6 +68,42 @@ def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
     return out.T.reshape(frames, *coefficients.shape[1:])
 
 
+def _forward_by_fft(samples: Floats) -> Floats:
+    """All coefficients by a real FFT: the spectrum of frequency frames − k is the conjugate of that of k."""
+    frames = len(samples)
+    spectrum = np.fft.rfft(np.concatenate([samples[::2], samples[1::2][::-1]]), axis=0)
+    turns = _turns(frames).reshape(-1, *[1] * (samples.ndim - 1))
+    out = np.empty(samples.shape)
+    known = len(spectrum)
+    out[:known] = spectrum.real * turns[:known].real - spectrum.imag * turns[:known].imag
+    mirrored = spectrum[frames - known : 0 : -1]
+    out[known:] = mirrored.real * turns[known:].real + mirrored.imag * turns[known:].imag
+    return out
+
+
+def inverse_panels(spectra: Floats, out: Floats) -> None:
+    """`inverse` of runs (runs, frequencies, columns), in steps, into the first columns of out (runs, frames, …).
+
+    For columns of falling bandwidth: each panel of columns is a product with as many frequencies as it has.
+    """
+    _, known, columns = spectra.shape
+    frames = out.shape[1]
+    if frames > MATRIX_FRAMES and known > frames // 2:
+        out[..., :columns] = inverse(spectra, frames, axis=1)
+        return
+    places = np.where(spectra != 0, np.arange(1, known + 1)[:, None], 0)
+    reach = places.max(axis=(0, 1), initial=0)
+    even, odd = _half_matrices(frames) if frames <= MATRIX_FRAMES else _low_half_matrices(frames, -(-known // 64) * 64)
+    half = len(even)
+    for first in range(0, columns, PANEL):
+        panel = slice(first, min(first + PANEL, columns))
+        count = int(reach[panel].max())
+        symmetric = even[:, : (count + 1) // 2] @ spectra[:, :count:2, panel]
+        antisymmetric = odd[:, : count // 2] @ spectra[:, 1:count:2, panel]
+        np.subtract(symmetric, antisymmetric, out=out[:, : -half - 1 : -1, panel])
+        np.add(symmetric, antisymmetric, out=out[:, :half, panel])
+
+
 def _inverse_by_fft(coefficients: Floats, frames: int) -> Floats:
     """By a real FFT, since samples are real: each frequency of the first half is mixed with its mirror image."""
     known, half = len(coefficients), frames // 2 + 1
@@ -92,6 +129,16 @@ def _turns(frames: int) -> NDArray[np.complex128]:
     turns = np.exp(-0.5j * np.pi * np.arange(frames) / frames) * np.sqrt(2 / frames)
     turns[0] /= np.sqrt(2)
     return turns
+
+
+@lru_cache(maxsize=4)
+def _low_half_matrices(frames: int, frequencies: int) -> tuple[Floats, Floats]:
+    """`_half_matrices` of the lowest frequencies of a long run, from one table of cosines."""
+    turns = np.cos(np.pi / (2 * frames) * np.arange(4 * frames)) * np.sqrt(2 / frames)
+    places = (2 * np.arange((frames + 1) // 2)[:, None] + 1) * np.arange(min(frequencies, frames)) % (4 * frames)
+    cosines = turns[places]
+    cosines[:, 0] /= np.sqrt(2)
+    return np.ascontiguousarray(cosines[:, ::2]), np.ascontiguousarray(cosines[:, 1::2])
 
 
 @lru_cache(maxsize=16)

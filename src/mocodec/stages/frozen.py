@@ -76,7 +76,9 @@ class Split:
 
     def mean_error(self, decoded: Floats) -> float:
         """Mean distance of all samples, metres, from positions (frames, points, 3) before `restore`, if none holds."""
-        error = np.where(self.apart, 0.0, np.sqrt(((self.positions - decoded) ** 2).sum(axis=-1)))
+        off = self.positions - decoded
+        off *= off
+        error = np.where(self.apart, 0.0, np.sqrt(off[..., 0] + off[..., 1] + off[..., 2]))
         return (float(error.sum()) + self.rounding_error) / int((~self.missing).sum())
 
     @cached_property
@@ -138,7 +140,8 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     missing = np.isnan(positions[..., 0])
     nothing = np.zeros(missing.shape, bool)
     same = _equal(positions[1:], positions[:-1]) & ~missing[1:]
-    if not same.any():
+    others_move = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
+    if not (same.any(axis=1) & others_move).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
     frozen, constant = _find(positions, missing, same, bones)
     if (frozen | missing).all():

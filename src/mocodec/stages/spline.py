@@ -10,8 +10,9 @@ intervals, then middles of those. The levels store the places of key frames in a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,18 +29,28 @@ FIRST = 4
 
 @dataclass(frozen=True, eq=False)
 class Keyframes:
-    """Key frames of a run of `frames` frames, by level: each level halves some intervals of the levels before it."""
+    """Key frames of a run of `frames` frames, by level: each level halves some intervals of the levels before it.
+
+    by_level (keys,): frame numbers in the order of the levels, in which values are stored. sizes (levels,): key frames
+    of each level.
+    """
 
     frames: int
-    levels: tuple[Frames, ...]
+    by_level: Frames
+    sizes: Integers
 
     def __len__(self) -> int:
-        return sum(map(len, self.levels))
+        return len(self.by_level)
 
     @property
-    def by_level(self) -> Frames:
-        """Frame numbers in the order of the levels, in which values are stored."""
-        return np.concatenate(self.levels)
+    def levels(self) -> list[Frames]:
+        """Frame numbers of each level."""
+        return np.split(self.by_level, np.cumsum(self.sizes)[:-1])
+
+    @cached_property
+    def order(self) -> Integers:
+        """The places in `by_level` that sort the frame numbers."""
+        return np.argsort(self.by_level)
 
 
 def evenly(frames: int) -> Frames:
@@ -88,6 +99,8 @@ def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
     until there is no such frame.
     """
     frames = len(trajectory)
+    if (kernel := native.kernel("spline_keyframes")) is not None:
+        return Keyframes(frames, *kernel(trajectory, tolerance))
     at = np.arange(frames)
     keys = evenly(frames)
     while len(keys) < frames:
@@ -101,7 +114,11 @@ def keyframes(trajectory: Floats, tolerance: float) -> Keyframes:
         keys = np.sort(np.concatenate([keys, middles]))
     chosen = np.zeros(frames, bool)
     chosen[keys] = True
-    return Keyframes(frames, _halve(frames, lambda middles: chosen[middles]))
+    return _of_levels(frames, _halve(frames, lambda middles: chosen[middles]))
+
+
+def _of_levels(frames: int, levels: Sequence[Frames]) -> Keyframes:
+    return Keyframes(frames, np.concatenate(levels), np.array([len(level) for level in levels]))
 
 
 def _halve(frames: int, ask: Callable[[Frames], Booleans]) -> tuple[Frames, ...]:
@@ -122,6 +139,8 @@ def _halve(frames: int, ask: Callable[[Frames], Booleans]) -> tuple[Frames, ...]
 
 def splits(keys: Keyframes) -> Bytes:
     """One bit for each interval that could have been halved, level by level."""
+    if (kernel := native.kernel("spline_splits")) is not None:
+        return kernel(keys.by_level, keys.frames)
     chosen = np.zeros(keys.frames, bool)
     chosen[keys.by_level] = True
     asked: list[Frames] = []
@@ -136,6 +155,10 @@ def splits(keys: Keyframes) -> Bytes:
 
 def from_splits(bits: Bytes, frames: int) -> tuple[Keyframes, int]:
     """The key frames of a run of `frames` frames, and how many bits they took. Raises Corrupt for too few bits."""
+    kernel = native.kernel("spline_from_splits")
+    if kernel is not None and (found := kernel(bits, frames)) is not None:
+        by_level, sizes, used = found
+        return Keyframes(frames, by_level, sizes), used
     used = 0
 
     def ask(middles: Frames) -> Booleans:
@@ -146,7 +169,7 @@ def from_splits(bits: Bytes, frames: int) -> tuple[Keyframes, int]:
         used += len(middles)
         return answer.astype(bool)
 
-    return Keyframes(frames, _halve(frames, ask)), used
+    return _of_levels(frames, _halve(frames, ask)), used
 
 
 def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[Integers, Floats]:
@@ -155,6 +178,9 @@ def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[Integers,
     A value of the first level is stored as its difference from the one before it, later values as differences from the
     spline through all decoded values of the levels before. Errors do not add up: none is more than half a step.
     """
+    kernel = native.kernel("spline_differences")
+    if kernel is not None and (found := kernel(keys.by_level, keys.sizes, wanted, step)) is not None:
+        return found
     numbers = np.zeros(wanted.shape, np.int64)
 
     def predicted(start: int, stop: int, prediction: Floats) -> Floats:
@@ -166,6 +192,8 @@ def differences(keys: Keyframes, wanted: Floats, step: float) -> tuple[Integers,
 
 def values(keys: Keyframes, numbers: Integers, step: float) -> Floats:
     """The values (keys, k), by level, of `differences`."""
+    if (kernel := native.kernel("spline_values")) is not None:
+        return kernel(keys.by_level, keys.sizes, numbers, step)
     return _descend(keys, numbers.shape[1], lambda a, b, prediction: prediction + quantise.inverse(numbers[a:b], step))
 
 
@@ -173,10 +201,11 @@ def _descend(keys: Keyframes, k: int, decode: Callable[[int, int, Floats], Float
     """Values level by level: `decode(start, stop, prediction)` gives those at [start, stop) of the order by level."""
     known = np.zeros((len(keys), k))
     frames = keys.by_level
-    stop = len(keys.levels[0])
+    first, *levels = keys.levels
+    stop = len(first)
     for i in range(stop):
         known[i : i + 1] = decode(i, i + 1, known[max(i - 1, 0)][None])
-    for level in keys.levels[1:]:
+    for level in levels:
         start, stop = stop, stop + len(level)
         order = np.argsort(frames[:start])
         prediction = interpolate(frames[:start][order], known[:start][order], level)
@@ -186,6 +215,4 @@ def _descend(keys: Keyframes, k: int, decode: Callable[[int, int, Floats], Float
 
 def through(keys: Keyframes, by_level: Floats) -> Floats:
     """Every frame of the run, (frames, k), from the values at its key frames, by level."""
-    frames = keys.by_level
-    order = np.argsort(frames)
-    return interpolate(frames[order], by_level[order], np.arange(keys.frames))
+    return interpolate(keys.by_level[keys.order], by_level[keys.order], np.arange(keys.frames))

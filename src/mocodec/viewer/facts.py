@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import metrics
 from ..channels import channels
+from ..errors import Corrupt, Truncated
 from ..geometry import links
 from ..metrics import point_clouds
 from ..motion import Motion
@@ -38,7 +39,7 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
         "name": shown.name,
         "kind": "motion" if is_motion else "clouds",
         "frames": shown.frames,
-        "points": about.points if is_motion else 0,
+        "points": about.points if is_motion else first_points(shown),
         "rate": about.rate,
         "up": about.up,
         "names": list(about.names) if is_motion else [],
@@ -57,6 +58,14 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
         "damage": [list(run) for run in shown.damage],
         "notes": [*shown.notes, *damage_notes(shown)],
     }
+
+
+def first_points(shown: Shown) -> int:
+    """Points of the first frame of point clouds: how much the page asks for at once depends on it."""
+    try:
+        return len(shown.clouds(0, 1).positions[0]) if shown.frames else 0
+    except (Corrupt, Truncated):
+        return 0
 
 
 def damage_notes(shown: Shown) -> list[str]:

@@ -7,7 +7,11 @@ import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Points, ShaderMateri
 
 const VERTEX = `
 attribute vec3 tint;
+#ifdef FLAT
+uniform float radius;
+#else
 attribute float radius;
+#endif
 uniform float pixels;
 varying vec3 shade;
 varying vec3 sun;
@@ -24,24 +28,30 @@ void main() {
 
 const FRAGMENT = `
 uniform float opacity;
-uniform bool isFlat;
 varying vec3 shade;
 varying vec3 sun;
 void main() {
   vec2 p = vec2(2.0, -2.0) * (gl_PointCoord - 0.5);
   float r = dot(p, p);
   if (r > 1.0) discard;
-  float edge = isFlat ? 1.0 : smoothstep(1.0, 1.0 - 2.0 * fwidth(sqrt(r)), sqrt(r));
-  float light = isFlat ? 1.0 : 0.51 + 0.51 * max(0.0, dot(vec3(p, sqrt(1.0 - r)), sun));
+#ifdef FLAT
+  gl_FragColor = vec4(shade, opacity);
+#else
+  float edge = smoothstep(1.0, 1.0 - 2.0 * fwidth(sqrt(r)), sqrt(r));
+  float light = 0.51 + 0.51 * max(0.0, dot(vec3(p, sqrt(1.0 - r)), sun));
   gl_FragColor = vec4(shade * light, opacity * edge);
   #include <colorspace_fragment>
+#endif
 }`;
+
+/** Where points of a cloud without a place are put. */
+const OUT_OF_SIGHT_M = 1e30;
 
 export class Dots {
   readonly object: Points<BufferGeometry, ShaderMaterial>;
   private capacity = 0;
 
-  /** isFlat: without light, as the coloured points of a cloud are. */
+  /** isFlat: without light, of one radius and in sRGB bytes, as the points of a cloud are: a third of the numbers to move. */
   constructor(
     opacity: number,
     private readonly isFlat: boolean,
@@ -49,7 +59,8 @@ export class Dots {
     const material = new ShaderMaterial({
       vertexShader: VERTEX,
       fragmentShader: FRAGMENT,
-      uniforms: { pixels: { value: 1 }, opacity: { value: opacity }, isFlat: { value: isFlat } },
+      defines: isFlat ? { FLAT: "" } : {},
+      uniforms: { pixels: { value: 1 }, opacity: { value: opacity }, radius: { value: 0 } },
       transparent: !isFlat, // for smooth edges
       depthWrite: opacity === 1,
     });
@@ -62,11 +73,10 @@ export class Dots {
   }
 
   /** Draw points at positions (n · 3), NaN for none, in linear colours (n · 3, 0 to 1), with one radius; `selected` is larger. */
-  show(positions: Float32Array, colours: Float32Array, radius: number, selected = -1): void {
+  show(positions: Float32Array, colours: Float32Array, radius: number, selected: number): void {
     const count = positions.length / 3;
     this.reserve(count);
-    const { geometry } = this.object;
-    const [place, tint, size] = ["position", "tint", "radius"].map((name) => geometry.getAttribute(name) as BufferAttribute);
+    const [place, tint, size] = this.attributes("position", "tint", "radius");
     const [at, sizes] = [place.array as Float32Array, size.array as Float32Array];
     (tint.array as Float32Array).set(colours);
     for (let i = 0, k = 0; i < count; i++, k += 3) {
@@ -78,17 +88,44 @@ export class Dots {
     }
     if (selected >= 0) sizes[selected] *= 1.8;
     for (const attribute of [place, tint, size]) attribute.needsUpdate = true;
-    geometry.setDrawRange(0, count);
+  }
+
+  /** Draw flat points at positions (n · 3) in colours (n · 3, 0 to 255), or in one. */
+  showFlat(positions: Float32Array, colours: Uint8Array | [number, number, number], radius: number): void {
+    const count = positions.length / 3;
+    this.reserve(count);
+    const [place, tint] = this.attributes("position", "tint");
+    const at = place.array as Float32Array;
+    at.set(positions);
+    for (let k = 0; k < 3 * count; k++) if (Number.isNaN(at[k])) at[k] = OUT_OF_SIGHT_M;
+    const shades = tint.array as Uint8Array;
+    if (colours instanceof Uint8Array) shades.set(colours);
+    else for (let k = 0; k < 3 * count; k += 3) shades.set(colours, k);
+    this.object.material.uniforms.radius.value = radius;
+    for (const attribute of [place, tint]) {
+      attribute.clearUpdateRanges();
+      attribute.addUpdateRange(0, 3 * count);
+      attribute.needsUpdate = true;
+    }
+  }
+
+  private attributes(...names: string[]): BufferAttribute[] {
+    return names.map((name) => this.object.geometry.getAttribute(name) as BufferAttribute);
   }
 
   private reserve(count: number): void {
-    if (count <= this.capacity) return;
-    this.capacity = this.isFlat ? Math.ceil(1.25 * count) : count;
-    this.object.geometry.dispose();
-    this.object.geometry = new BufferGeometry();
-    for (const [name, width] of [["position", 3], ["tint", 3], ["radius", 1]] as const) {
-      this.object.geometry.setAttribute(name, new BufferAttribute(new Float32Array(width * this.capacity), width).setUsage(DynamicDrawUsage));
+    const { isFlat, object } = this;
+    if (count > this.capacity) {
+      this.capacity = isFlat ? Math.ceil(1.25 * count) : count;
+      object.geometry.dispose();
+      object.geometry = new BufferGeometry();
+      const add = (name: string, attribute: BufferAttribute) => object.geometry.setAttribute(name, attribute.setUsage(DynamicDrawUsage));
+      const numbers = (width: number) => new BufferAttribute(new Float32Array(width * this.capacity), width);
+      add("position", numbers(3));
+      add("tint", isFlat ? new BufferAttribute(new Uint8Array(3 * this.capacity), 3, true) : numbers(3));
+      if (!isFlat) add("radius", numbers(1));
     }
+    object.geometry.setDrawRange(0, count);
   }
 
   dispose(): void {

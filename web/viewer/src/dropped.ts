@@ -2,7 +2,7 @@
 
 import { measure } from "./errors.ts";
 import { inMemory } from "./frames.ts";
-import { factsOf, fileOf, openFile } from "./mocz.ts";
+import { closeBefore, factsOf, fileOf } from "./mocz.ts";
 import type { Facts, Media, Session } from "./session.ts";
 
 /** A session of files. progress: called with the share of the measuring that is done. */
@@ -22,7 +22,8 @@ export async function addressed(query: URLSearchParams, progress: (share: number
 
 async function sessionOf(sources: (readonly [string, File | string])[], progress: (share: number) => void): Promise<Session> {
   const recordings: Facts[] = [];
-  for (const [name, source] of sources) recordings.push(await factsOf(await openFile(source), name));
+  for (const [name, source] of sources) recordings.push(await factsOf(source, name));
+  closeBefore(recordings.length);
   if (recordings.length === 2 && sameShape(recordings[0], recordings[1])) {
     const [original, decoded] = ordered(recordings[0], recordings[1]);
     decoded.errors = await compared(decoded, original, progress);

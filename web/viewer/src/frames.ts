@@ -2,7 +2,7 @@
 
 import { type Cloud, unpackClouds, unpackMotion } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
-import { cloudsOf, fileOf } from "./mocz.ts";
+import { fileOf, readerOf } from "./mocz.ts";
 
 /** One frame: positions (points · 3) in metres, NaN for a gap; colours 0 to 255 of point clouds. */
 export interface Frame {
@@ -27,6 +27,8 @@ export class Frames {
     readonly count: number,
     private loader: Loader,
     frameBytes: number,
+    /** Frames that are loaded before they are shown. */
+    private ahead: number,
     private onLoad: () => void,
   ) {
     this.blockFrames = Math.max(1, Math.min(BLOCK_FRAMES, Math.floor((8 << 20) / Math.max(1, frameBytes))));
@@ -35,7 +37,7 @@ export class Frames {
 
   private readonly capacity: number;
 
-  /** The frame if it is loaded; else null, and loading begins. The block after it is loaded too. */
+  /** The frame if it is loaded; else null, and loading begins. Blocks ahead of it are loaded too, one after the other. */
   at(frame: number): Frame | null {
     const block = Math.floor(frame / this.blockFrames);
     const found = this.blocks.get(block);
@@ -45,8 +47,18 @@ export class Frames {
     } else {
       void this.load(block);
     }
-    if ((frame % this.blockFrames) * 3 > this.blockFrames) void this.load(block + 1);
+    void this.loadAhead(frame);
     return found?.[frame - block * this.blockFrames] ?? null;
+  }
+
+  /** Load what is missing of the next frames, one block at a time. */
+  private async loadAhead(frame: number): Promise<void> {
+    if (this.loading.size > 0) return;
+    const last = Math.floor((frame + Math.max(this.ahead, (2 * this.blockFrames) / 3)) / this.blockFrames);
+    const first = Math.floor(frame / this.blockFrames);
+    for (let block = first + 1; block <= Math.min(last, first + this.capacity - 2); block++) {
+      if (!this.blocks.has(block) && !this.failed.has(block)) return this.load(block);
+    }
   }
 
   /** The frame, as soon as it is loaded; null if it cannot be. */
@@ -138,8 +150,8 @@ async function cloudLoader(media: Media): Promise<Loader> {
     return async (a, b) => clouds.slice(a, b);
   }
   if (media.type === "mocz") {
-    const file = await fileOf(media);
-    return (a, b) => cloudsOf(file, a, b);
+    const reader = readerOf(media);
+    return (a, b) => reader.read(a, b);
   }
   if (media.type !== "frames") throw new Error("point clouds come from a server or within the page");
   return async (a, b) => splitClouds(await fetchRange(media.url, a, b));

@@ -2,6 +2,7 @@
 
 import { Arrangement } from "./arrangement.ts";
 import { Clips } from "./clips.ts";
+import { serve } from "./clouds.ts";
 import { type Commands, listen } from "./controls.ts";
 import { addressed, dropped } from "./dropped.ts";
 import { showKeys } from "./keys.ts";
@@ -346,6 +347,9 @@ class Page implements Commands {
   }
 }
 
-const page = new Page();
-Object.assign(window, { mocodecViewer: page });
-void page.start();
+if (typeof document === "undefined") serve();
+else {
+  const page = new Page();
+  Object.assign(window, { mocodecViewer: page });
+  void page.start();
+}

@@ -1,32 +1,21 @@
 /** Opens .mocz files with the decoder in web/decoder, and says of them what the page shows. */
 
-import { type MoczFile, type PriorLoader, type Source, open } from "../../decoder/src/index.js";
+import type { MoczFile, Source } from "../../decoder/src/index.js";
+import { channelsOf } from "./channels.ts";
+import { CloudReader, damageOf } from "./clouds.ts";
 import { findLinks } from "./links.ts";
+import { openFile } from "./opening.ts";
 import { fromBase64 } from "./packed.ts";
 import type { Facts, Media } from "./session.ts";
 
 const opened = new Map<number, MoczFile>();
+const readers = new Map<number, CloudReader>();
 const BINS = 1024;
-/** Decoding point clouds pauses after this long, milliseconds, so that the page can draw. */
-const BUSY_MS = 30;
 const SAMPLED_FRAMES = 24;
-/** Of longer recordings, opening does not read all chunks for gaps and marks. */
+/** Of longer recordings, opening does not read all chunks for gaps, marks and signals. */
 const MOST_READ_FRAMES = 20_000;
 /** More marks of a kind would fill the timeline from end to end. */
 const MOST_MARKS = 5_000;
-
-/** Priors from a folder beside the page. */
-const priors: PriorLoader = async (id) => {
-  const url = new URL(`priors/${id}.npz`, location.href);
-  const response = await fetch(url).catch(() => null);
-  if (!response?.ok) throw new Error(`the file needs the prior ${id}, which is not beside this page: use "mocodec view"`);
-  return new Uint8Array(await response.arrayBuffer());
-};
-
-/** Open a file; damaged chunks become gaps. */
-export async function openFile(source: Source): Promise<MoczFile> {
-  return open(source, { priors, salvage: true });
-}
 
 /** The file behind a media. */
 export async function fileOf(media: Extract<Media, { type: "mocz" }>): Promise<MoczFile> {
@@ -36,23 +25,31 @@ export async function fileOf(media: Extract<Media, { type: "mocz" }>): Promise<M
 }
 
 /** The facts about an open file; it decodes a few frames for links and, of short recordings, all for gaps and marks. */
-export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
+export async function factsOf(source: Source, name: string): Promise<Facts> {
+  const file = await openFile(source);
   const { info } = file;
   const id = opened.size;
   opened.set(id, file);
   const notes: string[] = [];
   let events: Facts["events"] = [];
+  let signals: Facts["signals"] = [];
   try {
-    events = (await file.extras()).events.map((event) => ({ label: event.label, seconds: event.time }));
+    const extras = await file.extras();
+    events = extras.events.map((event) => ({ label: event.label, seconds: event.time }));
+    if (info.frames <= MOST_READ_FRAMES) signals = await channelsOf(extras.signals);
   } catch (error) {
     notes.push(error instanceof Error ? error.message : String(error));
   }
   const { kind } = info;
+  const reader = kind === "clouds" ? readerOfFile(id, source) : null;
   const { names, links } = kind === "clouds" ? { names: [], links: [] } : await shownOfMotion(file);
-  if (kind === "clouds") for await (const _ of file.clouds(0, Math.min(1, info.frames))) break; // names damage and what cannot be decoded
+  // reading a frame names what cannot be decoded
+  const [first] = reader ? await reader.read(0, Math.min(1, info.frames)) : [];
+  const points = first ? first.positions.length / 3 : names.length;
   const isRead = kind === "motion" && info.frames <= MOST_READ_FRAMES;
   const gaps = isRead ? await gapsOf(file) : [];
   const marks = isRead ? await marksOf(file) : [];
+  const damage = reader?.damage ?? damageOf(file);
   const targets = ["max_error", "mean_error", "max_rotation", "size", "ratio", "psnr"];
   const promise = Object.fromEntries(targets.flatMap((key) => (typeof info.settings[key] === "number" ? [[key, info.settings[key] as number]] : [])));
   const run = Math.max(1, Math.ceil(info.chunks.length / (2 * BINS)));
@@ -65,7 +62,7 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
     name,
     kind,
     frames: info.frames,
-    points: names.length,
+    points,
     rate: info.rate,
     up: info.up,
     names,
@@ -78,11 +75,11 @@ export async function factsOf(file: MoczFile, name: string): Promise<Facts> {
     chunks,
     marks,
     events,
-    signals: [],
+    signals,
     gaps,
     errors: null,
-    damage: file.damage.map(({ start, frames }) => [start, start + frames]),
-    notes: [...notes, ...file.damage.map(({ error }) => error.message)],
+    damage: damage.map(({ start, frames }) => [start, start + frames]),
+    notes: [...notes, ...damage.map(({ message }) => message)],
     decoded: { type: "mocz", id },
     original: null,
   };
@@ -95,17 +92,24 @@ async function shownOfMotion(file: MoczFile): Promise<Pick<Facts, "names" | "lin
   return { names, links };
 }
 
-/** Frames a … b − 1 of point clouds. The page stays responsive: it may draw between two frames. */
-export async function cloudsOf(file: MoczFile, a: number, b: number): Promise<{ positions: Float32Array; colours: Uint8Array | null }[]> {
-  const clouds = [];
-  let last = performance.now();
-  for await (const { positions, colours } of file.clouds(a, b)) {
-    clouds.push({ positions: new Float32Array(positions), colours: colours ?? null });
-    if (performance.now() - last < BUSY_MS) continue;
-    await new Promise((resolve) => setTimeout(resolve));
-    last = performance.now();
+function readerOfFile(id: number, source: Source): CloudReader {
+  const reader = new CloudReader(source);
+  readers.set(id, reader);
+  return reader;
+}
+
+/** End the decoders of files that were opened before the last `count`. */
+export function closeBefore(count: number): void {
+  for (const [id, reader] of readers) {
+    if (id >= opened.size - count) continue;
+    reader.close();
+    readers.delete(id);
   }
-  return clouds;
+}
+
+/** The decoder of the point clouds behind a media. */
+export function readerOf(media: Extract<Media, { type: "mocz" }>): CloudReader {
+  return readers.get(media.id ?? -1) ?? new CloudReader(media.url === undefined ? fromBase64(media.base64 ?? "") : new URL(media.url, location.href).href);
 }
 
 async function linksOf(file: MoczFile): Promise<[number, number][]> {

@@ -105,25 +105,18 @@ export class Figure {
   }
 }
 
-/** Linear values of the 256 values of an sRGB colour. */
-const LINEAR = Float32Array.from({ length: 256 }, (_, i) => new Color().setRGB(i / 255, 0, 0, "srgb").r);
-
 /** One sequence of point clouds. */
 export class CloudFigure {
   readonly group = new Group();
   private readonly dots = new Dots(1, true);
-  private colours = new Float32Array(0);
 
   constructor(private readonly size: number) {
     this.group.add(this.dots.object);
   }
 
-  show(frame: Frame, neutral: Color): void {
-    const { positions, colours } = frame;
-    if (this.colours.length !== positions.length) this.colours = new Float32Array(positions.length);
-    if (colours?.length) for (let i = 0; i < colours.length; i++) this.colours[i] = LINEAR[colours[i]];
-    else for (let i = 0; i < positions.length; i += 3) neutral.toArray(this.colours, i);
-    this.dots.show(positions, this.colours, this.size / 2);
+  show({ positions, colours }: Frame, neutral: Color): void {
+    const hex = neutral.getHex();
+    this.dots.showFlat(positions, colours?.length ? colours : [hex >> 16, (hex >> 8) & 255, hex & 255], this.size / 2);
   }
 
   dispose(): void {

@@ -7,6 +7,9 @@ import { CloudFigure, Figure, type Stage, trailFrames } from "./scene.ts";
 import type { Facts } from "./session.ts";
 import { ErrorScale, type Palette } from "./theme.ts";
 
+/** Of frames that are loaded before they are shown. */
+const AHEAD_SECONDS = 1.5;
+
 export type OriginalPlace = "over" | "beside" | "off";
 
 export class RecordingView {
@@ -37,15 +40,16 @@ export class RecordingView {
   ) {
     this.decoded = decoded;
     this.original = original;
-    this.errors = new Float32Array(facts.points).fill(NaN);
-    this.colours = new Float32Array(3 * facts.points);
-    this.ghostColours = new Float32Array(3 * facts.points);
+    const points = facts.names.length;
+    this.errors = new Float32Array(points).fill(NaN);
+    this.colours = new Float32Array(3 * points);
+    this.ghostColours = new Float32Array(3 * points);
   }
 
   static async open(facts: Facts, stage: Stage, onLoad: () => void): Promise<RecordingView> {
     const { decoded, original } = await loaders(facts);
     const frameBytes = facts.kind === "motion" ? facts.points * 12 : 15 * Math.max(1000, facts.points);
-    const frames = (loader: typeof decoded) => new Frames(facts.frames, loader, frameBytes, onLoad);
+    const frames = (loader: typeof decoded) => new Frames(facts.frames, loader, frameBytes, AHEAD_SECONDS * facts.rate, onLoad);
     const view = new RecordingView(facts, stage, frames(decoded), original && frames(original));
     await view.build();
     return view;

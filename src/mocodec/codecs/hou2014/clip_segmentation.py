@@ -6,6 +6,7 @@ adaptive    cut where the distribution of poses changes (PPCA): a given number o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +24,9 @@ INITIAL_CUTS = {"initial": 60, "ahead": 40, "rise": 30.0}
 
 BITS_PER_CLIP = 24.0
 """Estimated bits of a clip in addition to its coefficients."""
+
+TERMS, LARGEST_TERM = 16, 2.0**60
+"""Terms of a product, which must not overflow."""
 
 SLOWEST_MASKING_SPEED = 0.1
 """Metres per second. Slower clips are treated as this fast: below it, motion hides no errors."""
@@ -75,14 +79,32 @@ def best_equal_length(curves: Floats, step: float, longest: int) -> int:
 
 def estimate_bits(curves: Floats, lengths: Integers, step: float) -> float:
     """Estimated bits of these clips: Σ ½ log₂(1 + (coefficient / step)²), and BITS_PER_CLIP for each."""
-    total = BITS_PER_CLIP * len(lengths)
-    start = 0
+    return BITS_PER_CLIP * len(lengths) + bits_of_spectra(spectra_of_clips(curves, lengths), step)
+
+
+def spectra_of_clips(curves: Floats, lengths: Integers) -> list[Floats]:
+    """The DCT of curves (frames, k) clip by clip, (l, clips · k) of each run of equal lengths."""
+    spectra, start = list[Floats](), 0
     for length, run in stream.equal_length_runs(lengths):
         stop = start + length * (run.stop - run.start)
-        spectra = dct.forward(curves[start:stop].reshape(run.stop - run.start, length, curves.shape[1]), axis=1) / step
-        total += 0.5 * float(np.log2(1 + spectra**2).sum())
+        clips = curves[start:stop].reshape(run.stop - run.start, length, curves.shape[1]).transpose(1, 0, 2)
+        spectra.append(dct.forward(clips).reshape(length, clips.shape[1] * clips.shape[2]))
         start = stop
-    return total
+    return spectra
+
+
+def bits_of_spectra(spectra: Sequence[Floats], step: float) -> float:
+    """Estimated bits of the coefficients alone, from `spectra_of_clips`."""
+    return sum(0.5 * _sum_of_logs(one / step) for one in spectra)
+
+
+def _sum_of_logs(values: Floats) -> float:
+    """Σ log₂(1 + value²): products of a few terms are faster than their logarithms."""
+    terms = np.minimum(values * values, LARGEST_TERM).ravel()
+    terms += 1
+    whole = len(terms) // TERMS * TERMS
+    products = np.multiply.reduce(terms[:whole].reshape(TERMS, -1), axis=0)
+    return float(np.log2(products).sum() + np.log2(terms[whole:]).sum())
 
 
 def speed_rung_offsets(positions: Floats, rate: float, lengths: Integers, masking: float) -> Integers:

@@ -35,6 +35,9 @@ SAMPLED_CHUNKS = 3
 STEP_OF_MEAN, STEP_OF_BOUND = 5.0, 2.6
 """Where a search begins: typical steps as multiples of the mean error and of the bound."""
 
+PROMISING_BITS = 1.1
+"""A bound is tried in place of a mean error if its coefficients take up to this many times the bits."""
+
 FIRST_MEAN_ERROR_M = 0.003
 """The mean error that a search for a ratio begins at."""
 
@@ -101,13 +104,20 @@ class Hou2014:
 
     def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
         """At a mean error, or under this error as a bound where that is smaller, or the only way."""
-        encoded, failure = None, None
+        base.require_frames(motion)
+        self._check(motion)
+        encoder, encoded, failure = _MotionEncoder(self, motion, filled), None, None
+        bounded = replace(self, mean_error=None, max_error=target)
+        promising = True
         try:
-            encoded = self.encode_smoothed(motion, filled)
+            rung = encoder.rung_for_mean_error(target)
+            encoded = encoder.encoded(rung)
+            size = encoded.payload_bytes
+            promising = encoder.bits_over(_first_rung(bounded), rung) < PROMISING_BITS
+            promising = promising and bounded.estimate(motion, filled, limit=size)[0] < size
         except CannotEncode as error:
             failure = error
-        bounded = replace(self, mean_error=None, max_error=target)
-        if encoded is None or bounded.estimate(motion, filled)[0] < encoded.payload_bytes:
+        if promising:
             try:
                 rival = bounded.encode_smoothed(motion, filled)
             except CannotEncode:
@@ -132,7 +142,7 @@ class Hou2014:
         if self.max_error is not None:
             return encoder.for_max_error(self.max_error)
         if self.mean_error is not None:
-            return encoder.for_mean_error(self.mean_error)
+            return encoder.encoded(encoder.rung_for_mean_error(self.mean_error))
         if self.ratio is not None:
             return encoder.for_ratio(self.ratio)
         return encoder.encoded(encoder.first_rung)
@@ -144,11 +154,13 @@ class Hou2014:
             return base.decode_gaps(encoded, frames)
         start, stop = encoded.range(frames)
         header = _read_header(encoded)
-        parts: list[Floats] = [np.zeros((0, header.points, 3))]
+        parts = list[Floats]()
         for chunk in progress.over(encoded.covering(start, stop)):
             positions = stream.unpack_payload(chunk.payload, chunk.frames, header)
             parts.append(positions[max(0, start - chunk.start) : stop - chunk.start])
-        return encodeds.restore(encoded, np.concatenate(parts), start)
+        if len(parts) != 1:
+            parts = [np.concatenate([np.zeros((0, header.points, 3)), *parts])]
+        return encodeds.restore(encoded, parts[0], start)
 
     @property
     def has_target(self) -> bool:
@@ -267,15 +279,16 @@ class _MotionEncoder:
 
     @property
     def first_rung(self) -> int:
-        """The step where a search begins; without a target 2^−Q units: section IV-C and equation (13)."""
-        codec = self.codec
-        if not codec.has_target:
-            bits = codec.fraction_bits
-            k = codec.components or parameters.COMPONENTS
-            return -quantise.LADDER * (parameters.fraction_bits(k) if bits is None else bits)
-        if codec.max_error is not None:
-            return quantise.rung(STEP_OF_BOUND * codec.max_error / codec.unit)
-        return quantise.rung(STEP_OF_MEAN * (codec.mean_error or FIRST_MEAN_ERROR_M) / codec.unit)
+        """The step where a search begins."""
+        return _first_rung(self.codec)
+
+    def bits_over(self, rung: int, other: int) -> float:
+        """How many times the bits of the coefficients at one step those at another are, estimated."""
+        unit, step = self.codec.unit, quantise.step
+        curves = quantised_motion.component_curves(self.prepared, unit * step(max(rung, other)))
+        spectra = clip_segmentation.spectra_of_clips(curves, self.prepared.lengths)
+        bits = [clip_segmentation.bits_of_spectra(spectra, unit * step(one)) for one in (rung, other)]
+        return bits[0] / max(bits[1], 1.0)
 
     def mean_error(self, rung: int) -> float:
         """Mean distance in metres between the motion and its reconstruction at this step."""
@@ -338,12 +351,12 @@ class _MotionEncoder:
         except CannotEncode:
             return math.inf
 
-    def for_mean_error(self, target: float) -> Encoded[Motion]:
-        """At the largest step whose mean error is within the target."""
+    def rung_for_mean_error(self, target: float) -> int:
+        """The largest step whose mean error is within the target. Raises CannotEncode."""
         found = self._closest_within(lambda rung: self.mean_error(rung) / target, rising=True)
         if found is None:
             raise CannotEncode(f"hou2014 cannot reach mean_error={target:g} m on this motion: ask for a larger error")
-        return self.encoded(found)
+        return found
 
     def for_ratio(self, target: float) -> Encoded[Motion]:
         """At the smallest step whose ratio is at least the target."""
@@ -387,6 +400,17 @@ def split(codec: Hou2014, motion: Motion) -> frozen.Split:
     error = codec.max_error or codec.mean_error
     bones, holds = motion.skeleton is not None, codec.mean_error is None
     return frozen.split(motion.positions, error and FROZEN_SHARE * error, bones, holds)
+
+
+def _first_rung(codec: Hou2014) -> int:
+    """The step where a search begins; without a target 2^−Q units: section IV-C and equation (13)."""
+    if not codec.has_target:
+        bits = codec.fraction_bits
+        k = codec.components or parameters.COMPONENTS
+        return -quantise.LADDER * (parameters.fraction_bits(k) if bits is None else bits)
+    if codec.max_error is not None:
+        return quantise.rung(STEP_OF_BOUND * codec.max_error / codec.unit)
+    return quantise.rung(STEP_OF_MEAN * (codec.mean_error or FIRST_MEAN_ERROR_M) / codec.unit)
 
 
 def _stride(log: float) -> int:

@@ -73,10 +73,12 @@ class LeftTransform:
         drops = coder.pack(-np.diff(self.precision)[:, None])
         points = len(self.fitted) // 3
         first = int(self.precision[0]) if k else 0
+        predictors = {FINE_CHAIN: _previous_point(points), FINE_TREE: _parent_joint(parents)}
+        possible = {form: alike for form, alike in predictors.items() if alike is not None}
+        packed = basis.pack_each(self.fitted, self.precision, list(possible.values()))
         forms = [
-            varint.write([form, k, first, len(drops)]) + drops + basis.pack(self.fitted, self.precision, predictors)
-            for form, predictors in ((FINE_CHAIN, _previous_point(points)), (FINE_TREE, _parent_joint(parents)))
-            if predictors is not None
+            varint.write([form, k, first, len(drops)]) + drops + entries
+            for form, entries in zip(possible, packed, strict=True)
         ]
         return min(forms, key=len)
 

@@ -25,6 +25,9 @@ BITS_PER_ENTRY = 2.1
 
 BITS_PER_PUBLISHED_ENTRY = 16
 
+SMOOTHED_FREQUENCIES = 2
+"""How far beyond a frequency magnitudes count for its rounding."""
+
 MIN_GEOMETRIC_RATIO = 1e-4
 """Lower limit of E / (1 + E), the ratio of the geometric distribution with mean magnitude E."""
 
@@ -111,10 +114,19 @@ def quantise_motion(motion: PreparedMotion, rung: int) -> QuantisedMotion:
     for length, run, frames in _clip_runs(motion.lengths):
         curves = _project(rows[frames], length, transforms, transform_index[run])
         count = None if motion.frequencies is None else int(motion.frequencies[run.start])
-        scaled = dct.forward(curves, count, axis=1) / header.steps_m(motion.rung_offsets[run])[:, None, None]
-        rounding = _rdo_rounding(scaled, motion.economy) if motion.economy else 0.5
-        spectra.extend(quantise.forward(scaled, 1.0, rounding))
+        scaled = dct.forward(curves, count, axis=1)
+        scaled /= header.steps_m(motion.rung_offsets[run])[:, None, None]
+        spectra.extend(_quantised(scaled, motion.economy))
     return _without_zero_components(header, motion, spectra, transform_index)
+
+
+def _quantised(scaled: Floats, economy: float) -> Integers:
+    """Coefficients (clips, l, k) in steps as integers, without the highest frequencies: those below half a step."""
+    largest = np.maximum(scaled.max(axis=(0, 2), initial=0.0), -scaled.min(axis=(0, 2), initial=0.0))
+    known = int(np.flatnonzero(largest >= 0.5).max(initial=-1)) + 1
+    low = scaled[:, : known + SMOOTHED_FREQUENCIES]
+    rounding = _rdo_rounding(low, economy)[:, :known] if economy else 0.5
+    return quantise.forward(low[:, :known], 1.0, rounding)
 
 
 def component_curves(motion: PreparedMotion, step: float) -> Floats:

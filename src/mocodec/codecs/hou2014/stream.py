@@ -287,25 +287,33 @@ def equal_lengths(frames: int, clip_frames: int) -> Integers:
 
 def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
     """Positions (frames, points, 3) of the clips: B S_i D̃_iᵀ, the decoder of section IV-C. Used by the encoder too."""
-    frequencies = clips.frequencies
-    rows: list[Floats] = []
-    at = 0
+    frequencies, matrices = clips.frequencies, _products(header)
+    rows = np.empty((int(clips.lengths.sum()), 3 * header.points))
+    at = frame = 0
     for length, run in equal_length_runs(clips.lengths):
         n, l = run.stop - run.start, int(frequencies[run.start])  # noqa: E741
-        spectra = clips.coefficients[at : at + n * l].reshape(n, l, header.components)
+        spectra = clips.coefficients[at : at + n * l].reshape(n, l, header.components).astype(np.float64)
         at += n * l
-        curves = dct.inverse(spectra * header.steps_m(clips.rung_offsets[run])[:, None, None], length, axis=1)
-        if len(header.transforms) == 1:
-            rows.append(curves.reshape(n * length, header.components) @ header.transforms[0].matrix.T)
+        if header.clip_steps:
+            spectra *= header.steps_m(clips.rung_offsets[run])[:, None, None]
+        curves = np.ones((n, length, header.components + 1))  # the last column stands for the mean pose
+        dct.inverse_panels(spectra, curves)
+        out = rows[frame : frame + n * length]
+        frame += n * length
+        if len(matrices) == 1:
+            np.matmul(curves.reshape(n * length, -1), matrices[0], out=out)
         else:
-            indices = clips.transform_index[run]
-            rows.extend(c @ header.transforms[j].matrix.T for c, j in zip(curves, indices, strict=True))
-    positions = np.concatenate(rows)
-    if header.weight_rungs is not None:
-        positions /= header.row_weights
-    if header.mean_numbers is not None:
-        positions += header.mean_pose
-    return positions.reshape(-1, header.points, 3)
+            for i, j in enumerate(clips.transform_index[run].tolist()):
+                np.matmul(curves[i], matrices[j], out=out[i * length : (i + 1) * length])
+    return rows.reshape(-1, header.points, 3)
+
+
+def _products(header: SharedHeader) -> list[Floats]:
+    """What turns curves in steps into positions in metres, (k + 1, 3 points) of each left transform: Bᵀ, step and
+    weights in one matrix, and the mean pose below it. Clips with steps of their own are in metres already."""
+    step = 1.0 if header.clip_steps else header.unit * quantise.step(header.rung)
+    scale, mean = step / header.row_weights, header.mean_pose
+    return [np.concatenate([transform.matrix.T * scale, mean[None]]) for transform in header.transforms]
 
 
 def pack_payload(clips: bytes, packed_gaps: bytes, corrections: bytes) -> bytes:

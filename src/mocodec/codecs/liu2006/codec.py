@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics, progress
+from ... import metrics, native, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...entropy import varint
 from ...errors import BadInput, CannotEncode, Corrupt
@@ -151,7 +151,7 @@ class Liu2006:
         if not len(rest):
             return segment.Segmentation(segment.equal_length(len(positions), longest), [])
         frame = body_frame.from_markers(positions[:, markers.normalisation], up)
-        poses = body_frame.to_body(positions[:, rest], frame).reshape(len(positions), -1)
+        poses = _poses(positions, rest, frame)
         found = segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
@@ -183,10 +183,7 @@ class Liu2006:
             return models
         decoded = np.concatenate([model.normalisation(model.start, model.stop) for model in models])
         frame = body_frame.from_markers(decoded, up)
-        group_poses = [
-            body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1)
-            for columns in markers.pca_groups
-        ]
+        group_poses = [_poses(positions, columns, frame) for columns in markers.pca_groups]
         return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in progress.over(models)]
 
     @property
@@ -265,6 +262,21 @@ class Liu2006:
         return encodeds.restore(encoded, positions, start)
 
 
+def _poses(positions: Floats, columns: Integers, frame: body_frame.BodyFrame) -> Floats:
+    """Some points (columns,) of positions (frames, points, 3) in the body's frame, (frames, 3 columns)."""
+    if (kernel := native.kernel("place_in_body")) is not None:
+        return kernel(positions, columns, frame.origin, frame.heading, frame.up)
+    return body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1)
+
+
+def _place(poses: Floats, columns: Integers, frame: body_frame.BodyFrame, positions: Floats) -> None:
+    """The inverse of `_poses`, into positions."""
+    if (kernel := native.kernel("place_in_world")) is not None:
+        kernel(poses, columns, frame.origin, frame.heading, frame.up, positions)
+    else:
+        positions[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
+
+
 def _smallest_within(max_error: float, to_mean: Callable[[float], Encoded[Motion]]) -> Encoded[Motion]:
     """The smallest of the encodings at some mean errors below and above the bound, metres. Raises CannotEncode."""
     best = to_mean(MEANS_PER_BOUND[0] * max_error)
@@ -312,7 +324,7 @@ def reconstruct(
         frame = body_frame.from_markers(normalisation, up)
         for group, columns in enumerate(markers.pca_groups):
             poses = blended_poses(models, i, group, first, last, blend_frames)
-            decoded[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
+            _place(poses, columns, frame, decoded)
     return positions
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ... import native
 from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...stages import basis, quantise, spline
@@ -20,6 +21,8 @@ from .marker_groups import MarkerGroups
 
 TRIPLE_ROTATION = np.array([[1, 1, 1], [0, -1, 1], [-2, 1, 1]]) / np.sqrt([[3], [2], [6]])
 """Orthonormal transform of the markers (origin, left, right): centroid, left to right, origin to shoulders."""
+
+TRIPLE_OF_COORDINATES = np.kron(TRIPLE_ROTATION, np.eye(3))
 
 LARGEST_BLEND_MARGIN = 1 << 16
 DISTANCES_AT_A_TIME = 1 << 20
@@ -44,8 +47,8 @@ class KeyframeTrack:
 
     def at(self, start: int, stop: int) -> Floats:
         """The trajectories at frames [start, stop), counted from the track's first frame: (frames, k)."""
-        order = np.argsort(frames := self.keys.by_level)
-        return spline.interpolate(frames[order], self.values[order], np.arange(start, stop))
+        order = self.keys.order
+        return spline.interpolate(self.keys.by_level[order], self.values[order], np.arange(start, stop))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +155,15 @@ def _model_step(rung: int, keys: spline.Keyframes) -> float:
 
 def _to_trajectories(markers: Floats) -> Floats:
     """(frames, markers, 3) → (frames, 3 × markers), transformed by TRIPLE_ROTATION if there are three markers."""
-    rotated = np.einsum("ij,fjc->fic", TRIPLE_ROTATION, markers) if markers.shape[1] == 3 else markers
-    return rotated.reshape(len(markers), -1)
+    flat = markers.reshape(len(markers), -1)
+    return flat @ TRIPLE_OF_COORDINATES.T if markers.shape[1] == 3 else flat
 
 
 def _from_trajectories(trajectories: Floats) -> Floats:
     """The inverse of `_to_trajectories`."""
-    rotated = trajectories.reshape(len(trajectories), -1, 3)
-    return np.einsum("ji,fjc->fic", TRIPLE_ROTATION, rotated) if rotated.shape[1] == 3 else rotated
+    if trajectories.shape[1] == len(TRIPLE_OF_COORDINATES):
+        trajectories = trajectories @ TRIPLE_OF_COORDINATES
+    return trajectories.reshape(len(trajectories), -1, 3)
 
 
 # ── storing ──────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -241,6 +245,8 @@ def _nearest_marker(mean_numbers: Integers) -> Integers:
     Markers near each other move alike. −1 for the first marker.
     """
     pose = mean_numbers.reshape(-1, 3)
+    if (kernel := native.kernel("nearest_earlier")) is not None:
+        return _rows_of_marker(kernel(pose))
     nearest = np.zeros(len(pose), np.int64)
     rows = max(1, DISTANCES_AT_A_TIME // max(len(pose), 1))
     for first in range(0, len(pose), rows):
@@ -248,6 +254,11 @@ def _nearest_marker(mean_numbers: Integers) -> Integers:
         squared_distances = ((some[:, None] - pose[: first + len(some)]) ** 2).sum(axis=-1)
         squared_distances[np.triu_indices(len(some), first, first + len(some))] = np.iinfo(np.int64).max
         nearest[first : first + rows] = squared_distances.argmin(axis=1)
+    return _rows_of_marker(nearest)
+
+
+def _rows_of_marker(nearest: Integers) -> Integers:
+    """The rows of each marker's coordinates in a basis, (3 markers,); −1 for the first marker."""
     predictors = 3 * nearest[:, None] + np.arange(3)
     predictors[0] = -1
     return predictors.ravel()

@@ -14,7 +14,7 @@ direct      every sample on a grid, predicted in time: for numbers too large for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -26,7 +26,7 @@ from ...errors import CannotEncode, Corrupt
 from ...stages import frozen, lattice
 from ...typing import Booleans, Floats, Integers
 from .. import rescue
-from . import trial
+from . import compiled_chunks, trial
 from .coding import coefficients, corrections, direct, quantise
 from .coding.contexts import OCTAVE
 from .models.model import Model
@@ -172,7 +172,7 @@ class ChunkEncoder:
         return len(self.positions)
 
     def _analyse(self) -> None:
-        self.spectrum = self.model.analyse(self.smooth)
+        self.spectrum = compiled_chunks.analyse(self.model, self.smooth)
         if not np.isfinite(self.spectrum).all():
             raise CannotEncode("coefficients that are too large for float64")
 
@@ -202,7 +202,8 @@ class ChunkEncoder:
             )
             decoded = found.decoded
             assert decoded is not None
-            self.spectrum = self.model.analyse(np.where(self.gap_mask[..., None], decoded, self.smooth))
+            refilled = np.where(self.gap_mask[..., None], decoded, self.smooth)
+            self.spectrum = compiled_chunks.analyse(self.model, refilled)
 
     def trial(self, step: int, slope: float = quantise.SLOPE) -> Trial:
         """The chunk without its spikes in one step (log₂ in 1/32 octave). Raises what made its analysis fail."""
@@ -246,21 +247,17 @@ class ChunkEncoder:
         found = trial.within_bound(
             self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE, within, grid_size(grid)
         )
-        assert found.corrections is not None
-        moved = corrections.numbers(found.corrections)
-        bits = found.quantised.bits + coefficients.list_bits(self.model, moved)
-        return Draft(self._numbers(found.quantised, step, moved), grid if moved.size else None, bits=bits)
+        numbers = self._numbers(found.quantised, step, found.moved)
+        return Draft(numbers, grid if found.moved.size else None, bits=found.quantised.bits)
 
     def smaller_of_engines(self, payload: bytes, bound: float) -> bytes:
         """The transform's payload, or the direct engine's where that is smaller."""
         if self.spectrum is None:
             return payload
-        worth, cell = len(payload) * DIRECT_WORTH_TRYING, direct.cell(bound)
-        some = self._weighted()[:, ::ESTIMATED_POINTS]
-        scale = self.positions.shape[1] / some.shape[1]
-        if scale * direct.estimate(direct.quantise(some, cell).reshape(self.frames, -1)) >= CLEARLY * worth:
+        worth, cell, weighted = len(payload) * DIRECT_WORTH_TRYING, direct.cell(bound), self._weighted()
+        if direct.estimate(weighted, cell, ESTIMATED_POINTS) >= CLEARLY * worth:
             return payload
-        if direct.estimate(direct.quantise(self._weighted(), cell).reshape(self.frames, -1)) >= worth:
+        if direct.estimate(weighted, cell) >= worth:
             return payload
         return min(self.directly(grid_step(cell)), payload, key=len)
 
@@ -323,28 +320,51 @@ def _in_order(positions: Floats) -> Floats:
     return np.ascontiguousarray(positions) if native.available() else np.asfortranarray(positions)
 
 
+def encoders(
+    model: Model, source: Prepared, bounds: Sequence[tuple[int, int]], spectra: Mapping[int, Floats] | None = None
+) -> list[ChunkEncoder]:
+    """Of chunks with these bounds, analysed in the threads of `parallel`. spectra: those that are known, by number."""
+    known = spectra or {}
+    for length in {stop - start for start, stop in bounds}:
+        compiled_chunks.encodes(model, length)  # what all threads share is made here
+    numbered = list(enumerate(bounds))
+    return list(parallel.over(lambda b: ChunkEncoder.of(model, source, slice(*b[1]), known.get(b[0])), numbered))
+
+
 def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> list[Draft]:
     """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
     return list(parallel.over(lambda encoder: encoder.draft(step, slope), encoders))
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
-    """The payloads of drafts."""
+    """The payloads of drafts, in the threads of `parallel`."""
+    numbers: dict[int, bytes | None] = {}
+    drafted = [i for i, draft in enumerate(drafts) if draft.numbers is not None]
+    compiled = [i for i in drafted if compiled_chunks.decodes(encoders[i].model, encoders[i].frames)]
+    numbers |= zip(compiled, parallel.over(lambda i: _packed_compiled(encoders[i], drafts[i]), compiled), strict=True)
+    rest = [i for i in drafted if i not in numbers]
+    for first in range(0, len(rest), BATCH):
+        batch = rest[first : first + BATCH]
+        numbers |= zip(batch, _pack_numbers([(encoders[i], drafts[i]) for i in batch]), strict=True)
     payloads: list[bytes] = []
-    for first in range(0, len(encoders), BATCH):
-        batch = list(zip(encoders, drafts, strict=True))[first : first + BATCH]
-        coded = iter(_pack_numbers(batch))
-        for encoder, draft in batch:
-            numbers = next(coded) if draft.numbers is not None else None
-            if numbers is not None:
-                payloads.append(Payload(TRANSFORM, numbers, draft.grid, encoder.gaps).pack())
-            else:
-                payloads.append(encoder.directly(draft.direct_grid))
+    for i, (encoder, draft) in enumerate(zip(encoders, drafts, strict=True)):
+        packed = numbers.get(i)
+        if packed is not None:
+            payloads.append(Payload(TRANSFORM, packed, draft.grid, encoder.gaps).pack())
+        else:
+            payloads.append(encoder.directly(draft.direct_grid))
     return payloads
 
 
+def _packed_compiled(encoder: ChunkEncoder, draft: Draft) -> bytes | None:
+    """The coefficients of a draft by the compiled module; None where their coding fails."""
+    numbers = draft.numbers
+    assert numbers is not None
+    return encoder.attempt(lambda: compiled_chunks.pack(encoder.model, numbers))
+
+
 def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | None]:
-    """The coefficients of the drafts that have some; None where their coding fails."""
+    """The coefficients of these drafts by NumPy; None where their coding fails."""
     listed = [(e, d.numbers) for e, d in batch if d.numbers is not None]
     if not listed:
         return []

@@ -27,14 +27,13 @@ from ...typing import Booleans, Floats
 from .. import rescue
 from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
 from ..lossless import Lossless
-from . import chunk_decoding, engine_choice, fallback, hard_bound, mean_targets, model_choice, repeats, target
+from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .models.model import Model
-from .pose import leaps
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
 from .rotation_layer.chunk_layer import Promise
@@ -260,7 +259,7 @@ class Tempo:
             bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
             choice = model_choice.without_model(motion)
         else:
-            cuts = leaps.discontinuities(source.smooth, motion.rate)
+            cuts = source.discontinuities(motion.rate)
             bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion), cuts)
             with progress.phase(0.0, CHOICE_SHARE):
                 choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
@@ -269,10 +268,7 @@ class Tempo:
             weights = pack_weights(motion.names, self.weights)
             header, model = replace(header, weights=weights), with_weights(model, weights)
         model_bytes = len(header.pack())
-        encoders = [
-            ChunkEncoder.of(model, source, slice(*frames), choice.spectra.get(number))
-            for number, frames in enumerate(bounds)
-        ]
+        encoders = chunk.encoders(model, source, bounds, choice.spectra)
         with progress.phase(CHOICE_SHARE, 1.0):
             payloads = self._to_target(encoders, motion, model_bytes, plan)
         engines = [Payload.unpack(p).engine for p in payloads]

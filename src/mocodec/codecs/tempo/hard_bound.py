@@ -33,6 +33,8 @@ BEST_OFFSET, BEST_SLOPE = 31.2, -8.6
 """Offsets are log₂ of the step in bounds, 1/32 octave."""
 STRIDE, NEAR = 8, 5
 """A search ends with one offset to either side. An offset so near to the predicted one is not changed."""
+TOGETHER = 4
+"""So many chunks are tried by the lattice engine before the next ones learn from them, in any number of threads."""
 LEAST_OFFSET, MOST_OFFSET = -32, 128
 EXACT_TO = 1e6
 """Of samples up to this many bounds from the origin, rounding moves no decoded sample beyond the bound: the trial of a
@@ -129,18 +131,29 @@ class _LatticeTrials:
         self._reported += 1
         progress.report(self._reported / self._chunks)
 
-    def coded(self, encoder: ChunkEncoder, draft: Draft | None) -> OnLattice | None:
-        """The next chunk, None where it is not tried or not possible. draft: by the transform."""
-        number, self._number = self._number, self._number + 1
-        if draft is not None and draft.numbers is not None:
-            few = draft.bits < self._plan.least_bits * encoder.positions.size
-            if few or not self._trials.tries_lattice(number):
-                return None
-        stride, of_typical = self._best
-        found = of_typical if encoder is self._typical else self._of_stride(encoder, stride)
-        if found is not None and draft is not None and draft.numbers is not None:
-            self._trials.learn(draft.bits / 8 + self.share, len(found.payload))
+    def coded(self, encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft | None]) -> list[OnLattice | None]:
+        """The next chunks, None where one is not tried or not possible, in the threads of `parallel`. drafts: by the
+        transform. What they show is learned for the chunks after them."""
+        tried = [i for i, draft in enumerate(drafts) if self._tries(encoders[i], draft)]
+        found: list[OnLattice | None] = [None] * len(encoders)
+        stride, of_typical = self._best if tried else (0, None)
+
+        def on_lattice(i: int) -> OnLattice | None:
+            return of_typical if encoders[i] is self._typical else self._of_stride(encoders[i], stride)
+
+        for i, one in zip(tried, parallel.over(on_lattice, tried), strict=True):
+            found[i], draft = one, drafts[i]
+            if one is not None and draft is not None and draft.numbers is not None:
+                self._trials.learn(draft.bits / 8 + self.share, len(one.payload))
         return found
+
+    def _tries(self, encoder: ChunkEncoder, draft: Draft | None) -> bool:
+        """Whether the next chunk is tried."""
+        number, self._number = self._number, self._number + 1
+        if draft is None or draft.numbers is None:
+            return True
+        few = draft.bits < self._plan.least_bits * encoder.positions.size
+        return not few and self._trials.tries_lattice(number)
 
     def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
         return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
@@ -169,10 +182,12 @@ def _on_lattice(
     if trials is None:
         yield from [None] * len(batch)
     elif any(draft is not None for draft in drafts):
-        yield from map(trials.coded, batch, drafts)
+        for first in range(0, len(batch), TOGETHER):
+            some = slice(first, first + TOGETHER)
+            yield from trials.coded(batch[some], drafts[some])
     else:  # chunks do not depend on each other once the first has shown the stride
-        yield trials.coded(batch[0], None)
-        for found in parallel.over(lambda encoder: trials.coded(encoder, None), batch[1:]):
+        yield from trials.coded(batch[:1], [None])
+        for found in parallel.over(lambda encoder: trials.coded([encoder], [None])[0], batch[1:]):
             trials.report()
             yield found
 
@@ -193,7 +208,8 @@ def _smallest(
         if i in on_lattice and trials is not None:
             worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(by_transform[i]) + trials.share)
             (by_transform if worth else on_lattice).pop(i)
-    by_transform = {i: batch[i].smaller_of_engines(payload, bound) for i, payload in by_transform.items()}
+    compared = parallel.over(lambda i: batch[i].smaller_of_engines(by_transform[i], bound), by_transform)
+    by_transform = dict(zip(by_transform, compared, strict=True))
     return _checked(batch, by_transform, on_lattice, bound)
 
 

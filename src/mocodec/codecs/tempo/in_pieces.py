@@ -21,13 +21,13 @@ from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
 from ..base import has_samples, require_usual_lengths, settings
-from . import chunk_decoding, engine_choice, fallback, hard_bound, model_choice, steady, target
+from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, model_choice, steady, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FALLBACK_MODEL, FROZEN_SHARE, LATTICE_CHUNKS, MOST_CHUNK_SECONDS, Tempo
 from .engine_choice import LatticePlan
 from .header import StreamHeader
 from .models import Recording
-from .pose import heading, leaps
+from .pose import heading
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import payload
 from .rotation_layer.encoder import BOUND_SHARE
@@ -80,7 +80,7 @@ class PieceEncoder:
             source = self._prepare(sample)
             self._plan = self._lattice_plan(sample, source, step)
             self._chunk_seconds = _chunk_seconds(codec, sample, self._plan)
-            found = sorted({*cuts, *leaps.discontinuities(source.smooth, sample.rate)})
+            found = sorted({*cuts, *source.discontinuities(sample.rate)})
             bounds = chunk_bounds(len(sample), sample.rate, self._chunk_seconds, found)
             if self._plan is not None and self._plan.alone:
                 choice = model_choice.without_model(sample)
@@ -149,9 +149,9 @@ class PieceEncoder:
 
     def _coded(self, motion: Motion) -> Piece:
         source = self._prepare(motion)
-        cuts = leaps.discontinuities(source.smooth, motion.rate)
+        cuts = source.discontinuities(motion.rate)
         bounds = chunk_bounds(len(motion), motion.rate, self._chunk_seconds, cuts)
-        encoders = [ChunkEncoder.of(self._model, source, slice(*b)) for b in bounds]
+        encoders = chunk.encoders(self._model, source, bounds)
         payloads = self._payloads(encoders)
         chunks = [Chunk(self._start + a, b - a, p) for (a, b), p in zip(bounds, payloads, strict=True)]
         if self._rotations is not None:

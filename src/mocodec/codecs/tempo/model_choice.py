@@ -119,10 +119,12 @@ def _clearly_cheapest(recording: Recording, names: Sequence[str], number: int) -
 
 
 def _fitted(name: str, recording: Recording) -> Iterator[Choice]:
-    """The models of a type."""
+    """The models of a type. Those of named points are the decoder's own, which it keeps for other recordings too."""
+    named = known_by_name(recording)
     for fitted in MODELS[name].fit(recording):
+        header = StreamHeader.of_model(name, fitted)
         try:
-            yield Choice(StreamHeader.of_model(name, fitted), fitted.model(recording.like))
+            yield Choice(header, header.read_model(recording.like) if named else fitted.model(recording.like))
         except Corrupt:  # numbers that a decoder would refuse
             continue
 

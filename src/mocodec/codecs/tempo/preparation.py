@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
+from ... import native
 from ...stages import frozen, gaps
 from ...typing import Booleans, Floats
 from .pose import heading, leaps
@@ -14,23 +17,38 @@ from .pose import heading, leaps
 class Prepared:
     """positions (frames, points, 3), y up, filled; smooth: without spikes. apart: missing and frozen samples, y up.
 
-    spikes (frames, points): mask.
+    spikes (frames, points): mask. leaps: whether any step between two frames is long enough for a discontinuity.
     """
 
     positions: Floats
     smooth: Floats
     apart: frozen.Split
     spikes: Booleans
+    leaps: bool = True
+
+    def discontinuities(self, rate: float) -> list[int]:
+        """First frames, rising, after a discontinuity."""
+        return leaps.discontinuities(self.smooth, rate) if self.leaps else []
 
 
 def prepare(
     positions: Floats, up: str, tolerance: float | None = None, bones: bool = False, holds: bool = True
 ) -> Prepared:
     """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
-    apart = frozen.split(heading.to_y_up(positions, up), tolerance, bones, holds)
-    filled, mask = gaps.fill(apart.moving)
-    spikes = leaps.spikes(filled) & ~mask
-    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes)
+    missing = repeats = spike = leap = True
+    if (kernel := native.kernel("screen_positions")) is not None:
+        missing, repeats, spike, leap = kernel(positions, leaps.SMALLEST_LEAP_M, leaps.LEAP_FACTOR)
+    turned = heading.to_y_up(positions, up)
+    if missing or repeats:
+        apart = frozen.split(turned, tolerance, bones, holds)
+        filled, mask = gaps.fill(apart.moving)
+        changed = bool(mask.any())
+    else:
+        mask, changed = np.zeros(turned.shape[:2], bool), False
+        filled = np.ascontiguousarray(turned)
+        apart = frozen.Split(filled, mask, mask, mask, tolerance, holds)
+    spikes = leaps.spikes(filled) & ~mask if spike or changed else np.zeros_like(mask)
+    return Prepared(filled, leaps.without_spikes(filled, spikes), apart, spikes, leap or changed)
 
 
 def chunk_bounds(frames: int, rate: float, seconds: float, cuts: list[int] | None = None) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...typing import Booleans, Floats
+from ...typing import Booleans, Floats, Integers
 from . import compiled_chunks
 from .coding import coefficients, corrections, quantise, rows
 from .models.model import Model
@@ -21,15 +21,20 @@ class Trial(NamedTuple):
     """quantised: integers (frequencies in the coded zone, rows), threshold, bits.
 
     distance: sum of the distances of samples that are not apart, times the points' weights, metres. squared: sum of the
-    squared distances of all samples, m². Both are 0 where corrections were found instead. decoded: positions (frames,
-    points, 3), None unless they were asked for.
+    squared distances of all samples, m². decoded: positions (frames, points, 3), None unless they were asked for.
     """
 
     quantised: quantise.Quantised
     distance: float
     squared: float
-    corrections: corrections.Corrections | None
     decoded: Floats | None
+
+
+class Bounded(NamedTuple):
+    """quantised: as in `Trial`, bits with those of the corrections. moved: `corrections.numbers`."""
+
+    quantised: quantise.Quantised
+    moved: Integers
 
 
 def errors(model: Model, wanted: Floats, decoded: Floats, apart: Booleans) -> Floats:
@@ -46,31 +51,31 @@ def of_step(
     spectrum: coefficients (frames, rows), metres. wanted: positions (frames, points, 3). apart (frames, points): mask
     of samples without an error. slope: λ. keeps: whether the decoded positions are wanted too.
     """
-    if (found := compiled_chunks.trial(model, spectrum, wanted, apart, step, slope, keeps=keeps)) is not None:
-        values, threshold, bits, distance, squared, *_, decoded = found
-        return Trial(quantise.Quantised(values, threshold, bits), distance, squared, None, decoded)
+    if (found := compiled_chunks.of_step(model, spectrum, wanted, apart, step, slope, keeps)) is not None:
+        values, threshold, bits, distance, squared, decoded = found
+        return Trial(quantise.Quantised(values, threshold, bits), distance, squared, decoded)
     found, decoded = _decoded(model, spectrum, step, slope)
     distance = float(errors(model, wanted, decoded, apart).sum())
-    return Trial(found, distance, float(((wanted - decoded) ** 2).sum()), None, decoded if keeps else None)
+    return Trial(found, distance, float(((wanted - decoded) ** 2).sum()), decoded if keeps else None)
 
 
 def within_bound(
     model: Model, spectrum: Floats, wanted: Floats, apart: Booleans, step: int, slope: float, bound: float, grid: float
-) -> Trial:
+) -> Bounded:
     """The trial of a step, with the corrections in steps of `grid` metres that bring all samples within the bound.
 
     The rest as in `of_step`. Raises CannotEncode for errors too large to correct.
     """
-    if (found := compiled_chunks.trial(model, spectrum, wanted, apart, step, slope, bound, grid)) is not None:
-        values, threshold, bits, _, _, start, length, by, _ = found
-        moved = corrections.Corrections(start, length, by)
-        return Trial(quantise.Quantised(values, threshold, bits), 0.0, 0.0, moved, None)
+    if (found := compiled_chunks.within_bound(model, spectrum, wanted, apart, step, slope, bound, grid)) is not None:
+        values, threshold, bits, moved = found
+        return Bounded(quantise.Quantised(values, threshold, bits), moved)
     found, decoded = _decoded(model, spectrum, step, slope)
     error = wanted - decoded
     error[apart] = 0.0
     if model.weights is not None:
         error *= model.weights[:, None]
-    return Trial(found, 0.0, 0.0, corrections.find(error, bound, grid), None)
+    moved = corrections.numbers(corrections.find(error, bound, grid))
+    return Bounded(found._replace(bits=found.bits + coefficients.list_coding(model, moved)[1]), moved)
 
 
 def _decoded(model: Model, spectrum: Floats, step: int, slope: float) -> tuple[quantise.Quantised, Floats]:

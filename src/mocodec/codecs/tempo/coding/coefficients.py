@@ -71,7 +71,7 @@ def pack(model: Expectations, chunks: Sequence[ChunkNumbers]) -> list[bytes]:
         known = values[: wide.frequencies][wide.inside]
         listed = np.zeros((0, 0), np.int64) if lists is None else lists
         list_symbols = symbols.of_magnitudes(np.abs(listed))
-        tables = _list_tables(model, list_symbols)
+        tables = list_coding(model, listed)[0] if listed.size else np.zeros(0, np.int64)
         raw = symbols.raw_bits(known, symbols.of_magnitudes(np.abs(known)))
         raw = np.concatenate([raw, _raw_of_lists(listed, list_symbols)])
         lane_code = _lane_code(known.size + listed.size, len(raw))
@@ -159,17 +159,16 @@ def read_head(model: Expectations, frames: int, payload: bytes, fields: int) -> 
     return Head(known, list_tables, states, payload[at:])
 
 
-def list_bits(model: Expectations, lists: Integers) -> float:
-    """Estimate of the bits of lists (fields, n)."""
+def list_coding(model: Expectations, lists: Integers) -> tuple[Integers, float]:
+    """The class whose table codes each field of lists (fields, n) in the fewest bits, and an estimate of all bits."""
     symbol = symbols.of_magnitudes(np.abs(lists))
-    price = model.tables.cost[LIST_TABLES + _list_tables(model, symbol)[:, None], symbol]
-    return float(price.sum() + len(_raw_of_lists(lists, symbol)))
-
-
-def _list_tables(model: Expectations, symbol: Integers) -> Integers:
-    """The class whose table codes each field (fields, n) in the fewest bits."""
+    counts = np.array([np.bincount(field, minlength=symbols.SYMBOLS) for field in symbol])
     price = model.tables.cost[LIST_TABLES : LIST_TABLES + contexts.CLASSES]
-    return np.array([price[:, field].sum(axis=1).argmin() for field in symbol], np.int64)
+    # cumsum adds in order of the symbols, as the compiled module does
+    bits_each = (price * counts[:, None]).cumsum(axis=2)[..., -1]
+    chosen = bits_each.argmin(axis=1)
+    raw = len(_raw_of_lists(lists, symbol)) if lists.size else 0
+    return chosen.astype(np.int64), sum(bits_each[range(len(chosen)), chosen].tolist()) + raw
 
 
 def _raw_of_lists(lists: Integers, symbol: Integers) -> Bytes:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .... import native
 from ....entropy import coder
 from ....errors import CannotEncode
 from ....typing import Floats, Integers
@@ -51,10 +52,21 @@ def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
     return values
 
 
-def estimate(values: Integers) -> float:
-    """Estimate of the bytes of `pack`, from the mean residual of each coordinate."""
-    size = np.abs(_residuals(values)[1:]).mean(axis=0) if len(values) > 1 else np.zeros(values.shape[1])
-    return float(len(values) * np.log2(1 + 2.5 * size).sum() / 8 + 4 * values.shape[1])
+def estimate(positions: Floats, step: float, every: int = 1) -> float:
+    """Estimate of the bytes of `pack` for positions (frames, points, 3) in steps of `step` metres.
+
+    It is made from the mean residual of each coordinate of every so many points. Raises CannotEncode where they are too
+    large.
+    """
+    frames, points = positions.shape[:2]
+    sums = None
+    if (kernel := native.kernel("direct_residuals")) is not None:
+        sums = kernel(positions, step, every, LARGEST)
+    if sums is None:
+        sums = np.abs(_residuals(quantise(positions[:, ::every], step).reshape(frames, -1))[1:]).sum(axis=0)
+    size = sums / max(1, frames - 1)
+    some = frames * np.log2(1 + 2.5 * size).sum() / 8 + 4 * len(size)
+    return float(some * 3 * points / len(size))
 
 
 def _residuals(values: Integers) -> Integers:

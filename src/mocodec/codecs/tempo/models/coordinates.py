@@ -37,6 +37,10 @@ class PointCoordinates:
     def scale(self, coordinates: Floats) -> Floats:
         return coordinates
 
+    def analysing(self, basis: Floats) -> Floats:
+        """The matrix (dimensions, components) that does `scale` and then takes components of a basis."""
+        return basis.T
+
     def unscaled(self, bases: tuple[Floats, ...]) -> tuple[Floats, ...]:
         """Bases that undo `scale` too."""
         return bases
@@ -77,6 +81,10 @@ class DirectionCoordinates:
 
     def scale(self, coordinates: Floats) -> Floats:
         return coordinates @ self.metric_root
+
+    def analysing(self, basis: Floats) -> Floats:
+        """The matrix (dimensions, components) that does `scale` and then takes components of a basis."""
+        return self.metric_root @ basis.T
 
     def unscaled(self, bases: tuple[Floats, ...]) -> tuple[Floats, ...]:
         """Bases that undo `scale` too."""

@@ -161,5 +161,10 @@ def smooth_heading(angles: Floats, rate: float) -> Floats:
     frames = len(angles)
     size = step_size(heading_step(frames))
     coefficients = np.round(dct.forward(angles) / size) * size
-    coefficients[SLOWEST_HEADING + int(2 * HEADING_HZ * frames / rate) :] = 0
+    coefficients[heading_frequencies(frames, rate) :] = 0
     return coefficients
+
+
+def heading_frequencies(frames: int, rate: float) -> int:
+    """How many coefficients of the heading are kept."""
+    return SLOWEST_HEADING + int(2 * HEADING_HZ * frames / rate)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .... import native
 from ....typing import Booleans, Floats
 
 SMALLEST_LEAP_M = 0.08
@@ -43,13 +44,20 @@ def discontinuities(positions: Floats, rate: float) -> list[int]:
     """First frames, rising, after a discontinuity, in positions without spikes."""
     if len(positions) < 4:
         return []
+    if (kernel := native.kernel("leap_frames")) is not None:
+        leaps: list[int] = kernel(positions, SMALLEST_LEAP_M, LEAP_FACTOR)
+    else:
+        leaps = _leaps(positions)
+    return [] if len(leaps) > 2 + MAX_PER_SECOND * len(positions) / rate else leaps
+
+
+def _leaps(positions: Floats) -> list[int]:
     step = _length(np.diff(positions, axis=0))
     around = np.maximum(
         np.concatenate([step[1:2], step[:-1]]),
         np.concatenate([step[1:], step[-2:-1]]),
     )
-    leaps = np.flatnonzero(((step > SMALLEST_LEAP_M) & (step > LEAP_FACTOR * around)).any(axis=1)) + 1
-    return [] if len(leaps) > 2 + MAX_PER_SECOND * len(positions) / rate else leaps.tolist()
+    return (np.flatnonzero(((step > SMALLEST_LEAP_M) & (step > LEAP_FACTOR * around)).any(axis=1)) + 1).tolist()
 
 
 def _length(vectors: Floats) -> Floats:

@@ -1,12 +1,14 @@
 /** Points that follow the links of a body, at most two each (docs/payloads/bodycast.md, "Skinning"). */
 
-import { matrixOf } from "../../geometry.js";
+import { type Vector, matrixOf, times } from "../../geometry.js";
 import type { Body, Placement } from "../bodies.js";
 import { CubeIndex } from "./cubes.js";
 import type { Sample } from "./sampling.js";
 
 /** Of the body's size. */
 const RADIUS = 0.0375;
+/** A side of a cube is at least this. */
+const SMALLEST_M = 1e-6;
 
 export class Skin {
   /** (points, 2): links; and the share of the first. */
@@ -15,24 +17,29 @@ export class Skin {
 
   constructor(body: Body, samples: Sample[]) {
     const radius = RADIUS * extentOf(body);
-    const buckets = new Buckets(samples, radius);
-    const links = body.parents.length;
-    const weights = new Float64Array(links);
     this.links = new Uint8Array(2 * samples.length);
     this.shares = new Float64Array(samples.length);
-    samples.forEach((sample, i) => {
-      weights.fill(0);
-      buckets.around(i, (j) => {
-        const other = samples[j]!;
-        weights[other.link]! += i === j ? 1 : weightOf(sample, other, radius);
-      });
-      const first = largest(weights, -1);
-      const second = largest(weights, first);
-      const rest = second < 0 ? 0 : weights[second]!;
-      this.links[2 * i] = first;
-      this.links[2 * i + 1] = rest > 0 ? second : first;
-      this.shares[i] = weights[first]! / (weights[first]! + rest);
-    });
+    const grid = new Grid(samples, radius);
+    const weights = new Float64Array(body.parents.length);
+    for (let cube = 0; cube + 1 < grid.starts.length; cube++) {
+      const around = grid.around(cube);
+      const only = grid.onlyLink(around);
+      for (let slot = grid.starts[cube]!; slot < grid.starts[cube + 1]!; slot++) {
+        weights.fill(0);
+        if (only >= 0) weights[only] = 1;
+        else grid.weigh(slot, around, weights);
+        this.set(grid.samples[slot]!, weights);
+      }
+    }
+  }
+
+  private set(i: number, weights: Float64Array): void {
+    const first = largest(weights, -1);
+    const second = largest(weights, first);
+    const rest = second < 0 ? 0 : weights[second]!;
+    this.links[2 * i] = first;
+    this.links[2 * i + 1] = rest > 0 ? second : first;
+    this.shares[i] = weights[first]! / (weights[first]! + rest);
   }
 
   /** Points (n, 3), canonical, where the links stand. */
@@ -63,50 +70,101 @@ function extentOf({ origins, tips }: Body): number {
   return Math.max(...[0, 1, 2].map((c) => Math.max(...ends.map((end) => end[c]!)) - Math.min(...ends.map((end) => end[c]!))));
 }
 
-function weightOf(a: Sample, b: Sample, radius: number): number {
-  const [x, y, z] = [a.place[0] - b.place[0], a.place[1] - b.place[1], a.place[2] - b.place[2]];
-  const near = 1 - (x * x + y * y + z * z) / (radius * radius);
-  if (near <= 0) return 0;
-  const alike = a.normal[0] * b.normal[0] + a.normal[1] * b.normal[1] + a.normal[2] * b.normal[2];
-  return alike > 0 ? near * near * alike : 0;
-}
-
 function largest(values: Float64Array, without: number): number {
   let best = -1;
   for (let i = 0; i < values.length; i++) if (i !== without && (best < 0 || values[i]! > values[best]!)) best = i;
   return best;
 }
 
-/** Samples by the cube of a grid that they are in. */
-class Buckets {
-  /** (samples, 3): cubes. */
+/** Samples by the cube of a grid that they are in: slots of one cube follow one another. */
+class Grid {
+  /** The first slot of each cube, and the end. */
+  readonly starts: Int32Array;
+  /** The sample in each slot; its link, place in units of the radius, and normal. */
+  readonly samples: Int32Array;
+  private readonly links: Uint8Array;
+  private readonly places: Float64Array;
+  private readonly normals: Float64Array;
+  /** (cubes, 3). */
   private readonly cubes: Int32Array;
   private readonly index: CubeIndex;
-  private readonly members: number[][] = [];
 
-  constructor(samples: Sample[], size: number) {
-    this.cubes = Int32Array.from(samples.flatMap(({ place }) => place.map((v) => Math.floor(v / Math.max(size, 1e-6)))));
-    const found = new Map<string, number[]>();
-    samples.forEach((_, i) => {
-      const key = this.cubes.subarray(3 * i, 3 * i + 3).join();
-      const own = found.get(key);
-      if (own) own.push(i);
-      else found.set(key, [i]);
+  constructor(samples: Sample[], radius: number) {
+    const unit = 1 / Math.max(radius, SMALLEST_M);
+    const cubeOf = ({ place }: Sample) => place.map((v) => Math.floor(v * unit)) as Vector;
+    const numbers = new Map<string, number>();
+    const cubes: number[] = [];
+    const cubeOfSample = samples.map((sample) => {
+      const cube = cubeOf(sample);
+      const key = cube.join();
+      let number = numbers.get(key);
+      if (number === undefined) {
+        number = numbers.size;
+        numbers.set(key, number);
+        cubes.push(...cube);
+      }
+      return number;
     });
-    this.members = [...found.values()];
-    this.index = new CubeIndex(this.members.flatMap(([first]) => [...this.cubes.subarray(3 * first!, 3 * first! + 3)]));
+    this.cubes = Int32Array.from(cubes);
+    this.index = new CubeIndex(this.cubes);
+    this.starts = new Int32Array(numbers.size + 1);
+    for (const cube of cubeOfSample) this.starts[cube + 1]!++;
+    for (let cube = 0; cube < numbers.size; cube++) this.starts[cube + 1]! += this.starts[cube]!;
+    this.samples = new Int32Array(samples.length);
+    this.links = new Uint8Array(samples.length);
+    this.places = new Float64Array(3 * samples.length);
+    this.normals = new Float64Array(3 * samples.length);
+    const next = this.starts.slice();
+    samples.forEach(({ link, place, normal }, i) => {
+      const slot = next[cubeOfSample[i]!]!++;
+      this.samples[slot] = i;
+      this.links[slot] = link;
+      this.places.set(times(unit, place), 3 * slot);
+      this.normals.set(normal, 3 * slot);
+    });
   }
 
-  /** Calls `use` with the samples in the cubes around that of sample i. */
-  around(i: number, use: (j: number) => void): void {
-    const [x, y, z] = [this.cubes[3 * i]!, this.cubes[3 * i + 1]!, this.cubes[3 * i + 2]!];
+  /** The cubes around a cube that have samples. */
+  around(cube: number): number[] {
+    const [x, y, z] = [this.cubes[3 * cube]!, this.cubes[3 * cube + 1]!, this.cubes[3 * cube + 2]!];
+    const found: number[] = [];
     for (let dx = -1; dx <= 1; dx++) {
       for (let dy = -1; dy <= 1; dy++) {
         for (let dz = -1; dz <= 1; dz++) {
-          const cube = this.index.find(x + dx, y + dy, z + dz);
-          if (cube >= 0) for (const j of this.members[cube]!) use(j);
+          const other = this.index.find(x + dx, y + dy, z + dz);
+          if (other >= 0) found.push(other);
         }
       }
     }
+    return found;
+  }
+
+  /** The link of all samples of these cubes, −1 if they have several. */
+  onlyLink(cubes: number[]): number {
+    const link = this.links[this.starts[cubes[0]!]!]!;
+    for (const cube of cubes) {
+      for (let slot = this.starts[cube]!; slot < this.starts[cube + 1]!; slot++) if (this.links[slot] !== link) return -1;
+    }
+    return link;
+  }
+
+  /** Adds the weights of the samples in these cubes for the sample in a slot to those of their links. */
+  weigh(own: number, cubes: number[], weights: Float64Array): void {
+    const { places, normals, links, starts } = this;
+    const [x, y, z] = [places[3 * own]!, places[3 * own + 1]!, places[3 * own + 2]!];
+    const [nx, ny, nz] = [normals[3 * own]!, normals[3 * own + 1]!, normals[3 * own + 2]!];
+    for (const cube of cubes) {
+      const stop = 3 * starts[cube + 1]!;
+      for (let at = 3 * starts[cube]!; at < stop; at += 3) {
+        const dx = places[at]! - x;
+        const dy = places[at + 1]! - y;
+        const dz = places[at + 2]! - z;
+        const near = 1 - (dx * dx + dy * dy + dz * dz);
+        if (near <= 0 || at === 3 * own) continue;
+        const alike = normals[at]! * nx + normals[at + 1]! * ny + normals[at + 2]! * nz;
+        if (alike > 0) weights[links[at / 3]!]! += near * near * alike;
+      }
+    }
+    weights[links[own]!]! += 1;
   }
 }

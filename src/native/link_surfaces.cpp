@@ -1,0 +1,138 @@
+// Points beside the cylinders of links, for geometry/articulated_icp.py: the closest link, the side of a normal, moments.
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "algebra3.h"
+#include "arrays.h"
+
+namespace {
+
+// Posed cylinders: joints and axes (links, 3), lengths and radii (links), metres.
+struct Cylinders {
+    Cylinders(const Input<double, 2> &joints, const Input<double, 2> &axes, const Input<double, 1> &lengths,
+              const Input<double, 1> &radii)
+        : count(joints.shape(0)), joints(joints.data()), axes(axes.data()), lengths(lengths.data()), radii(radii.data()) {
+        if (joints.shape(1) != 3 || axes.shape(1) != 3 || axes.shape(0) != count || !count || lengths.shape(0) != count ||
+            radii.shape(0) != count)
+            throw std::invalid_argument("cylinders of links: shapes differ");
+    }
+
+    // Where a point is beside a link. offset: from its joint; radial: distance from the line through the axis; foot: the
+    // place along the axis that is closest; beyond: how far the point is beyond the ends.
+    struct Place {
+        double offset[3], radial, foot, beyond;
+    };
+
+    Place place(size_t link, const double *point) const {
+        Place at;
+        for (int d = 0; d < 3; ++d) at.offset[d] = point[d] - joints[3 * link + d];
+        const double along = dot(axes + 3 * link, at.offset);
+        at.foot = std::clamp(along, 0.0, lengths[link]);
+        at.beyond = along - at.foot;
+        at.radial = std::sqrt(std::max(dot(at.offset, at.offset) - along * along, 0.0));
+        return at;
+    }
+
+    // Positive where a direction at this place points away from the axis.
+    double facing(size_t link, const Place &at, const double *direction) const {
+        return dot(at.offset, direction) - at.foot * dot(axes + 3 * link, direction);
+    }
+
+    const size_t count;
+    const double *joints, *axes, *lengths, *radii;
+};
+
+constexpr double FARTHEST = -745;  // logarithm of the closeness that is zero in float64
+
+// Grows with articulated_icp.closeness: its logarithm outside of the cylinder, the closeness itself inside.
+double closeness_order(double radial, double beyond, double radius) {
+    const double over = std::max(radial - radius, 0.0), distance = std::sqrt(over * over + beyond * beyond);
+    return distance <= 0 ? 1 + std::max(1 - radial / radius, 0.0) : std::max(-distance / radius, FARTHEST);
+}
+
+// articulated_icp.segment: the link of greatest closeness to each point. points (n, 3); normals (n, 3), or (0, 3).
+Output<int64_t> closest_links(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints,
+                              Input<double, 2> axes, Input<double, 1> lengths, Input<double, 1> radii) {
+    const size_t n = points.shape(0);
+    const bool has_normals = normals.shape(0) > 0;
+    const Cylinders links(joints, axes, lengths, radii);
+    if (points.shape(1) != 3 || normals.shape(1) != 3 || (has_normals && normals.shape(0) != n))
+        throw std::invalid_argument("closest_links: shapes differ");
+    Fresh<int64_t> out(n);
+    for (size_t i = 0; i < n; ++i) {
+        double best = -std::numeric_limits<double>::infinity(), best_facing = FARTHEST;  // regardless of the normal, and not
+        int64_t nearest = 0, facing = -1;
+        for (size_t link = 0; link < links.count; ++link) {
+            const Cylinders::Place at = links.place(link, points.data() + 3 * i);
+            const double close = closeness_order(at.radial, at.beyond, links.radii[link]);
+            if (close > best) best = close, nearest = int64_t(link);
+            if (!has_normals || close <= best_facing) continue;
+            if (links.facing(link, at, normals.data() + 3 * i) > 0) best_facing = close, facing = int64_t(link);
+        }
+        out.data[i] = facing < 0 ? nearest : facing;
+    }
+    return out.give({n});
+}
+
+// articulated_icp.outward_normals: normals (n, 3) turned away from the axis of the link with the nearest surface.
+Output<double> turned_outward(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints, Input<double, 2> axes,
+                              Input<double, 1> lengths, Input<double, 1> radii) {
+    const size_t n = points.shape(0);
+    const Cylinders links(joints, axes, lengths, radii);
+    if (points.shape(1) != 3 || normals.shape(1) != 3 || normals.shape(0) != n)
+        throw std::invalid_argument("turned_outward: shapes differ");
+    Fresh<double> out(3 * n);
+    for (size_t i = 0; i < n; ++i) {
+        const double *normal = normals.data() + 3 * i;
+        double best = std::numeric_limits<double>::infinity(), facing = 0;
+        for (size_t link = 0; link < links.count; ++link) {
+            const Cylinders::Place at = links.place(link, points.data() + 3 * i);
+            const double distance = std::sqrt(at.radial * at.radial + at.beyond * at.beyond) - links.radii[link];
+            if (distance < best) best = distance, facing = links.facing(link, at, normal);
+        }
+        for (int d = 0; d < 3; ++d) out.data[3 * i + d] = facing < 0 ? -normal[d] : normal[d];
+    }
+    return out.give({n, 3});
+}
+
+// articulated_icp.third_moments, of points (n, 3) on links (n) of `count`: (count, 3, 3, 3).
+Output<double> third_moments(Input<double, 2> points, Input<int64_t, 1> links, size_t count) {
+    const size_t n = points.shape(0);
+    if (points.shape(1) != 3 || links.shape(0) != n) throw std::invalid_argument("third_moments: shapes differ");
+    std::vector<double> sums(10 * count, 0.0);
+    std::vector<size_t> of_link(count, 0);
+    for (size_t p = 0; p < n; ++p) {
+        const size_t link = size_t(links.data()[p]);
+        if (link >= count) throw std::invalid_argument("third_moments: no such link");
+        ++of_link[link];
+        const double *x = points.data() + 3 * p;
+        size_t at = 10 * link;
+        for (size_t i = 0; i < 3; ++i)
+            for (size_t j = i; j < 3; ++j)
+                for (size_t k = j; k < 3; ++k) sums[at++] += x[i] * x[j] * x[k];
+    }
+    Fresh<double> out(27 * count);
+    for (size_t link = 0; link < count; ++link) {
+        size_t at = 10 * link;
+        for (size_t i = 0; i < 3; ++i)
+            for (size_t j = i; j < 3; ++j)
+                for (size_t k = j; k < 3; ++k, ++at) {
+                    const double mean = sums[at] / double(std::max<size_t>(of_link[link], 1));
+                    const size_t orders[6][3] = {{i, j, k}, {i, k, j}, {j, i, k}, {j, k, i}, {k, i, j}, {k, j, i}};
+                    for (const auto &o : orders) out.data[27 * link + 9 * o[0] + 3 * o[1] + o[2]] = mean;
+                }
+    }
+    return out.give({count, 3, 3, 3});
+}
+
+}  // namespace
+
+void bind_link_surfaces(nb::module_ &m) {
+    m.def("closest_links", &closest_links);
+    m.def("turned_outward", &turned_outward);
+    m.def("third_moments", &third_moments);
+}
