@@ -15,6 +15,7 @@ import pytest
 import mocodec as mc
 from mocodec import formats, in_pieces
 from mocodec.testing import hinged_figures, synthetic
+from tests.formats.samples import capture, same_tree
 
 
 @pytest.fixture(autouse=True)
@@ -106,16 +107,17 @@ def test_rotations_are_kept_under_a_bound(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.mocz"]
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d"])
 def test_files_in_pieces_give_the_frames_of_the_file(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mocodec.formats.text_lines.BLOCK_LINES", 333)
     monkeypatch.setattr("mocodec.formats.text_lines.blocks.__defaults__", (333,))
     monkeypatch.setattr("mocodec.formats.amc_blocks.BLOCK_FRAMES", 333)
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 333 * 41)
     skeletal = suffix in (".bvh", ".amc")
     motion = hinged_figures.figure(1000, own_frame=suffix == ".amc") if skeletal else markers(1000)
-    if suffix == ".trc":
+    if suffix in (".trc", ".c3d"):
         positions = motion.positions.copy()
         positions[300:340, 2] = np.nan
         motion = replace(motion, positions=positions)
@@ -124,7 +126,7 @@ def test_files_in_pieces_give_the_frames_of_the_file(
     mc.write(path, motion)
     whole, parts = mc.read(path, mc.Motion, **options), mc.read_blocks(path, **options)
     found = list(parts)
-    assert len(found) > 1 or suffix in (".npy", ".npz")
+    assert len(found) > 1
     assert (parts.about.names, parts.about.rate, parts.about.up) == (whole.names, whole.rate, whole.up)
     assert parts.frames in (None, 1000)
     np.testing.assert_array_equal(np.concatenate([m.positions for m in found]), whole.positions)
@@ -136,7 +138,7 @@ def test_files_in_pieces_give_the_frames_of_the_file(
     assert written.frames == 1000
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d"])
 def test_truncated_files_raise_in_pieces(tmp_path: Path, suffix: str) -> None:
     motion = hinged_figures.figure(400, own_frame=suffix == ".amc")
     path = tmp_path / f"recording{suffix}"
@@ -149,6 +151,36 @@ def test_truncated_files_raise_in_pieces(tmp_path: Path, suffix: str) -> None:
             continue  # within the last row: empty cells at its end are gaps
         with pytest.raises(mc.BadInput):
             list(mc.read_blocks(path, **options))
+
+
+def test_a_c3d_keeps_events_and_parameters_in_pieces_and_names_what_it_leaves_out(tmp_path: Path) -> None:
+    path, out = tmp_path / "lab.c3d", tmp_path / "out.mocz"
+    mc.write(path, capture())
+    whole, parts = mc.read(path, mc.Motion), mc.read_blocks(path)
+    assert parts.left_out == ("analog channels",)
+    mc.encode_blocks(parts, out, max_error=0.005)
+    decoded = mc.read(out, mc.Motion)
+    kept = {name: value for name, value in whole.extras.items() if name not in ("analog", "residuals")}
+    assert "events" in kept
+    for name, value in kept.items():
+        assert name == "parameters" or same_tree(decoded.extras[name], value), name
+    assert same_tree(decoded.extras["parameters"]["Own Group"], kept["parameters"]["Own Group"])
+    with pytest.raises(mc.BadInput, match="residuals are not kept"):
+        mc.read_blocks(path, residuals=True)
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".c3d"])
+def test_zeros_are_gaps_in_blocks_of_nothing_else(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 100 * 41)
+    monkeypatch.setattr("mocodec.formats.text_lines.blocks.__defaults__", (100,))
+    positions = markers(600).positions.copy()
+    positions[150:450] = 0.0
+    path = tmp_path / f"empty{suffix}"
+    mc.write(path, replace(markers(600), positions=positions))
+    whole = mc.read(path, mc.Motion)
+    found = np.concatenate([m.positions for m in mc.read_blocks(path)])
+    np.testing.assert_array_equal(found, whole.positions)
+    assert np.isnan(found[150:450]).all()
 
 
 def test_what_cannot_be_done_in_blocks(tmp_path: Path) -> None:
@@ -168,7 +200,7 @@ def test_what_cannot_be_done_in_blocks(tmp_path: Path) -> None:
     with pytest.raises(mc.BadInput, match="no frames"):
         mc.encode_blocks([], path)
     with pytest.raises(mc.BadInput, match="read as a whole only"):
-        mc.read_blocks(tmp_path / "x.c3d")
+        mc.read_blocks(tmp_path / "x.glb")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,6 +13,7 @@ constexpr int POSTERIORS = 64, NO_HINT = POSTERIORS, FAR = 21;
 constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
 constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
 constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
+constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
 constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
 
 // What the surface says about the children of one cube, and what is left of it while its octants are coded.
@@ -119,7 +120,7 @@ public:
         for (int level = 0; level < depth_; ++level) {
             std::vector<uint8_t> occupied;
             if (codes) occupied = occupancy(codes, points, level_, depth_ - level - 1);
-            if (surface_) look_at_surface(level);
+            if (surface_) look_at_surface(level, level == depth_ - 1 ? LATTICE_STEP : 1);
             code_level(coder, depth_ - level, codes ? occupied.data() : nullptr);
             if (is_cut_off(coder)) return false;
             size_t cubes = 0;
@@ -233,8 +234,8 @@ private:
         }
     }
 
-    // Samples near the cubes of a level, and what they say about their children.
-    void look_at_surface(int level) {
+    // Samples near the cubes of a level, and what they say about their children: octants 0, octant_step, 2 octant_step …
+    void look_at_surface(int level, int octant_step) {
         surface_->attach(level_.places, level, level_.nearest);
         surface_->offsets(level_.places, level, level_.nearest, offset_, spread_);
         const int side_bits = surface_->child_bits(level);
@@ -251,23 +252,23 @@ private:
             int64_t step[3];
             for (size_t d = 0; d < 3; ++d) step[d] = wrapped_product(surface_->normal(row)[d], side) >> NORMAL_BITS;
             const int64_t deviation = std::max(spread_[i], side / 4);  // at least 4
-            for (int octant = 0; octant < 8; ++octant) {
+            for (int octant = 0; octant < 8; octant += octant_step) {
                 int64_t away = distance;
                 for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? step[d] : 0;
                 const uint64_t magnitude = away < 0 ? -uint64_t(away) : uint64_t(away);
                 const int kind = class_[std::min<uint64_t>(4 * magnitude >> side_bits, CLASSES - 1)];
                 hints.distance[octant] = uint8_t(away < 0 ? FAR / 2 - kind : FAR / 2 + kind);
-                hints.narrow[octant] = weight(magnitude, deviation);
-                hints.wide[octant] = weight(magnitude, 2 * deviation);
+                // the quotient of floats is exact enough: integers below 2^52
+                const double steps = double(magnitude) * BELL_PER_DEVIATION / double(deviation);
+                hints.narrow[octant] = weight(steps);
+                hints.wide[octant] = weight(steps / 2);
             }
         }
         if (2 * side > surface_->spacing()) count_samples(level);
     }
 
-    // The normal density at a distance, for a standard deviation.
-    uint16_t weight(uint64_t distance, int64_t deviation) const {
-        // the quotient of floats is exact enough: integers below 2^52
-        const double steps = double(distance) * BELL_PER_DEVIATION / double(deviation);
+    // The normal density at a distance in steps of the table.
+    uint16_t weight(double steps) const {
         return uint16_t(bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS]);
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,26 @@ def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> N
     assert not (tmp_path / "x.mocz").exists()
 
 
+def test_a_c3d_loses_nothing_in_pieces_unless_bare(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab, out = tmp_path / "lab.c3d", tmp_path / "lab.mocz"
+    motion = synthetic.markers(frames=3000, seed=3)
+    signal = mc.Signal(np.zeros((6000, 2), np.int16), 240.0, ("Fx", "Fy"), ("N", "N"))
+    mc.write(lab, replace(motion, extras={"analog": signal}))
+    done = command("encode", lab, "-o", out, "--in-pieces")
+    assert done.code == 3
+    assert "analog channels would be lost" in done.err
+    assert not out.exists()
+    monkeypatch.setattr("mocodec.cli.in_pieces.LARGE_BYTES", 1000)
+    assert command("encode", lab, "-o", out).code == 0
+    assert "analog" in mc.read(out, mc.Motion).extras
+    assert command("encode", lab, "-o", out, "--in-pieces", "--bare").code == 0
+    bare = mc.read(out, mc.Motion)
+    assert not bare.extras
+    assert mc.compare(motion, bare).max_error <= 0.005
+
+
 def test_guesses_are_said_as_without_pieces(command: Command, recording: Path, tmp_path: Path) -> None:
     guessed = tmp_path / "plain.npy"
     np.save(guessed, mc.read(recording, mc.Motion).positions)
@@ -79,7 +100,7 @@ def test_files_of_a_folder(command: Command, recording: Path, tmp_path: Path) ->
     folder, out, whole = tmp_path / "days", tmp_path / "out", tmp_path / "whole"
     folder.mkdir()
     recording.rename(folder / "day.npz")
-    mc.write(folder / "walk.c3d", synthetic.markers(frames=20, seed=4))  # cannot be read in pieces
+    mc.write(folder / "walk.c3d", synthetic.markers(frames=20, seed=4))  # short: encoded as at once
     assert command("encode", folder, "-o", out, "--max-error", "3mm", "--in-pieces").code == 0
     assert command("encode", folder, "-o", whole, "--max-error", "3mm").code == 0
     assert (out / "walk.mocz").read_bytes() == (whole / "walk.mocz").read_bytes()

@@ -47,7 +47,8 @@ def main() -> int:
             run.run(calls, lambda stop=stop: time.perf_counter() > stop)
     worker.close()
     result = run.as_json(time.perf_counter() - start)
-    result |= {"version": mocodec.__version__, "python": platform.python_version(), "machine": platform.machine()}
+    result |= {"seed": options.seed, "version": mocodec.__version__}
+    result |= {"python": platform.python_version(), "machine": platform.machine()}
     mode = "pure" if options.pure or not native.available() else "asan" if options.asan else "compiled"
     for kind, counts in result["calls"].items():
         print(f"{kind}: {counts}, slowest {result['slowest_seconds'][kind]} s")

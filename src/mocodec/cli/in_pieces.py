@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,15 @@ def encoded(
         if asked:
             raise
         return None  # reading the whole says what is wrong, if anything is
+    if chosen.get("bare"):
+        blocks = replace(blocks, about=replace(blocks.about, extras={}))
+    elif blocks.left_out:
+        if asked:
+            raise BadInput(
+                f"{source}: in pieces, {' and '.join(blocks.left_out)} would be lost; "
+                "encode it at once (--at-once), or leave them out (--bare)"
+            )
+        return None
     if not asked and not _is_possible(codec, blocks):
         return None
     return _written(source, output, blocks, codec, chosen.get("prior"))

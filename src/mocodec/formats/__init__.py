@@ -41,6 +41,7 @@ FORMATS = {
     ".csv": "mocodec.formats.delimited",
 }
 BLOCKS = {
+    ".c3d": "mocodec.formats.c3d.blocks",
     ".npy": "mocodec.formats.npy",
     ".npz": "mocodec.formats.npz",
     ".bvh": "mocodec.formats.bvh.blocks",

@@ -133,7 +133,7 @@ def motion_of(
     if header.units is None and unit is None:
         source["unit_guessed"] = True
     if zeros:
-        parked = parked_at_origin(positions, gap)
+        parked = parked_at_origin(positions, gap, is_part)
         store_parked(parked, gap, clock.rate, source, extras, notes)
         positions[parked] = np.nan
     if not math.isnan(clock.start):

@@ -24,14 +24,15 @@ def zeros_are_gaps(option: str | None) -> bool:
     return option != "keep"
 
 
-def parked_at_origin(positions: Floats, gap: Booleans) -> Booleans:
+def parked_at_origin(positions: Floats, gap: Booleans, is_part: bool = False) -> Booleans:
     """(frames, points): samples at exactly (0, 0, 0) that stand for missing markers, as some programs write them.
 
     positions (frames, points, 3) in metres; gap: samples known to be missing. A run of zeros between samples near the
-    origin is kept: there the marker passes through it. So are zeros if no sample is anywhere else.
+    origin is kept: there the marker passes through it. So are zeros if no sample is anywhere else, unless the positions
+    are a part of a recording (is_part).
     """
     parked = (positions == 0).all(axis=2) & ~gap
-    if not parked.any() or (parked | gap).all():
+    if not parked.any() or (not is_part and (parked | gap).all()):
         return np.zeros_like(parked)
     for point in np.flatnonzero(parked.any(axis=0)):
         known = np.flatnonzero(~gap[:, point] & ~parked[:, point])

@@ -31,6 +31,9 @@ const TRAIL_SECONDS = 2;
 const UPWARDS = new Vector3(0, 1, 0);
 /** Sides of a bone: as few as look round at their size, since triangles are slow without a graphics card. */
 const BONE_SIDES = 6;
+/** Narrower pictures show the figure lower, by this share of their height. */
+const NARROW_PX = 720;
+const LOWERED = 0.08;
 
 /** One motion as points and bones: positions are set once a frame. */
 export class Figure {
@@ -249,6 +252,9 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement!;
     this.renderer.setSize(Math.max(1, width), Math.max(1, height), false);
     this.camera.aspect = Math.max(1, width) / Math.max(1, height);
+    // in a narrow picture the numbers are above the figure, in a wide one beside it
+    if (width < NARROW_PX) this.camera.setViewOffset(width, height, 0, -LOWERED * height, width, height);
+    else this.camera.clearViewOffset();
     this.camera.updateProjectionMatrix();
     this.dirty = true;
   }

@@ -53,6 +53,7 @@ class PointEncoder:
     ) -> None:
         self.frames, self.spans, self.textures = frames, spans, textures
         self.poses, self.is_absent, self.coloured = poses, is_absent, coloured
+        self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
         """The part of each chunk. Raises CannotEncode if the target cannot be met."""
@@ -90,11 +91,14 @@ class PointEncoder:
         return ColourSteps.of_luma(point_targets.usual_colour_step(bound)) if self.coloured else None
 
     def _places(self, bound: float) -> list[_CodedChunk]:
-        """The chunks without their colours."""
+        """The chunks without their colours. The last ones are kept: a search ends with a bound that it has coded."""
+        if self._last is not None and self._last[0] == bound:
+            return self._last[1]
         chunks = list[_CodedChunk]()
         for span, poses, absent in zip(self.spans, self.poses, self.is_absent, strict=True):
             grid, frames = to_lattice(self.frames[span], bound, self.coloured)
             chunks.append(_CodedChunk(grid, frames, pack_places(grid, frames, self.textures, poses, absent)))
+        self._last = bound, chunks
         return chunks
 
     def _steps_of_psnr(self, chunks: Sequence[_CodedChunk], bound: float, psnr: float) -> ColourSteps:

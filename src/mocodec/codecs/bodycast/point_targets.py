@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
 
@@ -22,7 +23,8 @@ DEFAULT_BOUND_M = 0.005  # without a target, of frames without a body
 COLOUR_BOUND_M = 0.002  # of frames with a target for their colours alone
 FINEST_BOUND_M, COARSEST_BOUND_M = 2e-5, 0.04  # that a size is met with
 SIZE_ATTEMPTS = 9  # codings of the points to meet a size
-TIGHTENING = 0.98  # factor on a bound whose mean error is too large
+TIGHTENING = 0.98  # factor on a bound whose mean error is too large, at most
+LEAST_MEAN_SHARE, MEAN_ATTEMPTS = 0.97, 4  # how much of a mean error is to be used, if so many codings find a bound
 MEAN_PER_BOUND = 0.59  # mean distance over the bound, of points on a smooth surface
 
 
@@ -37,14 +39,20 @@ def own_distances(frame: LatticeFrame, decoded: Floats) -> Floats:
 
 
 def bound_of_mean(mean_m: float, mean_error_of: Callable[[float], float]) -> float:
-    """A bound with which the mean error of the decoded points is at most `mean_m`.
+    """A bound with which the mean error of the decoded points is at most `mean_m`, and not much less.
 
     mean_error_of: the mean error with a bound, metres; about in proportion to it.
     """
-    bound = mean_m / MEAN_PER_BOUND
-    while (measured := mean_error_of(bound)) > mean_m:
-        bound *= min(TIGHTENING, mean_m / measured)
-    return bound
+    bound, found = mean_m / MEAN_PER_BOUND, 0.0
+    for attempt in count(1):
+        measured = mean_error_of(bound)
+        if measured <= mean_m:
+            found = max(found, bound)
+        is_close = measured >= LEAST_MEAN_SHARE * mean_m or bound >= COARSEST_BOUND_M or not measured
+        if found and (is_close or attempt >= MEAN_ATTEMPTS):
+            return found
+        bound *= mean_m / measured if measured <= mean_m else min(TIGHTENING, mean_m / measured)
+    raise AssertionError
 
 
 def mean_error(frames: Sequence[tuple[LatticeFrame, Floats]]) -> float:

@@ -4,7 +4,8 @@ codec           settings; encode and decode, one verb a stage
 preparation     gaps filled, y up, spikes found
 repeats         frames that repeat                        header        the shared bytes: model and flags
 model_choice    which model makes a recording smallest    models/       coordinates and statistics
-target          steps for a bound, a mean error, a size   chunk         one chunk, both ways
+target          steps for a target, about; a size         chunk         one chunk, both ways
+equal_slopes    a mean error, shared among chunks         hard_bound    a bound
 pose/           heading, leaps, bone directions           coding/       coefficients as bytes
 fallback        hou2014 in place of the chunks            stream        live encoding and decoding
 

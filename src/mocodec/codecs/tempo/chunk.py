@@ -280,8 +280,10 @@ class ChunkEncoder:
             drafted = self.attempt(lambda: self._transform_draft(step, slope))
         if drafted is None:
             grid = step * GRID_OCTAVE // OCTAVE
-            decoded = direct.quantise(self.positions, grid_size(grid)) * grid_size(grid)
-            return Draft(grid=grid, error=float(self.errors(np.asarray(decoded, np.float64)).sum()))
+            values = direct.quantise(self.positions, grid_size(grid))
+            error = float(self.errors(np.asarray(values * grid_size(grid), np.float64)).sum())
+            bits = 8 * direct.estimate(self.positions, grid_size(grid)) if self.positions.size else 0.0
+            return Draft(grid=grid, error=error, bits=bits)
         return drafted
 
     def _transform_draft(self, step: int, slope: float) -> Draft:

@@ -31,6 +31,7 @@ from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, mean_t
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
+from .equal_slopes import to_mean
 from .header import StreamHeader, pack_weights, with_weights
 from .models import MODELS, Recording
 from .models.model import Model
@@ -390,7 +391,7 @@ class Tempo:
         for encoder in encoders:
             encoder.refill_gaps(self.first_step(motion))
         if self.mean_error is not None:
-            return target.to_mean(encoders, self.mean_error)
+            return to_mean(encoders, self.mean_error)
         if self._has_size:
             return target.to_size(encoders, self._wanted_bytes(motion) - header_bytes)
         return hard_bound.to_bound(encoders, self.max_error or DEFAULT_MAX_ERROR, plan, header_bytes)

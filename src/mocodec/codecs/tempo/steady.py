@@ -2,7 +2,8 @@
 
     spent so far, allowed so far ─► budget of the block ─► the steady step, or the nearest that keeps the budget
 
-One step for all chunks is best (equal slopes of rate and distortion). What quiet blocks leave is given to later ones.
+One step for all chunks is nearly best; `equal_slopes` spends a mean error better, where all chunks are known. What
+quiet blocks leave is given to later ones.
 """
 
 from __future__ import annotations

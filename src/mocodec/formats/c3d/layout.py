@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -21,6 +21,13 @@ MAX_COUNT = 0xFFFF
 """Where counts of 16 bits saturate."""
 MAX_TESTED_BYTES = 1 << 16
 """Bytes of the data that are looked at to tell floats from integers."""
+
+
+class Bytes(Protocol):
+    """The bytes of a file: in memory, or read where they are asked for (`blocks.FileBytes`)."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, where: slice, /) -> bytes: ...
 
 
 class Header(NamedTuple):
@@ -91,7 +98,7 @@ def read_header(data: bytes, order: str, processor: int) -> Header:
     return Header(words, scale, rate, processor)
 
 
-def data_start(header: Header, parameters: Parameters, data: bytes, section_end: int, notes: list[str]) -> int:
+def data_start(header: Header, parameters: Parameters, data: Bytes, section_end: int, notes: list[str]) -> int:
     """The byte where the data begin, by the header or POINT:DATA_START; a contradiction is settled and noted.
 
     section_end: where the parameters end, by their own count. Raises BadInput without evidence.
@@ -120,7 +127,7 @@ def data_start(header: Header, parameters: Parameters, data: bytes, section_end:
     return start
 
 
-def data_end(data: bytes, parameters: Parameters, start: int) -> int:
+def data_end(data: Bytes, parameters: Parameters, start: int) -> int:
     """The byte where the points and analog samples end: the file's end, or the start of the rotations behind them."""
     rotations = ((parameters.count("ROTATION", "DATA_START") or 0) - 1) * BLOCK
     return rotations if parameters.count("ROTATION", "USED") and start < rotations <= len(data) else len(data)
@@ -129,7 +136,7 @@ def data_end(data: bytes, parameters: Parameters, start: int) -> int:
 def settle(
     header: Header,
     parameters: Parameters,
-    data: bytes,
+    data: Bytes,
     start: int,
     available: int,
     notes: list[str],
@@ -176,7 +183,7 @@ def _fitting(
     header: Header,
     parameters: Parameters,
     claims: list[int],
-    data: bytes,
+    data: Bytes,
     start: int,
     available: int,
     notes: list[str],
@@ -194,7 +201,7 @@ def _fitting(
         notes.append(f"it does not say how many frames it has; the size of the file gives {frames}")
         return {layouts[0]: frames} if frames else {}
     others = [layout._replace(item=4) for layout in layouts if layout.item == 2]
-    if not _are_floats(data[start : start + available], header.processor):
+    if not _are_floats(data[start : start + min(available, MAX_TESTED_BYTES)], header.processor):
         others += [layout._replace(item=2) for layout in layouts if layout.item == 4]
     fitting = {layout: frames for layout in others if (frames := _exact(layout, claims, data, start, available))}
     return fitting or {layout: frames for layout in layouts if (frames := _contained(layout, claims, available))}
@@ -262,13 +269,13 @@ def _claimed_frames(header: Header, parameters: Parameters) -> list[int]:
 
 def _are_floats(data: bytes, processor: int) -> bool:
     """Whether bytes are plausible coordinates as floats; pairs of integers are mostly tiny, huge or no numbers."""
-    values = np.abs(floats(data[: min(len(data), MAX_TESTED_BYTES) & ~3], processor))
+    values = np.abs(floats(data[: len(data) & ~3], processor))
     with np.errstate(invalid="ignore"):
         plausible = (values == 0) | ((values > 1e-9) & (values < 1e9))
     return bool(plausible.mean() > 0.9) if values.size else True
 
 
-def _exact(layout: Layout, claims: list[int], data: bytes, start: int, available: int) -> int:
+def _exact(layout: Layout, claims: list[int], data: Bytes, start: int, available: int) -> int:
     """The largest claim that fills the data section up to padding, or 0; a last block of zeros is padding."""
     size = layout.frame_bytes
     fitting = sorted(claim for claim in claims if 0 <= available - claim * size < 2 * BLOCK)
@@ -290,7 +297,7 @@ def _beyond_16_bits(
     header: Header,
     parameters: Parameters,
     claims: list[int],
-    data: bytes,
+    data: Bytes,
     start: int,
     available: int,
 ) -> int:
@@ -303,7 +310,7 @@ def _beyond_16_bits(
     return frames if is_saturated or is_wrapped else 0
 
 
-def _frames_of_size(layout: Layout, data: bytes, start: int, available: int) -> int:
+def _frames_of_size(layout: Layout, data: Bytes, start: int, available: int) -> int:
     """The number of frames that fill the data section; frames of zeros in the last block are padding."""
     frames = max(0, available) // layout.frame_bytes
     end = start + frames * layout.frame_bytes

@@ -20,7 +20,7 @@ from .analog import read_analog, smallest
 from .by_label import find_by_label
 from .events import read_events, read_header_events
 from .labels import unique_names
-from .layout import Header, Layout, data_end, data_start, read_header, settle
+from .layout import Bytes, Header, Layout, data_end, data_start, read_header, settle
 from .model_outputs import find_columns, keep
 from .parameters import BLOCK, DEC, DERIVED, INTEL, MIPS, STANDARD, Parameters, floats, parse, same
 
@@ -46,12 +46,12 @@ def read(
     """
     data = Path(path).read_bytes()
     try:
-        return _read(data, _Options(residuals, unit, rate, zeros_are_gaps(gaps), salvage))
+        return _read(data, Options(residuals, unit, rate, zeros_are_gaps(gaps), salvage))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
 
-class _Options(NamedTuple):
+class Options(NamedTuple):
     """The options of `read`."""
 
     residuals: bool | None
@@ -61,54 +61,104 @@ class _Options(NamedTuple):
     salvage: bool
 
 
-def _read(data: bytes, options: _Options) -> Motion:
-    processor, order, section = _section(data)
-    header = read_header(data, order, processor)
-    parameters = parse(data, section, processor, (header.data_block - 1) * BLOCK)
+class Opened(NamedTuple):
+    """What header and parameters say of the data. scale: units of a number of a coordinate. start: byte of the data."""
+
+    header: Header
+    parameters: Parameters
+    processor: int
+    order: str
+    first: int
+    rate: float
+    start: int
+    layout: Layout
+    frames: int
+    scale: float
+    source: dict[str, Any]
+    notes: list[str]
+
+    def table(self, data: Bytes, begin: int, end: int) -> NDArray[Any]:
+        """The numbers of frames [begin, end), (frames, width)."""
+        numbers = data[self.start + begin * self.layout.frame_bytes : self.start + end * self.layout.frame_bytes]
+        if self.layout.item == 4:
+            return floats(numbers, self.processor).reshape(end - begin, self.layout.width)
+        return np.frombuffer(numbers, f"{self.order}i2").reshape(end - begin, self.layout.width)
+
+    def columns(self, table: NDArray[Any]) -> NDArray[Any]:
+        """The samples of points (frames, points, 4) in a table."""
+        return table[:, : 4 * self.layout.points].reshape(len(table), self.layout.points, 4)
+
+    def samples(self, columns: NDArray[Any]) -> tuple[Floats, NDArray[Any], Booleans]:
+        """Positions (frames, points, 3) in metres, the fourth words, and the mask of gaps."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            positions = columns[:, :, :3].astype(np.float64) * (self.source["unit_m"] * self.scale)
+            word = columns[:, :, 3]
+            return positions, word, (word < 0) | np.isnan(word) | np.isnan(positions).any(axis=2)
+
+
+def opened(head: bytes, data: Bytes, options: Options) -> Opened:
+    """Header and parameters, checked against the size of the file. head: the bytes from its beginning to the data."""
+    processor, order, section = _section(head)
+    header = read_header(head, order, processor)
+    parameters = parse(head, section, processor, (header.data_block - 1) * BLOCK)
     notes: list[str] = []
     first = _first_frame(header, parameters)
     source: dict[str, Any] = {"format": "c3d", "units": "", "unit_m": 1.0, "first_frame": first}
     source["units"], source["unit_m"] = _unit(parameters, options.unit, source)
     rate = _rate(header, parameters, options.rate, notes)
-    start = data_start(header, parameters, data, section + BLOCK * data[section + 2], notes)
+    start = data_start(header, parameters, data, section + BLOCK * head[section + 2], notes)
     available = data_end(data, parameters, start) - start
     layout, frames = settle(header, parameters, data, start, available, notes, options.salvage)
     if not layout.width and not parameters.count("ROTATION", "USED"):
         raise BadInput("has no points, no analog channels and no rotations: nothing to code")
-    table = _table(data, start, layout, frames, order, processor)
-    columns = table[:, : 4 * layout.points].reshape(frames, layout.points, 4)
     scale = 1.0 if layout.item == 4 else _scale(header, parameters, notes)
+    return Opened(header, parameters, processor, order, first, rate, start, layout, frames, scale, source, notes)
+
+
+def _read(data: bytes, options: Options) -> Motion:
+    file = opened(data, data, options)
+    parameters, layout, rate, source, notes = file.parameters, file.layout, file.rate, file.source, file.notes
+    table = file.table(data, 0, file.frames)
+    columns = file.columns(table)
     extras: dict[str, Any] = {}
     if layout.channels:
         extras["analog"] = read_analog(table[:, 4 * layout.points :], layout, rate, parameters)
-    has_events = _read_all_events(data, header, parameters, processor, first, rate, extras, notes)
-
+    has_events = read_all_events(data, file, extras)
     labels = parameters.texts("POINT", "LABELS")[: layout.points]
-    outputs = find_columns(parameters, labels)
+    outputs = all_outputs(file, labels, columns)
     with np.errstate(invalid="ignore", over="ignore"):
-        outputs |= find_by_label(parameters, labels, outputs, columns, source["unit_m"] * scale, notes)
-        keep(parameters, outputs, labels, columns, scale, rate, source, extras)
-        markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
-        samples = columns[:, markers] if outputs else columns
-        factor = source["unit_m"] * scale
-        positions = samples[:, :, :3].astype(np.float64) * factor
-        word = samples[:, :, 3]
-        gap = (word < 0) | np.isnan(word) | np.isnan(positions).any(axis=2)
+        keep(parameters, outputs, labels, columns, file.scale, rate, source, extras)
+    markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
+    positions, word, gap = file.samples(columns[:, markers] if outputs else columns)
     _keep_residuals(word, gap, options.residuals, rate, source, extras)
     if options.zeros_are_gaps:
         parked = parked_at_origin(positions, gap)
         store_parked(parked, gap, rate, source, extras, notes)
         gap = gap | parked
     positions[gap] = np.nan
-    names, originals = unique_names([labels[i] for i in markers if i < len(labels)], len(markers))
-    if originals:
-        source["labels"] = originals
-    _keep_rotations(data, parameters, frames, rate, processor, extras, notes if options.salvage else None)
-    up = _up(parameters, positions, source)
-    _keep_parameters(parameters, bool(layout.channels), has_events, extras)
+    names = point_names(labels, markers, source)
+    _keep_rotations(data, parameters, file.frames, rate, file.processor, extras, notes if options.salvage else None)
+    up = up_of(parameters, positions, source)
+    keep_parameters(parameters, bool(layout.channels), has_events, extras)
     if notes:
         source["notes"] = notes
     return Motion(positions, rate, names, up, source=source, extras=extras)
+
+
+def all_outputs(file: Opened, labels: list[str], columns: NDArray[Any]) -> dict[str, list[int]]:
+    """The columns of model outputs by kind: those that the parameters list, and those that labels and values show."""
+    outputs = find_columns(file.parameters, labels)
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit_m = file.source["unit_m"] * file.scale
+        return outputs | find_by_label(file.parameters, labels, outputs, columns, unit_m, file.notes)
+
+
+def point_names(labels: list[str], markers: NDArray[Any], source: dict[str, Any]) -> tuple[str, ...]:
+    """Names of the columns that are points; the labels go into the source where they differ."""
+    names, originals = unique_names([labels[i] for i in markers if i < len(labels)], len(markers))
+    if originals:
+        source["labels"] = originals
+    return names
 
 
 def _section(data: bytes) -> tuple[int, str, int]:
@@ -171,33 +221,16 @@ def _scale(header: Header, parameters: Parameters, notes: list[str]) -> float:
     return scales[0]
 
 
-def _table(data: bytes, start: int, layout: Layout, frames: int, order: str, processor: int) -> NDArray[Any]:
-    """The numbers of all frames (frames, width)."""
-    count = frames * layout.width
-    if layout.item == 4:
-        return floats(data[start : start + 4 * count], processor).reshape(frames, layout.width)
-    return np.frombuffer(data, f"{order}i2", count, start if count else 0).reshape(frames, layout.width)
-
-
-def _read_all_events(
-    data: bytes,
-    header: Header,
-    parameters: Parameters,
-    processor: int,
-    first: int,
-    rate: float,
-    extras: dict[str, Any],
-    notes: list[str],
-) -> bool:
+def read_all_events(head: bytes, file: Opened, extras: dict[str, Any]) -> bool:
     """Put events into the extras, times from the first frame; False if EVENT:TIMES has numbers but no event."""
-    in_group = read_events(parameters, notes)
-    events = read_header_events(data, header.words, processor) + in_group
+    in_group = read_events(file.parameters, file.notes)
+    events = read_header_events(head, file.header.words, file.processor) + in_group
     if events:
-        offset_s = (first - 1) / rate  # times in a C3D count from frame 1
+        offset_s = (file.first - 1) / file.rate  # times in a C3D count from frame 1
         extras["events"] = [{**event, "time_s": event["time_s"] - offset_s} for event in events]
-    is_read = bool(in_group) or not any(np.size(value) for value in parameters.chain("EVENT", "TIMES"))
+    is_read = bool(in_group) or not any(np.size(value) for value in file.parameters.chain("EVENT", "TIMES"))
     if not is_read:
-        notes.append("none of its EVENT group is read as an event; it stays in the parameters")
+        file.notes.append("none of its EVENT group is read as an event; it stays in the parameters")
     return is_read
 
 
@@ -253,7 +286,7 @@ def _keep_rotations(
     extras["rotations"] = Signal(values, rate * ratio)
 
 
-def _up(parameters: Parameters, positions: Floats, source: dict[str, Any]) -> str:
+def up_of(parameters: Parameters, positions: Floats, source: dict[str, Any]) -> str:
     """The vertical axis: that of the screen's Y (POINT:Y_SCREEN), else guessed from the motion."""
     screen = "".join(parameters.texts("POINT", "Y_SCREEN"))[-1:].lower()
     if screen in ("x", "y", "z") and screen:
@@ -263,7 +296,7 @@ def _up(parameters: Parameters, positions: Floats, source: dict[str, Any]) -> st
     return guess_up(positions)
 
 
-def _keep_parameters(parameters: Parameters, has_analog: bool, has_events: bool, extras: dict[str, Any]) -> None:
+def keep_parameters(parameters: Parameters, has_analog: bool, has_events: bool, extras: dict[str, Any]) -> None:
     """Store the parameters that neither follow from the motion nor are standard; all of EVENT if it was not read."""
     groups = {name: dict(group) for name, group in parameters.groups.items()}
     for group, names in DERIVED.items():
