@@ -37,6 +37,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["first-poses", *output],
         ["cloud-summary", str(folder)],
         ["speed", "--store"],
+        ["speed-published"],
     ]
 
 
