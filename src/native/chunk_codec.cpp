@@ -117,7 +117,7 @@ public:
         auto made = std::make_shared<Encoding>();
         made->costs = copied<double>(costs), made->prices = copied<double>(prices);
         bool fits = costs.size() >= 3 * CLASSES * SYMBOLS && prices.size() >= 3 * CLASSES * SYMBOLS &&
-                    bases.size() == shape->bases.size() && tables->symbols == SYMBOLS;
+                    (bases.empty() || bases.size() == shape->bases.size()) && tables->symbols == SYMBOLS;
         for (const auto &basis : bases)
             fits = fits && basis.shape(0) == shape->dimensions && basis.shape(1) == components;
         if (!fits) throw std::invalid_argument("ChunkCodec.set_encoding: shapes differ");

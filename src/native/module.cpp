@@ -13,12 +13,14 @@
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py; clustered_points.h is the tree
 //   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py
-//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
+//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
+//   lattice_neighbours.cpp  which points are neighbours, for stages/lattice.py
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
+//   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
 //   splines.cpp     natural cubic splines and key frames, for stages/spline.py
 //   body_frames.cpp       poses to positions, for codecs/liu2006
 //   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
@@ -44,7 +46,8 @@ namespace nb = nanobind;
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
-    PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames)
+    PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
+    PART(ordered) PART(lattice_neighbours)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
