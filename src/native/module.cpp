@@ -29,9 +29,10 @@
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); contexts.h is for coefficients.cpp too,
 //                   bone_coordinates.h for bone_coordinates.cpp
-//   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
-//                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
+//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
+//                   matrices)
 //
 // A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
 // name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the
