@@ -39,6 +39,7 @@ COMMANDS = {
     "archive": ("archive.command:command", "Archives: sizes, windows for learning, queries, retrieval."),
     "speed": ("speed.command:command", "Speed of codecs, entropy coder and readers, single thread."),
     "speed-table": ("speed.against_sz3:command", "tempo and SZ3 in one process: decoding, encoding, windows, opening."),
+    "speed-published": ("speed.published:command", "Speed of hou2014 and liu2006 to mean errors."),
     "long": ("speed.long_recordings:command", "Hours of motion, encoded in blocks and at once: time, memory, bytes."),
     "viewer": ("viewer:command", "The page of mocodec view in Chromium: seeking, playing, sizes."),
     "readers": ("readers.command:command", "What ezc3d and py-c3d read from the same files; bytes of model outputs."),

@@ -36,6 +36,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["first-poses", *output],
         ["cloud-summary", str(folder)],
         ["speed", "--store"],
+        ["speed-published"],
     ]
 
 

@@ -34,7 +34,7 @@ def test_it_can_be_switched_off() -> None:
 
 
 @compiled
-@pytest.mark.parametrize("shape", [(1, 1), (400, 1), (60, 7), (40, 90)])
+@pytest.mark.parametrize("shape", [(1, 1), (400, 1), (60, 7), (40, 90), (9000, 1), (300, 45), (30, 700)])
 @pytest.mark.parametrize("size", [0.3, 20.0, 1e9])
 @pytest.mark.parametrize("hinted", [False, True])
 def test_arrays_are_coded_alike(shape: tuple[int, int], size: float, hinted: bool) -> None:
@@ -61,9 +61,21 @@ def test_bone_directions_are_posed_alike(frames: int) -> None:
 
 
 @compiled
+@pytest.mark.parametrize("codec", ["hou2014", "liu2006"])
+def test_files_of_published_codecs_are_alike(codec: str) -> None:
+    motion = synthetic.markers(frames=900, seed=4)
+    blob = mocodec.encode(motion, codec, mean_error=0.004)
+    decoded = mocodec.decode(blob)
+    with native.without():
+        assert mocodec.encode(motion, codec, mean_error=0.004) == blob
+        pure = mocodec.decode(blob)
+    np.testing.assert_allclose(decoded.positions, pure.positions, rtol=0, atol=1e-9)
+
+
+@compiled
 @pytest.mark.parametrize("settings", [{"max_error": 0.004}, {"mean_error": 0.002}])
 def test_files_are_alike(settings: dict[str, Any]) -> None:
-    """Of the transform: encoders use the lattice engine only with the compiled module, see `engine_choice`."""
+    """Of tempo's transform: encoders use the lattice engine only with the compiled module, see `engine_choice`."""
     settings = {**settings, "model": "transform"}
     motion = synthetic.markers(frames=700, seed=3)
     names = prior.for_points().joints.names

@@ -9,6 +9,7 @@ All bytes count. Errors are measured by SciPy's k-d tree alone, in both directio
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -194,7 +195,12 @@ def command(output: Path, data: Path, frames: int) -> None:
     results, residuals = list[PointResult](), list[ResidualResult]()
 
     def write() -> None:
-        content = {"machine": machine_description(), "records": results, "residuals": residuals}
+        content = {
+            "machine": machine_description(),
+            "load": os.getloadavg()[2],
+            "records": results,
+            "residuals": residuals,
+        }
         plain = {k: [asdict(r) for r in v] if isinstance(v, list) else v for k, v in content.items()}
         write_json(output / "cloud_points.json", rounded(plain))
 

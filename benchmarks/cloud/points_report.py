@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -103,11 +103,12 @@ class ResidualResult:
     psnr_db: float
 
 
-def read(folder: Path) -> tuple[list[PointResult], list[ResidualResult], Any]:
-    """The results of a folder, and the machine."""
+def read(folder: Path) -> tuple[list[PointResult], list[ResidualResult], str]:
+    """The results of a folder, and the sentence that says on what they were measured."""
     content = read_json(folder / "cloud_points.json")
     points = [PointResult(**record) for record in content["records"]]
-    return points, [ResidualResult(**record) for record in content["residuals"]], content["machine"]
+    measured = f"{measured_on(content['machine'])} The load of the machine was {content['load']:.0f}."
+    return points, [ResidualResult(**record) for record in content["residuals"]], measured
 
 
 def write(folder: Path) -> list[Path]:
@@ -122,8 +123,8 @@ def write(folder: Path) -> list[Path]:
 
 def write_tables(folder: Path) -> Path:
     """Write cloud_points.md from cloud_points.json; return its path."""
-    results, residuals, machine = read(folder)
-    page = markdown(results, residuals, measured_on(machine))
+    results, residuals, measured = read(folder)
+    page = markdown(results, residuals, measured)
     formats.replace_whole(folder / "cloud_points.md", page.encode())
     return folder / "cloud_points.md"
 

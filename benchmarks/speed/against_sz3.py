@@ -253,9 +253,7 @@ def page(results: dict[str, Any]) -> str:
             f"{c['free_share']:.2f}",
             f"{1 / (1 - c['free_share'] / 2):.2f}",
             f"{c['two_threads']:.2f}" if "two_threads" in c else "–",
-            f"{c['encode_free_share']:.2f}",
-            f"{1 / (1 - c['encode_free_share'] / 2):.2f}",
-            f"{c['encode_two_threads']:.2f}",
+            *encoding_columns(c),
             f"{1000 * c['window_s']:.2f} ms",
         ]
         for c in cases
@@ -301,6 +299,14 @@ def page(results: dict[str, Any]) -> str:
             f"{machine['cores']} cores with a load of {results['load']:.0f} by other work.",
         ]
     )
+
+
+def encoding_columns(case: dict[str, Any]) -> list[str]:
+    """What threads gain in encoding; older results lack it."""
+    if "encode_free_share" not in case:
+        return ["–"] * 3
+    share = case["encode_free_share"]
+    return [f"{share:.2f}", f"{1 / (1 - share / 2):.2f}", f"{case['encode_two_threads']:.2f}"]
 
 
 @click.command("speed-table")

@@ -12,6 +12,7 @@
 
 #include "adaptive_bits.h"
 #include "lattice_buckets.h"
+#include "lattice_points.h"
 #include "least_squares.h"
 
 namespace lattice {
@@ -22,7 +23,6 @@ constexpr double DISTANCE_MEMORY = 0.995, RADIAL_MEMORY = 0.98;
 constexpr double DISTORTION = 384;         // cost of an error at the bound, 1/256 bit: what it does to predictions
 constexpr double NEAR = 8;                 // partners nearer than this have no direction
 constexpr double LIMIT = 1099511627776.0;  // 2^40: predictions and residuals beyond are not coded
-constexpr double RADIUS_2 = 1.25;          // squared covering radius of the lattice, half steps
 constexpr double WIDE = 12;                // residuals with a coordinate beyond are not optimised
 constexpr int LARGEST_STRIDE_LOG = 6;
 constexpr int EDGE = 7;                    // level of samples without both neighbours in time
@@ -94,6 +94,7 @@ private:
     Vec base_;
     int class_ = 0;
     uint32_t radial_context_ = 0;
+    bits::Mixed parity_;  // of the bit that says whether coordinates are odd
 
     bool point(size_t p, bool first) {
         p_ = p;
@@ -176,7 +177,7 @@ private:
         const double length = std::sqrt(square(direction));
         if (!(length > NEAR)) return false;
         for (int k = 0; k < 3; ++k) axes[0][k] = direction[k] / length;
-        frame(axes);
+        complete_axes(axes);
         away = distance_ / distances_ - length;
         const double share = std::min(1.0, std::max(0.0, radial_product_ / radial_square_));
         guess = guess + share * away * axes[0];
@@ -192,21 +193,6 @@ private:
         const double along = axis[0] * off[0] + axis[1] * off[1] + axis[2] * off[2];
         radial_square_ = radial_square_ * RADIAL_MEMORY + away * away;
         radial_product_ = radial_product_ * RADIAL_MEMORY + away * along;
-    }
-
-    // Two more axes at right angles to the first.
-    static void frame(Vec (&axes)[3]) {
-        const Vec u = axes[0];
-        const double a = std::fabs(u[0]), b = std::fabs(u[1]), c = std::fabs(u[2]);
-        const int least = a < b ? (a < c ? 0 : 2) : (b < c ? 1 : 2);
-        Vec v;
-        for (int k = 0; k < 3; ++k) v[k] = (k == least ? 1.0 : 0.0) - u[least] * u[k];
-        const double length = std::sqrt(square(v));
-        for (int k = 0; k < 3; ++k) v[k] /= length;
-        axes[1] = v;
-        axes[2][0] = u[1] * v[2] - u[2] * v[1];
-        axes[2][1] = u[2] * v[0] - u[0] * v[2];
-        axes[2][2] = u[0] * v[1] - u[1] * v[0];
     }
 
     bool missing(ptrdiff_t t) const { return of.missing[size_t(t) * of.points + p_] != 0; }
@@ -300,8 +286,12 @@ private:
         return uint32_t(1 + (2 * along + odd) * 32 + std::min(b, COMMON)) + (along ? radial_context_ * 256u * 257u : 0u);
     }
     uint32_t set(uint32_t what) const { return what * 8 + uint32_t(class_); }
+    uint32_t magnitude_set(int odd, bool along, int b) const {
+        return set(uint32_t(1 + (2 * along + odd) * 8 + std::min(b, 7)));
+    }
 
     bool code(ptrdiff_t t, const Vec &guess, const Vec (&axes)[3], bool radial, int64_t *z) {
+        mixer.mix(parity_, 0, set(0));
         if constexpr (ENCODES) {
             const double *wanted = wanted_ + (p_ * of.frames + size_t(t)) * 3;
             double residual[3], off[3];
@@ -312,14 +302,14 @@ private:
             }
             choose(residual, radial, z);
         }
-        const int odd = bit(int(z[0] & 1), 0, set(0));
+        const int odd = bit(parity_, int(z[0] & 1));
         for (int k = 0; k < 3; ++k) {
             const bool along = radial && k == 0;
             const int64_t magnitude = ENCODES ? std::abs(z[k]) >> 1 : 0;
             const int wanted = ENCODES ? bucket_of(magnitude) : 0;
             int b = 0;
             while (b < BUCKETS - 1 &&
-                   bit(wanted > b, kind(odd, along, b), set(uint32_t(1 + (2 * along + odd) * 8 + std::min(b, 7)))))
+                   bit(wanted > b, kind(odd, along, b), magnitude_set(odd, along, b)))
                 ++b;
             const Bucket &bucket = buckets()[b];
             if (bucket.width > 42) return false;
@@ -349,6 +339,10 @@ private:
     int bit(int wanted, uint32_t kind, uint32_t set) {
         bits::Mixed m;
         mixer.mix(m, kind, set);
+        return bit(m, wanted);
+    }
+
+    int bit(bits::Mixed &m, int wanted) {
         wanted = plain(wanted, m.p);
         mixer.learn(m, wanted);
         return wanted;
@@ -362,54 +356,41 @@ private:
 
     // ---- the encoder's choice
     void choose(const double *residual, bool radial, int64_t *z) {
-        int64_t even[3], odd[3];
-        double even2 = 0, odd2 = 0;
-        for (int k = 0; k < 3; ++k) {
-            const double e = std::floor(residual[k] / 2 + 0.5) * 2, o = std::floor(residual[k] / 2) * 2 + 1;
-            even2 += (residual[k] - e) * (residual[k] - e);
-            odd2 += (residual[k] - o) * (residual[k] - o);
-            even[k] = int64_t(e);
-            odd[k] = int64_t(o);
+        if (std::max({std::fabs(residual[0]), std::fabs(residual[1]), std::fabs(residual[2])}) > WIDE) {
+            nearest(residual, z);
+            return;
         }
-        std::memcpy(z, even2 <= odd2 ? even : odd, sizeof even);
-        if (std::max({std::fabs(residual[0]), std::fabs(residual[1]), std::fabs(residual[2])}) > WIDE) return;
-        int32_t parity[2], costs[2][2][16];
-        bits::Mixed m;
-        mixer.mix(m, 0, set(0));
-        parity[1] = mixer.cost[m.p >> 4];
-        parity[0] = mixer.cost[(65536 - m.p) >> 4];
-        int most[2] = {0, 0};
-        for (int k = 0; k < 3; ++k) {
-            const int b = bucket_of(int64_t(std::fabs(residual[k]) + 1.2) >> 1);
-            int &of_kind = most[radial && k == 0];
-            of_kind = std::max(of_kind, b);
+        Candidate within[16];
+        const int count = candidates(residual, within);
+        if (count < 2) {  // in three samples of five: there is nothing to choose
+            if (count) std::memcpy(z, within[0].z, sizeof within[0].z);
+            else nearest(residual, z);
+            return;
         }
-        for (int along = 0; along < (radial ? 2 : 1); ++along)
-            for (int o = 0; o < 2; ++o) {
-                int32_t sum = 0;
-                for (int b = 0; b <= most[along]; ++b) {
-                    mixer.mix(m, kind(o, along, b), set(uint32_t(1 + (2 * along + o) * 8 + std::min(b, 7))));
-                    costs[along][o][b] = sum + mixer.cost[(65536 - m.p) >> 4] + (o || b ? 256 : 0) + 256 * buckets()[b].width;
-                    sum += mixer.cost[m.p >> 4];
-                }
-            }
+        const int32_t parity[2] = {mixer.cost[(65536 - parity_.p) >> 4], mixer.cost[parity_.p >> 4]};
+        Costs costs[2][2];
         double best = 1e300;
-        for (int o = 0; o < 2; ++o) {
-            int64_t low[3];
-            for (int k = 0; k < 3; ++k) low[k] = int64_t(std::floor((residual[k] - o) / 2)) * 2 + o;
-            for (int corner = 0; corner < 8; ++corner) {
-                const int64_t y[3] = {low[0] + 2 * (corner & 1), low[1] + (corner & 2), low[2] + (corner >> 1 & 2)};
-                double square = 0;
-                for (int k = 0; k < 3; ++k) square += (residual[k] - double(y[k])) * (residual[k] - double(y[k]));
-                if (square > RADIUS_2) continue;
-                double cost = parity[o] + DISTORTION * square / RADIUS_2;
-                for (int k = 0; k < 3; ++k) cost += costs[radial && k == 0][o][bucket_of(std::abs(y[k]) >> 1)];
-                if (cost < best) {
-                    best = cost;
-                    std::memcpy(z, y, sizeof y);
-                }
+        for (const Candidate *c = within; c < within + count; ++c) {
+            double cost = parity[c->odd] + DISTORTION * c->square / RADIUS_2;
+            for (int k = 0; k < 3; ++k) {
+                const bool along = radial && k == 0;
+                cost += bucket_cost(costs[along][c->odd], c->odd, along, bucket_of(std::abs(c->z[k]) >> 1));
+            }
+            if (cost < best) {
+                best = cost;
+                std::memcpy(z, c->z, sizeof c->z);
             }
         }
+    }
+
+    int32_t bucket_cost(Costs &costs, int odd, bool along, int bucket) {
+        for (int &b = costs.known; b <= bucket; ++b) {
+            bits::Mixed m;
+            mixer.mix(m, kind(odd, along, b), magnitude_set(odd, along, b));
+            costs.of[b] = costs.sum + mixer.cost[(65536 - m.p) >> 4] + (odd || b ? 256 : 0) + 256 * buckets()[b].width;
+            costs.sum += mixer.cost[m.p >> 4];
+        }
+        return costs.of[bucket];
     }
 };
 

@@ -39,6 +39,12 @@ inline int bucket_of(int64_t magnitude) {
     return b;
 }
 
+// What the coordinates of one kind and parity cost by bucket, 1/256 bit: `known` buckets, and of "beyond" them all.
+struct Costs {
+    int32_t of[16], sum = 0;
+    int known = 0;
+};
+
 // Twice the logarithm of a number of sixteenths, 0 … 23.
 inline int coarse_log(int64_t v) {
     if (v <= 0) return 0;

@@ -13,23 +13,26 @@
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py; clustered_points.h is the tree
 //   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py
-//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h and adaptive_bits.h
+//   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
+//   lattice_neighbours.cpp  which points are neighbours, for stages/lattice.py
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
 //   signals.cpp     residuals and linear prediction, for signals/ (signal_lanes.h, signal_prediction.h); signal_fitting.cpp
 //                   chooses the predictors (signal_least_squares.h); signal_forms.cpp makes integers of values;
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
+//   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
 //   splines.cpp     natural cubic splines and key frames, for stages/spline.py
 //   body_frames.cpp       poses to positions, for codecs/liu2006
 //   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
 //   varints.cpp     many varints at once, for fields/cursor.py
-//   chunk_decoder.cpp     whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers),
+//   chunk_codec.cpp whole chunks, for codecs/tempo/compiled_chunks.py; its parts are chunk_symbols.h (bytes to integers),
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); contexts.h is for coefficients.cpp too,
 //                   bone_coordinates.h for bone_coordinates.cpp
-//   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
-//                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
+//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
+//                   matrices)
 //
 // A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
 // name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the
@@ -42,9 +45,10 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
-    PART(varints) PART(chunk_decoder) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
+    PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
-    PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames)
+    PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
+    PART(ordered) PART(lattice_neighbours)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -203,19 +203,19 @@ void descend(const Input<int64_t, 1> &by_level, const Input<int64_t, 1> &sizes, 
     const size_t keys = by_level.shape(0);
     const int64_t *frames = by_level.data();
     size_t stop = 0;
+    std::vector<size_t> order(keys);  // of the key frames so far by frame
+    Frames known(keys);
+    auto sooner = [&](size_t a, size_t b) { return frames[a] < frames[b]; };
     for (size_t level = 0; level < sizes.shape(0); ++level) {
         const size_t start = stop;
         stop += size_t(std::max<int64_t>(0, sizes.data()[level]));
         if (stop > keys) throw std::invalid_argument("splines: levels with more key frames than there are");
+        std::iota(order.begin() + long(start), order.begin() + long(stop), start);
         if (!level) {
             const std::vector<double> zero(k, 0.0);
             for (size_t i = 0; i < stop; ++i) decode(i, i ? values + (i - 1) * k : zero.data(), values + i * k);
             continue;
         }
-        std::vector<size_t> order(start);
-        std::iota(order.begin(), order.end(), size_t(0));
-        std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return frames[a] < frames[b]; });
-        Frames known(start);
         for (size_t i = 0; i < start; ++i) known[i] = frames[order[i]];
         require_ascending(known.data(), start);
         Spline spline(known.data(), start, k, [&](size_t i) { return values + order[i] * k; });
@@ -224,6 +224,7 @@ void descend(const Input<int64_t, 1> &by_level, const Input<int64_t, 1> &sizes, 
             spline.at(frames[i], prediction.data());
             decode(i, prediction.data(), values + i * k);
         }
+        std::inplace_merge(order.begin(), order.begin() + long(start), order.begin() + long(stop), sooner);
     }
     if (stop != keys) throw std::invalid_argument("splines: levels with fewer key frames than there are");
 }

@@ -160,3 +160,14 @@ def test_the_compiled_basis_is_numpys_to_rounding() -> None:
         with native.without():
             np.testing.assert_allclose(compiled, basis._compose(entries, n), rtol=0, atol=1e-12)
         np.testing.assert_allclose(compiled.T @ compiled, np.eye(k), atol=1e-12)
+
+
+@pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
+def test_compiled_bases_have_the_same_bytes() -> None:
+    vectors, variances = basis.fit(covariance(24, 3), 17)
+    precision = np.minimum.accumulate(basis.precisions(variances, 0.05))
+    data = basis.pack(vectors, precision, before(24))
+    rounded = basis.unpack(data, 24, precision, before(24))
+    with native.without():
+        assert basis.pack(vectors, precision, before(24)) == data
+        np.testing.assert_array_equal(basis.unpack(data, 24, precision, before(24)), rounded)

@@ -52,3 +52,14 @@ def test_a_single_curve():
 def test_no_frequencies_are_zeros_and_no_frames_are_none():
     assert np.array_equal(dct.inverse(np.zeros((2, 0, 3)), 5, axis=1), np.zeros((2, 5, 3)))
     assert dct.forward(np.zeros((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize(("frames", "known"), [(1, 1), (51, 20), (70, 70), (1500, 90), (1500, 1400), (64, 0)])
+def test_panels_are_the_inverse(frames: int, known: int):
+    rng = np.random.default_rng(frames)
+    spectra = rng.normal(size=(2, known, 37))
+    spectra *= np.arange(known)[:, None] < np.linspace(known, 0, 37)  # columns of falling bandwidth
+    out = np.ones((2, frames, 38))
+    dct.inverse_panels(spectra, out)
+    assert np.allclose(out[..., :37], dct.inverse(spectra, frames, axis=1), atol=1e-11)
+    assert (out[..., 37] == 1).all()

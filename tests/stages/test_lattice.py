@@ -12,6 +12,8 @@ from mocodec.stages.lattice import Neighbours
 from mocodec.testing import synthetic
 from mocodec.typing import Booleans, Floats
 
+needs_module = pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+
 RADIUS = 1.25**0.5
 """Of the ball about a sample that its lattice point lies in, half steps."""
 
@@ -137,3 +139,25 @@ def test_damage_is_refused_or_harmless() -> None:
                         lattice.decode(bytes(broken), missing, known)
             except Corrupt:
                 continue
+
+
+@needs_module
+@pytest.mark.parametrize(("frames", "points", "apart"), [(1, 2, 0.0), (3, 5, 0.0), (150, 41, 0.0), (40, 150, 1000.0)])
+def test_compiled_neighbours_are_those_of_numpy(frames: int, points: int, apart: float) -> None:
+    rng = np.random.default_rng(points)
+    positions = np.cumsum(rng.normal(size=(frames, points, 3)), axis=0)
+    positions[:, points // 2 :] += apart
+    near = lattice._candidates(positions)
+    found, pairs = lattice.neighbours(positions), lattice._pairs(positions, near)
+    with native.without():
+        np.testing.assert_array_equal(found.table, lattice.neighbours(positions).table)
+        for ours, theirs in zip(pairs, lattice._pairs(positions, near), strict=True):
+            assert ours.tobytes() == theirs.tobytes()
+
+
+def test_clouds_of_points_far_from_each_other_have_an_order() -> None:
+    rng = np.random.default_rng(0)
+    positions = np.cumsum(rng.normal(size=(20, 300, 3)), axis=0)
+    positions[:, 130:] *= 1e-3  # the more rigid part is where the tree begins
+    positions[:, 130:] += 1000.0
+    assert sorted(lattice.neighbours(positions).sequence) == list(range(300))

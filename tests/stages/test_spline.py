@@ -89,3 +89,23 @@ def test_the_compiled_spline_is_numpys_to_rounding() -> None:
         compiled = spline.interpolate(keys, values, at)
         with native.without():
             np.testing.assert_allclose(compiled, spline.interpolate(keys, values, at), rtol=0, atol=1e-12)
+
+
+@pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
+@pytest.mark.parametrize("frames", [1, 2, 3, 5, 40, 700])
+def test_compiled_key_frames(frames):
+    wanted, step = trajectory(frames), 1e-3
+
+    def found() -> list[np.ndarray]:
+        keys = spline.keyframes(wanted, 2e-3)
+        bits = spline.splits(keys)
+        again, used = spline.from_splits(np.append(bits, 1).astype(np.uint8), frames)
+        numbers, decoded = spline.differences(keys, wanted[keys.by_level], step)
+        values = spline.values(again, numbers, step)
+        return [keys.by_level, keys.sizes, bits, again.by_level, np.array(used), numbers, decoded, values]
+
+    ours = found()
+    with native.without():
+        theirs = found()
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -75,7 +75,8 @@ def not_kept(codec: Codec[Any], recording: Recording) -> list[str]:
 
 def has_samples(motion: Motion) -> bool:
     """Whether any point is present in any frame; force plates may be recorded without points."""
-    return bool(motion.positions.size) and not np.isnan(motion.positions).all()
+    positions = motion.positions  # mostly the first frame tells
+    return bool(positions.size) and not (np.isnan(positions[0]).all() and np.isnan(positions).all())
 
 
 def require_usual_lengths(codec: Codec[Motion], positions: Floats) -> None:

@@ -34,10 +34,6 @@ class StaticTables:
 
     frequencies: Integers
     starts: Integers
-    packed: Integers
-    """For each table and slot, offset from the symbol's first slot << 16 | frequency of the symbol."""
-    symbols: Integers
-    """For each table and slot, the symbol."""
 
     @classmethod
     def of(cls, frequencies: NDArray[np.integer]) -> StaticTables:
@@ -46,9 +42,24 @@ class StaticTables:
         rows[-1, 0] = TOTAL
         assert (rows.sum(axis=1) == TOTAL).all()
         assert (rows >= 0).all()
-        symbols, offset = rans.slots_of(rows)
-        table = np.repeat(np.arange(len(rows)), TOTAL)
-        return cls(rows, rans.starts_of(rows), offset << 16 | rows[table, symbols], symbols)
+        return cls(rows, rans.starts_of(rows))
+
+    @cached_property
+    def _slots(self) -> tuple[Integers, Integers]:
+        """`rans.slots_of`: megabytes, which the compiled decoder of whole chunks does not need."""
+        return rans.slots_of(self.frequencies)
+
+    @property
+    def symbols(self) -> Integers:
+        """For each table and slot, the symbol."""
+        return self._slots[0]
+
+    @cached_property
+    def packed(self) -> Integers:
+        """For each table and slot, offset from the symbol's first slot << 16 | frequency of the symbol."""
+        symbols, offset = self._slots
+        table = np.repeat(np.arange(len(self.frequencies)), TOTAL)
+        return offset << 16 | self.frequencies[table, symbols]
 
     @cached_property
     def slot_offsets(self) -> Integers:

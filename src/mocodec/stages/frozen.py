@@ -11,7 +11,7 @@ or that of the sample before the run, whose error the run then has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -56,13 +56,8 @@ class Split:
     holds: bool = True
 
     def __getitem__(self, frames: slice) -> Split:
-        return replace(
-            self,
-            positions=self.positions[frames],
-            missing=self.missing[frames],
-            frozen=self.frozen[frames],
-            constant=self.constant[frames],
-        )
+        masks = self.missing[frames], self.frozen[frames], self.constant[frames]
+        return Split(self.positions[frames], *masks, self.tolerance, self.holds)
 
     @property
     def apart(self) -> Booleans:

@@ -98,7 +98,7 @@ def neighbours(positions: Floats) -> Neighbours:
 
     Partners are points at the most constant distance, so that they form a tree; the others move most alike.
     """
-    some = positions[:: max(1, len(positions) // SAMPLED_FRAMES)]
+    some = np.ascontiguousarray(positions[:: max(1, len(positions) // SAMPLED_FRAMES)])
     points = positions.shape[1]
     if points < 2:
         return Neighbours(np.full((points, NEIGHBOURS), -1, np.int32))
@@ -129,20 +129,31 @@ def _candidates(some: Floats) -> Integers:
 def _pairs(some: Floats, near: Integers) -> tuple[Floats, Floats]:
     """(points, k) each: standard deviation of the distance to each candidate; root mean square of the difference of
     their steps."""
+    if (kernel := native.kernel("lattice_pairs")) is not None:
+        return kernel(some, near, LEAST_DISTANCE_M)
     rigidity, likeness = np.empty(near.shape), np.empty(near.shape)
-    axes = np.ascontiguousarray(some.transpose(2, 1, 0))  # the frames of a point next to each other
+    frames = len(some)
     for p, others in enumerate(near):
-        apart = axes[:, others] - axes[:, p : p + 1]
-        distance = np.sqrt(np.einsum("aqt,aqt->qt", apart, apart))
-        mean = distance.mean(axis=1)
-        rigidity[p] = distance.std(axis=1) + np.where(mean < LEAST_DISTANCE_M, 1e6, 1e-6 * mean)
-        moved = apart[..., 1:] - apart[..., :-1]
-        likeness[p] = np.sqrt(np.einsum("aqt,aqt->q", moved, moved) / max(1, len(some) - 1)) if len(some) > 1 else mean
+        apart = some.take(others, axis=1) - some[:, p : p + 1]
+        distance = np.sqrt(_lengths_2(apart))
+        mean = distance.sum(axis=0) / frames  # in the order of frames
+        spread = np.sqrt(((distance - mean) ** 2).sum(axis=0) / frames)
+        rigidity[p] = spread + np.where(mean < LEAST_DISTANCE_M, 1e6, 1e-6 * mean)
+        moved = _lengths_2(apart[1:] - apart[:-1])
+        likeness[p] = np.sqrt(moved.sum(axis=0) / (frames - 1)) if frames > 1 else mean
     return rigidity, likeness
+
+
+def _lengths_2(vectors: Floats) -> Floats:
+    """Squared lengths of vectors (…, 3)."""
+    return (vectors[..., 0] ** 2 + vectors[..., 1] ** 2) + vectors[..., 2] ** 2
 
 
 def _tree(near: Integers, rigidity: Floats, points: int) -> tuple[Integers, Integers]:
     """Order of the points, and the partner of each: a minimum spanning tree (Prim). Unconnected parts are joined."""
+    first = int(rigidity.mean(axis=1).argmin())
+    if (kernel := native.kernel("lattice_tree")) is not None:
+        return kernel(near, rigidity, first)
     cost, partner = np.full(points, np.inf), np.zeros(points, np.int64)
     done = np.zeros(points, bool)
     edges: list[list[tuple[int, float]]] = [[] for _ in range(points)]
@@ -150,15 +161,15 @@ def _tree(near: Integers, rigidity: Floats, points: int) -> tuple[Integers, Inte
         for q, value in zip(others.tolist(), rigidity[p].tolist(), strict=True):
             edges[p].append((q, value))
             edges[q].append((p, value))
-    order = [int(rigidity.mean(axis=1).argmin())]
-    done[order[0]] = True
+    order = [first]
+    done[first] = True
     while len(order) < points:
         last = order[-1]
         for q, value in edges[last]:
             if not done[q] and value < cost[q]:
                 cost[q], partner[q] = value, last
         following = int(np.where(done, np.inf, cost).argmin())
-        if done[following]:
+        if not np.isfinite(cost[following]) or done[following]:
             following = int(np.flatnonzero(~done)[0])
             partner[following] = last
         order.append(following)

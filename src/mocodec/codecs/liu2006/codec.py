@@ -252,13 +252,15 @@ class Liu2006:
             first, last = max(model.start, start), min(model.stop, stop)
             if first >= last:
                 continue
+            out = positions[first - start : last - start]
+            if not residual and not packed:
+                reconstruct(models, markers, up, first, last, blend_frames, out)
+                continue
             # Gaps and residual unpack only as a whole segment.
-            decode_first, decode_last = (model.start, model.stop) if residual or packed else (first, last)
-            decoded = reconstruct(models, markers, up, decode_first, decode_last, blend_frames)
+            decoded = reconstruct(models, markers, up, model.start, model.stop, blend_frames)
             if residual:
                 decoded = bounded.unpack(residual, decoded, max_error, packed)
-            decoded = frozen.restore(decoded, packed)
-            positions[first - start : last - start] = decoded[first - decode_first : last - decode_first]
+            out[...] = frozen.restore(decoded, packed)[first - model.start : last - model.start]
         return encodeds.restore(encoded, positions, start)
 
 
@@ -305,13 +307,19 @@ def _pack_residual(
 
 
 def reconstruct(
-    models: Sequence[SegmentModel], markers: MarkerGroups, up: str, start: int, stop: int, blend_frames: int
+    models: Sequence[SegmentModel],
+    markers: MarkerGroups,
+    up: str,
+    start: int,
+    stop: int,
+    blend_frames: int,
+    out: Floats | None = None,
 ) -> Floats:
-    """Positions (frames, points, 3) of frames [start, stop): section 3.5.
+    """Positions (frames, points, 3) of frames [start, stop), in `out` if it is given: section 3.5.
 
     models: consecutive segments that cover these frames, and for the blend the segments next to them.
     """
-    positions = np.empty((stop - start, markers.points, 3))
+    positions = np.empty((stop - start, markers.points, 3)) if out is None else out
     for i, model in enumerate(models):
         first, last = max(model.start, start), min(model.stop, stop)
         if first >= last:

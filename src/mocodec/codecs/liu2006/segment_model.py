@@ -68,7 +68,9 @@ class PcaModel:
 
     def at(self, start: int, stop: int) -> Floats:
         """The poses at frames [start, stop), counted from the track's first frame: (frames, dimensions)."""
-        return self.track.at(start, stop) @ self.basis.T + self.mean
+        poses = self.track.at(start, stop) @ self.basis.T
+        poses += self.mean
+        return poses
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .equal_slopes import to_mean
 from .header import StreamHeader, pack_weights, with_weights
-from .models import MODELS, Recording
+from .models import MODELS, WITH_STORED_BASIS, Recording
 from .models.model import Model
 from .preparation import Prepared, chunk_bounds, prepare
 from .rotation_layer import layer
@@ -247,12 +247,14 @@ class Tempo:
 
     def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
         coded = self._encode_planned(motion, source, plan)
-        encoded = coded.encoded
-        engines = {Payload.unpack(c.payload).engine for c in encoded.chunks}
-        if plan is None or plan.alone or len(encoded.chunks) == 1 or engines != {LATTICE}:
+        if plan is None or plan.alone:
             return coded
-        with_longer_chunks = self._encode_planned(motion, source, replace(plan, alone=True))
-        return min(coded, with_longer_chunks, key=lambda c: c.encoded.payload_bytes)
+        bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
+        bound = self.max_error or DEFAULT_MAX_ERROR
+        if not engine_choice.may_be_smaller_alone(plan, coded.encoded, source, bounds, bound):
+            return coded
+        alone = self._encode_planned(motion, source, replace(plan, alone=True))
+        return min(coded, alone, key=lambda c: c.encoded.payload_bytes)
 
     def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
         """By the chosen model, by the lattice engine, or each chunk by the smaller."""
@@ -285,7 +287,7 @@ class Tempo:
             shared=(header.pack(),),
             settings=self._stored_settings(),
         )
-        sample = fallback.Sample.of(encoders)
+        sample = fallback.Sample.of(encoders, choice.header.model in WITH_STORED_BASIS)
         if not failures:
             return _Coded(encoded, sample)
         reason = rescue.in_words("with tempo's models", failures[0])
@@ -358,11 +360,12 @@ class Tempo:
 
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
         step = self.first_step(motion)
-        choice = model_choice.choose(Recording(chunks, motion, step), self.model, self.mean_error)
+        recording = Recording(chunks, motion, step)
+        choice = model_choice.choose(recording, self.model, self.mean_error)
         for coarser in range(1, COARSER_MODELS + 1 if self._has_size else 1):
             if len(choice.header.pack()) <= self._wanted_bytes(motion) / 2:
                 break
-            choice = model_choice.choose(Recording(chunks, motion, step + coarser * 2 * OCTAVE), self.model)
+            choice = model_choice.choose(recording.with_step(step + coarser * 2 * OCTAVE), self.model)
         return choice
 
     def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:

@@ -98,7 +98,7 @@ def encodes(model: Model, frames: int) -> bool:
 
 def _of_length(model: Model, frames: int) -> Any:
     """Codes chunks of this length; None where the module does not."""
-    if native.kernel("ChunkDecoder") is None or not 0 < frames <= dct.MATRIX_FRAMES or not model.rows:
+    if native.kernel("ChunkCodec") is None or not 0 < frames <= dct.MATRIX_FRAMES or not model.rows:
         return None
     found = model.compiled.get(frames)
     if found is None:
@@ -149,7 +149,7 @@ def _of_model(model: Model) -> Any:
     copied = {id(basis): np.ascontiguousarray(basis) for basis in model.synthesis_bases}  # bands may share a basis
     bases = [copied[id(basis)] for basis in model.synthesis_bases]
     coordinates = model.coordinates
-    decoder = _made("ChunkDecoder", model.tables.frequencies, *contexts.constants(), bases, coordinates.pose, weights)
+    decoder = _made("ChunkCodec", model.tables.frequencies, *contexts.constants(), bases, coordinates.pose, weights)
     if isinstance(coordinates, DirectionCoordinates):
         tree, schedule = coordinates.tree, coordinates.tree.schedule
         direction = np.full(len(tree.parents), -1, np.int64)

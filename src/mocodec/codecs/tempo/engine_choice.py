@@ -8,19 +8,21 @@ The sample decides before a model is fitted, since fitting takes longest where t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from ...encoded import Encoded
 from ...errors import Corrupt
 from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
-from .chunk import ChunkEncoder, grid_size, grid_step
+from .chunk import LATTICE, ChunkEncoder, Payload, grid_size, grid_step
 from .coding.contexts import OCTAVE
 from .models import Recording, directions, points
+from .models.model import Model
 from .models.stored_basis import MOST_DIMENSIONS
 from .preparation import Prepared
 
@@ -58,13 +60,15 @@ class LatticePlan:
     """How the lattice engine is used. alone: no chunk needs a model; certain: nor is hou2014 tried.
 
     choose: the neighbours of the points and the stride (`lattice.encode`), found when they are needed first.
-    least_bits: of a coordinate; the engine is not tried for chunks that take the transform less.
+    least_bits: of a coordinate; the engine is not tried for chunks that take the transform less. rivals: it is tried
+    for the whole recording beside a model too.
     """
 
     choose: Callable[[], tuple[lattice.Neighbours, int]]
     alone: bool = False
     certain: bool = False
     least_bits: float = 0.0
+    rivals: bool = False
 
     @cached_property
     def _chosen(self) -> tuple[lattice.Neighbours, int]:
@@ -99,7 +103,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     if named or weights is not None or motion.skeleton is not None:
         return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS if weights is None else 0.0)
     if directions.form_a_tree(source.smooth[some], step + WIDER):
-        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS)
+        return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS, rivals=True)
     found, stride, cost = chosen()
     transform = _transform_bytes(motion, source, some, bound, step)
     sampled = some.stop - some.start
@@ -126,6 +130,25 @@ def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float
         return np.inf
     draft = ChunkEncoder.of(model, source, some).within_bound(bound, SAMPLE_OFFSET)
     return draft.bits / 8 + len(fitted.pack()) * sample.frames / len(motion)
+
+
+def may_be_smaller_alone(
+    plan: LatticePlan, encoded: Encoded[Motion], source: Prepared, bounds: Sequence[tuple[int, int]], bound: float
+) -> bool:
+    """Whether the lattice engine alone, without a model, may be smaller than an encoding in which chunks may use it.
+
+    bounds: start and stop of its chunks, which are longer; of bodies that are not known by name, one is coded on trial.
+    """
+    if {Payload.unpack(c.payload).engine for c in encoded.chunks} == {LATTICE}:
+        return len(encoded.chunks) > 1
+    if not plan.rivals or 8 * encoded.payload_bytes < plan.least_bits * source.positions.size:
+        return False
+    start, stop = bounds[len(bounds) // 2]
+    like = encoded.about
+    encoder = ChunkEncoder.of(Model.without_rows(like.names, like.rate), source, slice(start, stop))
+    found = encoder.on_lattice(bound, plan.neighbours, plan.stride)
+    share = (stop - start) / len(source.positions)
+    return found is not None and len(found.payload) < (1 - LEAST_SAVING) * share * encoded.payload_bytes
 
 
 class EngineTrials:

@@ -65,26 +65,31 @@ MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
 
 
 class Sample(NamedTuple):
-    """Some chunks of a recording: positions (frames, points, 3), and coefficients (frames, rows) of tempo's model."""
+    """Some chunks of a recording: positions (frames, points, 3), and coefficients (frames, rows) of tempo's model.
+
+    own_basis: the model is a basis fitted to the recording.
+    """
 
     positions: Sequence[Floats]
     spectra: Sequence[Floats]
+    own_basis: bool
 
     @classmethod
-    def of(cls, encoders: Sequence[ChunkEncoder]) -> Sample | None:
+    def of(cls, encoders: Sequence[ChunkEncoder], own_basis: bool) -> Sample | None:
         """None without a model."""
         some = encoders[:: -(-len(encoders) // PROMISING_CHUNKS)]
         spectra = [e.spectrum for e in some if e.spectrum is not None]
-        return cls([e.smooth for e in some], spectra) if len(spectra) == len(some) else None
+        return cls([e.smooth for e in some], spectra, own_basis) if len(spectra) == len(some) else None
 
 
 def is_promising(sample: Sample, step: int) -> bool:
     """Whether a basis of the recording's own, fitted to the sample, takes clearly fewer bits than tempo's model.
 
     step: about the quantisation step, log₂ in 1/32 octave. Bits are Σ log₂(1 + (coefficient / step)²) over the lowest
-    frequencies. Those of storing the basis are not counted.
+    frequencies. Those of storing the basis are not counted. Two bases of the recording's own take about the same bits:
+    their test is a coding by hou2014, whose clips may be longer.
     """
-    if sample.positions[0].shape[1] > PROMISING_POINTS:
+    if sample.own_basis or sample.positions[0].shape[1] > PROMISING_POINTS:
         return True
     ours, theirs, step_m = 0.0, list[Floats](), float(step_size(step))
     for positions, spectrum in zip(sample.positions, sample.spectra, strict=True):

@@ -154,7 +154,7 @@ def _with_refined_step(recording: Recording, mean_error: float) -> Recording:
             model = points.stored_points(recording, recording.step).model(recording.like)
         except Corrupt:  # numbers that a decoder would refuse
             break
-        recording = replace(recording, step=_nearer_step(model, sample, recording.step, mean_error))
+        recording = recording.with_step(_nearer_step(model, sample, recording.step, mean_error))
     return recording
 
 

@@ -18,7 +18,7 @@ from ...encoded import Chunk, Encoded, about, restore
 from ...entropy import coder, varint
 from ...errors import Corrupt
 from ...motion import Motion
-from ...typing import Booleans, Integers
+from ...typing import Booleans, Floats, Integers
 from .header import StreamHeader
 
 MOST_DISTINCT = 0.8
@@ -36,10 +36,18 @@ def distinct_frames(motion: Motion, seconds: float) -> Booleans | None:
     p = motion.positions
     if len(p) < 3:
         return None
+    if len(p) - np.count_nonzero(_same(p[:, :1])) > MOST_DISTINCT * len(p):
+        return None  # one point tells
     changed = np.ones(len(p), bool)
-    changed[1:] = ~((p[1:] == p[:-1]) | (np.isnan(p[1:]) & np.isnan(p[:-1]))).all(axis=(1, 2))
+    changed[1:] = ~_same(p)
     changed[:: max(1, round(seconds * motion.rate))] = True
     return changed if changed.mean() <= MOST_DISTINCT else None
+
+
+def _same(positions: Floats) -> Booleans:
+    """Which frames but the first of positions (frames, points, 3) have the samples of the frame before."""
+    after, before = positions[1:], positions[:-1]
+    return ((after == before) | (np.isnan(after) & np.isnan(before))).all(axis=(1, 2))
 
 
 def encode(motion: Motion, distinct: Booleans, encode_distinct: Callable[[Motion], Encoded[Motion]]) -> Encoded[Motion]:

@@ -46,4 +46,6 @@ MODELS = {
 }
 """Coordinates and statistics, by name."""
 
-__all__ = ["MODELS", "FittedModel", "ModelType", "Recording"]
+WITH_STORED_BASIS = ("points-stored", "directions-stored")
+
+__all__ = ["MODELS", "WITH_STORED_BASIS", "FittedModel", "ModelType", "Recording"]

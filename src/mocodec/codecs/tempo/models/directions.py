@@ -27,7 +27,7 @@ from .prior import Prior
 from .recording import FittedModel, Recording
 from .skeleton_correspondence import HUB, LEAST_METRIC, RELATIVE, MatchedSkeleton
 from .skeleton_matching import SAMPLED_FRAMES, STRETCH_STEPS
-from .stored_basis import StoredBasis
+from .stored_basis import Components, StoredBasis
 
 BY_NAME, BY_NAME_MEASURED, MATCHED = 0, 1, 2
 """First byte of a model with the prior: known names, with the skeleton's or stored proportions, or a matched skeleton.
@@ -231,7 +231,8 @@ def fit_stored(recording: Recording) -> Iterator[FittedModel]:
     if found is not None:
         stored, coordinates = found
         rate, step = recording.like.rate, recording.step
-        fitted = stored_basis.fit(recording.chunks, coordinates, stored.prior, rate, step)
+        components = Components.of_positions(recording.chunks, coordinates, rate)
+        fitted = stored_basis.fit(components, stored.prior, rate, step)
         yield StoredDirections(stored.prior, stored.fine, stored.parents, stored.vectors, stored.marks, fitted)
 
 

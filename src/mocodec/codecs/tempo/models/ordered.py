@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .... import native
 from ....typing import Floats, Integers
 
 ROUNDS = 1
@@ -24,6 +25,8 @@ def square_of_exp2(logs: Integers) -> Floats:
 
 
 def matmul(a: Floats, b: Floats) -> Floats:
+    if (kernel := native.kernel("ordered_matmul")) is not None:
+        return kernel(a, b)
     out = np.zeros((len(a), b.shape[1]))
     for column, row in zip(a.T, b, strict=True):
         out += column[:, None] * row
@@ -67,6 +70,8 @@ def principal_directions(rows: Floats, most: int) -> Floats:
 def orthonormal(rows: Floats, most: int, shortest: float = 1e-30) -> Floats:
     """Gram–Schmidt with pivoting, the longest remaining row first; rows of less squared length than `shortest`, and
     those fainter than `FAINTEST_SHARE`, are dropped."""
+    if (kernel := native.kernel("ordered_orthonormal")) is not None:
+        return kernel(rows, most, shortest, FAINTEST_SHARE)
     left = rows.T.copy()
     size = sum_first_axis(left**2)
     floor = max(shortest, float(size.max(initial=0.0)) * FAINTEST_SHARE)

@@ -31,6 +31,9 @@ POSE_COARSER = 64
 FINER_STEPS = (0, 32)
 """A stored basis is rounded for the step, or for one finer by this (1/32 octave)."""
 
+NEAREST_BLOCK = 64
+"""Points worked on at a time."""
+
 POINTS = Record(
     "tempo: stored points",
     signed("noise", most=3000, meaning="log₂ of Δ/√frames, m, in 1/32 octave"),
@@ -133,8 +136,7 @@ def stored_points(recording: Recording, step: int) -> StoredPoints:
     """Mean pose and basis of the recording, rounded for this step (log₂, 1/32 octave)."""
     known, noise = prior.for_points(), stored_basis.noise_step(step, recording.frames)
     pose = np.rint(recording.mean_pose / step_size(noise + POSE_COARSER)).astype(np.int64)
-    coordinates = PointCoordinates(_metres(pose, noise))
-    fitted = stored_basis.fit(recording.chunks, coordinates, known, recording.like.rate, step, _nearest_before(pose))
+    fitted = stored_basis.fit(recording.components, known, recording.like.rate, step, _nearest_before(pose))
     return StoredPoints(known, noise, pose, fitted)
 
 
@@ -154,7 +156,12 @@ def _metres(pose: Integers, noise: int) -> Floats:
 def _nearest_before(pose: Integers) -> Integers:
     """For each coordinate that of the nearest point before it in the list, (3 points,); −1 for the first point's."""
     out = np.full((len(pose), 3), -1, np.int64)
-    for i in range(1, len(pose)):
-        nearest = int(((pose[:i] - pose[i]).astype(np.float64) ** 2).sum(axis=1).argmin())
-        out[i] = 3 * nearest + np.arange(3)
+    near, of_pose = np.zeros(len(pose), np.int64), pose.astype(np.float64)
+    for first in range(0, len(pose), NEAREST_BLOCK):
+        some = slice(first, first + NEAREST_BLOCK)
+        apart = of_pose[None, : some.stop] - of_pose[some, None]
+        squares = (apart[..., 0] ** 2 + apart[..., 1] ** 2) + apart[..., 2] ** 2
+        rows, columns = squares.shape
+        near[some] = np.where(np.tri(rows, columns, first - 1, dtype=bool), squares, np.inf).argmin(axis=1)
+    out[1:] = 3 * near[1:, None] + np.arange(3)
     return out.ravel()

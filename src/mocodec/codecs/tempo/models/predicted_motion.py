@@ -10,6 +10,7 @@ strength of the unpredicted part at 1 Hz, and its slope; and white noise.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -69,11 +70,13 @@ def with_heading_and_place(
     return Statistics(bases, np.concatenate([moved, pose]), np.concatenate([still, means]))
 
 
+@cache
 def frequencies_of(band: int) -> slice:
     """The frequencies among `BANDS_MHZ` that one basis serves."""
     inside = [i for i, f in enumerate(contexts.BANDS_MHZ) if _band_of(f) == band]
     return slice(inside[0], inside[-1] + 1)
 
 
+@cache
 def _band_of(millihertz: int) -> int:
     return sum(millihertz > e for e in BAND_EDGES_MHZ)

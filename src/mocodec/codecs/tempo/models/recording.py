@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -12,7 +12,9 @@ import numpy as np
 from ....motion import Motion
 from ....typing import Floats
 from ..pose import heading
+from .coordinates import PointCoordinates
 from .model import Model
+from .stored_basis import Components
 
 POSE_FRAMES = 2000
 """Enough for the mean pose of a recording."""
@@ -38,6 +40,17 @@ class Recording:
         """Of at most about `POSE_FRAMES` frames, (points, 3), metres, centred, each frame turned to it."""
         some = np.concatenate(self.chunks)[:: max(1, self.frames // POSE_FRAMES)]
         return heading.mean_pose(some - some.mean(axis=1, keepdims=True))
+
+    @cached_property
+    def components(self) -> Components:
+        """Of its positions about the mean pose."""
+        return Components.of_positions(self.chunks, PointCoordinates(self.mean_pose), self.like.rate)
+
+    def with_step(self, step: int) -> Recording:
+        """The recording for another step, with what is known of it already."""
+        other = replace(self, step=step)
+        other.__dict__.update({name: value for name, value in self.__dict__.items() if name != "step"})
+        return other
 
 
 class FittedModel(Protocol):

@@ -90,9 +90,10 @@ def _best_match(
     aligned: Floats, parents: tuple[int, ...], pose: Floats, known: JointSet, tolerance_m: float, of_skeleton: bool
 ) -> Match:
     roots = [parents] if of_skeleton else _rooted(parents, pose)
-    best = min((TreeMatcher(aligned, tree, known).match() for tree in roots), key=lambda m: m.cost)
+    matcher = TreeMatcher(aligned, known)
+    best = min((matcher.match(tree) for tree in roots), key=lambda m: m.cost)
     if not of_skeleton and (tree := _relinked(aligned, best, known.tree, tolerance_m)) != best.parents:
-        best = min(best, TreeMatcher(aligned, tree, known).match(), key=lambda m: m.cost)
+        best = min(best, matcher.match(tree), key=lambda m: m.cost)
     return best
 
 
@@ -209,6 +210,5 @@ def _with_directions(found: _Found, joint: Integers) -> Correspondence:
         )
 
     rest, _ = skeleton_correspondence.rest_tree(stored(tree.vectors), like, found.skeleton)
-    for j in np.flatnonzero(~sure & relative & ~rest.zero_length):
-        rest = tree_fitting.with_relative(rest, found.poses, int(j))
-    return stored(rest.vectors)
+    loose = np.flatnonzero(~sure & relative & ~rest.zero_length)
+    return stored(tree_fitting.with_relative(rest, found.poses, loose).vectors)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,29 +110,34 @@ def noise_step(step: int, frames: int) -> int:
     return step - int(contexts.log2(np.array([frames]))[0]) // 2
 
 
-def fit(
-    positions: Sequence[Floats],
-    coordinates: Coordinates,
-    prior: Prior,
-    rate: float,
-    step: int,
-    similar: Integers | None = None,
-) -> StoredBasis:
-    """For chunks (frames, points, 3), y up, that will be coded with about this step, log₂ in 1/32 octave.
+class Components(NamedTuple):
+    """What a basis is rounded from, the same for every step.
+
+    spectra (frames, dimensions), one a chunk. vectors (dimensions, k): strongest first. variances (k,).
+    """
+
+    spectra: Sequence[Floats]
+    vectors: Floats
+    variances: Floats
+
+    @classmethod
+    def of(cls, spectra: Sequence[Floats]) -> Components:
+        return cls(spectra, *_principal(spectra, sum(map(len, spectra))))
+
+    @classmethod
+    def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
+        """Of chunks (frames, points, 3), y up."""
+        return cls.of([coordinate_spectrum(p, coordinates, rate, np.empty((len(p), POSE))) for p in positions])
+
+
+def fit(components: Components, prior: Prior, rate: float, step: int, similar: Integers | None = None) -> StoredBasis:
+    """For chunks that will be coded with about this step, log₂ in 1/32 octave.
 
     similar (dimensions,): a coordinate before each that moves alike, −1 for none, which its entries are predicted from.
     """
-    spectra = [coordinate_spectrum(p, coordinates, rate, np.empty((len(p), POSE))) for p in positions]
-    return fit_spectra(spectra, prior, rate, step, similar)
-
-
-def fit_spectra(
-    spectra: Sequence[Floats], prior: Prior, rate: float, step: int, similar: Integers | None = None
-) -> StoredBasis:
-    """`fit` to spectra (frames, dimensions), one a chunk."""
+    spectra, vectors, variances = components
     frames = sum(map(len, spectra))
     noise = noise_step(step, frames)
-    vectors, variances = _principal(spectra, frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
     shapes = _shapes(prior.joints.statistics, count + 1)

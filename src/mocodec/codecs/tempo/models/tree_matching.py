@@ -41,17 +41,16 @@ class Match:
 
 
 class TreeMatcher:
-    """Dynamic programming over a tree, for all headings and sizes ("ways") at once.
+    """Dynamic programming over trees of the same points, for all headings and sizes ("ways") at once.
 
     Costs are arrays (sets, prior's joints, ways): for each set of branches of the prior that a subtree uses, as bits,
-    and each joint of the prior that the joint above corresponds to.
+    and each joint of the prior that the joint above corresponds to. They are kept while the links stay the same: a
+    subtree is the same for every root on its other side.
     """
 
-    def __init__(self, aligned: Floats, parents: tuple[int, ...], known: JointSet) -> None:
+    def __init__(self, aligned: Floats, known: JointSet) -> None:
         """aligned (frames, points, 3): the pose is their mean; lengths of bones are their medians."""
-        order = tree_fitting.topological_order(parents)
-        assert order is not None
-        self.aligned, self.parents, self.order = aligned, parents, order
+        self.aligned = aligned
         self.theirs = bone_directions.inverse(known.tree, np.zeros((1, known.tree.dimensions)))[0]
         self.pose = aligned.mean(axis=0)
         extent = np.sqrt((self.theirs**2).mean() / max(float((aligned**2).mean()), 1e-12))
@@ -59,11 +58,6 @@ class TreeMatcher:
         rotated = heading.rotate(np.repeat(self.pose[None], HEADINGS, axis=0), angles)
         self.poses = np.concatenate([rotated] * len(SIZES))
         self.sizes = np.repeat(np.array(SIZES) * extent, HEADINGS)
-        self.children: dict[int, list[int]] = {}
-        for j in order[1:]:
-            self.children.setdefault(parents[j], []).append(int(j))
-        offsets = self.pose - self.pose[np.maximum(parents, 0)]
-        self.zero_length = {int(j) for j in order[1:] if float((offsets[j] ** 2).sum()) <= ZERO_LENGTH_M**2}
         self.start, self.branch_of, self.end, self.toll = _descending_paths(known.tree.parents)
         self.bones = self.theirs[self.end] - self.theirs[self.start]
         self.lengths = np.sqrt((self.bones**2).sum(axis=1))
@@ -71,7 +65,22 @@ class TreeMatcher:
         self.groups = np.flatnonzero(np.diff(self.branch_of * len(self.theirs) + self.start, prepend=-1))
         self.sets = 1 << (int(self.branch_of.max()) + 1)
         self.shape = (self.sets, len(self.theirs), len(self.poses))
+        self._links: set[frozenset[int]] = set()
         self._memo: dict[tuple[str, int, int, int], Floats] = {}
+
+    def _begin(self, parents: tuple[int, ...]) -> None:
+        """With this tree."""
+        order = tree_fitting.topological_order(parents)
+        assert order is not None
+        self.parents, self.order = parents, order
+        self.children: dict[int, list[int]] = {}
+        for j in order[1:]:
+            self.children.setdefault(parents[j], []).append(int(j))
+        offsets = self.pose - self.pose[np.maximum(parents, 0)]
+        self.zero_length = {int(j) for j in order[1:] if float((offsets[j] ** 2).sum()) <= ZERO_LENGTH_M**2}
+        links = {frozenset((j, p)) for j, p in enumerate(parents) if p >= 0}
+        if links != self._links:
+            self._links, self._memo = links, {}
 
     def _path_costs(self, joint: int, above: int) -> Floats:
         """Cost of matching this subtree's first bone to each descending path of the prior: (paths, ways)."""
@@ -125,13 +134,15 @@ class TreeMatcher:
 
     def _below(self, joint: int) -> Floats:
         """Least cost of all subtrees below a joint, if it corresponds to each of the prior's."""
-        key = ("below", joint, 0, 0)
+        key = ("below", joint, self.parents[joint], 0)
         if key not in self._memo:
             children = self.children.get(joint, [])
             self._memo[key] = _disjoint_sums([self._subtree(c, joint, 0) for c in children], self.shape)
         return self._memo[key]
 
-    def match(self) -> Match:
+    def match(self, parents: tuple[int, ...]) -> Match:
+        """The cheapest correspondence of the tree with these parents."""
+        self._begin(parents)
         for joint in self.order[::-1]:  # from the leaves, so that long chains do not recurse deeply
             self._below(int(joint))
         root = int(self.order[0])

@@ -311,6 +311,13 @@ def _references(tree: BoneTree, hub_bones: dict[int, list[int]]) -> tuple[dict[i
     return reference, level_of
 
 
+def levels(tree: BoneTree) -> dict[int, int]:
+    """The level of each bone that has one: the number of frames that its own depends on."""
+    _, level_of = _references(tree, _hub_bones(tree))
+    ends = (j for j, p in enumerate(tree.parents) if p >= 0 and not tree.zero_length[j])
+    return {j: level_of[-2 - tree.parents[j] if tree.hub[j] else j] for j in ends}
+
+
 def _as_slice(places: Integers) -> Slots:
     """The same indices as a slice, if they are consecutive."""
     first = int(places[0])
@@ -320,4 +327,4 @@ def _as_slice(places: Integers) -> Slots:
 def _least_collinear(vectors: Floats, bones: Sequence[int]) -> list[int]:
     """The two of these bones that span the largest parallelogram."""
     pairs = [[a, b] for i, a in enumerate(bones) for b in bones[i + 1 :]]
-    return max(pairs, key=lambda pair: float((np.cross(*vectors[pair]) ** 2).sum())) if pairs else [bones[0]] * 2
+    return max(pairs, key=lambda pair: float((rotations.cross(*vectors[pair]) ** 2).sum())) if pairs else [bones[0]] * 2

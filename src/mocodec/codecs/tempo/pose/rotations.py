@@ -17,6 +17,7 @@ from ....typing import Floats
 
 LARGEST_SERIES_ANGLE_2 = 10.0
 """Squared angle up to which the series are exact to rounding: just beyond half a turn."""
+AXES = np.eye(3)
 _SINE_TERMS = tuple(1 / math.factorial(2 * k + 1) for k in range(8))
 _COSINE_TERMS = tuple(1 / math.factorial(2 * k) for k in range(9))
 
@@ -139,19 +140,20 @@ def frame_of_pair(pair: Floats) -> Floats:
     """Matrices (frames, 3, 3), axes as columns, of two vectors (3, 2, frames): bisector, difference, normal."""
     a, b = unit(pair[:, 0]), unit(pair[:, 1])
     first, second = a + b, a - b
-    third = _cross(first, second)
+    third = cross(first, second)
     return np.stack([unit(first), unit(second), unit(third)], axis=-1).swapaxes(0, 1)
 
 
 def frame_along(direction: Floats) -> Floats:
     """A rotation matrix (3, 3), axes as columns, whose third axis is this unit direction."""
-    helper = np.eye(3)[np.abs(direction).argmin()]
-    first = helper - direction * (helper @ direction)
+    least = int(np.abs(direction).argmin())
+    first = AXES[least] - direction * direction[least]
     first /= np.sqrt(first @ first)
-    return np.asarray(np.stack([first, _cross(direction, first), direction], axis=1), np.float64)
+    (a, b, c), (x, y, z) = first.tolist(), direction.tolist()  # single vectors: Python's floats are faster
+    return np.array([[a, y * c - z * b, x], [b, z * a - x * c, y], [c, x * b - y * a, z]])
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Floats, b: Floats) -> Floats:
     """a × b of vectors (3, …): the same bits as np.cross, which takes many times as long for single vectors."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
@@ -163,7 +165,7 @@ def unit(vectors: Floats) -> Floats:
 
 def angle_between(a: Floats, b: Floats) -> Floats:
     """Between vectors (3, …)."""
-    return np.arctan2(np.sqrt((_cross(a, b) ** 2).sum(axis=0)), (a * b).sum(axis=0))
+    return np.arctan2(np.sqrt((cross(a, b) ** 2).sum(axis=0)), (a * b).sum(axis=0))
 
 
 def rotation_between(rest: Floats, vectors: Floats) -> Floats:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ....motion import Skeleton
 from ....typing import Booleans, Floats, Integers
-from . import bone_directions, rotations
+from . import bone_directions, bone_tree, rotations
 from .bone_tree import BODY, ZERO_LENGTH_M, BoneTree
 
 FEWEST_FRAMES, FEWEST_POINTS = 16, 4
@@ -121,9 +122,7 @@ def fit(poses: Sequence[Floats], parents: Sequence[int], builds: Sequence[Floats
     hub = _hubs(offsets, parents, vectors, builds)
     relative = _relative(parents, vectors)
     tree = BoneTree(tuple(parents), _with_rigid_hubs(vectors, offsets, parents, hub), hub, np.zeros(len(parents), bool))
-    for j in np.flatnonzero(relative):
-        tree = with_relative(tree, poses, int(j))
-    return tree
+    return with_relative(tree, poses, np.flatnonzero(relative))
 
 
 def _relative(parents: Sequence[int], vectors: Floats) -> Booleans:
@@ -191,27 +190,52 @@ def _with_rigid_hubs(vectors: Floats, offsets: Sequence[Floats], parents: Sequen
     return out
 
 
-def with_relative(tree: BoneTree, poses: Sequence[Floats], bone: int) -> BoneTree:
-    """The tree with this bone, or the hub that it belongs to, made relative, and its mean direction in that frame."""
+def with_relative(tree: BoneTree, poses: Sequence[Floats], bones: Integers) -> BoneTree:
+    """The tree with these bones, and the hubs that they belong to, made relative, and their mean directions so.
+
+    A direction is in the frame of the bone before it, so that bones are worked on level by level.
+    """
+    hubs = tree.schedule.hub_bones
+    sets = {tuple(hubs[tree.parents[j]]) if tree.hub[j] else (j,) for j in bones.tolist()}
     relative = tree.relative.copy()
-    joint = tree.parents[bone]
-    children = tree.schedule.hub_bones[joint] if tree.hub[bone] else [bone]
-    relative[children] = True
+    relative[[j for together in sets for j in together]] = True
+    level_of = bone_tree.levels(replace(tree, relative=relative))
+    for level in sorted({level_of[together[0]] for together in sets}):
+        tree = _with_relative_level(tree, poses, [each for each in sets if level_of[each[0]] == level])
+    return tree
+
+
+def _with_relative_level(tree: BoneTree, poses: Sequence[Floats], sets: Sequence[tuple[int, ...]]) -> BoneTree:
+    """`with_relative`, for bones, or all bones of hubs, whose references are known."""
+    relative, vectors = tree.relative.copy(), tree.vectors.copy()
+    relative[[j for together in sets for j in together]] = True
     changed = replace(tree, relative=relative)
-    reference = changed.schedule.reference[bone]
-    mean = _mean_directions([_offsets_in(changed, p, reference)[:, children] for p in poses])
-    vectors = tree.vectors.copy()
-    vectors[children] = rotations.rotated_onto(vectors[children], mean) if tree.hub[bone] else mean
+    runs = [_Offsets.of(changed, p) for p in poses]
+    for together in sets:
+        mean = _mean_directions([run.in_reference(changed, together) for run in runs])
+        own = list(together)
+        vectors[own] = rotations.rotated_onto(vectors[own], mean) if tree.hub[own[0]] else mean
     return replace(changed, vectors=vectors)
 
 
-def _offsets_in(tree: BoneTree, pose: Floats, reference: int) -> Floats:
-    """Offsets (3, points, frames) in poses (frames, points, 3), expressed in the frame of a reference."""
-    offsets = bone_directions.offsets_from_parents(pose, tree.parents)
-    if reference == BODY:
-        return offsets
-    schedule = tree.schedule
-    coordinates = schedule.split(np.empty((tree.dimensions, len(pose))))
-    frames = bone_directions.frames_and_coordinates(tree, pose, *coordinates)
-    own = [schedule.slot[reference]]
-    return rotations.into(schedule.axes[reference][..., None, None], rotations.into(frames[:, :, own], offsets))
+class _Offsets(NamedTuple):
+    """from_parents (3, points, frames), in the frame of the body; frames (3, 3, slots, frames) of all references."""
+
+    from_parents: Floats
+    frames: Floats
+
+    @classmethod
+    def of(cls, tree: BoneTree, pose: Floats) -> _Offsets:
+        """Of poses (frames, points, 3)."""
+        coordinates = tree.schedule.split(np.empty((tree.dimensions, len(pose))))
+        frames = bone_directions.frames_and_coordinates(tree, pose, *coordinates)
+        return cls(bone_directions.offsets_from_parents(pose, tree.parents), frames)
+
+    def in_reference(self, tree: BoneTree, bones: Sequence[int]) -> Floats:
+        """Offsets (3, bones, frames) of bones that have one reference, in its frame."""
+        offsets, schedule = self.from_parents[:, list(bones)], tree.schedule
+        reference = schedule.reference[bones[0]]
+        if reference == BODY:
+            return offsets
+        own = rotations.into(self.frames[:, :, [schedule.slot[reference]]], offsets)
+        return rotations.into(schedule.axes[reference][..., None, None], own)

@@ -19,9 +19,10 @@ from ....stages import dct
 from ....typing import Floats, Integers
 from ..coding import contexts, quantise
 from ..coding.rows import POSE, step_size
+from ..models import stored_basis
 from ..models.model import Statistics
 from ..models.prior import Prior
-from ..models.stored_basis import StoredBasis, fit_spectra
+from ..models.stored_basis import Components, StoredBasis
 from . import shell, solve
 from .rules import Rules
 
@@ -120,4 +121,5 @@ class SideModel:
 
 def fit(chunks: Sequence[Floats], factor: Floats, prior: Prior, rate: float, step: int) -> StoredBasis:
     """Statistics of side values of chunks (frames, n), less the nominal ones, for about this step."""
-    return fit_spectra([dct.forward(values @ factor) for values in chunks], prior, rate, step)
+    components = Components.of([dct.forward(values @ factor) for values in chunks])
+    return stored_basis.fit(components, prior, rate, step)

@@ -45,9 +45,9 @@ WITH_AVX2 void analyse_with_avx2(const Analyser &analyser, const double *positio
 #endif
 
 // The chunks of a model. Makes a ChunksOfLength for each length of chunk.
-class ChunkDecoder {
+class ChunkCodec {
 public:
-    ChunkDecoder(Input<int64_t, 2> frequencies, Input<int64_t, 1> numerator_logs, Input<int64_t, 1> class_of,
+    ChunkCodec(Input<int64_t, 2> frequencies, Input<int64_t, 1> numerator_logs, Input<int64_t, 1> class_of,
                  int64_t first_class, Input<int64_t, 1> exp2, std::vector<Input<double, 2>> bases, Input<double, 2> pose,
                  Input<double, 1> weights)
         : tables(std::make_shared<Tables>()), shape(std::make_shared<Shape>()) {
@@ -55,21 +55,21 @@ public:
         of.symbols = frequencies.shape(1);
         if (of.symbols > SYMBOLS || exp2.shape(0) != 1536 || frequencies.shape(0) < size_t(3 * CLASSES) ||
             bases.empty() || !numerator_logs.shape(0) || !class_of.shape(0))
-            throw std::invalid_argument("ChunkDecoder: tables of other sizes");
+            throw std::invalid_argument("ChunkCodec: tables of other sizes");
         for (size_t table = 0; table < frequencies.shape(0); ++table) {
             int64_t start = 0;
             for (size_t s = 0; s <= of.symbols; ++s) {
                 of.starts.push_back(uint16_t(start));
                 if (s < of.symbols) start += frequencies.data()[table * of.symbols + s];
             }
-            if (start != TOTAL) throw std::invalid_argument("ChunkDecoder: frequencies of another sum");
+            if (start != TOTAL) throw std::invalid_argument("ChunkCodec: frequencies of another sum");
         }
         of.numerator_logs = copied<int16_t>(numerator_logs);
         of.class_of = copied<uint8_t>(class_of);
         of.exp2 = copied<int32_t>(exp2);
         of.first_class = first_class;
         if (*std::max_element(of.class_of.begin(), of.class_of.end()) >= CLASSES)
-            throw std::invalid_argument("ChunkDecoder: classes without tables");
+            throw std::invalid_argument("ChunkCodec: classes without tables");
         Shape &to = *shape;
         to.points = pose.shape(0), to.dimensions = bases[0].shape(1);
         to.columns = (to.dimensions + POSE + PANEL - 1) / PANEL * PANEL;
@@ -79,7 +79,7 @@ public:
         for (size_t band = 0; band < bases.size(); ++band) {
             const auto &basis = bases[band];
             if (basis.shape(0) != components || basis.shape(1) != to.dimensions)
-                throw std::invalid_argument("ChunkDecoder: bases of different shapes");
+                throw std::invalid_argument("ChunkCodec: bases of different shapes");
             if (band && basis.data() == bases[band - 1].data()) {  // one basis of many points takes megabytes
                 to.bases.push_back(to.bases.back());
                 continue;
@@ -90,7 +90,7 @@ public:
             to.bases.push_back(std::move(padded));
         }
         if (pose.shape(1) != 3 || (to.weights.size() && to.weights.size() != to.points))
-            throw std::invalid_argument("ChunkDecoder: shapes differ");
+            throw std::invalid_argument("ChunkCodec: shapes differ");
     }
 
     // The coordinates are directions of bones: BoneSchedule.program and .order; of each joint its parent, its direction
@@ -117,17 +117,17 @@ public:
         auto made = std::make_shared<Encoding>();
         made->costs = copied<double>(costs), made->prices = copied<double>(prices);
         bool fits = costs.size() >= 3 * CLASSES * SYMBOLS && prices.size() >= 3 * CLASSES * SYMBOLS &&
-                    bases.size() == shape->bases.size() && tables->symbols == SYMBOLS;
+                    (bases.empty() || bases.size() == shape->bases.size()) && tables->symbols == SYMBOLS;
         for (const auto &basis : bases)
             fits = fits && basis.shape(0) == shape->dimensions && basis.shape(1) == components;
-        if (!fits) throw std::invalid_argument("ChunkDecoder.set_encoding: shapes differ");
+        if (!fits) throw std::invalid_argument("ChunkCodec.set_encoding: shapes differ");
         for (size_t band = 0; band < bases.size(); ++band) {
             const bool same = band && bases[band].data() == bases[band - 1].data();
             made->analysis.bases.push_back(same ? made->analysis.bases.back() : in_panels(bases[band]));
         }
         if (shape->tree) set_joints(joints, pairs, pair_frames, made->analysis);
         else if (shape->dimensions != 3 * shape->points)
-            throw std::invalid_argument("ChunkDecoder.set_encoding: three coordinates a point");
+            throw std::invalid_argument("ChunkCodec.set_encoding: three coordinates a point");
         encoding = std::move(made);
     }
 
@@ -159,7 +159,7 @@ private:
         bool fits = joints.size() >= tree.bones && pairs.size() == 2 * tree.hubs && pair_frames.size() == 9 * tree.hubs;
         for (size_t b = 0; fits && b < tree.bones; ++b) fits = is_joint(joints.data()[b]);
         for (size_t i = 0; fits && i < 2 * tree.hubs; ++i) fits = is_joint(pairs.data()[i]);
-        if (!fits) throw std::invalid_argument("ChunkDecoder.set_encoding: a tree that does not fit");
+        if (!fits) throw std::invalid_argument("ChunkCodec.set_encoding: a tree that does not fit");
         for (size_t b = 0; b < tree.bones; ++b) out.joints.push_back(tree.column[size_t(joints.data()[b])]);
         for (size_t i = 0; i < 2 * tree.hubs; ++i) out.pairs.push_back(tree.column[size_t(pairs.data()[i])]);
         out.pair_frames = copied<double>(pair_frames);
@@ -187,7 +187,7 @@ private:
         for (int64_t j = 0; fits && j < points; ++j)
             fits = tree.parents[size_t(j)] < j && tree.direction[size_t(j)] < directions &&
                    tree.column[size_t(j)] >= 0 && tree.column[size_t(j)] < points;
-        if (!fits) throw std::invalid_argument("ChunkDecoder: a tree that does not fit");
+        if (!fits) throw std::invalid_argument("ChunkCodec: a tree that does not fit");
     }
 };
 
@@ -209,7 +209,7 @@ class ChunksOfLength {
 public:
     // expected (frames, rows): Model.expected with a step of 0. band_ends: the frequency behind each band.
     // heading_frequencies: of analysis.
-    ChunksOfLength(const ChunkDecoder &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step,
+    ChunksOfLength(const ChunkCodec &of, Input<int64_t, 2> expected, std::vector<size_t> band_ends, double heading_step,
                    size_t heading_frequencies)
         : shape_(of.shape), encoding_(of.encoding), expectations_(of.tables, expected.data(), expected.shape(0), expected.shape(1), of.shape->points),
           cosines_of_length_(cosines_of(expected.shape(0))), cosines_(*cosines_of_length_), band_ends_(std::move(band_ends)),
@@ -360,7 +360,7 @@ private:
     }
 
     std::shared_ptr<const Shape> shape_;
-    std::shared_ptr<const ChunkDecoder::Encoding> encoding_;
+    std::shared_ptr<const ChunkCodec::Encoding> encoding_;
     const Expectations expectations_;
     const std::shared_ptr<const Cosines> cosines_of_length_;
     const Cosines &cosines_;
@@ -371,14 +371,14 @@ private:
 
 }  // namespace
 
-void bind_chunk_decoder(nb::module_ &m) {
-    nb::class_<ChunkDecoder>(m, "ChunkDecoder")
+void bind_chunk_codec(nb::module_ &m) {
+    nb::class_<ChunkCodec>(m, "ChunkCodec")
         .def(nb::init<Input<int64_t, 2>, Input<int64_t, 1>, Input<int64_t, 1>, int64_t, Input<int64_t, 1>,
                       std::vector<Input<double, 2>>, Input<double, 2>, Input<double, 1>>())
-        .def("set_tree", &ChunkDecoder::set_tree)
-        .def("set_encoding", &ChunkDecoder::set_encoding);
+        .def("set_tree", &ChunkCodec::set_tree)
+        .def("set_encoding", &ChunkCodec::set_encoding);
     nb::class_<ChunksOfLength>(m, "ChunksOfLength")
-        .def(nb::init<const ChunkDecoder &, Input<int64_t, 2>, std::vector<size_t>, double, size_t>())
+        .def(nb::init<const ChunkCodec &, Input<int64_t, 2>, std::vector<size_t>, double, size_t>())
         .def("decode", &ChunksOfLength::decode, nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg(), nb::arg())
         .def("analyse", &ChunksOfLength::analyse)
         .def("of_step", &ChunksOfLength::of_step)
