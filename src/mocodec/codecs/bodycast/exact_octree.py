@@ -17,7 +17,7 @@ import numpy as np
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
-from ...typing import Booleans, Bytes, Floats, Integers
+from ...typing import AnyInteger, Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import exact_points, octree, point_colours, point_layer
 from .binary_coder import BinaryEncoder
@@ -129,7 +129,9 @@ def _pack(
     return packed if same else None
 
 
-def _frame_cells(cells: Integers, magnitudes: Integers, corner: Integers, spacing: int, is_float: bool) -> _FrameCells:
+def _frame_cells(
+    cells: Integers, magnitudes: AnyInteger, corner: Integers, spacing: int, is_float: bool
+) -> _FrameCells:
     code = octree.morton_codes(2 * ((cells - corner) // spacing) + is_float)
     order = np.argsort(code, kind="stable")
     codes, count = np.unique(code, return_counts=True)
@@ -178,7 +180,11 @@ def _in_order(frame: Cloud, own: _FrameCells | None, grid: Grid) -> Cloud:
         return frame
     points, colours = frame
     is_float = grid.kind == FLOATS
-    decoded = points[own.order].astype(np.float32).astype(np.float64) if is_float else own.cells * grid.step_m
+    decoded = (
+        points[own.order].astype(np.float32).astype(np.float64)
+        if is_float
+        else np.asarray(own.cells * grid.step_m, np.float64)
+    )
     return decoded, None if colours is None else colours[own.order]
 
 
