@@ -11,6 +11,7 @@
 //   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
+//   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py; clustered_points.h is the tree
 //   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
@@ -48,7 +49,8 @@ namespace nb = nanobind;
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
-    PART(ordered) PART(lattice_neighbours)
+    PART(ordered) PART(lattice_neighbours)         \
+    PART(reference_surface)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)
