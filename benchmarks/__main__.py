@@ -30,6 +30,7 @@ COMMANDS = {
     "cloud": ("cloud.command:command", "Codecs of point clouds, ours and rivals."),
     "cloud-grid": ("cloud.grid:command", "How closely bodycast tracks a body, over 768 conditions."),
     "cloud-long": ("cloud.long:command", "Long sequences of point clouds, as whole files."),
+    "cloud-objects": ("cloud.object_scenes:command", "Props, animals, robes and several people, against an octree."),
     "cloud-points": ("cloud.points:command", "Points within a bound against Draco, at equal error."),
     "cloud-summary": ("cloud.summary:command", "Requirements and results of point clouds on one page."),
     "tracking": ("cloud.tracking:command", "Tracking and recovery of a body: eight motions."),

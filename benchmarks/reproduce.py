@@ -32,6 +32,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["cloud-grid", *output],
         ["cloud-long", *output],
         ["cloud-points", *output],
+        ["cloud-objects", *output],
         ["tracking", *output],
         ["first-poses", *output],
         ["cloud-summary", str(folder)],
@@ -75,7 +76,7 @@ def write_tables(folder: Path) -> list[Path]:
     cloud.md is left out: the stored one was written from numbers with more digits than cloud.json has.
     """
     from .archive import tables as archive_tables
-    from .cloud import first_poses, grid, points_report, summary
+    from .cloud import first_poses, grid, object_scenes, points_report, summary
     from .motion import command as motion_command
     from .papers import hou2014, lien2006, liu2006
 
@@ -83,6 +84,7 @@ def write_tables(folder: Path) -> list[Path]:
         "liu2006": liu2006.write_tables, "hou2014": hou2014.write_tables, "lien2006": lien2006.write_tables,
         "cloud_grid": grid.write_tables, "first_poses": first_poses.write_tables,
         "cloud_points": points_report.write_tables,
+        "cloud_objects": object_scenes.write_tables,
     }  # fmt: skip
     paths = [write(folder) for name, write in writers.items() if (folder / f"{name}.json").is_file()]
     paths.append(summary.write_tables(folder))

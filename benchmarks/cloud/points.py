@@ -24,7 +24,7 @@ from mocodec import api
 from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.bodycast.body_model import unpack_models
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
-from mocodec.codecs.bodycast.point_layer import PointsHeader
+from mocodec.codecs.bodycast.point_layer import PointsHeader, split_references
 from mocodec.encoded import Encoded
 from mocodec.errors import BadInput
 from mocodec.metrics import point_clouds
@@ -113,8 +113,9 @@ def colour_bytes(encoded: Encoded[Any]) -> int:
     for chunk in encoded.chunks:
         streams = unpack_chunk(chunk, bodies)
         present = int((~streams.is_absent).sum())
-        head = PointsHeader.read(streams.exact_points, chunk.frames, bodies, present, coloured=True)
-        total += len(streams.exact_points) - head.octrees.stop
+        part, _ = split_references(streams.exact_points, chunk.frames)
+        head = PointsHeader.read(part, chunk.frames, bodies, present, coloured=True)
+        total += len(part) - head.octrees.stop
     return total
 
 

@@ -47,6 +47,12 @@ public:
         std::copy(tables.rate, tables.rate + SLOWEST + 1, rate_);
     }
 
+    // What another one has learned, with tables of the same content.
+    Mixer(const Mixer &other, const Tables &tables) : Mixer(tables) {
+        counters_ = other.counters_;
+        weights_ = other.weights_;
+    }
+
     // The contexts of the bits that follow.
     void contexts(const uint32_t *c) {
         for (int i = 0; i < INPUTS; ++i) hashed_[i] = c[i] * 257u * HASH;
@@ -113,6 +119,8 @@ public:
         if (bit) high_ = middle; else low_ = middle + 1;
         while ((low_ ^ high_) >> 24 == 0) shift();
     }
+
+    size_t size() const { return out_.size(); }
 
     // Ends with as few bytes as decode right when zeros follow.
     std::vector<uint8_t> finish() {

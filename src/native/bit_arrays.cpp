@@ -7,6 +7,8 @@ void bind_bit_arrays(nb::module_ &m) {
     nb::class_<BitArrayEncoder>(m, "BitArrayEncoder")
         .def(nb::init<Table, Table, Table, Table>())
         .def("encode", &BitArrayEncoder::encode)
+        .def("copy", [](const BitArrayEncoder &own) { return BitArrayEncoder(own); })
+        .def("size", &BitArrayEncoder::size)
         .def("finish", &BitArrayEncoder::finish);
     nb::class_<BitArrayDecoder>(m, "BitArrayDecoder")
         .def(nb::init<nb::bytes, Table, Table, Table, Table>())

@@ -38,6 +38,13 @@ public:
     BitArrayEncoder(Table squash, Table stretch, Table rate, Table cost)
         : tables_(squash, stretch, rate, cost), mixer_(tables_.pointers()) {}
 
+    // A copy with all that was learned and coded.
+    BitArrayEncoder(const BitArrayEncoder &other)
+        : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_) {}
+
+    // Whole bytes so far.
+    size_t size() const { return encoder_.size(); }
+
     void encode(Contexts contexts, Sets sets, Input<uint8_t, 1> values) {
         const size_t n = rows_of(contexts, sets);
         if (values.shape(0) != n) throw std::invalid_argument("bit arrays: shapes differ");

@@ -12,6 +12,7 @@
 #include "arrays.h"
 #include "joint_limits.h"
 #include "kd_tree.h"
+#include "limb_search.h"
 #include "normal_equations.h"
 #include "skinned_body.h"
 
@@ -159,47 +160,48 @@ class BodyMatcher {
         return nb::make_tuple(residual.give({n}), row.give({n}), link.give({n}), gap.give({k}), cost);
     }
 
-    // (hypotheses,): a score of each hypothesis for the pose of a limb, rotations (hypotheses, links of the limb, 3, 3):
-    // the mean squared distance of template rows `sample` from data points (without colours), plus that of points
-    // `unexplained` (m, 3) from those rows, each truncated at `truncation`.
-    Output<double> score_limb_poses(const KdTree &data, Input<double, 2> unexplained, Input<double, 3> rotations,
-                                    Input<double, 1> root, Input<int64_t, 1> limb, Input<double, 4> hypotheses,
-                                    Input<int64_t, 1> sample, double truncation) {
-        require(rotations, root, limb, sample);
-        if (data.coloured || hypotheses.shape(1) != limb.shape(0) || unexplained.shape(1) != 3)
-            throw std::invalid_argument("BodyMatcher.score_limb_poses: shapes differ");
-        for (size_t i = 0; i < limb.shape(0); ++i)
-            if (limb.data()[i] < 0 || limb.data()[i] >= int64_t(body.count))
-                throw std::invalid_argument("BodyMatcher.score_limb_poses: a link beyond the body");
-        body.set_pose(rotations.data(), root.data());
-        const size_t n = hypotheses.shape(0), links = limb.shape(0), k = sample.shape(0), m = unexplained.shape(0);
-        Fresh<double> score(n);
-        Doubles posed(3 * k);
-        for (size_t hypothesis = 0; hypothesis < n; ++hypothesis) {
-            for (size_t i = 0; i < links; ++i) {
-                const int64_t link = limb.data()[i];
-                std::copy_n(hypotheses.data() + 9 * (hypothesis * links + i), 9, &body.rotations[9 * link]);
-                body.update_transform(link);
-            }
-            double template_cost = 0, data_cost = 0;
-            for (size_t i = 0; i < k; ++i) {
-                const int64_t row = sample.data()[i], link = body.links[2 * row];
-                transform(&body.a[9 * link], &body.points[3 * row], &posed[3 * i]);
-                for (int d = 0; d < 3; ++d) posed[3 * i + d] += body.b[3 * link + d];
-                double square = squared(truncation);
-                data.nearest(&posed[3 * i], square);
-                template_cost += square;
-            }
-            for (size_t j = 0; j < m; ++j) {
-                double least = squared(truncation);
-                for (size_t i = 0; i < k; ++i)
-                    least = std::min(least, squared_distance(unexplained.data() + 3 * j, &posed[3 * i]));
-                data_cost += least;
-            }
-            score.data[hypothesis] =
-                template_cost / double(std::max<size_t>(k, 1)) + data_cost / double(std::max<size_t>(m, 1));
+    // Rotations (n, links, 3, 3) of the best distinct hypotheses for a limb, best first; see limb_search.h. links: of the
+    // base, then from number `first` on of the limb, parents first. sample: template rows that score. counts: kept,
+    // drawn, considered, refined; factors: promising, distinct (metres), truncation (metres).
+    Output<double> search_limb(const KdTree &data, Input<double, 2> unexplained, Input<double, 3> rotations,
+                               Input<double, 1> root, Input<int64_t, 1> links, size_t first, Input<int64_t, 1> sample,
+                               Input<double, 2> axes, Input<double, 1> end, Input<double, 4> base_rotations,
+                               Input<double, 3> previous, Input<double, 5> turns, Input<double, 3> targets,
+                               Input<double, 3> sides, Input<double, 2> shares, Input<double, 4> near,
+                               Input<double, 1> spreads, Input<double, 2> scales, Input<int64_t, 1> limited,
+                               Input<double, 2> limits, Input<int64_t, 1> counts, Input<double, 1> factors) {
+        require(rotations, root, links, sample);
+        const size_t n = links.shape(0), bases = base_rotations.shape(0), count = turns.shape(2);
+        for (size_t k = 0; k < n + limited.shape(0); ++k) {
+            const int64_t link = k < n ? links.data()[k] : limited.data()[k - n];
+            if (link < 0 || link >= int64_t(body.count))
+                throw std::invalid_argument("BodyMatcher.search_limb: a link beyond the body");
         }
-        return score.give({n});
+        if (data.coloured || unexplained.shape(1) != 3 || first >= n || axes.shape(0) != 2 || axes.shape(1) != 3 ||
+            end.shape(0) != 3 || base_rotations.shape(1) != first || previous.shape(0) != n || turns.shape(0) != bases ||
+            turns.shape(1) != 3 || targets.shape(0) != bases || targets.shape(1) != count || sides.shape(0) != bases ||
+            sides.shape(1) != count || shares.shape(0) != bases || shares.shape(1) != count || counts.shape(0) != 4 ||
+            factors.shape(0) != 3 || near.shape(0) != spreads.shape(0) || scales.shape(0) != 2 || scales.shape(1) != 2 ||
+            near.shape(1) != size_t(counts.data()[0] * counts.data()[1]) || limits.shape(0) != limited.shape(0) ||
+            limits.shape(1) != LIMIT_COLUMNS)
+            throw std::invalid_argument("BodyMatcher.search_limb: shapes differ");
+        body.set_pose(rotations.data(), root.data());
+        LimbTask task{copy(links), copy(sample), first, std::vector<const double *>(n, nullptr), unexplained.data(),
+                      unexplained.shape(0), axes.data(), end.data(), factors.data()[2]};
+        for (size_t k = 0; k < n; ++k)
+            for (size_t l = 0; l < limited.shape(0); ++l)
+                if (limited.data()[l] == task.links[k]) task.limits[k] = limits.data() + LIMIT_COLUMNS * l;
+        const int64_t *c = counts.data();
+        const LimbDraws draws{bases, count, near.shape(0), size_t(c[0]), size_t(c[1]), size_t(c[2]), size_t(c[3]),
+                              base_rotations.data(), previous.data(), turns.data(), targets.data(), sides.data(),
+                              shares.data(), near.data(), spreads.data(), scales.data(), factors.data()[0],
+                              factors.data()[1]};
+        LimbSearch search(body, data, task);
+        const LimbHypotheses chosen = search_limb_poses(search, task, draws);
+        Fresh<double> out(9 * n * chosen.size());
+        for (size_t i = 0; i < chosen.size(); ++i)
+            std::copy_n(chosen[i].rotations.begin(), 9 * n, &out.data[9 * n * i]);
+        return out.give({chosen.size(), n, 3, 3});
     }
 
   private:
@@ -354,5 +356,5 @@ void bind_matching(nb::module_ &m) {
                       Input<int32_t, 2>, Input<int64_t, 1>, double, double>())
         .def("solve", &BodyMatcher::solve)
         .def("assess", &BodyMatcher::assess)
-        .def("score_limb_poses", &BodyMatcher::score_limb_poses);
+        .def("search_limb", &BodyMatcher::search_limb);
 }

@@ -11,6 +11,7 @@
 //   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
+//   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py; clustered_points.h is the tree
 //   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
@@ -29,9 +30,10 @@
 //                   chunk_synthesis.h (integers to positions), chunk_errors.h, chunk_analysis.h (positions to coefficients),
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); contexts.h is for coefficients.cpp too,
 //                   bone_coordinates.h for bone_coordinates.cpp
-//   matching.cpp    registration of a body to points, for geometry/body_matching.py; its parts are kd_tree.h (nearest
+//   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
 //                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
-//                   (nearest allowed rotation) and algebra3.h (vectors of 3, 3 × 3 matrices)
+//                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
+//                   matrices)
 //
 // A file with kernels defines `void bind_NAME(nb::module_ &)`, and NAME stands in PARTS below. Python asks for a kernel by
 // name (`mocodec.native.kernel`) and runs its NumPy code if there is none. Where bytes depend on a kernel, it returns the
@@ -47,7 +49,8 @@ namespace nb = nanobind;
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
-    PART(ordered) PART(lattice_neighbours)
+    PART(ordered) PART(lattice_neighbours)         \
+    PART(reference_surface)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -17,7 +17,7 @@
 class NormalEquations {
   public:
     explicit NormalEquations(const SkinnedBody &body)
-        : body(body), unknowns(3 + 3 * body.count), pair_of_row(body.rows) {
+        : body(body), unknowns(3 + 3 * body.count), pair_of_row(body.rows), targets(body.rows) {
         std::vector<int64_t> numbers(body.count * body.count, -1);
         for (size_t row = 0; row < body.rows; ++row) {
             const int64_t key = body.links[2 * row] * int64_t(body.count) + body.links[2 * row + 1];
@@ -26,13 +26,16 @@ class NormalEquations {
         }
     }
 
-    void begin() { targets.assign(body.rows, Target{}); }
+    void begin() {
+        for (int64_t row : touched) targets[row] = Target{};
+        touched.clear();
+    }
 
     // A correspondence of a template row and the place that it should move to. width: of the robust weight
     // (Geman–McClure), metres; noise: of the data, metres.
     void add_correspondence(int64_t row, const double *place, double width, double noise) {
         Target &sum = targets[row];
-        if (!sum.is_posed) body.pose_point(row, sum.at), sum.is_posed = true;
+        if (!sum.is_posed) body.pose_point(row, sum.at), sum.is_posed = true, touched.push_back(row);
         const double gap[3] = {place[0] - sum.at[0], place[1] - sum.at[1], place[2] - sum.at[2]};
         const double weight = squared(width * width / (width * width + dot(gap, gap))) / squared(noise);
         sum.weight += weight;
@@ -42,8 +45,8 @@ class NormalEquations {
     // h and g of all correspondences. tangential: weight of distances along the surface against those across it.
     void linearise(double tangential) {
         sums.assign(pairs.size(), PairSums{});
-        for (size_t row = 0; row < body.rows; ++row)
-            if (targets[row].weight > 0) add_to_pair(int64_t(row), targets[row], tangential);
+        for (int64_t row : touched)
+            if (targets[row].weight > 0) add_to_pair(row, targets[row], tangential);
         expand_pairs();
         sum_subtrees();
         project_to_joints();
@@ -279,6 +282,7 @@ class NormalEquations {
     const size_t unknowns;
     std::vector<int64_t> pair_of_row, pairs;  // pairs of links that share template points: first · links + second
     std::vector<Target> targets;
+    std::vector<int64_t> touched;  // template rows that have correspondences
     std::vector<PairSums> sums;
     Doubles blocks, vectors, h, g;
 };

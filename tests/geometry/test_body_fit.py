@@ -25,7 +25,13 @@ def joint_errors(act: sequences.Performance, factor: float = 1.0, up: str = "y",
 
 @pytest.mark.parametrize(
     ("pose", "factor", "heading", "up"),
-    [("arms raised", 1.0, 2.5, "z"), ("walking", 1.15, 4.0, "y"), ("slight crouch", 0.7, 1.0, "x")],
+    [
+        ("arms raised", 1.0, 2.5, "z"),
+        ("walking", 1.15, 4.0, "y"),
+        ("slight crouch", 0.7, 1.0, "x"),
+        ("seated, arms hanging", 1.0, 0.5, "y"),
+        ("turned", 1.1, 5.0, "z"),
+    ],
 )
 def test_first_pose_of_an_unknown_person(pose, factor, heading, up):
     act = poses.posed(actors.capsules(), *poses.POSES[pose]).moved((3.0, 0.5, -2.0), heading)

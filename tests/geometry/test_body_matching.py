@@ -97,14 +97,6 @@ def test_compiled_limb_steps_equal_numpy(scene):
     assert moved[limb].min() > 1e-3
     assert np.delete(moved, limb).max() < 1e-3
 
-    hypotheses = articulation.exp(np.random.default_rng(2).normal(size=(9, 2, 3)))
-    unexplained = data.points[:40]
-    scores = fast.score_limb_poses(data, unexplained, start, limb, hypotheses, rows)
-    with native.without():
-        np.testing.assert_allclose(
-            scores, numpy_matcher.score_limb_poses(numpy_data, unexplained, start, limb, hypotheses, rows), rtol=1e-9
-        )  # fmt: skip
-
 
 @compiled
 def test_compiled_grids_and_queries_equal_numpy(scene):

@@ -186,7 +186,8 @@ def test_reaching_limbs_touch_their_targets(performance, clouds):
     start = a[upper] @ tracker.body.origins[upper] + b[upper]
     rng = np.random.default_rng(4)
     targets = start + rng.normal(size=(20, 3)) * 0.15
-    rotations = limb_chains.reaching(tracker.body, limb, tracker.pose, rng, targets)
+    shares, sides = rng.uniform(0.5, 1.3, 20), rng.normal(size=(20, 3))
+    rotations = limb_chains.reaching(tracker.body, limb, tracker.pose, targets, shares, sides)
     length = np.linalg.norm(end - bend)
     for target, turned in zip(targets, rotations, strict=True):
         whole = tracker.pose.rotations.copy()
@@ -195,6 +196,20 @@ def test_reaching_limbs_touch_their_targets(performance, clouds):
         elbow, wrist = a[upper] @ bend + b[upper], a[lower] @ end + b[lower]
         along = np.clip((target - elbow) @ (wrist - elbow) / length**2, 0.5, 1.3)
         assert np.linalg.norm(elbow + along * (wrist - elbow) - target) < 0.01 or np.linalg.norm(target - start) < 0.1
+
+
+def test_a_fast_turn_is_found_without_a_search_for_the_body(performance, clouds):
+    tracker = tracker_of(performance, clouds)
+    data = tracker.sample_frame(clouds.positions[1], clouds.colours[1], 0)
+    good = tracker.solve(data, tracker.pose)
+    again = tracker._reacquire_body(data, good, np.inf)
+    assert again.cost <= good.cost
+    turned = articulation.exp(np.array([0, 2.4, 0])) @ tracker.pose.rotations[0]
+    away = tracker.pose.rotations.copy()
+    away[0] = turned
+    lost = tracker.solve(data, articulation.Pose(away, tracker.pose.root))
+    found = tracker._reacquire_body(data, lost, 1.2 * good.cost)
+    assert found.cost < 1.2 * good.cost
 
 
 def test_typical_cost_is_calibrated_from_the_first_frame(performance):

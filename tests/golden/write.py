@@ -163,6 +163,25 @@ def jumper() -> PointClouds:
     return PointClouds(positions, 15.0, [c[some] for c, some in zip(clouds.colours, few, strict=True)])
 
 
+def covered_jumper() -> PointClouds:
+    """Four frames of a person whom a curved sheet covers from the second frame on; a ball moves beside."""
+    person = sequences.record(PERFORMANCE, 240, seed=14)
+    assert person.colours is not None
+    positions, colours = [], []
+    for k in range(4):
+        rng = np.random.default_rng([17, k])
+        ball = rng.normal(size=(120, 3))
+        ball = 0.1 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [1.0 + 0.03 * k, 0.3, 0.2]
+        flat = rng.uniform([-0.4, 0.2], [0.4, 1.6], (300, 2))
+        sheet = np.column_stack([flat, 0.25 - 0.5 * flat[:, 0] ** 2])
+        cloth = np.column_stack([90 * flat + 80, 60 * flat[:, 1]])
+        own, clothes = (person.positions[0], person.colours[0]) if k == 0 else (sheet, cloth)
+        positions.append(np.concatenate([own, ball]).astype(np.float32).astype(np.float64))
+        red = np.tile([180, 60, 40], (len(ball), 1))
+        colours.append(np.concatenate([clothes, red]).astype(np.uint8))
+    return PointClouds(positions, 15.0, colours)
+
+
 PERFORMANCE = sequences.jumping_jacks(actors.capsules(), 3)
 SKELETON = {"skeleton": PERFORMANCE.skeleton()}
 
@@ -203,6 +222,9 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "signals-lab": (lab, "tempo", {"max_error": 0.005}),
     "lien2006-jumper": (jumper, "lien2006", {"residual": 50, **SKELETON}),
     "bodycast-jumper": (jumper, "bodycast", {"residual": 50, **SKELETON}),
+    "bodycast-covered": (covered_jumper, "bodycast", {"max_error": 0.003, **SKELETON}),
+    "bodycast-exact": (jumper, "bodycast", {"residual": "exact", **SKELETON}),
+    "bodycast-exact-steps": (covered_jumper, "bodycast", {"residual": "exact", "precision": 0.002, **SKELETON}),
     "bodycast-jumper-smoothed": (jumper, "bodycast", {"max_error": 0.012, "psnr": 28, **SKELETON}),
 }
 

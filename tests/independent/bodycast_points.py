@@ -6,10 +6,13 @@ The integer surface is given: samples of the bodies in the canonical pose, and w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
-from .bodycast_colours import Colours, MixedBits, Vector, at_most, difference, dot, rgb, squared
+from .bodycast_colours import Colours, MixedBits, Vector, difference, dot, groups_of_bits, rgb, squared
+from .bodycast_octree import FrameOctree, Posed, Smoothing
+from .bodycast_references import References, Samples
 from .integers import Bytes
 
 
@@ -20,225 +23,6 @@ class Surface:
     places: list[Vector] = field(default_factory=list)
     neighbours: list[list[int]] = field(default_factory=list)
     colours: list[Vector] = field(default_factory=list)
-
-
-@dataclass
-class Posed:
-    """The samples in a frame: places, normals, and the matrix A of the first link of each (rows)."""
-
-    places: list[Vector] = field(default_factory=list)
-    normals: list[Vector] = field(default_factory=list)
-    turns: list[list[list[int]]] = field(default_factory=list)
-
-
-# --- octree of a frame
-
-
-class FrameOctree:
-    """posed: samples, moved by their learned offsets. neighbours: of the samples in the frame."""
-
-    def __init__(
-        self, bits: MixedBits, depth: int, points: list[Vector], posed: Posed, near: list[list[int]], kind: int
-    ) -> None:
-        self.bits, self.depth, self.samples, self.kind = bits, depth, points, kind
-        self.normals, self.near = posed.normals, near
-        gaps = sorted(squared(points[row[0]], points[i]) for i, row in enumerate(near))
-        self.spacing = max(math.isqrt(gaps[len(gaps) // 2]), 1) if gaps else 0
-
-    def decode(self) -> list[tuple[Vector, int]]:
-        """Lattice coordinates and nearest sample (−1: none) of each point, in order."""
-        cubes: list[tuple[Vector, int]] = [((0, 0, 0), -1)]
-        for level in range(self.depth):
-            h = 16 * 2 ** (self.depth - level - 1)
-            nearest = self.nearest([v for v, _ in cubes], [s for _, s in cubes], h)
-            children = self.level([v for v, _ in cubes], nearest, level, h)
-            cubes = [
-                (tuple(2 * v + (octant >> axis & 1) for axis, v in enumerate(cube)), sample)
-                for (cube, _), sample, octants in zip(cubes, nearest, children, strict=True)
-                for octant in octants
-            ]
-        return cubes
-
-    def nearest(self, cubes: list[Vector], parents: list[int], h: int) -> list[int]:
-        if not self.samples or 2 * h > 4 * self.spacing:
-            return [-1] * len(cubes)
-        inside: dict[Vector, list[int]] = {}
-        for i, sample in enumerate(self.samples):
-            inside.setdefault(tuple((x + 8) // (2 * h) for x in sample), []).append(i)
-        result = list[int]()
-        for cube, parent in zip(cubes, parents, strict=True):
-            centre = [2 * h * x + h - 8 for x in cube]
-            best = (
-                -1 if parent < 0 else min([parent, *self.near[parent]], key=lambda s: squared(centre, self.samples[s]))
-            )
-            if 4 * h > self.spacing:
-                for dx in (0, -1, 1):
-                    for dy in (0, -1, 1):
-                        for dz in (0, -1, 1):
-                            place = (cube[0] + dx, cube[1] + dy, cube[2] + dz)
-                            for s in inside.get(place, [])[:3] if self.within(place, h) else []:
-                                if best < 0 or squared(centre, self.samples[s]) < squared(centre, self.samples[best]):
-                                    best = s
-            result.append(best)
-        return result
-
-    def within(self, place: Vector, h: int) -> bool:
-        return all(0 <= x < 16 * 2**self.depth // (2 * h) for x in place)
-
-    def distance(self, place: Sequence[int], sample: int) -> int:
-        return dot(difference(place, self.samples[sample]), self.normals[sample]) >> 10
-
-    def corrections(self, cubes: list[Vector], nearest: list[int], h: int) -> list[tuple[int, int]]:
-        """Offset and spread of each cube."""
-        rows = [i for i, s in enumerate(nearest) if s >= 0]
-        far = {i: self.distance([2 * h * x + h - 8 for x in cubes[i]], nearest[i]) for i in rows}
-
-        def means(values: dict[int, int], extra: int) -> dict[int, int]:
-            total, count = [0] * len(self.samples), [0] * len(self.samples)
-            for i, value in values.items():
-                total[nearest[i]] += value
-                count[nearest[i]] += 1
-            own = {s: [s, *self.near[s]] for s in {nearest[i] for i in rows}}
-            return {s: (sum(total[n] for n in o) + extra) // (sum(count[n] for n in o) + 2) for s, o in own.items()}
-
-        has_offsets = self.kind == 4 or 2 * h <= self.spacing
-        offsets = means(far, 0) if has_offsets else dict.fromkeys((nearest[i] for i in rows), 0)
-        deviations = {i: abs(far[i] - offsets[nearest[i]]) for i in rows}
-        usual = sum(deviations.values()) // len(rows) if rows else 0
-        spreads = means(deviations, 2 * usual)
-        return [(offsets[s], spreads[s]) if s >= 0 else (0, 2 * h) for s in nearest]
-
-    def level(self, cubes: list[Vector], nearest: list[int], level: int, h: int) -> list[list[int]]:
-        octants = [0, 7] if level == self.depth - 1 else list(range(8))
-        row = {cube: i for i, cube in enumerate(cubes)}
-        hints = self.hints(cubes, nearest, h) if self.samples else None
-        known: list[set[int]] = [set() for _ in cubes]
-        for turn, octant in enumerate(octants):
-            for i, cube in enumerate(cubes):
-                left = octants[turn:]
-                if len(left) == 1 and not known[i]:
-                    known[i].add(octant)
-                    continue
-                contexts, weight_set = self.contexts(cube, i, known, row, octant, left, hints, nearest[i], level)
-                if self.bits.bit(contexts, weight_set):
-                    known[i].add(octant)
-        return [sorted(own) for own in known]
-
-    def hints(self, cubes: list[Vector], nearest: list[int], h: int) -> list[tuple[list[int], list[int], list[int]]]:
-        """Of each cube: distances of its children, standard deviations, and classes of samples of its children."""
-        counts: dict[Vector, int] = {}
-        for sample in self.samples:
-            place = tuple((x + 8) // h for x in sample)
-            counts[place] = counts.get(place, 0) + 1
-        result = list[tuple[list[int], list[int], list[int]]]()
-        for cube, s, (offset, spread) in zip(cubes, nearest, self.corrections(cubes, nearest, h), strict=True):
-            first = self.distance([2 * h * x + h // 2 - 8 for x in cube], max(s, 0)) - offset
-            step = [n * h >> 10 for n in self.normals[max(s, 0)]]
-            far = [first + sum(step[a] for a in range(3) if octant >> a & 1) for octant in range(8)]
-            sigma = max(spread, h // 4)
-            children = [tuple(2 * x + (octant >> a & 1) for a, x in enumerate(cube)) for octant in range(8)]
-            held = [at_most((1, 2, 3, 5), counts.get(c, 0)) if 2 * h > self.spacing else 0 for c in children]
-            result.append((far, [max(sigma, 1), max(2 * sigma, 1)], held))
-        return result
-
-    def contexts(
-        self,
-        cube: Vector,
-        i: int,
-        known: list[set[int]],
-        row: dict[Vector, int],
-        octant: int,
-        left: list[int],
-        hints: list[tuple[list[int], list[int], list[int]]] | None,
-        sample: int,
-        level: int,
-    ) -> tuple[list[int], int]:
-        few, tall = min(len(known[i]), 3), min(self.depth - level, 15)
-        beside = nearby = filled = 0
-        for axis in range(3):
-            before, behind = (tuple(x + d * (a == axis) for a, x in enumerate(cube)) for d in (-1, 1))
-            filled += (before in row) + (behind in row)
-            inner, outer = 0, int(before in row)
-            if octant >> axis & 1:
-                opposite = octant - (1 << axis)
-                inner, outer = int(opposite in known[i]), int(behind in row and opposite in known[row[behind]])
-            beside, nearby = 4 * beside + 2 * inner + outer, nearby + inner + outer
-        narrow, wide, distance_class, held, hint = 64, 64, 21, 0, 0
-        if hints is not None:
-            far, sigmas, samples = hints[i]
-            held, hint = samples[octant], 1
-            if sample >= 0:
-                h = 16 * 2 ** (self.depth - level - 1)
-                narrow, wide = (self.posterior(far, sigma, left) for sigma in sigmas)
-                g = sum(edge * h <= 4 * abs(far[octant]) for edge in (1, 2, 3, 4, 5, 7, 9, 12, 16, 24))
-                distance_class, hint = 10 + (g if far[octant] >= 0 else -g), 2
-        contexts = [
-            ((octant * 4 + few) * 64 + beside) * 4 + min(filled // 2, 3),
-            narrow * 4 + few,
-            (wide * 4 + few) * 16 + tall,
-            ((distance_class * 5 + held) * 4 + few) * 16 + tall,
-            ((narrow * 7 + nearby) * 4 + few) * 8 + len(left) - 1,
-        ]
-        return contexts, ((min(self.depth - level, 20) * 4 + few) * 3 + hint) % 2048
-
-    @staticmethod
-    def posterior(far: list[int], sigma: int, left: list[int]) -> int:
-        def weight(octant: int) -> int:
-            k = min(abs(far[octant]) * 16 // sigma, 64)
-            return 1 + math.floor(4096 * math.exp(-((k / 16) ** 2) / 2) + 0.5)
-
-        return weight(left[0]) * 64 // (sum(map(weight, left)) + 1)
-
-
-# --- smoothing
-
-
-class Smoothing:
-    """cells, samples: of the points of a frame; octree: their samples, moved and with normals."""
-
-    def __init__(self, octree: FrameOctree, cells: list[Vector], samples: list[int]) -> None:
-        self.octree, self.cells, self.samples = octree, cells, samples
-        self.references: list[list[int]] = [[] for _ in octree.samples]
-        for i, s in enumerate(samples):
-            if s >= 0:
-                self.references[s].append(i)
-        for s, own in enumerate(self.references):
-            if len(own) > 4:
-                self.references[s] = [own[k * len(own) // 4] for k in range(4)]
-
-    def shifts(self) -> list[Vector]:
-        """Of each point, in 1/256 of a lattice unit."""
-        result = list[Vector]()
-        for i, s in enumerate(self.samples):
-            move, deviation = self.move(i, s) if s >= 0 else (0, 0)
-            if move:
-                n = abs(move)
-                d = min(deviation // 16, 15)
-                contexts = [n // 8, 32 + d, 64 + n // 8 * 16 + d, 1024 + n // 2, 2048]
-                if self.octree.bits.bit([2**20 + c for c in contexts], 1024):
-                    move = 0
-            result.append(tuple(move * x + 512 >> 10 for x in self.octree.normals[s]) if move else (0, 0, 0))
-        return result
-
-    def move(self, i: int, s: int) -> tuple[int, int]:
-        """Move along the normal, and deviation."""
-        normals, spacing = self.octree.normals, min(self.octree.spacing, 2**16)
-        found = list[tuple[int, int]]()
-        for other in [s, *self.octree.near[s]]:
-            if dot(normals[s], normals[other]) < 315 << 10:
-                continue
-            both = [a + b for a, b in zip(normals[s], normals[other], strict=True)]
-            for j in self.references[other]:
-                if j != i:
-                    apart = difference(self.cells[j], self.cells[i])
-                    w = spacing**2 * 1024 // (256 * dot(apart, apart) + spacing**2 // 4 + 1)
-                    found.append((w, 256 * dot(apart, both) >> 11))
-        total = sum(w for w, _ in found)
-        largest = max((w for w, _ in found), default=0)
-        mean = sum(w * d for w, d in found) // max(total + largest, 1)
-        deviation = sum(w * abs(d - mean) for w, d in found) // max(total, 1)
-        gain = min(max(48_000 // max(deviation, 1) - 90, 0), 256)
-        return min(max(mean * gain >> 8, -128), 128), deviation
 
 
 # --- what earlier frames showed
@@ -293,54 +77,185 @@ class Learned:
 # --- the part of a chunk
 
 
+Decoded = list[tuple[list[list[float]], list[Vector]]]
+
+
 def points(
     data: bytes, frames: int, bodies: int, poses: int, surface: Surface, posed: Callable[[int, list[int]], Posed]
-) -> list[tuple[list[list[float]], list[Vector]]]:
+) -> Decoded:
     """Places in metres and colours of each frame. poses: of all bodies in all frames; posed(frame, pose shifts of the
     chunk): the samples of the surface, all of which are in every frame."""
     stream = Bytes(data)
-    kind = stream.varint()
-    assert kind in (4, 5)
-    depth, luma, chroma = (stream.varint() for _ in range(3))
-    corner = [stream.folded() for _ in range(3)]
-    step = stream.float64()
-    counts = [stream.varint() for _ in range(frames)]
-    for _ in range(bodies):
-        stream.varint()
-    pose_shifts = [stream.varint() for _ in range(poses)]
-    octrees = MixedBits(stream.blob())
-    colours = Colours(MixedBits(stream.rest()), (luma, chroma, chroma))
-    learned, result = Learned(surface), list[tuple[list[list[float]], list[Vector]]]()
-    for k, count in enumerate(counts):
-        if not count:
-            result.append(([], []))
-            continue
-        standing = posed(k, pose_shifts)
-        scale = 16.0 / (step * 65536)
-        subunits = [
-            tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, corner, strict=True))
-            for place in learned.moved(standing)
+    if data[0] == 7:
+        return exact(stream, lambda part: Layer(part, frames, bodies, poses, surface, posed))
+    layer = Layer(stream, frames, bodies, poses, surface, posed)
+    colours = Colours(MixedBits(stream.rest()), layer.steps) if layer.steps[0] else None
+    result: Decoded = []
+    for cells, own, shifts in layer.frames(colours, lambda count: [0] * count):
+        places = [
+            [(256 * (x + c) + y) * layer.step / 256 for x, c, y in zip(cell, layer.corner, shift, strict=True)]
+            for cell, shift in zip(cells, shifts, strict=True)
         ]
-        octree = FrameOctree(octrees, depth, subunits, standing, surface.neighbours, kind)
-        found = octree.decode()
-        assert len(found) == count
-        cells, samples = [cell for cell, _ in found], [s for _, s in found]
-        whole = [tuple(x + c for x, c in zip(cell, corner, strict=True)) for cell in cells]
-        fine = [tuple(min(max(math.floor(x * (step * 65536)), -(2**30)), 2**30) for x in cell) for cell in whole]
+        result.append((places, own))
+    return result
+
+
+def exact(stream: Bytes, layer_of: Callable[[Bytes], Layer]) -> Decoded:
+    _, grid, nanometres, exponent = stream.varint(), stream.varint(), stream.varint(), stream.folded()
+    spacing = stream.varint()
+    corner = [stream.folded() for _ in range(3)]
+    sizes = [stream.varint() for _ in range(3)]
+    layer = layer_of(Bytes(stream.take(sizes[0])))
+    repeat_bits, float_bits = MixedBits(stream.take(sizes[1])), stream.take(sizes[2])
+    rest = stream.rest()
+    colours = Colours(MixedBits(rest), (1, 1, 1)) if rest else None
+
+    def repeats(count: int) -> list[int]:
+        rows = list(range(count))
+        found = groups_of_bits(rows, lambda _, kind: repeat_bits.bit([kind] * 5, kind))
+        return [found[i] for i in rows]
+
+    found = list(layer.frames(colours, repeats))
+    cells = [
+        [[c + spacing * (x >> 1) for x, c in zip(cell, corner, strict=True)] for cell in own] for own, _, _ in found
+    ]
+    if grid:
+        step = 2.0**exponent if grid == 1 else nanometres * 1e-9
+        places = [[[x * step for x in cell] for cell in own] for own in cells]
+    else:
+        values = iter(floats_of([x for own in cells for cell in own for x in cell], float_bits))
+        places = [[[next(values) for _ in range(3)] for _ in own] for own in cells]
+    return [(own, colour) for own, (_, colour, _) in zip(places, found, strict=True)]
+
+
+class Layer:
+    """Points within a bound: kind 4 or 5, or 6 before it."""
+
+    def __init__(
+        self, stream: Bytes, frames: int, bodies: int, poses: int, surface: Surface,
+        posed: Callable[[int, list[int]], Posed],
+    ) -> None:  # fmt: skip
+        self.references = References([(0, (0, 0, 0), False)] * frames)
+        if (kind := stream.varint()) == 6:
+            self.references = References.read(stream, frames)
+            kind = stream.varint()
+        assert kind in (4, 5)
+        self.kind = kind
+        self.depth, luma, chroma = (stream.varint() for _ in range(3))
+        self.steps = luma, chroma, chroma
+        self.corner = [stream.folded() for _ in range(3)]
+        self.step = stream.float64()
+        self.counts = [stream.varint() for _ in range(frames)]
+        for _ in range(bodies):
+            stream.varint()
+        shifts = [stream.varint() for _ in range(poses)]
+        self.octrees = MixedBits(stream.blob())
+        self.surface, self.posed = surface, lambda k: posed(k, shifts)
+        self.learned = Learned(surface)
+
+    def frames(
+        self, colours: Colours | None, repeats: Callable[[int], list[int]]
+    ) -> Iterator[tuple[list[Vector], list[Vector], list[Vector]]]:
+        """Of each frame: cells and colours of its points, and shifts. repeats(count): more points of each cell."""
+        for k, count in enumerate(self.counts):
+            if not count:
+                yield [], [], []
+                continue
+            standing, scale = self.posed(k), 16.0 / (self.step * 65536)
+            subunits = [
+                tuple(math.floor(x * scale) - 16 * c for x, c in zip(place, self.corner, strict=True))
+                for place in self.learned.moved(standing)
+            ]
+            if self.references.numbers[k][2]:
+                subunits = []
+            own, near, seen = len(subunits), self.surface.neighbours[: len(subunits)], replace(standing)
+            seen.normals = standing.normals[:own]
+            if (earlier := self.references.samples(k, self.depth, bodies=own > 0)) is not None:
+                subunits = subunits + earlier.places
+                seen.normals = seen.normals + earlier.normals
+                near = near + [[n + own for n in row] for row in earlier.neighbours]
+            octree = FrameOctree(self.octrees, self.depth, subunits, seen, near, self.kind)
+            found, shifts = octree.decode(), [(0, 0, 0)] * count
+            assert len(found) == count
+            if self.kind == 5:
+                shifts = Smoothing(octree, [cell for cell, _ in found], [s for _, s in found]).shifts()
+            yield *self.coloured(found, own, standing, earlier, colours, repeats(count)), shifts
+
+    def coloured(
+        self, found: list[tuple[Vector, int]], own: int, standing: Posed, earlier: Samples | None,
+        colours: Colours | None, repeats: list[int],
+    ) -> tuple[list[Vector], list[Vector]]:  # fmt: skip
+        """The points of a frame with their repeats; the next frames learn from them. own: samples of bodies."""
+        learned, cells = self.learned, [cell for cell, _ in found]
+        samples = [s if s < own else -1 for _, s in found]
+        scale = self.step * 65536
+        fine = [
+            tuple(
+                min(max(math.floor((x + c) * scale), -(2**30)), 2**30) for x, c in zip(cell, self.corner, strict=True)
+            )
+            for cell in cells
+        ]
         places = [learned.canonical(standing, p, s) if s >= 0 else None for p, s in zip(fine, samples, strict=True)]
         learned.learn(standing, fine, samples)
-        own = list[Vector]()
-        if luma:
-            expected = [learned.expected(s, p) if p else None for p, s in zip(places, samples, strict=True)]
-            decoded = colours.frame(cells, expected)
-            for p, s, colour in zip(places, samples, decoded, strict=True):
-                if p is not None:
-                    learned.see(s, p, colour)
-            own = [rgb(colour) for colour in decoded]
-        shifts = [(0, 0, 0)] * count if kind == 4 else Smoothing(octree, cells, samples).shifts()
-        moved = [
-            [(256 * x + y) * step / 256 for x, y in zip(cell, shift, strict=True)]
-            for cell, shift in zip(whole, shifts, strict=True)
-        ]
-        result.append((moved, own))
+        rows = [i for i, more in enumerate(repeats) for _ in range(more + 1)]
+        colour = list[Vector]()
+        if colours is not None:
+            expected = list[Vector | None]()
+            for i in rows:
+                place, n = places[i], found[i][1] - own
+                of_earlier = None if earlier is None or n < 0 else self.references.expected(earlier, cells[i], n)
+                expected.append(learned.expected(samples[i], place) if place else of_earlier)
+            colour = colours.frame([cells[i] for i in rows], expected)
+            for i, c in zip(rows, colour, strict=True):
+                if (place := places[i]) is not None:
+                    learned.see(samples[i], place, c)
+        firsts = [colour[rows.index(i)] for i in range(len(cells))] if colour else []
+        told = [explained(standing, p, s) for p, s in zip(fine, samples, strict=True)]
+        self.references.keep(cells, told, firsts)
+        return [cells[i] for i in rows], [rgb(c) for c in colour]
+
+
+def floats_of(cells: list[int], data: bytes) -> list[float]:
+    """Coordinates from cells of 2^-10 m and the raw bits within them."""
+
+    def pattern(value: float) -> int:
+        return struct.unpack("<I", struct.pack("<f", value))[0]
+
+    sizes = [c if c >= 0 else -c - 1 for c in cells]
+    starts = [pattern(m / 1024) for m in sizes]
+    patterns = [max(pattern((m + 1) / 1024) - start, 1) for m, start in zip(sizes, starts, strict=True)]
+    widths = [31 if m == 0 else math.ceil(math.log2(n)) for m, n in zip(sizes, patterns, strict=True)]
+    bits, at, result = raw_bits(data, sum(widths)), 0, list[float]()
+    for cell, start, width in zip(cells, starts, widths, strict=True):
+        rest = int("".join(map(str, bits[at : at + width])) or "0", 2)
+        at += width
+        value = struct.unpack("<f", struct.pack("<I", min(start + rest, 0x7F7FFFFF)))[0]
+        result.append(-value if cell < 0 else value)
     return result
+
+
+def raw_bits(data: bytes, count: int) -> list[int]:
+    """Adaptive bits without groups: the only state, then raw bits from their end."""
+    head = len(data) if len(data) <= 4 else 4 if len(data) % 2 == 0 else 3
+    x, words = int.from_bytes(data[:head], "little"), iter(struct.unpack(f"<{(len(data) - head) // 2}H", data[head:]))
+
+    def refill(x: int) -> int:
+        return x if x >= 2**16 or (word := next(words, None)) is None else x << 16 | word
+
+    x = refill(x)
+    slot = x % 2**14
+    assert slot >= 64, "the stream does not begin as it must"
+    x = refill(16320 * (x >> 14) + slot - 64)
+    bits = list[int]()
+    for size in [8] * (count // 8) + [count % 8]:
+        part, x = x % 2**size, refill(x >> size)
+        bits = [part >> k & 1 for k in range(size - 1, -1, -1)] + bits
+    assert x == 1
+    assert next(words, None) is None
+    return bits
+
+
+def explained(posed: Posed, point: Vector, s: int) -> bool:
+    """Whether a body explains a point near its sample s."""
+    apart = difference(point, posed.places[s]) if s >= 0 else (0, 0, 0)
+    return s >= 0 and abs(dot(apart, posed.normals[s]) >> 10) <= 983 and dot(apart, apart) <= 2621**2

@@ -115,6 +115,11 @@ class Encoder:
             self._out.append(self._high >> 24)
             self._low, self._high = self._low << 8 & MASK, (self._high << 8 | 255) & MASK
 
+    @property
+    def size(self) -> int:
+        """Whole bytes so far."""
+        return len(self._out)
+
     def finish(self) -> bytes:
         """The bytes, as few as decode right when zeros follow."""
         for count in range(1, 5) if self._low else ():

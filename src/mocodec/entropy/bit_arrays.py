@@ -8,6 +8,7 @@ encoder, where it knows the bits, and in the decoder, where it does not.
 
 from __future__ import annotations
 
+import copy
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,6 +63,19 @@ class BitEncoder:
             self._encoder.bit(int(bit), self._mixer.mix(0, which))
             self._mixer.learn(int(bit))
         return bits
+
+    def copy(self) -> BitEncoder:
+        """An encoder that goes on from here by itself, to try something."""
+        result = copy.copy(self)
+        if self._kernel is not None:
+            result._kernel = self._kernel.copy()
+        result._mixer, result._encoder = copy.deepcopy(self._mixer), copy.deepcopy(self._encoder)
+        return result
+
+    @property
+    def size(self) -> int:
+        """Whole bytes so far."""
+        return int(self._kernel.size()) if self._encoder is None else self._encoder.size
 
     def finish(self) -> bytes:
         """The bytes of all arrays."""

@@ -2,7 +2,7 @@
 
     points ──► pose hypotheses (pose_search) ──Gauss–Newton on joints and proportions, each──► best ──► FittedSkeleton
 
-Works for any standing pose and any heading, and takes some seconds.
+Works for people who stand or sit, in any heading, and takes some seconds.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ..errors import BadInput, CannotEncode
 from ..typing import AnyInteger, Floats
 from . import articulation, pose_search, stock_body
 from .articulation import Body
-from .capsules import surface_distances
-from .gauss_newton import CROSS
+from .capsules import capsule_distances, surface_distances
+from .gauss_newton import cross, link_motions
 from .pose_search import TRUNCATION_M, PoseHypotheses, PoseSearch
 
 MAX_SKELETON_DISTANCE_M = 0.3
@@ -75,7 +75,7 @@ class FittedSkeleton(NamedTuple):
 
 
 def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
-    """The figure of the standing person in points (n, 3), metres. Raises CannotEncode if there is none."""
+    """The figure of the standing or seated person in points (n, 3), metres. Raises CannotEncode if there is none."""
     turn = UPRIGHT[up]
     upright = largest_group(points @ turn.T)
     low, high = np.percentile(upright, [0.5, 99.5], axis=0)
@@ -93,7 +93,7 @@ def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
     figure = fitter.figure(best, turn)
     if figure.error_m > MAX_FIT_ERROR_M:
         raise CannotEncode(
-            f"no standing figure fits the first frame ({figure.error_m * 100:.0f} cm off): give a skeleton"
+            f"no standing or seated figure fits the first frame ({figure.error_m * 100:.0f} cm off): give a skeleton"
         )
     return figure
 
@@ -235,22 +235,17 @@ class StockBodyFitter:
         Distances of points from the capsules count across the surface (point-to-plane). Distances of surface samples
         from the points count in every direction, so that a limb in empty air is drawn to the points.
         """
-        body, links = self.body, len(self.body)
+        links = len(self.body)
         posed = self._posed(estimate.rotations, estimate.root, estimate.build)
         pairs = self._correspondences(posed, width)
         y = pairs.places(posed.ends, posed.radii)
         gap = pairs.targets - y
         weight = (width**2 / (width**2 + np.einsum("ni,ni->n", gap, gap))) ** 2
-        jacobian = self._jacobian(estimate, posed, pairs, y)
-        n, normals = pairs.points, pairs.normals[: pairs.points]
-        across = np.einsum("npi,np->ni", jacobian[:n], normals) * weight[:n, None]
-        samples = jacobian[n:] * (BACK_WEIGHT * n / len(self.model.shares) * weight[n:])[:, None, None]
-        scale = INDEPENDENT / n / NOISE_M**2
-        h = across.T @ np.einsum("npi,np->ni", jacobian[:n], normals)
-        h += np.einsum("npi,npj->ij", samples, jacobian[n:], optimize=True)
-        g = across.T @ np.einsum("ni,ni->n", normals, gap[:n]) + np.einsum("npi,np->i", samples, gap[n:])
+        weight[pairs.points :] *= BACK_WEIGHT * pairs.points / len(self.model.shares)
+        h, g = self._equations(posed, pairs, y, gap, weight, self._growth(estimate, pairs, y))
+        scale = INDEPENDENT / pairs.points / NOISE_M**2
         h, g = h * scale, g * scale
-        parents = np.stack([posed.a[p] if p >= 0 else np.eye(3) for p in body.parents])
+        parents = np.stack([posed.a[p] if p >= 0 else np.eye(3) for p in self.body.parents])
         self._add_priors(h, g, estimate, parents)
         step = np.linalg.solve(h, g)
         turns = step[3 : 3 + 3 * links].reshape(-1, 3)
@@ -273,18 +268,40 @@ class StockBodyFitter:
             len(share),
         )
 
-    def _jacobian(self, estimate: BodyEstimate, posed: PosedCapsules, pairs: Correspondences, y: Floats) -> Floats:
-        """(p, 3, 3 + 3 links + PROPORTIONS): derivatives of the places y (p, 3); by the proportions numerically."""
-        links, build = len(self.body), estimate.build
-        jacobian = np.zeros((len(y), 3, 3 + 3 * links + len(build)))
-        jacobian[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        moved_by = self.is_ancestor[:, self.model.link[pairs.capsules]].T[..., None]
-        levers = (y[:, None] - posed.joints[None]) * moved_by
-        jacobian[:, :, 3 : 3 + 3 * links] = np.einsum("ijk,nlj->nilk", CROSS, levers).reshape(len(y), 3, 3 * links)
+    def _growth(self, estimate: BodyEstimate, pairs: Correspondences, y: Floats) -> Floats:
+        """(p, 3, PROPORTIONS): derivatives of the places y (p, 3) by the proportions, numerically."""
+        build = estimate.build
         larger = self._posed(estimate.rotations, estimate.root, build * (1 + PROPORTION_STEP * np.eye(len(build))))
         growth = (pairs.places(larger.ends, larger.radii) - y) / PROPORTION_STEP
-        jacobian[:, :, 3 + 3 * links :] = growth.transpose(1, 2, 0)
-        return jacobian
+        return growth.transpose(1, 2, 0)
+
+    def _equations(
+        self, posed: PosedCapsules, pairs: Correspondences, y: Floats, gap: Floats, weight: Floats, growth: Floats
+    ) -> tuple[Floats, Floats]:
+        """h and g of root, joints and proportions, from places y (p, 3), gaps (p, 3), weights (p,) and growth.
+
+        A place counts along one direction n, a sample along three. Its distance changes by f · (v, ω, proportions) with
+        f = (n, y × n, n · growth); sums of f fᵀ by links become those of the joints, as in `gauss_newton`.
+        """
+        n, p = pairs.points, len(y)
+        pair = np.concatenate([np.arange(n), np.repeat(np.arange(n, p), 3)])
+        across = np.concatenate([pairs.normals[:n], np.tile(np.eye(3), (p - n, 1))])
+        grown = np.einsum("rij,ri->rj", growth[pair], across)
+        rows = np.concatenate([across, cross(y[pair], across), grown], axis=1)
+        right = weight[pair] * np.einsum("ri,ri->r", across, gap[pair])
+        order = np.argsort(self.model.link[pairs.capsules[pair]], kind="stable")
+        borders = np.searchsorted(self.model.link[pairs.capsules[pair]][order], np.arange(len(self.body) + 1))
+        rows, weighted, right = rows[order], (rows * weight[pair, None])[order], right[order]
+        motions = link_motions(self.is_ancestor, posed.joints)
+        unknowns, proportions = motions.shape[2], growth.shape[2]
+        h, g = np.zeros((unknowns + proportions,) * 2), np.zeros(unknowns + proportions)
+        for link, motion in enumerate(motions):
+            part = slice(borders[link], borders[link + 1])
+            both = np.zeros((6 + proportions, len(h)))
+            both[:6, :unknowns], both[6:, unknowns:] = motion, np.eye(proportions)
+            h += both.T @ (weighted[part].T @ rows[part]) @ both
+            g += (right[part] @ rows[part]) @ both
+        return h, g
 
     def _add_priors(self, h: Floats, g: Floats, estimate: BodyEstimate, parents: Floats) -> None:
         """Add penalties to h and g, in place: of rotations from the stock body's pose, of knees and elbows that bend
@@ -311,15 +328,11 @@ class StockBodyFitter:
         """For each point the capsule with the nearest surface (n,), the share of its axis nearest to the point (n,),
         and the normal there (n, 3).
         """
-        along = ends[:, 1] - ends[:, 0]
-        share = np.einsum("cni,ci->cn", self.points[None] - ends[:, :1], along)
-        share = np.clip(share / np.maximum(np.sum(along**2, axis=1), 1e-9)[:, None], 0, 1)
-        out = self.points[None] - ends[:, :1] - share[..., None] * along[:, None]
-        radial = np.linalg.norm(out, axis=2)
-        distance = np.abs(radial - radii[:, :1] - share * (radii[:, 1:] - radii[:, :1]))
-        best = distance.argmin(axis=0)
-        n = np.arange(len(self.points))
-        return best, share[best, n], out[best, n] / np.maximum(radial[best, n], 1e-6)[:, None]
+        distances, shares = capsule_distances(self.points, ends, radii)
+        best, n = np.abs(distances).argmin(axis=0), np.arange(len(self.points))
+        share = shares[best, n].astype(np.float64)
+        out = self.points - ends[best, 0] - share[:, None] * (ends[best, 1] - ends[best, 0])
+        return best, share, out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-6)
 
     def _point_distances(self, posed: PosedCapsules) -> Floats:
         """(n,): distances of the points from the body, metres."""

@@ -241,41 +241,6 @@ class Matcher:
         cost += np.mean(np.minimum(distance, TRUNCATION_M) ** 2)
         return Fit(pose, data, residuals, rows, links, gaps, float(cost))
 
-    def score_limb_poses(
-        self,
-        data: FramePoints,
-        unexplained: Floats,
-        pose: Pose,
-        limb: AnyInteger,
-        hypotheses: Floats,
-        rows: AnyInteger,
-    ) -> Floats:
-        """(hypotheses,): square metres, the lower the better: the mean squared distance of template points `rows` from
-        the data (without colours), plus that of points `unexplained` (m, 3) from those rows, both truncated.
-
-        hypotheses (hypotheses, links of the limb, 3, 3): rotations of the links `limb`, each link after its parent; all
-        other links keep those of `pose`.
-        """
-        if self.compiled and native.available():
-            return self.compiled.score_limb_poses(
-                data.tree, unexplained, pose.rotations, pose.root, limb, hypotheses, rows, TRUNCATION_M
-            )
-        a, b = transforms(self.body, pose)
-        a, b = np.tile(a, (len(hypotheses), 1, 1, 1)), np.tile(b, (len(hypotheses), 1, 1))
-        for i, link in enumerate(limb):
-            parent, origin = self.body.parents[link], self.body.origins[link]
-            a[:, link] = a[:, parent] @ hypotheses[:, i]
-            b[:, link] = np.einsum("nij,nj->ni", a[:, parent], origin - hypotheses[:, i] @ origin) + b[:, parent]
-        owner = self.skin.links[rows, 0]
-        posed = np.einsum("nkij,kj->nki", a[:, owner], self.skin.points[rows]) + b[:, owner]
-        distance, _ = data.nearest(posed.reshape(-1, 3), None, TRUNCATION_M)
-        score = (np.minimum(distance, TRUNCATION_M) ** 2).reshape(len(hypotheses), -1).mean(axis=1)
-        if len(unexplained):
-            squares = (posed**2).sum(axis=2)[:, :, None] + (unexplained**2).sum(axis=1)
-            back = (squares - 2 * posed @ unexplained.T).min(axis=1)
-            score += np.minimum(np.maximum(back, 0), TRUNCATION_M**2).mean(axis=1)
-        return score
-
     def _candidates(self, points: Floats, a: Floats, b: Floats, allowed: Booleans) -> AnyInteger:
         """(n, CANDIDATES): the links whose template is nearest to each point; the nearest again in place of links
         farther than it by `CANDIDATE_MARGIN_M`.

@@ -38,10 +38,13 @@ PAIR_LOST_SHARE = 0.05
 """Share without data, of both limbs of a pair, above which they may have been confused with each other."""
 UNEXPLAINED_SHARE = 0.006
 """Share of unexplained data points below which no limb is searched for."""
-PROMISING_COARSE, PROMISING_LIMB = 1.3, 1.03
-"""Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb."""
+PROMISING_COARSE, PROMISING_LIMB, PROMISING_FEW = 1.3, 1.03, 1.1
+"""Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb; and below
+which a limb's is assessed in full, by costs on few points."""
 BETTER = 0.97
 """Share of a cost below which another fit is clearly better."""
+TURNED_SOLVED = 10
+"""Poses of a lost body, turned and moved, that are solved coarsely."""
 ABSENT_M = 0.10
 """The frame does not show the body if most of the data and of the template are farther than this from each other."""
 COST_AVERAGE = 0.97, 0.03
@@ -54,6 +57,10 @@ class Growth(NamedTuple):
     points: Floats
     links: AnyInteger
     colours: Bytes | None
+
+
+def cost_of(fit: Fit) -> float:
+    return fit.cost
 
 
 def _clearly_better(fit: Fit, other: Fit) -> Fit:
@@ -108,8 +115,9 @@ class BodyTracker(PoseSolver):
         first = self._solve_from_known_poses(data)
         best = first
         if self.settings.search:
-            if first.cost > max(LOST_COST, self.retry_threshold) * self.typical_cost:
-                first = self._reacquire_body(data, first)
+            limit = max(LOST_COST, self.retry_threshold) * self.typical_cost
+            if first.cost > limit:
+                first = self._reacquire_body(data, first, limit)
             best = self._reacquire_limbs(data, first, seed)
         if np.mean(best.residuals > ABSENT_M) > 0.5 and np.mean(best.gaps > ABSENT_M) > 0.5:
             self.previous_pose = self.pose
@@ -140,26 +148,34 @@ class BodyTracker(PoseSolver):
         fit = self.solve(data, self.predict())
         if fit.cost > min(self.retry_threshold, LOST_COST) * self.typical_cost:
             starts = [self.pose] if self.last_good_pose is self.pose else [self.pose, self.last_good_pose]
-            fit = min([fit, *(self.solve(data, start) for start in starts)], key=lambda fit: fit.cost)
+            fit = min([fit, *(self.solve(data, start) for start in starts)], key=cost_of)
         return fit
 
-    def _reacquire_body(self, data: FramePoints, fit: Fit) -> Fit:
-        """The best of a fit and of the body turned and moved; see `reacquisition.body_poses`."""
+    def _reacquire_body(self, data: FramePoints, fit: Fit, limit: float) -> Fit:
+        """The best of a fit and of the body turned and moved; see `reacquisition.body_poses`.
+
+        A solution from the fit itself comes first: its prior is the fit and no longer the prediction, which is all that
+        a fast movement needs. No other pose is tried if that costs less than `limit`, square metres. Others are ranked
+        by their costs on few points; the best are solved coarsely, and the best of these in full.
+        """
+        best = min(fit, self.solve(data, fit.pose), key=cost_of)
+        if best.cost < limit:
+            return best
         few = self.coarse_sample(data)
-        starts = reacquisition.body_poses(self, data, [fit.pose, self.pose])
-        coarse = sorted((self.coarse_solve(few, start) for start in starts), key=lambda fit: fit.cost)
-        return min([fit, *(self.solve(data, fit.pose) for fit in coarse[:2])], key=lambda fit: fit.cost)
+        starts = [self.assess(few, pose) for pose in reacquisition.body_poses(self, data, [best.pose, self.pose])]
+        coarse = [self.coarse_solve(few, start.pose) for start in sorted(starts, key=cost_of)[:TURNED_SOLVED]]
+        finalists = sorted(coarse, key=cost_of)[:2]
+        return min([best, *(self.solve(data, fit.pose) for fit in finalists)], key=cost_of)
 
     def _reacquire_limbs(self, data: FramePoints, first: Fit, seed: int) -> Fit:
         """Searches for every limb that has no points near it, while other points are not explained by any link.
 
-        Random poses of the limb are scored by how near they bring it to unexplained points, and those points to it; the
-        best are refined, and replace the pose if they fit clearly better. After a failed search the threshold of the
-        limb rises, and decays per frame; so does the tracker's retry threshold if nothing was found at a high cost.
+        After a failed search the threshold of the limb rises, and decays per frame; so does the tracker's retry
+        threshold if nothing was found at a high cost.
         """
         if np.mean(first.residuals > UNEXPLAINED_M) < UNEXPLAINED_SHARE:
             return first
-        best = first
+        best, few = first, self.coarse_sample(data)
         is_costly = first.cost > self.retry_threshold * self.typical_cost  # a limb may lie on another's points
         is_suspicious = first.cost > SUSPICIOUS_COST * self.typical_cost
         for number, limb in enumerate(self.limbs):
@@ -169,12 +185,7 @@ class BodyTracker(PoseSolver):
             if share < self.limb_thresholds[number] and not is_turn:
                 continue
             before = best
-            poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
-            fits = [self.assess(data, pose) for pose in poses]
-            by_cost = sorted(fits[1:], key=lambda fit: fit.cost)
-            for fit in (*fits[:1], *by_cost[:1]):
-                if fit.cost < PROMISING_LIMB * best.cost:
-                    best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
+            best = self._best_of_limb_poses(data, few, best, limb, seed)
             if best is before:  # the missing part is hidden, or not in the template
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
         best = self._swap_confused_limbs(data, best, is_costly)
@@ -183,6 +194,22 @@ class BodyTracker(PoseSolver):
         self.retry_threshold = (
             raised if has_failed else max(min(THRESHOLD_DECAY * self.retry_threshold, raised), RETRY_COST)
         )
+        return best
+
+    def _best_of_limb_poses(self, data: FramePoints, few: FramePoints, best: Fit, limb: LimbChain, seed: int) -> Fit:
+        """The best fit with other poses of a limb; see `reacquisition.limb_poses`. few: some of the data, by which the
+        poses are ranked.
+        """
+        poses = reacquisition.limb_poses(self, limb, data, best, self.pose, seed)
+        if not poses:
+            return best
+        limit = PROMISING_FEW * self.assess(few, best.pose).cost
+        ranked = sorted((self.assess(few, pose) for pose in poses), key=cost_of)
+        for coarse in ranked[:2]:
+            if coarse.cost < limit:
+                fit = self.assess(data, coarse.pose)
+                if fit.cost < PROMISING_LIMB * best.cost:
+                    best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
         return best
 
     def _swap_confused_limbs(self, data: FramePoints, best: Fit, is_costly: bool) -> Fit:

@@ -14,19 +14,24 @@ def surface_distances(points: Floats, ends: Floats, radii: Floats, signed: bool 
     ends (k, c, 2, 3), radii (k, c, 2): of the bodies' c capsules. signed: negative inside, where the deepest capsule
     counts. In single precision: accurate to 0.1 mm within ten metres.
     """
+    distance, _ = capsule_distances(points, ends.reshape(-1, 2, 3), radii.reshape(-1, 2))
+    return (distance if signed else np.abs(distance)).reshape(*ends.shape[:2], -1).min(axis=1)
+
+
+def capsule_distances(points: Floats, ends: Floats, radii: Floats) -> tuple[Floats, Floats]:
+    """(c, n) each: the distance of each of points (n, 3) from the surface of each of c capsules, metres, negative
+    inside, and the share of the capsule's axis that is nearest. ends (c, 2, 3), radii (c, 2). In single precision.
+    """
     centre = points.mean(axis=0)
-    x = (points - centre).astype(np.float32)
-    p = (ends[:, :, 0] - centre).astype(np.float32)
-    along = (ends[:, :, 1] - ends[:, :, 0]).astype(np.float32)
-    k, c = p.shape[:2]
-    square = np.sum(x**2, axis=1)[None, :] - 2 * p.reshape(-1, 3) @ x.T + np.sum(p**2, axis=2).reshape(-1, 1)
-    projection = along.reshape(-1, 3) @ x.T - np.sum(p * along, axis=2).reshape(-1, 1)
-    length = np.maximum(np.sum(along**2, axis=2).reshape(-1, 1), 1e-6)  # squared
+    x, (p, q) = (points - centre).astype(np.float32), (ends - centre).astype(np.float32).transpose(1, 0, 2)
+    along = q - p
+    square = np.sum(x**2, axis=1)[None, :] - 2 * p @ x.T + np.sum(p**2, axis=1)[:, None]
+    projection = along @ x.T - np.sum(p * along, axis=1)[:, None]
+    length = np.maximum(np.sum(along**2, axis=1)[:, None], np.float32(1e-6))  # squared
     share = np.clip(projection / length, 0, 1)
     square += share * (share * length - 2 * projection)
-    near, far = radii[..., 0].reshape(-1, 1), radii[..., 1].reshape(-1, 1)
-    distance = np.sqrt(np.maximum(square, 0)) - (near + share * (far - near)).astype(np.float32)
-    return (distance if signed else np.abs(distance)).reshape(k, c, -1).min(axis=1)
+    near, far = radii[:, :1].astype(np.float32), radii[:, 1:].astype(np.float32)
+    return np.sqrt(np.maximum(square, 0)) - (near + share * (far - near)), share
 
 
 class DistanceField:

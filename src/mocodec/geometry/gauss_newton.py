@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..typing import AnyInteger, Floats
+from ..typing import AnyInteger, Booleans, Floats
 from . import joint_limits
 from .articulation import Body, Pose, exp, joint_positions, log
 from .joint_limits import NO_LIMITS, LinkLimits
@@ -82,7 +82,8 @@ class NormalEquations:
         gap = targets - y
         weight = (width**2 / (width**2 + np.einsum("ni,ni->n", gap, gap))) ** 2 / self.noise**2
         matrix, vector = self._equations_of_links(y, normals, gap, weight, rows)
-        jacobian = self._jacobian(a, b)
+        links = len(self.body)
+        jacobian = link_motions(self.is_ancestor, joint_positions(self.body, a, b)).reshape(6 * links, 3 + 3 * links)
         h = jacobian.T @ matrix @ jacobian
         g = jacobian.T @ vector
         self.add_priors(h, g, pose, start, a, prior, limited_axes)
@@ -93,15 +94,6 @@ class NormalEquations:
         rotations = exp(np.einsum("lji,lj->li", self._parent_rotations(a), turns)) @ pose.rotations
         moved = max(float(np.linalg.norm(step[:3])), float((angle[:, 0] * self.body.lengths).max()))
         return Pose(rotations, pose.root + step[:3]), moved
-
-    def _jacobian(self, a: Floats, b: Floats) -> Floats:
-        """(6 links, 3 + 3 links): motions (v, ω) of the links by the root's translation and the joints' rotations."""
-        joints, links = joint_positions(self.body, a, b), len(self.body)
-        motion = np.zeros((links, 6, 1 + links, 3))
-        motion[:, :3, 0] = np.eye(3)
-        motion[:, :3, 1:] = self.is_ancestor.T[:, None, :, None] * (CROSS @ joints.T).transpose(0, 2, 1)[None]
-        motion[:, 3:, 1:] = self.is_ancestor.T[:, None, :, None] * np.eye(3)[:, None, :]
-        return motion.reshape(6 * links, 3 + 3 * links)
 
     def _equations_of_links(
         self, y: Floats, normals: Floats, gap: Floats, weight: Floats, rows: AnyInteger
@@ -136,7 +128,7 @@ class NormalEquations:
         point-to-point distances added at the weight `tangential`: (I, −[y]×)ᵀ (I, −[y]×).
         """
         t = self.tangential
-        f = np.concatenate([normals, _cross(y, normals)], axis=1)
+        f = np.concatenate([normals, cross(y, normals)], axis=1)
         outer = f[:, UPPER[0]] * f[:, UPPER[1]]
         square = np.einsum("ni,ni->n", y, y)
         y0, y1, y2 = y.T
@@ -145,7 +137,7 @@ class NormalEquations:
         outer[:, [15, 18, 20]] += t * (square[:, None] - y**2)
         outer[:, [16, 17, 19]] -= t * np.stack([y0 * y1, y0 * y2, y1 * y2], 1)
         right = f * np.einsum("ni,ni->n", normals, gap)[:, None]
-        right += t * np.concatenate([gap, _cross(y, gap)], axis=1)
+        right += t * np.concatenate([gap, cross(y, gap)], axis=1)
         return outer, right
 
     def _parent_rotations(self, a: Floats) -> Floats:
@@ -190,7 +182,19 @@ class NormalEquations:
                 h[at, at] += prior.limit_strength * np.outer(axis, axis)
 
 
-def _cross(u: Floats, v: Floats) -> Floats:
+def link_motions(is_ancestor: Booleans, joints: Floats) -> Floats:
+    """(links, 6, 3 + 3 links): motions (v, ω) of the links by the root's translation and the joints' rotations.
+    is_ancestor (links, links): as `Body.ancestors`; joints (links, 3): the links' origins, metres.
+    """
+    links = len(joints)
+    motion = np.zeros((links, 6, 1 + links, 3))
+    motion[:, :3, 0] = np.eye(3)
+    motion[:, :3, 1:] = is_ancestor.T[:, None, :, None] * (CROSS @ joints.T).transpose(0, 2, 1)[None]
+    motion[:, 3:, 1:] = is_ancestor.T[:, None, :, None] * np.eye(3)[:, None, :]
+    return motion.reshape(links, 6, 3 + 3 * links)
+
+
+def cross(u: Floats, v: Floats) -> Floats:
     """u × v of (n, 3) and (n, 3): faster than np.cross."""
     out = np.empty_like(u)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):

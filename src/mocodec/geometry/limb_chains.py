@@ -1,6 +1,6 @@
 """Arms and legs of a tracked body as chains of links: which links they are, and hypotheses for their poses.
 
-body ──find──► limbs ──perturbed, reaching, swapped──► rotations of their links ──clamp_to_limits──► allowed rotations
+body ──find──► limbs ──reaching, swapped──► rotations of their links ──clamp_to_limits──► allowed rotations
 
 These are the links of a body fitted to points; the bones of a motion's limbs are the tempo codec's matter.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from ..typing import AnyInteger, Floats
 from . import articulated_icp, joint_limits
-from .articulation import Body, Pose, exp, rotation_between, transforms
+from .articulation import Body, Pose, rotation_between, transforms
 from .joint_limits import LinkLimits
 from .skinning import Skin
 
@@ -23,8 +23,6 @@ MIN_LENGTH = 0.25
 """Length of a whole limb, at least, as a share of the body's size."""
 MIN_ROWS, MAX_ROWS = 30, 60
 """Template points that a limb must have, and about how many of them score its poses."""
-REACH_SHARES = 0.5, 1.3
-"""Where on its second bone a limb reaches a target, as a range of shares of that bone's length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +95,20 @@ def swapped(body: Body, pose: Pose, one: LimbChain, other: LimbChain) -> Pose:
     return Pose(rotations, pose.root)
 
 
-def perturbed(limb: LimbChain, pose: Pose, rng: np.random.Generator, count: int, first: float, second: float) -> Floats:
-    """(count, links of the limb, 3, 3): random rotations near a pose's. first, second: standard deviations of the turns
-    of the first and second link, radians; the others keep theirs.
-    """
-    turns = np.zeros((count, len(limb.links), 3))
-    for link, spread in enumerate((first, second)[: len(limb.links)]):
-        turns[:, link] = spread * rng.normal(size=(count, 3))
-    return exp(turns) @ pose.rotations[limb.links]
-
-
-def reaching(body: Body, limb: LimbChain, pose: Pose, rng: np.random.Generator, targets: Floats) -> Floats:
-    """(count, links of the limb, 3, 3): rotations for which a place on the second bone, or a little beyond it, is at
-    one of targets (count, 3), metres; the side to which the limb bends is random.
+def reaching(body: Body, limb: LimbChain, pose: Pose, targets: Floats, shares: Floats, sides: Floats) -> Floats:
+    """(count, links of the limb, 3, 3): rotations for which a place on the second bone is at one of targets (count, 3),
+    metres. shares (count,): of the second bone's length, at which the place is. sides (count, 3): vectors that
+    determine to which side the limb bends.
     """
     a, b = transforms(body, pose)
     (upper, bend), (lower, end) = bend_and_end(body, limb)
     start = a[upper] @ body.origins[upper] + b[upper]
     first, second = bend - body.origins[upper], end - body.origins[lower]
-    one, two = np.linalg.norm(first), np.linalg.norm(second) * rng.uniform(*REACH_SHARES, len(targets))
+    one, two = np.linalg.norm(first), np.linalg.norm(second) * shares
     to, far = _directions(targets - start), np.linalg.norm(targets - start, axis=1)
     far = np.clip(far, np.abs(one - two) + 1e-3, one + two - 1e-3)
     cosine = np.clip((one**2 + far**2 - two**2) / (2 * one * far), -1, 1)[:, None]  # law of cosines
-    side = _directions(np.cross(to, rng.normal(size=to.shape)))
+    side = _directions(np.cross(to, sides))
     along = cosine * to + np.sqrt(1 - cosine**2) * side
     rotations = np.tile(pose.rotations[limb.links], (len(to), 1, 1, 1))
     rotations[:, :2] = aimed(body, limb, pose, a, start, along, start + far[:, None] * to)

@@ -1,7 +1,7 @@
-"""Random search for standing poses in a cloud of points, without a start.
+"""Random search for standing and seated poses in a cloud of points, without a start.
 
     distance field of the points ──────┐
-    random standing poses ──score both ways──► best of each heading ──► resample limbs one by one ──► best few
+    random poses ──score both ways──► best of each heading ──► resample limbs one by one ──► best few
 
 The cost of a pose is the mean squared distance of the points from its capsules, plus that of the capsules' surface from
 the points, both truncated. A limb inside the trunk leaves the arm's points unexplained, and a limb in empty air is far
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..typing import Floats
+from ..typing import Booleans, Floats
 from . import articulation, stock_body
 from .articulation import Body
 from .capsules import DistanceField, surface_distances
@@ -31,6 +31,14 @@ SIZES = 0.8, 0.87, 0.94, 1.0, 1.0, 1.08, 1.18
 """Factors of the points' height from which a random pose's size is drawn: a crouching person is larger than that."""
 KEPT, LIMB_SAMPLES, PERTURBATIONS, BATCH = 40, 80, 12, 250
 """PoseHypotheses kept in the first round, random rotations of a limb, perturbations of a pose, poses scored at once."""
+SEATED_SHARE, SEATED_SIZE, SEATED_HIP_RAD = 0.3, 1.3, -1.25
+"""Share of random poses that sit; the factor of their size, since they are less tall; how far their hips are bent
+beyond those of people who stand."""
+TWISTS_RAD = 0.06, 0.25
+"""Standard deviations of a random trunk's turn about its length, at each of three joints."""
+ROUGH_POINTS, ROUGH_STRIDE, ROUGH_KEPT = 70, 3, 300
+"""Points that score the first random poses, of how many surface samples one does, and how many poses are kept."""
+EVERY = slice(None)
 DISTINCT_M = 0.12
 """Two poses are distinct if a joint differs by more than this, metres."""
 
@@ -86,7 +94,8 @@ class PoseSearch:
 
     def best(self, count: int = 6, draws: int = 3000, rounds: int = 3) -> PoseHypotheses:
         """The best `count` distinct poses, best first, from `draws` random ones improved in some rounds."""
-        poses = self._best_of_headings(self._scored(self._random_poses(draws)), KEPT)
+        rough = self._scored(self._random_poses(draws), slice(ROUGH_POINTS), slice(None, None, ROUGH_STRIDE))
+        poses = self._best_of_headings(self._scored(self._best_of_headings(rough, ROUGH_KEPT)), KEPT)
         for number in range(rounds):
             spread = 0.6 * 0.5**number
             for limb in self.limbs:
@@ -108,19 +117,21 @@ class PoseSearch:
     # --- random poses -----------------------------------------------------------------------------------------------
 
     def _random_poses(self, count: int) -> PoseHypotheses:
-        """Random standing poses, not scored: any heading, arms anywhere, legs as in standing, walking and crouching."""
+        """Random poses, not scored: any heading, arms anywhere, legs as in standing, walking, crouching and sitting."""
         rng, body = self.rng, self.body
+        sits = rng.random(count) < SEATED_SHARE
         turns = np.zeros((count, self.links, 3))
         turns[:, 1:4, 0] = rng.normal(0.05, 0.1, (count, 1))
-        turns[:, 1:4, 1:] = rng.normal(0, 0.06, (count, 1, 2))
+        turns[:, 1:4, 1] = rng.normal(0, 1, (count, 1)) * rng.choice(TWISTS_RAD, (count, 1))
+        turns[:, 1:4, 2] = rng.normal(0, 0.06, (count, 1))
         turns[:, 0, 0] = rng.normal(0, 0.1, count)
         rotations = articulation.exp(turns)
         heading = np.zeros((count, 3))
         heading[:, 1] = rng.uniform(0, 2 * np.pi, count)
         rotations[:, 0] = articulation.exp(heading) @ rotations[:, 0]
         for limb in self.limbs:
-            rotations[:, limb] = self._random_limb(limb, count)
-        size = (self.high[1] - self.low[1]) / STOCK_HEIGHT_M * rng.choice(SIZES, count)
+            rotations[:, limb] = self._random_limb(limb, sits)
+        size = (self.high[1] - self.low[1]) / STOCK_HEIGHT_M * rng.choice(SIZES, count) * np.where(sits, SEATED_SIZE, 1)
         root = self.centre + rng.normal(0, 0.05, (count, 3))
         poses = PoseHypotheses(rotations, root, size, np.zeros(count))
         a, b = self._transforms(poses)
@@ -129,9 +140,9 @@ class PoseSearch:
         root[:, 1] += self.low[1] + 0.03 * size - soles[:, :, 1].min(axis=1)
         return poses
 
-    def _random_limb(self, limb: list[int], count: int) -> Floats:
-        """(count, links of the limb, 3, 3): random rotations of an arm or a leg."""
-        rng, body = self.rng, self.body
+    def _random_limb(self, limb: list[int], sits: Booleans) -> Floats:
+        """(n, links of the limb, 3, 3): random rotations of an arm or a leg, sits (n,): of people who sit."""
+        rng, body, count = self.rng, self.body, len(sits)
         side = SIDES["Left" if body.names[limb[0]].startswith("Left") else "Right"]
         turns = np.tile(np.eye(3), (count, len(limb), 1, 1))
         if "Arm" in body.names[limb[0]]:
@@ -149,6 +160,8 @@ class PoseSearch:
             return turns
         hip = rng.normal([-0.15, 0, 0.06 * side], [0.4, 0.2, 0.18], (count, 3))
         knee = np.abs(rng.normal(0, 0.5, count)) + np.maximum(-hip[:, 0] - 0.4, 0)
+        hip[sits] += [SEATED_HIP_RAD, 0, 0]
+        knee[sits] = np.abs(rng.normal(-SEATED_HIP_RAD, 0.5, int(sits.sum())))
         turns[:, 0] = articulation.exp(hip)
         turns[:, 1] = articulation.exp(np.outer(knee, [1.0, 0, 0]))
         turns[:, 2] = articulation.exp(np.outer(-hip[:, 0] - knee, [0.8, 0, 0]) + rng.normal(0, 0.15, (count, 3)))
@@ -187,23 +200,24 @@ class PoseSearch:
             a[:, link] = a[:, parent] @ poses.rotations[:, link]
             b[:, link] = (a[:, parent] - a[:, link]) @ origin + b[:, parent]
 
-    def _scored(self, poses: PoseHypotheses) -> PoseHypotheses:
-        """The poses with their costs."""
+    def _scored(self, poses: PoseHypotheses, points: slice = EVERY, samples: slice = EVERY) -> PoseHypotheses:
+        """The poses with their costs, by some of the points and of the surface samples."""
         cost = np.empty(len(poses.cost))
         for start in range(0, len(cost), BATCH):
             batch = poses.take(slice(start, start + BATCH))
             a, b = self._transforms(batch)
-            points, samples = self._point_costs(a, b, batch.size, slice(None)), self._sample_costs(a, b, slice(None))
+            from_points = self._point_costs(a, b, batch.size, slice(None), points).mean(axis=1)
+            from_samples = self._sample_costs(a, b, samples).mean(axis=1)
             penalty = hinge_penalty(self.body, batch.rotations)
-            cost[start : start + BATCH] = points.mean(axis=1) + samples.mean(axis=1) + penalty
+            cost[start : start + BATCH] = from_points + from_samples + penalty
         return poses._replace(cost=cost)
 
-    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any) -> Floats:
-        """(k, n): truncated squared distances of the points from the chosen capsules."""
+    def _point_costs(self, a: Floats, b: Floats, size: Floats, chosen: Any, points: slice = EVERY) -> Floats:
+        """(k, n): truncated squared distances of the points, or of some of them, from the chosen capsules."""
         link, ends = self.model.link[chosen], self.joints[self.model.ends[chosen]]
         placed = np.einsum("kcij,cej->kcei", a[:, link], ends) + b[:, link, None]
         radii = self.radii[None, chosen] * size[:, None, None]
-        return np.minimum(surface_distances(self.points, placed, radii), self.truncation) ** 2
+        return np.minimum(surface_distances(self.points[points], placed, radii), self.truncation) ** 2
 
     def _sample_costs(self, a: Floats, b: Floats, chosen: Any) -> Floats:
         """(k, m): truncated squared distances of the chosen surface samples from the points."""
@@ -221,7 +235,7 @@ class PoseSearch:
         tried = PoseHypotheses(*(np.repeat(values, draws, axis=0) for values in poses))
         turns = tried.rotations[:, limb]
         fresh = np.tile(np.arange(draws) < draws // 2, k)
-        turns[fresh] = self._random_limb(limb, int(fresh.sum()))
+        turns[fresh] = self._random_limb(limb, self.rng.random(int(fresh.sum())) < SEATED_SHARE)
         noise = self.rng.normal(size=(int((~fresh).sum()), len(limb), 3)) * spread
         turns[~fresh] = turns[~fresh] @ articulation.exp(noise)
         turns[::draws] = poses.rotations[:, limb]  # the first is unchanged

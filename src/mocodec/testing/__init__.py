@@ -5,7 +5,7 @@ strategies    random motions for property tests                               (n
 synthetic     a walking figure, deterministic for a seed: markers, joints
 actors        body models: skinned meshes, for synthetic point clouds
 sequences     motions of an actor, with the true skeleton, and point clouds of them
-poses         standing poses of an actor
+poses         standing and seated poses of an actor
 edge_cases    named motions at the limits of what codecs must handle
 corruption    damaged copies of bytes
 """

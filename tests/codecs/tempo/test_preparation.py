@@ -62,7 +62,7 @@ def test_errors_are_those_of_numpy() -> None:
             found = metrics.errors(positions, other)
             with native.without():
                 expected = metrics.errors(positions, other)
-            assert found.same_gaps == expected.same_gaps and found.samples == expected.samples, name
+            assert found[:2] == expected[:2], name
             np.testing.assert_allclose(found[2:], expected[2:], rtol=1e-12, err_msg=name)
 
 

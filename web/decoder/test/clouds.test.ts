@@ -8,7 +8,8 @@ import { goldenBytes, goldenTwin } from "./golden.js";
 const TOLERANCE_M = 0.6e-6;
 
 describe("points are those of the twins", () => {
-  test.each(["bodycast-jumper", "bodycast-jumper-bounded", "bodycast-jumper-learned", "bodycast-jumper-smoothed", "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
+  const names = ["jumper", "jumper-bounded", "jumper-learned", "jumper-smoothed", "covered", "exact", "exact-steps"].map((name) => `bodycast-${name}`);
+  test.each([...names, "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));
     let frame = 0;

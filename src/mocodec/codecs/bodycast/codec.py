@@ -33,7 +33,7 @@ from .body_model import MAX_POINTS, pack_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
 from .encoder import BodyEncoder, CodingParameters
-from .exact_points import pack_exact
+from .exact_octree import pack_smallest
 from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
@@ -304,7 +304,8 @@ class Bodycast:
         coded = [body.encode_chunk(span) for body in bodies]
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:
-            exact = pack_exact(frames[span], self.precision, coloured)
+            textures, poses = [SurfaceTexture(body.model) for body in bodies], [sequence for _, sequence in coded]
+            exact = pack_smallest(frames[span], self.precision, coloured, textures, poses, is_absent)
             return pack_chunk(ChunkStreams(is_absent, b"", b"", exact, streams))
         outliers = self._outliers(bodies, [poses for _, poses in coded], frames, span, is_absent)
         raw_frames = [frame for frame, absent in zip(frames[span], is_absent, strict=True) if absent.all()]

@@ -18,7 +18,7 @@ from ...geometry import articulation, skinning
 from ...geometry.articulation import Pose
 from ...typing import Floats
 from ..clouds.raw_frames import Cloud, unpack_raw_frames
-from . import video
+from . import exact_octree, video
 from .body_model import BodyModel
 from .chunk_payload import BodyStreams, ChunkStreams, unpack_chunk
 from .exact_points import unpack_exact
@@ -99,8 +99,12 @@ class SceneDecoder:
     def decode_chunk(self, chunk: Chunk, start: int, stop: int) -> Iterator[Cloud]:
         """Frames [start, stop) of a chunk, counted from its first. Raises Corrupt."""
         streams = unpack_chunk(chunk, len(self.models))
-        if streams.exact_points[:1] and streams.exact_points[0] in KINDS:
-            yield from islice(self._lattice_points(streams, chunk.frames), start, stop)
+        kind = streams.exact_points[0] if streams.exact_points else None
+        if kind in (*KINDS, exact_octree.KIND):
+            unpack = exact_octree.unpack if kind == exact_octree.KIND else unpack_points
+            poses = self._poses(streams, chunk.frames)
+            bodies = self.textures, poses, streams.is_absent
+            yield from islice(unpack(streams.exact_points, chunk.frames, *bodies, self.coloured), start, stop)
             return
         if streams.exact_points:
             yield from unpack_exact(streams.exact_points, chunk.frames, self.coloured)[start:stop]
@@ -119,12 +123,11 @@ class SceneDecoder:
             raw = raw_frames[frame]
             yield joined([*present, outliers[frame]], self.coloured) if raw is None else raw
 
-    def _lattice_points(self, streams: ChunkStreams, frames: int) -> Iterator[Cloud]:
-        poses = [
+    def _poses(self, streams: ChunkStreams, frames: int) -> list[PoseSequence]:
+        return [
             unpack_poses(model.atlas.body, own.poses, frames, model.pose_steps)
             for model, own in zip(self.models, streams.bodies, strict=True)
         ]
-        return unpack_points(streams.exact_points, frames, self.textures, poses, streams.is_absent, self.coloured)
 
 
 def joined(clouds: Sequence[Cloud], coloured: bool) -> Cloud:

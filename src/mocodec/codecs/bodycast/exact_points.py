@@ -78,10 +78,10 @@ def common_grid_step(frames: Sequence[Cloud]) -> float:
 def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> bytes:
     """Frames of points. precision_m: step in metres; 0 keeps every bit of float32. Raises CannotEncode."""
     step = precision_m or common_grid_step(frames)
-    grid = _grid_of_step(step, searched=not precision_m)
+    grid = grid_of_step(step, searched=not precision_m)
     filled = [(points, colours) for points, colours in frames if len(points)]
-    places = [_cells_and_bits(points, step, grid.exponent) for points, _ in filled]
-    spacing, depth, corner = _extent([cells for cells, _ in places], step)
+    places = [cells_and_bits(points, step, grid.exponent) for points, _ in filled]
+    spacing, depth, corner = extent([cells for cells, _ in places], step)
     encoder, contexts = BinaryEncoder(), octree.OctreeContexts.new()
     rests, rest_widths = list[Integers](), list[Integers]()
     bits, bit_widths = list[Integers](), list[Integers]()
@@ -93,7 +93,7 @@ def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> b
         rests.append(octree.encode_octree(encoder, contexts, code[order], depth, stops[-1]))
         rest_widths.append(np.full(len(points), 3 * (depth - stops[-1])))
         if not step:
-            width, start = _float_range(cells[order], CELL_EXPONENT)
+            width, start = float_range(cells[order], CELL_EXPONENT)
             bits.append((magnitudes[order].astype(np.int64) - start).reshape(-1))
             bit_widths.append(width.reshape(-1))
         if coloured and colours is not None:
@@ -119,7 +119,7 @@ def unpack_exact(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
     at += octree_bytes
     cells = [octree.cells_of_codes(code) * layout.spacing + layout.corner for code in codes]
     if grid.kind == FLOATS:
-        points = _floats(data[at : at + float_bytes], cells, grid.exponent)
+        points = floats(data[at : at + float_bytes], cells, grid.exponent)
     else:
         points = [np.asarray(c * grid.step_m, np.float64) for c in cells]
     colours: list[Bytes | None] = [None] * len(cells)
@@ -143,8 +143,7 @@ def _read_header(data: bytes, frames: int) -> tuple[Grid, GridCells, list[int], 
 
 def _require_plausible(grid: Grid, layout: GridCells, size: int) -> None:
     """Raises Corrupt for a header that `pack_exact` never writes in `size` bytes."""
-    if grid.kind > DECIMAL_STEP or abs(grid.exponent) > MAX_EXPONENT:
-        raise Corrupt("bodycast: exact points on an unknown grid")
+    require_grid(grid)
     if not 0 < layout.spacing < MAX_SPACING or np.abs(layout.corner).max() > MAX_CELL:
         raise Corrupt("bodycast: the cells of exact points are out of range")
     if layout.depth > octree.MAX_DEPTH or any(stop > layout.depth for stop in layout.stops):
@@ -152,6 +151,12 @@ def _require_plausible(grid: Grid, layout: GridCells, size: int) -> None:
     points = sum(layout.filled)
     if points > octree.MAX_POINTS or points > POINTS_PER_BYTE * (size + 1):
         raise Corrupt(f"bodycast: {points} exact points in {size} bytes")
+
+
+def require_grid(grid: Grid) -> None:
+    """Raises Corrupt for a grid that no encoder writes."""
+    if grid.kind > DECIMAL_STEP or abs(grid.exponent) > MAX_EXPONENT:
+        raise Corrupt("bodycast: exact points on an unknown grid")
 
 
 def _decode_codes(data: bytes, layout: GridCells) -> list[Integers]:
@@ -172,7 +177,7 @@ def _decode_codes(data: bytes, layout: GridCells) -> list[Integers]:
 # --- coordinates ----------------------------------------------------------------------------------------------------
 
 
-def _grid_of_step(step_m: float, searched: bool) -> Grid:
+def grid_of_step(step_m: float, searched: bool) -> Grid:
     """The grid as it is stored. searched: the step is one of GRID_STEPS_M, not the user's."""
     if not step_m:
         return Grid(FLOATS, CELL_EXPONENT, 0)
@@ -182,7 +187,7 @@ def _grid_of_step(step_m: float, searched: bool) -> Grid:
     return Grid(DECIMAL_STEP, CELL_EXPONENT, round(step_m / NANOMETRE))
 
 
-def _extent(cells: Sequence[Integers], step_m: float) -> tuple[int, int, Integers]:
+def extent(cells: Sequence[Integers], step_m: float) -> tuple[int, int, Integers]:
     """spacing, depth and corner of `GridCells`. Raises CannotEncode for points too far apart."""
     if not cells:
         return 1, 0, np.zeros(3, np.int64)
@@ -197,7 +202,7 @@ def _extent(cells: Sequence[Integers], step_m: float) -> tuple[int, int, Integer
     return spacing, depth, corner
 
 
-def _cells_and_bits(points: Floats, step_m: float, exponent: int) -> tuple[Integers, NDArray[np.uint32]]:
+def cells_and_bits(points: Floats, step_m: float, exponent: int) -> tuple[Integers, NDArray[np.uint32]]:
     """Cells (n, 3) of points on a grid; without a step, the cells of floats and the bits (n, 3) of their magnitudes.
 
     A negative float of cell magnitude c has cell −c − 1. Raises CannotEncode for coordinates that are too large.
@@ -214,7 +219,7 @@ def _cells_and_bits(points: Floats, step_m: float, exponent: int) -> tuple[Integ
     return np.where(single < 0, -cell - 1, cell), np.abs(single).view(np.uint32)
 
 
-def _float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
+def float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
     """(n, 3) each, for cells of floats: bits that select a float in its cell, and the pattern of the cell's lowest."""
     size = np.where(cells < 0, -cells - 1, cells)
     start = (size * 2.0**exponent).astype(np.float32).view(np.uint32).astype(np.int64)
@@ -223,14 +228,14 @@ def _float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
     return np.where(size == 0, LOWEST_CELL_BITS, width), start
 
 
-def _floats(data: bytes, cells: Sequence[Integers], exponent: int) -> list[Floats]:
+def floats(data: bytes, cells: Sequence[Integers], exponent: int) -> list[Floats]:
     """Coordinates from cells and the bits within them. Raises Corrupt."""
     if not cells:
         return []
     every = np.concatenate(cells)
     if exponent != CELL_EXPONENT or np.abs(every).max() > MAX_CELL:
         raise Corrupt("bodycast: the cells of exact points are out of range")
-    width, start = _float_range(every, exponent)
+    width, start = float_range(every, exponent)
     within = BinaryDecoder(data).finish(width.reshape(-1)).astype(np.int64).reshape(every.shape)
     values = (start + within).clip(0, MAX_FLOAT_BITS).astype(np.uint32).view(np.float32).astype(np.float64)
     values = np.where(every < 0, -values, values)

@@ -167,7 +167,12 @@ def hints_of_frame(
     if np.abs(places).max() * scale > 2.0**40:
         raise Corrupt("bodycast: a pose is out of range")
     points = np.floor(places * scale).astype(np.int64) - (corner << SUBUNIT_BITS)
+    spacing = spacing_of(points, neighbours)
+    return SurfaceHints(points, normals, neighbours, spacing, depth, UNLIMITED if large_cubes_correct else spacing)
+
+
+def spacing_of(points: Integers, neighbours: Integers) -> int:
+    """The median distance of samples (m, 3) from the first of their neighbours (m, k), at least 1."""
     gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
     middle = len(gaps) // 2
-    spacing = max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)  # the median distance to the nearest sample
-    return SurfaceHints(points, normals, neighbours, spacing, depth, UNLIMITED if large_cubes_correct else spacing)
+    return max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)

@@ -97,7 +97,8 @@ class PointEncoder:
         chunks = list[_CodedChunk]()
         for span, poses, absent in zip(self.spans, self.poses, self.is_absent, strict=True):
             grid, frames = to_lattice(self.frames[span], bound, self.coloured)
-            chunks.append(_CodedChunk(grid, frames, pack_places(grid, frames, self.textures, poses, absent)))
+            places = pack_places(grid, frames, self.textures, poses, absent, smooths=True)
+            chunks.append(_CodedChunk(grid, frames, places))
         self._last = bound, chunks
         return chunks
 

@@ -1,7 +1,8 @@
 """All points of a chunk's frames within a bound: on a lattice, coded from the bodies' surface.
 
 points ─lattice_frames─► distinct Morton codes ─point_octree─► bytes      colours ─colour_lifting─► bytes
-bodies, poses ─point_scene─► where the surface lies ─┘ │                     │
+bodies, poses ─point_scene─► where the surface lies ─┤                       │
+points of earlier frames ─reference_points───────────┘ │                     │
                                       ├─ point_smoothing: lattice points ─► decoded points
                                       └─ what earlier frames showed there ───┘
 """
@@ -15,22 +16,26 @@ from typing import NamedTuple
 import numpy as np
 
 from ...entropy import varint
-from ...entropy.bit_arrays import BitDecoder, BitEncoder
+from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Booleans, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
-from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing
+from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing, reference_points
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
 from .point_scene import Scene, SurfaceTexture
 from .pose_stream import PoseSequence
+from .reference_choice import ReferenceChoice
+from .reference_points import NO_REFERENCE, EarlierFrames, Reference, ReferencePoints
+from .surface_hints import SurfaceHints
 from .surface_memory import ColourMemory, SampleTable
 
-UNLEARNED, LEARNED, SMOOTHED = 3, 4, 5  # kinds of the part that holds all points; 0 to 2 are those of `exact_points`
-KINDS = (UNLEARNED, LEARNED, SMOOTHED)
-"""UNLEARNED and LEARNED are decoded only: their points are those of the lattice. The surface and colours of UNLEARNED
-do not depend on earlier frames.
+UNLEARNED, LEARNED, SMOOTHED, REFERRED = 3, 4, 5, 6
+KINDS = (UNLEARNED, LEARNED, SMOOTHED, REFERRED)
+"""Of the part that holds all points; 0 to 2 are those of `exact_points`. UNLEARNED is decoded only: its surface and
+colours do not depend on earlier frames. The points of LEARNED are those of the lattice: exact ones. REFERRED stands
+before a part of kind LEARNED or SMOOTHED, whose frames refer to earlier ones.
 """
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 
@@ -39,18 +44,22 @@ class LocatedPoints(NamedTuple):
     """The points of a frame beside the surface.
 
     cells (n, 3): lattice coordinates. samples (n,): the sample near each among all bodies', −1 without one. places
-    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample. positions (n, 3): as decoded, metres.
+    (n, 3): in the canonical pose, 2^-16 m; 0 without a sample. references: points of earlier frames, if the frame
+    refers to any; nearest (n,): the one near each point without a sample, otherwise −1. positions (n, 3): as decoded,
+    metres.
     """
 
     cells: Integers
     samples: Integers
     places: Integers
+    references: ReferencePoints | None
+    nearest: Integers
     positions: Floats
 
 
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours.
+    colours. references: of each frame. smooths: whether points move from the lattice to the surface.
     """
 
     depth: int
@@ -58,6 +67,8 @@ class CodedPlaces(NamedTuple):
     octrees: bytes
     frames: list[LocatedPoints]
     table: SampleTable
+    references: list[Reference]
+    smooths: bool
 
 
 class PointsHeader(NamedTuple):
@@ -109,8 +120,11 @@ def pack_places(
     textures: Sequence[SurfaceTexture],
     poses: Sequence[PoseSequence],
     is_absent: Booleans,
+    smooths: bool,
 ) -> CodedPlaces:
-    """poses: of each body, as they are decoded. is_absent (frames, bodies)."""
+    """poses: of each body, as they are decoded. is_absent (frames, bodies). smooths: whether points move from the
+    lattice to the surface where that keeps the bound.
+    """
     shifts = [texture.shift for texture in textures]
     values = [
         [integer_surface.pose_values(t.body, poses[b][k]) for b, t in enumerate(textures) if not is_absent[k, b]]
@@ -119,18 +133,22 @@ def pack_places(
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
-    coder, scene = BitEncoder(), Scene(textures, shifts, is_absent, learns=True, smooths=True)
-    located = [
-        _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k]).code(coder, frame, len(frame.codes))
-        for k, frame in enumerate(frames)
-        if len(frame.codes)
-    ]
-    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table)
+    coder, located = BitEncoder(), list[LocatedPoints]()
+    scene = Scene(textures, shifts, is_absent, learns=True, smooths=smooths)
+    earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
+    for k, frame in enumerate(frames):
+        reference = NO_REFERENCE
+        if len(frame.codes):
+            octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
+            coder, reference, points = octree_of_frame.encode(coder, frame, choice)
+            located.append(points)
+        references.append(reference)
+    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table, references, smooths)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
     """The bytes of the colours (n, 3) of each frame with points, and the decoded colours."""
-    coder, memory = BitEncoder(), _ColoursOfChunk(coded.table, steps)
+    coder, memory = BitEncoder(), ColoursOfChunk(coded.table, steps)
     decoded = [
         memory.code(coder, point_colours.ycocg_from_rgb(own.astype(np.int64)), located)
         for own, located in zip(colours, coded.frames, strict=True)
@@ -140,7 +158,11 @@ def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourStep
 
 def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes:
     """The part of a chunk. steps: None without colours."""
-    kind = varint.write([SMOOTHED, coded.depth, *((0, 0) if steps is None else steps)])
+    refers = any(reference != NO_REFERENCE for reference in coded.references)
+    before = varint.write([REFERRED]) + reference_points.pack_references(coded.references) if refers else b""
+    kind = before + varint.write(
+        [SMOOTHED if coded.smooths else LEARNED, coded.depth, *((0, 0) if steps is None else steps)]
+    )
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
@@ -153,58 +175,161 @@ def unpack_points(
     coloured: bool,
 ) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
-    head = PointsHeader.read(data, frames, len(textures), int((~is_absent).sum()), coloured)
-    grid, kind, steps, shifts = head.grid, head.kind, head.steps, head.shifts
-    places, colours = BitDecoder(data[head.octrees]), BitDecoder(data[head.octrees.stop :])
-    scene = Scene(textures, shifts, is_absent, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
-    waiting = iter(head.pose_shifts)
-    memory = _ColoursOfChunk(scene.table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
-    for k, count in enumerate(head.counts):
-        present = [b for b in range(len(textures)) if not is_absent[k, b]]
-        own = [next(waiting) for _ in present]
-        if not count:
+    places = PlacesDecoder(data, frames, textures, poses, is_absent, coloured)
+    kind, steps, table = places.head.kind, places.head.steps, places.table
+    colours = BitDecoder(places.rest)
+    memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
+    for located in places.frames():
+        if located is None:
             yield no_points(coloured)
             continue
-        values = [integer_surface.pose_values(textures[b].body, poses[b][k]) for b in present]
-        located = _OctreeOfFrame(scene, grid, k, values, own).code(places, None, count)
         colour = None
         if memory is not None:
             colour = memory.code(colours, None, located)
         elif coloured:
-            colour = _unlearned_colours(colours, scene.table.colours, located.samples, steps[0])
+            colour = _unlearned_colours(colours, table.colours, located.samples, steps[0])
         yield located.positions, colour
-    places.finish()
+
+
+class PlacesDecoder:
+    """The places of the points of a chunk. head: what stands before them. table: the samples of the bodies. rest: what
+    follows.
+    """
+
+    def __init__(
+        self,
+        data: bytes,
+        frames: int,
+        textures: Sequence[SurfaceTexture],
+        poses: Sequence[PoseSequence],
+        is_absent: Booleans,
+        coloured: bool,
+    ) -> None:
+        """As `unpack_points`. Raises Corrupt."""
+        part, self._references = split_references(data, frames)
+        self.head = PointsHeader.read(part, frames, len(textures), int((~is_absent).sum()), coloured)
+        self._coder, self.rest = BitDecoder(part[self.head.octrees]), part[self.head.octrees.stop :]
+        self._textures, self._poses, self._is_absent = textures, poses, is_absent
+        kind = self.head.kind
+        self._scene = Scene(textures, self.head.shifts, is_absent, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
+        self.table = self._scene.table
+
+    def frames(self) -> Iterator[LocatedPoints | None]:
+        """The points of each frame, None for a frame without points. Raises Corrupt."""
+        waiting, earlier = iter(self.head.pose_shifts), EarlierFrames()
+        for k, count in enumerate(self.head.counts):
+            present = [b for b in range(len(self._textures)) if not self._is_absent[k, b]]
+            own = [next(waiting) for _ in present]
+            if not count:
+                yield None
+                continue
+            values = [integer_surface.pose_values(self._textures[b].body, self._poses[b][k]) for b in present]
+            octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, values, own, earlier)
+            yield octree_of_frame.decode(self._coder, count, self._references[k])
+        self._coder.finish()
+
+
+def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
+    """The part without references, and the reference of each frame. Raises Corrupt."""
+    if data[:1] != bytes([REFERRED]):
+        return data, [NO_REFERENCE] * frames
+    references, at = reference_points.unpack_references(data, frames, 1)
+    if data[at : at + 1] not in (bytes([LEARNED]), bytes([SMOOTHED])):
+        raise Corrupt("bodycast: references stand before points of another kind")
+    return data[at:], references
+
+
+class _Seen(NamedTuple):
+    """A reference, its points, and what the octree sees of them and of the bodies."""
+
+    reference: Reference
+    references: ReferencePoints | None
+    hints: SurfaceHints | None
 
 
 class _OctreeOfFrame:
-    """The octree of frame k. values, shifts: as in `Scene.posed`."""
+    """The octree of frame k. values, shifts: as in `Scene.posed`. The frame joins the `earlier` ones."""
 
     def __init__(
-        self, scene: Scene, grid: LatticeGrid, k: int, values: Sequence[Floats], shifts: Sequence[int]
+        self,
+        scene: Scene,
+        grid: LatticeGrid,
+        k: int,
+        values: Sequence[Floats],
+        shifts: Sequence[int],
+        earlier: EarlierFrames,
     ) -> None:
-        self.scene, self.grid = scene, grid
+        self.scene, self.grid, self.earlier = scene, grid, earlier
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
-    def code(self, coder: BitEncoder | BitDecoder, frame: LatticeFrame | None, count: int) -> LocatedPoints:
-        """Code the points (count,), None in the decoder; the next frames learn from them. Raises Corrupt."""
-        codes = None if frame is None else frame.codes
-        codes, nearest = point_octree.code_octree(coder, codes, self.grid.depth, count, self.hints)
-        cells = octree.cells_of_codes(codes)
+    def encode(
+        self, coder: BitEncoder, frame: LatticeFrame, choice: ReferenceChoice
+    ) -> tuple[BitEncoder, Reference, LocatedPoints]:
+        """Code the points with the shortest choice of references. The coder to go on with."""
+        has_bodies, depth = self.hints is not None, self.grid.depth
+        candidates = choice.candidates(self.earlier, octree.cells_of_codes(frame.codes), depth, has_bodies)
+        tried = list[tuple[BitEncoder, _Seen, Integers]]()
+        for reference in candidates:
+            trial, seen = coder.copy() if len(candidates) > 1 else coder, self._seen(reference)
+            _, nearest = point_octree.code_octree(trial, frame.codes, depth, len(frame.codes), seen.hints)
+            tried.append((trial, seen, nearest))
+        best, seen, nearest = min(tried, key=lambda one: one[0].size)
+        choice.keep(seen.reference)
+        return best, seen.reference, self._keep(best, frame, octree.cells_of_codes(frame.codes), nearest, seen)
+
+    def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
+        """The points (count,). Raises Corrupt."""
+        seen = self._seen(reference)
+        codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, seen.hints)
+        return self._keep(coder, None, octree.cells_of_codes(codes), nearest, seen)
+
+    def _seen(self, reference: Reference) -> _Seen:
+        """The points of a reference, and what the octree sees of them and of the bodies."""
+        bodies, references = None if reference.hides_bodies else self.hints, None
+        if reference.frames:
+            earlier = self.earlier.moved(reference.motion)
+            references = earlier.references(reference.frames, self.grid.depth, bodies is not None)
+        hints = reference_points.joined_hints(bodies, references, self.grid.depth, self.scene.smooths)
+        return _Seen(reference, references, hints)
+
+    def _keep(
+        self,
+        coder: BitEncoder | BitDecoder,
+        frame: LatticeFrame | None,
+        cells: Integers,
+        nearest: Integers,
+        seen: _Seen,
+    ) -> LocatedPoints:
+        """What the next frames and the colours need. frame: None in the decoder. nearest (n,): the sample near each
+        point. Raises Corrupt.
+        """
         points, table = self.grid.places(cells), self.scene.table
-        samples, places = np.full(count, -1), np.zeros((count, 3), np.int64)
-        known = np.flatnonzero(nearest >= 0)
+        bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
+        samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
+        of_bodies = np.where(nearest < bodies, nearest, -1)
+        known = np.flatnonzero(of_bodies >= 0)
         samples[known] = self.surface.rows[nearest[known]]
         places[known] = table.canonical(self.surface, points[known], nearest[known])
-        self.scene.learn(self.surface, points, nearest)
-        positions = self._positions(coder, frame, cells, nearest) if self.scene.smooths else self.grid.positions(cells)
-        return LocatedPoints(cells, samples, places, positions)
+        self.scene.learn(self.surface, points, of_bodies)
+        self.earlier.move(seen.reference.motion)
+        self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
+        positions = self.grid.positions(cells)
+        if self.scene.smooths:
+            positions = self._moved(coder, frame, cells, nearest, seen.hints)
+        others = np.where(nearest < bodies, -1, nearest - bodies)
+        return LocatedPoints(cells, samples, places, seen.references, others, positions)
 
-    def _positions(
-        self, coder: BitEncoder | BitDecoder, frame: LatticeFrame | None, cells: Integers, nearest: Integers
+    def _moved(
+        self,
+        coder: BitEncoder | BitDecoder,
+        frame: LatticeFrame | None,
+        cells: Integers,
+        nearest: Integers,
+        hints: SurfaceHints | None,
     ) -> Floats:
         """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
-        smoothed, stays = point_smoothing.smooth(cells, nearest, self.hints), None
+        smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
         if frame is not None:
             moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
             away = np.linalg.norm(frame.originals - moved[frame.rows], axis=1)
@@ -215,19 +340,34 @@ class _OctreeOfFrame:
         return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
 
 
-class _ColoursOfChunk:
+class ColoursOfChunk:
     """Codes the colours of a chunk's frames, each from what those before it showed of the surface."""
 
     def __init__(self, table: SampleTable, steps: ColourSteps) -> None:
         self.memory, self.lifting = ColourMemory(table), ColourLifting(steps)
+        self.decoded = list[Integers]()  # colours of the last frames
 
-    def code(self, coder: BitEncoder | BitDecoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
+    def code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
-        known = points.samples >= 0
+        return self.code_repeated(coder, wanted, points, np.zeros(len(points.cells), np.int64))
+
+    def code_repeated(
+        self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints, repeats: Integers
+    ) -> Bytes:
+        """As `code`, of points that stand for `repeats` (m,) more each. Later frames refer to the first of them."""
+        samples, places, cells, nearest = (
+            np.repeat(values, repeats + 1, axis=0)
+            for values in (points.samples, points.places, points.cells, points.nearest)
+        )
+        known, referring = samples >= 0, nearest >= 0
         expected = np.zeros((len(known), 3), np.int64)
-        expected[known] = self.memory.expected(points.samples[known], points.places[known])
-        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, known)
-        self.memory.learn(points.samples[known], points.places[known], colours[known])
+        expected[known] = self.memory.expected(samples[known], places[known])
+        if points.references is not None:
+            expected[referring] = points.references.expected(self.decoded, cells[referring], nearest[referring])
+        colours = self.lifting.code_frame(coder, wanted, cells, expected, known | referring)
+        self.memory.learn(samples[known], places[known], colours[known])
+        first = np.cumsum(repeats + 1) - repeats - 1
+        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours[first]]
         return point_colours.rgb_from_ycocg(colours)
 
 

@@ -7,7 +7,8 @@ import { type Atlas, readAtlas } from "./atlas.js";
 import { type Cloud, type PointDecoder, joined } from "./cloud.js";
 import { readExact } from "./exact.js";
 import { readOutliers } from "./outliers.js";
-import { NEWEST, UNLEARNED, readLattice } from "./lattice.js";
+import { EXACT, readExactLattice } from "./exact_lattice.js";
+import { type Bodies, NEWEST, UNLEARNED, readLattice } from "./lattice.js";
 import { MovingSurface } from "./moving_surface.js";
 import { readRawFrames } from "./raw_frames.js";
 import { type Surface, type Texture, surfaceOf, textureOf } from "./surface.js";
@@ -39,20 +40,21 @@ export class BodycastPoints implements PointDecoder {
   *decode(chunk: StoredChunk): Generator<Cloud> {
     const parts = splitChunk(chunk, this.models.length);
     const kind = parts.exactPoints[0];
-    if (kind !== undefined && kind >= UNLEARNED && kind <= NEWEST) yield* this.lattice(parts, chunk.frames);
+    if (kind !== undefined && kind >= UNLEARNED && kind <= NEWEST) yield* readLattice(parts.exactPoints, chunk.frames, this.coloured, this.bodies(parts, chunk.frames));
+    else if (kind === EXACT) yield* readExactLattice(parts.exactPoints, chunk.frames, this.coloured, this.bodies(parts, chunk.frames));
     else if (kind !== undefined) yield* readExact(parts.exactPoints, chunk.frames, this.coloured);
     else yield* this.surfaces(parts, chunk.frames);
   }
 
-  private *lattice(parts: ChunkParts, frames: number): Generator<Cloud> {
+  private bodies(parts: ChunkParts, frames: number): Bodies {
     const placed = this.models.map((model, b) => readPlacements(parts.poses[b]!, frames, model));
     const all = [...this.models.keys()];
-    yield* readLattice(parts.exactPoints, frames, this.coloured, {
+    return {
       count: all.length,
       present: (frame) => all.filter((b) => !parts.absent[frame * all.length + b]),
       placements: (body, frame) => placed[body]![frame]!,
       surface: (body, shift) => this.surface(this.models[body]!, shift),
-    });
+    };
   }
 
   private surface(model: Model, shift: number): Surface {

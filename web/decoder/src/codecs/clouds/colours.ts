@@ -34,7 +34,7 @@ function pass(count: number, stride: number): number[] {
 }
 
 /** Values of rows, from groups of bits; bit(i, kind) reads one. */
-function readValues(rows: number[], bit: (i: number, kind: number) => number): Int32Array {
+export function readValues(rows: number[], bit: (i: number, kind: number) => number): Int32Array {
   const values = new Int32Array(rows.length);
   let some = rows.flatMap((row, k) => {
     values[k] = bit(row, 0);

@@ -14,7 +14,7 @@ const CELLS_IN_METRE = 1024;
 const FLOAT_EXPONENT = -10;
 const MOST_EXPONENT = 40;
 const MOST_DEPTH = 20;
-const MOST_CELL = 2 ** 40;
+export const MOST_CELL = 2 ** 40;
 const LOWEST_CELL_BITS = 31;
 const MOST_FLOAT_BITS = 0x7f7fffff;
 const NANOMETRE_M = 1e-9;
@@ -22,11 +22,8 @@ const NANOMETRE_M = 1e-9;
 /** The points of all frames of a chunk. Throws Corrupt. */
 export function readExact(data: Uint8Array, frames: number, coloured: boolean): Cloud[] {
   const part = new Bytes(data, "bodycast: exact points");
-  const kind = part.varintWithin(FLOATS, DECIMAL_STEP, "the kind");
-  const nanometres = part.varint();
-  const exponent = part.foldedWithin(-MOST_EXPONENT, MOST_EXPONENT, "the exponent");
-  check(kind !== FLOATS || exponent === FLOAT_EXPONENT, "bodycast: exact points have another exponent");
-  const spacing = part.varintWithin(1, MOST_CELL - 1, "the spacing");
+  const grid = readGrid(part);
+  const { spacing } = grid;
   const depth = part.varintWithin(0, MOST_DEPTH, "the depth");
   const corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CELL, MOST_CELL, "the corner"));
   const counts = Array.from({ length: frames }, () => part.varint());
@@ -35,13 +32,7 @@ export function readExact(data: Uint8Array, frames: number, coloured: boolean): 
   const stops = filled.map(() => part.varintWithin(0, depth, "the last level of an octree"));
   const [octreeBytes, floatBytes] = [part.varint(), part.varint()];
   const cells = readCells(part.take(octreeBytes), filled, stops, depth).map((value, i) => corner[i % 3]! + spacing * value);
-  const floatBits = part.take(floatBytes);
-  let positions: Float64Array;
-  if (kind === FLOATS) positions = floatsOf(cells, floatBits);
-  else {
-    const step = kind === BINARY_STEP ? 2 ** exponent : nanometres * NANOMETRE_M;
-    positions = cells.map((cell) => cell * step);
-  }
+  const positions = positionsOf(grid, cells, part.take(floatBytes));
   const total = cells.length / 3;
   const differences = coloured ? readIntegers(part.rest(), total, 3) : undefined;
   let at = 0;
@@ -52,6 +43,29 @@ export function readExact(data: Uint8Array, frames: number, coloured: boolean): 
     if (differences) cloud.colours = rgbOf(sumsOf(differences.slice(from, to)));
     return cloud;
   });
+}
+
+/** How coordinates become cells: floats, or steps of 2^exponent metres or of nanometres; all cells lie `spacing` apart. */
+export interface Grid {
+  kind: number;
+  nanometres: number;
+  exponent: number;
+  spacing: number;
+}
+
+export function readGrid(part: Bytes): Grid {
+  const kind = part.varintWithin(FLOATS, DECIMAL_STEP, "the kind");
+  const nanometres = part.varint();
+  const exponent = part.foldedWithin(-MOST_EXPONENT, MOST_EXPONENT, "the exponent");
+  check(kind !== FLOATS || exponent === FLOAT_EXPONENT, "bodycast: exact points have another exponent");
+  return { kind, nanometres, exponent, spacing: part.varintWithin(1, MOST_CELL - 1, "the spacing") };
+}
+
+/** Metres of cells; floatBits: the bits of floats within them. */
+export function positionsOf({ kind, nanometres, exponent }: Grid, cells: Float64Array, floatBits: Uint8Array): Float64Array {
+  if (kind === FLOATS) return floatsOf(cells, floatBits);
+  const step = kind === BINARY_STEP ? 2 ** exponent : nanometres * NANOMETRE_M;
+  return cells.map((cell) => cell * step);
 }
 
 /** Coordinates (points, 3) of all frames, below 2^depth. */

@@ -7,15 +7,18 @@ import { type Cloud, checkCounts, rgbOf } from "./cloud.js";
 import { Colours, readTexturedColours } from "./colours.js";
 import { MixedBits } from "./mixed.js";
 import { readPoints } from "./point_octree.js";
+import { EarlierFrames, NO_REFERENCE, type Reference, joinedSamples, readReferences } from "./references.js";
 import { Scene } from "./scene.js";
 import { FINE, readShifts } from "./smoothing.js";
 import type { Surface } from "./surface.js";
-import { SurfaceHints } from "./surface_hints.js";
+import { SurfaceHints, samplesOfBodies } from "./surface_hints.js";
 
-/** Kinds of a part: without and with learning from earlier frames, and with smoothing too. */
+/** Kinds of a part: without and with learning from earlier frames, with smoothing too, and references before one of these. */
 export const UNLEARNED = 3;
+const LEARNED = 4;
 const SMOOTHED = 5;
-export const NEWEST = SMOOTHED;
+const REFERRED = 6;
+export const NEWEST = REFERRED;
 
 const MOST_DEPTH = 20;
 const MOST_STEP = 128;
@@ -37,44 +40,127 @@ export interface Bodies {
 
 /** The points of the frames of a chunk, one frame after the other. Throws Corrupt. */
 export function* readLattice(data: Uint8Array, frames: number, coloured: boolean, bodies: Bodies): Generator<Cloud> {
-  const part = new Bytes(data, "bodycast: points");
-  const kind = part.varintWithin(UNLEARNED, SMOOTHED, "the kind");
-  const depth = part.varintWithin(0, MOST_DEPTH, "the depth");
-  const luma = part.varintWithin(0, MOST_STEP, "a colour step");
-  const chroma = kind !== UNLEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
-  check(luma > 0 === coloured && chroma > 0 === coloured, "bodycast: steps without colours, or colours without steps");
-  const corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CORNER, MOST_CORNER, "the corner"));
-  const step = part.float64();
-  check(step >= LEAST_STEP_M && step <= MOST_STEP_M, "bodycast: the lattice is out of range");
-  const counts = Array.from({ length: frames }, () => part.varint());
-  checkCounts(counts, data.length);
-  const shift = () => part.varintWithin(0, MOST_SHIFT, "a rounding shift");
-  const surfaceShifts = Array.from({ length: bodies.count }, shift);
-  const poseShifts = Array.from({ length: frames }, (_, k) => bodies.present(k).map(shift));
-  const octrees = new MixedBits(part.take(part.varint()));
-  const colourBits = new MixedBits(part.rest());
-  const scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), kind !== UNLEARNED);
-  const colours = new Colours(colourBits, [luma, chroma, chroma]);
-  for (const [k, count] of counts.entries()) {
-    if (!count) {
-      yield coloured ? { positions: new Float64Array(0), colours: new Uint8Array(0) } : { positions: new Float64Array(0) };
-      continue;
-    }
-    const present = bodies.present(k);
-    const standing = scene.stand(present, present.map((b) => bodies.placements(b, k)), poseShifts[k]!);
-    const hints = standing.count ? new SurfaceHints(standing, step, corner, kind !== SMOOTHED) : undefined;
-    const { cells, samples } = readPoints(octrees, depth, count, hints);
-    const lattice = Float64Array.from(cells, (cell, i) => cell + corner[i % 3]!);
-    const located = scene.learn(standing, lattice, samples, step);
-    const shifts = kind === SMOOTHED && hints ? readShifts(octrees, cells, samples, hints) : new Float64Array(cells.length);
-    const cloud: Cloud = { positions: lattice.map((v, i) => (v * FINE + shifts[i]!) * (step / FINE)) };
-    if (coloured && kind !== UNLEARNED) {
-      const own = colours.frame(cells, located.rows, scene.expected(located));
-      scene.see(located, own);
-      cloud.colours = rgbOf(own);
-    } else if (coloured) cloud.colours = rgbOf(readTexturedColours(colourBits, located.rows, scene.colours, luma));
+  const layer = new Lattice(data, frames, coloured, bodies);
+  const colourBits = new MixedBits(layer.rest);
+  const { kind, steps, step, corner } = layer;
+  const colours = coloured && kind !== UNLEARNED ? new Colours(colourBits, steps) : undefined;
+  for (const frame of layer.frames(colours)) {
+    const cloud: Cloud = { positions: Float64Array.from(frame.cells, (cell, i) => ((cell + corner[i % 3]!) * FINE + (frame.shifts?.[i] ?? 0)) * (step / FINE)) };
+    if (frame.colours) cloud.colours = rgbOf(frame.colours);
+    else if (coloured) cloud.colours = rgbOf(readTexturedColours(colourBits, frame.rows, layer.scene.colours, steps[0]));
     yield cloud;
   }
-  octrees.end();
   if (coloured) colourBits.end();
+}
+
+/** The points of a frame: coordinates (points, 3), samples of bodies, colours as Y, Co, Cg, and shifts of 1/FINE units. */
+export interface LatticeFrame {
+  cells: Int32Array;
+  rows: Int32Array;
+  colours?: Int32Array;
+  shifts?: Float64Array;
+}
+
+const NOTHING: LatticeFrame = { cells: new Int32Array(0), rows: new Int32Array(0) };
+
+/** Points of a chunk on a lattice: what stands before them, and their places. */
+export class Lattice {
+  readonly kind: number;
+  readonly steps: [number, number, number];
+  readonly corner: number[];
+  readonly step: number;
+  /** What follows the octrees. */
+  readonly rest: Uint8Array;
+  readonly scene: Scene;
+  private readonly references: Reference[];
+  private readonly depth: number;
+  private readonly counts: number[];
+  private readonly poseShifts: number[][];
+  private readonly octrees: MixedBits;
+
+  constructor(
+    data: Uint8Array,
+    frames: number,
+    coloured: boolean,
+    private readonly bodies: Bodies,
+  ) {
+    const part = new Bytes(data, "bodycast: points");
+    const refers = data[0] === REFERRED;
+    if (refers) part.varint();
+    this.references = refers ? readReferences(part, frames) : Array.from({ length: frames }, () => NO_REFERENCE);
+    this.kind = part.varintWithin(refers ? LEARNED : UNLEARNED, SMOOTHED, "the kind");
+    this.depth = part.varintWithin(0, MOST_DEPTH, "the depth");
+    const luma = part.varintWithin(0, MOST_STEP, "a colour step");
+    const chroma = this.kind !== UNLEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
+    check(luma > 0 === coloured && chroma > 0 === coloured, "bodycast: steps without colours, or colours without steps");
+    this.steps = [luma, chroma, chroma];
+    this.corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CORNER, MOST_CORNER, "the corner"));
+    this.step = part.float64();
+    check(this.step >= LEAST_STEP_M && this.step <= MOST_STEP_M, "bodycast: the lattice is out of range");
+    this.counts = Array.from({ length: frames }, () => part.varint());
+    checkCounts(this.counts, data.length);
+    const shift = () => part.varintWithin(0, MOST_SHIFT, "a rounding shift");
+    const surfaceShifts = Array.from({ length: bodies.count }, shift);
+    this.poseShifts = Array.from({ length: frames }, (_, k) => bodies.present(k).map(shift));
+    this.octrees = new MixedBits(part.take(part.varint()));
+    this.rest = part.rest();
+    this.scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), this.kind !== UNLEARNED);
+  }
+
+  /** Frame after frame. repeats(count): how many more points each of the points stands for. Throws Corrupt. */
+  *frames(colours: Colours | undefined, repeats?: (count: number) => Int32Array): Generator<LatticeFrame> {
+    const earlier = new EarlierFrames();
+    for (const [k, count] of this.counts.entries()) yield count ? this.frame(k, count, earlier, colours, repeats) : NOTHING;
+    this.octrees.end();
+  }
+
+  private frame(k: number, count: number, earlier: EarlierFrames, colours: Colours | undefined, repeats?: (count: number) => Int32Array): LatticeFrame {
+    const { bodies, scene, step, corner } = this;
+    const present = bodies.present(k);
+    const standing = scene.stand(present, present.map((b) => bodies.placements(b, k)), this.poseShifts[k]!);
+    const reference = this.references[k]!;
+    const own = reference.hides ? undefined : samplesOfBodies(standing, step, corner);
+    const before = earlier.refer(reference, this.depth, own !== undefined);
+    const all = joinedSamples(own, before);
+    const hints = all && new SurfaceHints(all, this.kind !== SMOOTHED);
+    const { cells, samples } = readPoints(this.octrees, this.depth, count, hints);
+    const shifts = this.kind === SMOOTHED && hints ? readShifts(this.octrees, cells, samples, hints) : undefined;
+    const shown = own ? standing.count : 0;
+    const lattice = Float64Array.from(cells, (cell, i) => cell + corner[i % 3]!);
+    const located = scene.learn(standing, lattice, samples.map((s) => (s < shown ? s : -1)), step);
+    const more = repeats?.(count);
+    const every = more ? repeated(more) : Int32Array.from({ length: count }, (_, i) => i);
+    const pick = <A extends Int32Array | Float64Array>(values: A, out: A): A => {
+      every.forEach((i, n) => out.set(values.subarray(3 * i, 3 * i + 3), 3 * n));
+      return out;
+    };
+    const frame: LatticeFrame = { cells: pick(cells, new Int32Array(3 * every.length)), rows: every.map((i) => located.rows[i]!) };
+    if (shifts) frame.shifts = shifts;
+    if (colours) {
+      const places = { rows: frame.rows, places: pick(located.places, new Float64Array(3 * every.length)), explained: located.explained };
+      const near = every.map((i) => samples[i]!);
+      const expected = scene.expected(places);
+      near.forEach((s, i) => s >= shown && before!.expect(s - shown, frame.cells.subarray(3 * i, 3 * i + 3), expected, 3 * i));
+      frame.colours = colours.frame(frame.cells, near, expected);
+      scene.see(places, frame.colours);
+    }
+    earlier.keep(cells, located.explained, frame.colours && firsts(frame.colours, every, count));
+    return frame;
+  }
+}
+
+/** Numbers of points, each as often as it stands for points. */
+function repeated(more: Int32Array): Int32Array {
+  const every: number[] = [];
+  more.forEach((extra, i) => {
+    for (let k = 0; k <= extra; k++) every.push(i);
+  });
+  return Int32Array.from(every);
+}
+
+/** The colours (count, 3) of the first point of each number. */
+function firsts(colours: Int32Array, every: Int32Array, count: number): Int32Array {
+  const out = new Int32Array(3 * count);
+  for (let n = every.length - 1; n >= 0; n--) out.set(colours.subarray(3 * n, 3 * n + 3), 3 * every[n]!);
+  return out;
 }

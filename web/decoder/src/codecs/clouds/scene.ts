@@ -10,6 +10,7 @@ const SMOOTHED = 6;
 const COUNT_UNIT = 16;
 const PRIOR_UNITS = 32;
 const FARTHEST = 983;
+const MOST_ASIDE = 2621;
 const SLOTS = 8;
 const NOT_SEEN = 2 ** 24;
 const LARGEST_PLACE = 2 ** 23;
@@ -37,6 +38,8 @@ export interface Located {
   rows: Int32Array;
   /** (points, 3), 2⁻¹⁶ m. */
   places: Float64Array;
+  /** Of each point: whether a body explains it. */
+  explained: Uint8Array;
 }
 
 function clip(value: number, least: number, most: number): number {
@@ -131,6 +134,7 @@ export class Scene {
   learn(standing: Standing, lattice: Float64Array, samples: Int32Array, step: number): Located {
     const rows = new Int32Array(samples.length).fill(-1);
     const places = new Float64Array(3 * samples.length);
+    const explained = new Uint8Array(samples.length);
     const scale = step * PLACE;
     const learned: [number, number][] = [];
     for (let i = 0; i < samples.length; i++) {
@@ -146,7 +150,9 @@ export class Scene {
       }
       rows[i] = first + s;
       const distance = Math.floor((x * own.normals[3 * s]! + y * own.normals[3 * s + 1]! + z * own.normals[3 * s + 2]!) / NORMAL);
-      if (Math.abs(distance) <= FARTHEST) learned.push([first + s, distance]);
+      if (Math.abs(distance) > FARTHEST) continue;
+      learned.push([first + s, distance]);
+      explained[i] = Number(x * x + y * y + z * z <= MOST_ASIDE ** 2);
     }
     if (this.learns) {
       for (let row = 0; row < this.total; row++) {
@@ -158,7 +164,7 @@ export class Scene {
         this.counts[row]! += COUNT_UNIT;
       }
     }
-    return { rows, places };
+    return { rows, places, explained };
   }
 
   /** Expected colours (points, 3) of points that have a sample. */

@@ -2,6 +2,7 @@
 
 import { check } from "../../errors.js";
 import { CubeIndex } from "./cubes.js";
+import type { Samples } from "./references.js";
 import type { Standing } from "./scene.js";
 import { NEIGHBOURS } from "./surface.js";
 
@@ -28,6 +29,18 @@ export interface Hints {
   held(cube: number, octant: number): number;
 }
 
+/** The samples of the bodies in subunits from the corner of the octree; none without a body. step: metres of a lattice unit; corner
+ * (3) in lattice units. Throws Corrupt for poses that are out of range. */
+export function samplesOfBodies({ count, moved, normals, neighbours }: Standing, step: number, corner: number[]): Samples | undefined {
+  if (!count) return undefined;
+  const scale = SUBUNITS / (step * PLACE);
+  const points = moved.map((value, i) => {
+    check(Math.abs(value) * scale <= MOST_COORDINATE, "bodycast: a pose is out of range");
+    return Math.floor(value * scale) - SUBUNITS * corner[i % 3]!;
+  });
+  return { points, normals, neighbours };
+}
+
 export class SurfaceHints {
   /** (samples, 3), subunits from the corner of the octree. */
   private readonly points: Float64Array;
@@ -35,21 +48,13 @@ export class SurfaceHints {
   readonly neighbours: Int32Array;
   readonly spacing: number;
 
-  /**
-   * step: metres of a lattice unit; corner (3) in lattice units. largeCubesCorrect: whether cubes larger than the spacing
-   * have offsets. Throws Corrupt for poses that are out of range.
-   */
+  /** largeCubesCorrect: whether cubes larger than the spacing have offsets. */
   constructor(
-    { count, moved, normals, neighbours }: Standing,
-    step: number,
-    corner: number[],
+    { points, normals, neighbours }: Samples,
     private readonly largeCubesCorrect: boolean,
   ) {
-    const scale = SUBUNITS / (step * PLACE);
-    this.points = moved.map((value, i) => {
-      check(Math.abs(value) * scale <= MOST_COORDINATE, "bodycast: a pose is out of range");
-      return Math.floor(value * scale) - SUBUNITS * corner[i % 3]!;
-    });
+    const count = points.length / 3;
+    this.points = points;
     this.normals = normals;
     this.neighbours = neighbours;
     const gaps = new Float64Array(count);
