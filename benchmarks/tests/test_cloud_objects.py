@@ -9,15 +9,17 @@ from benchmarks.results import read_json
 from mocodec.testing import actors
 
 
-def test_a_chair_without_recordings(tmp_path, monkeypatch):
+def test_a_chair_without_recordings_and_again(tmp_path, monkeypatch):
     monkeypatch.setattr(makehuman, "find", actors.capsules)
     monkeypatch.setattr(object_scenes, "D1_MM", (2.0,))
     monkeypatch.setattr(objects, "PERSON_POINTS", 2000)
     monkeypatch.setattr(objects, "CHAIR_POINTS", 800)
-    CliRunner().invoke(
-        object_scenes.command, ["-o", str(tmp_path), "--frames", "6", "--scene", "chair"], catch_exceptions=False
-    )
+    arguments = ["-o", str(tmp_path), "--frames", "6", "--scene", "chair"]
+    CliRunner().invoke(object_scenes.command, arguments, catch_exceptions=False)
     results = read_json(tmp_path / "cloud_objects.json")
+    monkeypatch.setattr(object_scenes, "measure_thing", None)  # stored ones stay
+    CliRunner().invoke(object_scenes.command, arguments, catch_exceptions=False)
+    assert read_json(tmp_path / "cloud_objects.json")["scenes"] == results["scenes"]
     [chair], [thing] = results["scenes"], results["things"]
     assert chair["bodies"] == 0
     assert chair["points"] == 800
