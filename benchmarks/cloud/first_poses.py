@@ -9,8 +9,12 @@ to front, its limbs are in place with left and right exchanged; such frames coun
 from __future__ import annotations
 
 import time
+import zlib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +88,14 @@ def standing(actor: Actor, data: Path, every: float = 3.0, most: int = 4) -> Ite
             yield f"{clip}, {frame * every:g} s", Performance(actor, act.turns[[frame]], act.root[[frame]], 15.0)
 
 
+def label_seed(person: str, pose: str, seed: int) -> int:
+    """A seed of the frame's own, so that more poses or people leave the other frames as they are."""
+    return zlib.crc32(f"{person}, {pose}, {seed}".encode())
+
+
 def find_pose(act: Performance, person: str, pose: str, recording: str, seed: int) -> FirstPose:
     """Record a one-frame performance, turned and moved at random, and find its pose."""
+    seed = label_seed(person, pose, seed)
     rng = np.random.default_rng(seed)
     act = act.moved(rng.normal(0, 1, 3) * [1, 0, 1], float(rng.uniform(0, 2 * np.pi)))
     clouds = sequences.record(act, seed=seed, **RECORDINGS[recording])
@@ -111,27 +121,39 @@ def find_pose(act: Performance, person: str, pose: str, recording: str, seed: in
     return result
 
 
-def run(
-    data: Path = datasets.SHARED, quick: bool = False, report: Callable[[FirstPose], None] = lambda _: None
-) -> list[FirstPose]:
-    """Every person in every pose, and frames of CMU's clips; the ways of recording alternate.
-
-    quick: only every third person.
+def frames(data: Path, quick: bool) -> Iterator[tuple[Performance, str, str, str]]:
+    """Performance, person, pose and recording of every frame: every person in every pose, and frames of CMU's clips;
+    the ways of recording alternate.
     """
     names = [name for name in PEOPLE if name == "capsules" or makehuman.available()]
     people = {name: makehuman.find(name) for name in (names[::3] if quick else names)}
     if not quick:
         people["large"] = makehuman.find(names[0]).scaled(LARGE)
-    results = list[FirstPose]()
     recordings = list(RECORDINGS)
     for i, (person, actor) in enumerate(people.items()):
         for j, (pose, limbs) in enumerate(POSES.items()):
-            recording = recordings[(i + j) % len(recordings)]
-            results.append(find_pose(posed(actor, *limbs), person, pose, recording, len(results)))
-            report(results[-1])
-    for frame, (pose, act) in enumerate(standing(next(iter(people.values())), data, most=1 if quick else 4)):
-        results.append(find_pose(act, next(iter(people)), pose, recordings[frame % len(recordings)], len(results)))
-        report(results[-1])
+            yield posed(actor, *limbs), person, pose, recordings[(i + j) % len(recordings)]
+    first, actor = next(iter(people.items()))
+    for frame, (pose, act) in enumerate(standing(actor, data, most=1 if quick else 4)):
+        yield act, first, pose, recordings[frame % len(recordings)]
+
+
+def run(
+    data: Path = datasets.SHARED,
+    quick: bool = False,
+    seed: int = 0,
+    jobs: int = 1,
+    report: Callable[[FirstPose], None] = lambda _: None,
+) -> list[FirstPose]:
+    """The results of all frames, in `jobs` processes.
+
+    quick: only every third person. seed: of the directions, places and noise of all frames.
+    """
+    results = list[FirstPose]()
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for result in pool.map(find_pose, *zip(*frames(data, quick), strict=True), repeat(seed)):
+            results.append(result)
+            report(result)
     return results
 
 
@@ -179,7 +201,9 @@ def write_tables(folder: Path) -> Path:
 @click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--quick", is_flag=True, help="Every third person.")
-def command(output: Path, data: Path, quick: bool) -> None:
+@click.option("--seed", default=0, show_default=True, help="Another one gives other directions, places and noise.")
+@click.option("--jobs", default=1, show_default=True, help="Processes.")
+def command(output: Path, data: Path, quick: bool, seed: int, jobs: int) -> None:
     """Find first poses without a skeleton, of people of many builds in many poses.
 
     Writes first_poses.json and first_poses.md.
@@ -190,8 +214,8 @@ def command(output: Path, data: Path, quick: bool) -> None:
         turned = " back to front" if result.backwards else ""
         click.echo(f"{result.person}, {result.pose}, {result.recording}: {errors}{turned}, {result.seconds:.1f} s")
 
-    results = run(data, quick, report)
+    results = run(data, quick, seed, jobs, report)
     output.mkdir(parents=True, exist_ok=True)
-    content = {"machine": machine_description(), "frames": [asdict(result) for result in results]}
+    content = {"machine": machine_description(), "seed": seed, "frames": [asdict(result) for result in results]}
     write_json(output / "first_poses.json", content)
     click.echo(write_tables(output))

@@ -19,7 +19,7 @@ import numpy as np
 
 from mocodec import formats, metrics
 from mocodec.codecs.liu2006 import Liu2006, global_pca, marker_groups, paper_tables, piecewise_pca, statistics
-from mocodec.codecs.liu2006.codec import read_shared
+from mocodec.codecs.liu2006.decoding import read_shared
 from mocodec.motion import Motion
 from mocodec.stages.segment import Curve
 

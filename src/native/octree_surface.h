@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "integers.h"
 
 namespace point_octree {
 
@@ -27,8 +28,6 @@ constexpr int32_t NOWHERE = -1;
 constexpr double LARGEST_SUM = 4e18;  // of distances: only of a damaged file
 
 using Place = std::array<int64_t, 3>;
-
-inline int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
 inline int64_t wrapped_product(int64_t a, int64_t b) { return int64_t(uint64_t(a) * uint64_t(b)); }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "bit_arrays.h"
+#include "integers.h"
 
 namespace {
 
@@ -23,8 +24,6 @@ constexpr size_t FIRST_STRIDE = 64;
 
 using Numbers = Input<int64_t, 2>;
 using Rows = Input<int64_t, 1>;
-
-int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
 template <class Number>
 int64_t square_between(const Number *a, const int64_t *b) {

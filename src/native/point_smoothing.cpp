@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "integers.h"
 
 namespace {
 
@@ -20,8 +21,6 @@ constexpr int64_t LEAST_COSINE = 315;
 constexpr int64_t GAIN_AT_UNIT = 48000, GAIN_LOSS = 90, LARGEST_MOVE = 1 << (FINE_BITS - 1);
 
 using Numbers = Input<int64_t, 2>;
-
-int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
 int64_t dot(const int64_t *a, const int64_t *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 

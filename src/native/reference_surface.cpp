@@ -10,7 +10,6 @@
 
 namespace {
 
-using point_octree::floor_division;
 using point_octree::NEIGHBOURS;
 using point_octree::NORMAL_BITS;
 using point_octree::Place;

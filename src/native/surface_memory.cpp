@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "arrays.h"
+#include "integers.h"
 
 namespace {
 
@@ -18,8 +19,6 @@ constexpr int64_t COUNT_UNIT = 16, PRIOR_UNITS = 32, KEPT_FIFTHS = 4, FARTHEST =
 using Rows = Input<int64_t, 1>;
 using Numbers = Input<int64_t, 2>;
 using Turns = Input<int64_t, 3>;
-
-int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
 
 uint64_t product(int64_t a, int64_t b) { return uint64_t(a) * uint64_t(b); }
 

@@ -21,7 +21,13 @@ LARGEST_M = 1e12
 """Positions beyond are coded by lossless only."""
 
 
-class Codec(Protocol[RecordingT]):
+class Fields(Protocol):
+    """A dataclass of settings."""
+
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+
+
+class Codec(Fields, Protocol[RecordingT]):
     """A frozen dataclass that codes motions, `Codec[Motion]`, or point clouds, `Codec[PointClouds]`.
 
     Settings are the fields of the dataclass, with the defaults of the paper. Fields named `max_error`, `mean_error`
@@ -29,7 +35,6 @@ class Codec(Protocol[RecordingT]):
     change it.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
     name: ClassVar[str]
 
     def encode(self, recording: RecordingT, /) -> Encoded[RecordingT]:
@@ -42,7 +47,7 @@ class Codec(Protocol[RecordingT]):
         ...
 
 
-def settings(codec: Codec[Any]) -> dict[str, Any]:
+def settings(codec: Fields) -> dict[str, Any]:
     """The settings that differ from the defaults, as JSON values: stored in the file as provenance."""
     changed: dict[str, Any] = {}
     for f in dataclasses.fields(codec):

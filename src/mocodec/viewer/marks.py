@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from .. import api
-from ..codecs.hou2014.codec import clip_starts
-from ..codecs.liu2006.codec import key_frames
+from ..codecs.hou2014.decoding import clip_starts
+from ..codecs.liu2006.decoding import key_frames
 from ..encoded import Chunk, Encoded
 from ..errors import Corrupt, Truncated
 from ..typing import Integers

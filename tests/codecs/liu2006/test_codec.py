@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocodec import metrics
-from mocodec.codecs.liu2006 import Liu2006, codec, marker_groups, segment_model
+from mocodec.codecs.liu2006 import Liu2006, decoding, marker_groups, segment_model
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
 from mocodec.testing import CodecTests, synthetic
@@ -105,7 +105,7 @@ def test_blend_weights_are_the_shares_of_frames_in_the_window() -> None:
     markers = marker_groups.MarkerGroups(np.arange(3), np.zeros(0, np.int64), np.arange(3, 5))
     fitted = settings.fit_segments(positions, markers, [slice(0, cut), slice(cut, 100)], "z", 1.0)
     models = [with_constant_pose(model, pose) for model, pose in zip(fitted, (0.0, 1.0), strict=True)]
-    poses = [codec.blended_poses(models, i, 0, model.start, model.stop, h)[:, 0] for i, model in enumerate(models)]
+    poses = [decoding.blended_poses(models, i, 0, model.start, model.stop, h)[:, 0] for i, model in enumerate(models)]
     assert np.concatenate(poses)[cut - 4 : cut + 4] == pytest.approx([0, 0, 0.2, 0.4, 0.6, 0.8, 1, 1])
 
 

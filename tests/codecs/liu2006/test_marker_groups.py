@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocodec.codecs.liu2006 import Liu2006, codec, marker_groups
+from mocodec.codecs.liu2006 import Liu2006, decoding, marker_groups
 from mocodec.errors import CannotEncode, Corrupt
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
@@ -45,7 +45,7 @@ def test_common_labels_are_recognised(names: list[str], normalisation: list[str]
 def test_given_names_are_used() -> None:
     motion = synthetic.markers(30, seed=1)
     settings = Liu2006(normalisation_markers=("T10", "lsho", "RSHO"), foot_markers=("LANK",))
-    markers = codec.read_shared(settings.encode(motion))[1]
+    markers = decoding.read_shared(settings.encode(motion))[1]
     assert names_of(motion, markers.normalisation) == ["T10", "LSHO", "RSHO"]
     assert names_of(motion, markers.feet) == ["LANK"]
 

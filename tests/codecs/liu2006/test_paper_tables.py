@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import mocodec
-from mocodec.codecs.liu2006 import Liu2006, codec, global_pca, marker_groups, paper_tables, piecewise_pca, statistics
+from mocodec.codecs.liu2006 import Liu2006, decoding, global_pca, marker_groups, paper_tables, piecewise_pca, statistics
 from mocodec.motion import Motion
 from mocodec.testing import synthetic
 
@@ -47,7 +47,7 @@ def test_sequence_2_reaches_the_numbers_of_tables_2_and_3() -> None:
     assert isinstance(motion, Motion)
     encoded = Liu2006().encode(motion)
     decoded = Liu2006.decode(encoded)
-    markers = codec.read_shared(encoded)[1]
+    markers = decoding.read_shared(encoded)[1]
     counts = statistics(encoded)
     assert abs(counts.segments - 9) <= 1
     assert abs(counts.average_components - 10.9) <= 1

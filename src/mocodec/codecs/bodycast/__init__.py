@@ -11,7 +11,16 @@ Modules in the order in which data flows:
     surface_mask.py       which cells of the atlas are surface
     video.py              the image, and how it changes, as H.265
     outliers.py           points that no body explains                     octree.py        occupancy of cells
-    exact_points.py       all points, bit by bit                           binary_coder.py  bits by context
+    point_encoder.py      all points within a bound                        point_targets.py the bound for a target
+    point_layer.py        all points of a chunk, on a lattice: their places and colours
+    lattice_frames.py     points rounded to the lattice                    point_octree.py  its octree, by contexts
+    point_scene.py        where the surface of the bodies lies             surface_hints.py as the octree sees it
+    reference_points.py   points of earlier frames as surface: what a frame refers to
+    reference_choice.py   the encoder's choice of them                     reference_surface.py their planes
+    point_smoothing.py    lattice points moved to the surface around them
+    colour_lifting.py     colours of lattice points                        surface_memory.py what frames showed before
+    exact_octree.py       all points exactly, in the octree of the lattice
+    exact_points.py       all points exactly, bit by bit                   binary_coder.py  bits by context
     body_model.py         what a decoder needs before the first chunk
     chunk_payload.py      the streams of a chunk
     decoder.py            chunks to points                                 surface_sampling.py  points on the atlas

@@ -5,7 +5,10 @@
 
 All clips share one left transform B, stored once, so each chunk of clips decodes without the other chunks.
 
-    codec               settings, encoding (figure 6 and the search for a target) and decoding
+    codec               the ways of encoding, and decoding
+    settings            what can be set, and where a search begins
+    motion_encoder      encoding of a motion (figure 6) and the searches for a target
+    decoding            bytes ─► positions
     quantised_motion    positions ─► quantised coefficients at one quantisation step
     clip_segmentation   clip lengths, the step of each clip, grouping of clips into chunks
     left_transform      B: fitting, rounding, bytes

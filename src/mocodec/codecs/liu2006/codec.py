@@ -18,16 +18,16 @@ from typing import ClassVar
 import numpy as np
 
 from ... import encoded as encodeds
-from ... import metrics, native, progress
+from ... import metrics, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...entropy import varint
-from ...errors import BadInput, CannotEncode, Corrupt
+from ...errors import BadInput, CannotEncode
 from ...geometry import body_frame
 from ...motion import Motion
 from ...stages import bounded, frozen, gaps, lattice, search, segment
-from ...typing import Floats, Integers
+from ...typing import Floats
 from .. import base, rescue
-from . import marker_groups, segment_model
+from . import body_poses, decoding, marker_groups, segment_model
 from .marker_groups import MarkerGroups
 from .segment_model import SegmentModel
 
@@ -122,7 +122,7 @@ class Liu2006:
             return self._encode_models(motion, models, markers, apart, known)
 
         def mean_error(models: list[SegmentModel]) -> float:
-            decoded = reconstruct(models, markers, motion.up, 0, len(motion), self.blend_frames)
+            decoded = decoding.reconstruct(models, markers, motion.up, 0, len(motion), self.blend_frames)
             return apart.mean_error(decoded)
 
         if self.ratio is not None:
@@ -151,7 +151,7 @@ class Liu2006:
         if not len(rest):
             return segment.Segmentation(segment.equal_length(len(positions), longest), [])
         frame = body_frame.from_markers(positions[:, markers.normalisation], up)
-        poses = _poses(positions, rest, frame)
+        poses = body_poses.to_body(positions, rest, frame)
         found = segment.ppca(
             poses, self.initial_frames, self.ahead_frames, self.step_frames, self.variance_kept, self.rise
         )
@@ -183,7 +183,7 @@ class Liu2006:
             return models
         decoded = np.concatenate([model.normalisation(model.start, model.stop) for model in models])
         frame = body_frame.from_markers(decoded, up)
-        group_poses = [_poses(positions, columns, frame) for columns in markers.pca_groups]
+        group_poses = [body_poses.to_body(positions, columns, frame) for columns in markers.pca_groups]
         return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in progress.over(models)]
 
     @property
@@ -229,7 +229,9 @@ class Liu2006:
             packed_gaps, residual = apart[model.start : model.stop].pack(), b""
             if self.max_error is not None:
                 neighbours = models[max(i - 1, 0) : i + 2]
-                prediction = reconstruct(neighbours, markers, motion.up, model.start, model.stop, self.blend_frames)
+                prediction = decoding.reconstruct(
+                    neighbours, markers, motion.up, model.start, model.stop, self.blend_frames
+                )
                 original = apart[model.start : model.stop].moving
                 residual = _pack_residual(original, prediction, self.max_error, known, packed_gaps)
             payload = segment_model.pack(model, packed_gaps, residual)
@@ -241,42 +243,7 @@ class Liu2006:
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
-        if not encoded.shared:
-            return base.decode_gaps(encoded, frames)
-        start, stop = encoded.range(frames)
-        blend_frames, markers, max_error = read_shared(encoded)
-        models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)
-        up = encoded.about.up
-        positions = np.empty((stop - start, markers.points, 3))
-        for model, packed, residual in progress.over(list(zip(models, packed_gaps, residuals, strict=True))):
-            first, last = max(model.start, start), min(model.stop, stop)
-            if first >= last:
-                continue
-            out = positions[first - start : last - start]
-            if not residual and not packed:
-                reconstruct(models, markers, up, first, last, blend_frames, out)
-                continue
-            # Gaps and residual unpack only as a whole segment.
-            decoded = reconstruct(models, markers, up, model.start, model.stop, blend_frames)
-            if residual:
-                decoded = bounded.unpack(residual, decoded, max_error, packed)
-            out[...] = frozen.restore(decoded, packed)[first - model.start : last - model.start]
-        return encodeds.restore(encoded, positions, start)
-
-
-def _poses(positions: Floats, columns: Integers, frame: body_frame.BodyFrame) -> Floats:
-    """Some points (columns,) of positions (frames, points, 3) in the body's frame, (frames, 3 columns)."""
-    if (kernel := native.kernel("place_in_body")) is not None:
-        return kernel(positions, columns, frame.origin, frame.heading, frame.up)
-    return body_frame.to_body(positions[:, columns], frame).reshape(len(positions), -1)
-
-
-def _place(poses: Floats, columns: Integers, frame: body_frame.BodyFrame, positions: Floats) -> None:
-    """The inverse of `_poses`, into positions."""
-    if (kernel := native.kernel("place_in_world")) is not None:
-        kernel(poses, columns, frame.origin, frame.heading, frame.up, positions)
-    else:
-        positions[:, columns] = body_frame.to_world(poses.reshape(len(poses), -1, 3), frame)
+        return decoding.decode(encoded, frames)
 
 
 def _smallest_within(max_error: float, to_mean: Callable[[float], Encoded[Motion]]) -> Encoded[Motion]:
@@ -306,61 +273,6 @@ def _pack_residual(
     return residual
 
 
-def reconstruct(
-    models: Sequence[SegmentModel],
-    markers: MarkerGroups,
-    up: str,
-    start: int,
-    stop: int,
-    blend_frames: int,
-    out: Floats | None = None,
-) -> Floats:
-    """Positions (frames, points, 3) of frames [start, stop), in `out` if it is given: section 3.5.
-
-    models: consecutive segments that cover these frames, and for the blend the segments next to them.
-    """
-    positions = np.empty((stop - start, markers.points, 3)) if out is None else out
-    for i, model in enumerate(models):
-        first, last = max(model.start, start), min(model.stop, stop)
-        if first >= last:
-            continue
-        decoded = positions[first - start : last - start]
-        normalisation = model.normalisation(first, last)
-        decoded[:, markers.normalisation] = normalisation
-        if not markers.pca_groups:
-            continue
-        frame = body_frame.from_markers(normalisation, up)
-        for group, columns in enumerate(markers.pca_groups):
-            poses = blended_poses(models, i, group, first, last, blend_frames)
-            _place(poses, columns, frame, decoded)
-    return positions
-
-
-def blended_poses(
-    models: Sequence[SegmentModel], i: int, group: int, start: int, stop: int, blend_frames: int
-) -> Floats:
-    """Poses (frames, dimensions) of frames [start, stop) within segment i: y_t = Σ wᵢ b_t,i, section 3.5.
-
-    wᵢ = rᵢ / (h + 1), where rᵢ counts the frames of segment i among t − h/2 to t + h/2. At the ends of the motion this
-    window has fewer frames, and wᵢ is rᵢ over their number.
-    """
-    poses = models[i].poses(group, start, stop)
-    half = blend_frames // 2
-    frames = np.arange(start, stop)
-    window_start = np.maximum(frames - half, models[0].start)
-    window_stop = np.minimum(frames + half + 1, models[-1].stop)
-    for neighbour in (*models[max(i - 1, 0) : i], *models[i + 1 : i + 2]):
-        first = max(start, neighbour.start - neighbour.before)
-        last = min(stop, neighbour.stop + neighbour.after)
-        if first >= last:
-            continue
-        overlap = slice(first - start, last - start)
-        r = np.minimum(window_stop, neighbour.stop) - np.maximum(window_start, neighbour.start)
-        weight = (np.maximum(r, 0) / (window_stop - window_start))[overlap, None]
-        poses[overlap] += weight * (neighbour.poses(group, first, last) - models[i].poses(group, first, last))
-    return poses
-
-
 def steer(
     fit: Callable[[float], list[SegmentModel]], measure: Callable[[list[SegmentModel]], float], grows: bool
 ) -> list[SegmentModel]:
@@ -388,44 +300,3 @@ def steer(
     if found is None:
         raise CannotEncode("liu2006 cannot reach the target: ask for a larger error or a lower ratio")
     return found.result
-
-
-def read_shared(encoded: Encoded[Motion]) -> tuple[int, MarkerGroups, float]:
-    """The blend's h, the marker groups, and the `max_error` of the file or zero. Raises Corrupt."""
-    if len(encoded.shared) != 1:
-        raise Corrupt(f"liu2006: the file has {len(encoded.shared)} shared blobs, not 1")
-    data = encoded.shared[0]
-    (blend_frames,), at = varint.read(data, 1)
-    markers, size = marker_groups.unpack(data[at:], encoded.about.points)
-    rest = data[at + size :]
-    if len(rest) not in (0, 8):
-        raise Corrupt(f"liu2006: {len(rest)} bytes follow the marker groups, not 0 or 8")
-    max_error = struct.unpack("<d", rest)[0] if rest else 0.0
-    if not 0 <= max_error < np.inf:
-        raise Corrupt(f"liu2006: max_error must be positive and finite, not {max_error}")
-    return blend_frames, markers, max_error
-
-
-def read_segments(
-    chunks: Sequence[Chunk], markers: MarkerGroups
-) -> tuple[list[SegmentModel], list[bytes], list[bytes]]:
-    """The models, the packed gaps and the residuals of chunks. Raises Corrupt."""
-    unpacked = [segment_model.unpack(chunk.payload, chunk.start, chunk.stop, markers) for chunk in chunks]
-    return [u[0] for u in unpacked], [u[1] for u in unpacked], [u[2] for u in unpacked]
-
-
-def key_frames(encoded: Encoded[Motion]) -> Callable[[Chunk], Integers]:
-    """A function from a segment's chunk to the frames with a key frame of any marker group, ascending, (n,).
-
-    It raises Corrupt, as does this one.
-    """
-    _, markers, _ = read_shared(encoded)
-
-    def of_segment(chunk: Chunk) -> Integers:
-        (model,), _, _ = read_segments([chunk], markers)
-        frames = [model.start + model.markers.keys.by_level]
-        frames += [model.start - model.before + group.track.keys.by_level for group in model.groups]
-        found: Integers = np.unique(np.concatenate(frames))
-        return found[(found >= model.start) & (found < model.stop)]
-
-    return of_segment

@@ -17,7 +17,7 @@ from ...motion import Motion
 from ...stages import basis
 from ...typing import Floats
 from . import segment_model
-from .codec import read_segments, read_shared
+from .decoding import read_segments, read_shared
 from .marker_groups import MarkerGroups
 
 

@@ -29,7 +29,6 @@ from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths,
 from ..lossless import Lossless
 from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
-from .coding.contexts import OCTAVE
 from .engine_choice import LatticePlan
 from .equal_slopes import to_mean
 from .header import StreamHeader, pack_weights, with_weights
@@ -47,16 +46,12 @@ LATTICE_MODEL = "lattice"
 MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
 MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
-COARSER_MODELS = 7
-"""Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
 CHUNKS_SHARE, FALLBACK_SHARE, CHOICE_SHARE = 0.7, 0.9, 0.2
 """Of the progress: where the chunks end, and the fallback; within the chunks, the choice of the model."""
 MEAN_SHARE = 0.95
 """An encoding by repeats or by the fallback must have at least this share of the mean error asked for."""
 FROZEN_SHARE = 1 / 8
 """Share of the target error that the rounding of a frozen position may take."""
-REPEATS_TRIES = 3
-"""How often distinct frames are coded, until the mean over all frames is at most the one asked for."""
 
 
 class _Coded(NamedTuple):
@@ -335,21 +330,17 @@ class Tempo:
         return self.size or int(motion.raw_bytes / (self.ratio or 1))
 
     def _encode_distinct(self, motion: Motion, distinct: Booleans) -> Encoded[Motion]:
-        codec = self
-        if self._has_size:
-            chunks = 2 + int(motion.seconds / self.chunk_seconds)
-            wanted = self._wanted_bytes(motion) - repeats.RUN_BYTES * chunks
-            codec = replace(self, ratio=None, size=max(1, wanted))
-        encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
         if self.mean_error is not None:
-            wanted = self.mean_error
-            for _ in range(REPEATS_TRIES):
-                mean = decoded_mean_error(encoded, motion)
-                if mean <= self.mean_error:
-                    break
-                wanted *= self.mean_error / mean
-                codec = replace(codec, mean_error=wanted)
-                encoded = repeats.encode(motion, distinct, codec.encode_without_repeats)
+
+            def encode(mean_error: float, part: Motion) -> Encoded[Motion]:
+                return replace(self, mean_error=mean_error).encode_without_repeats(part)
+
+            encoded = repeats.encode_to_mean(motion, distinct, self.mean_error, encode, decoded_mean_error)
+        elif self._has_size:
+            size = max(1, self._wanted_bytes(motion) - repeats.bytes_of_runs(motion, self.chunk_seconds))
+            encoded = repeats.encode(motion, distinct, replace(self, ratio=None, size=size).encode_without_repeats)
+        else:
+            encoded = repeats.encode(motion, distinct, self.encode_without_repeats)
         return replace(encoded, settings=self._stored_settings())
 
     def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
@@ -361,12 +352,9 @@ class Tempo:
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
         step = self.first_step(motion)
         recording = Recording(chunks, motion, step)
-        choice = model_choice.choose(recording, self.model, self.mean_error)
-        for coarser in range(1, COARSER_MODELS + 1 if self._has_size else 1):
-            if len(choice.header.pack()) <= self._wanted_bytes(motion) / 2:
-                break
-            choice = model_choice.choose(recording.with_step(step + coarser * 2 * OCTAVE), self.model)
-        return choice
+        if self._has_size:
+            return model_choice.choose_for_size(recording, self.model, step, self._wanted_bytes(motion))
+        return model_choice.choose(recording, self.model, self.mean_error)
 
     def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:
         """How the lattice engine is used; None where it is not: without a hard bound, or for other models."""

@@ -201,8 +201,8 @@ def _common_step(curves: Sequence[Curve], step: int, allowed: float) -> int:
 
 def _price(curves: Sequence[Curve], start: Setting) -> float:
     """Bits that a metre of error is worth near a setting."""
-    finer, coarser = (_over(lambda curve, at=at: curve.cost(at), curves)
-                      for at in (start.moved(COARSER, -1), start.moved(COARSER)))  # fmt: skip
+    finer = _over(lambda curve: curve.cost(start.moved(COARSER, -1)), curves)
+    coarser = _over(lambda curve: curve.cost(start.moved(COARSER)), curves)
     bits = sum(c.bits for c in finer) - sum(c.bits for c in coarser)
     error = sum(c.error for c in coarser) - sum(c.error for c in finer)
     return max(bits, 0.0) / max(error, 1e-12)

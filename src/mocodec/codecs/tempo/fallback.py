@@ -24,7 +24,7 @@ from ...motion import Motion
 from ...stages import dct
 from ...typing import Floats
 from ..hou2014 import Hou2014
-from ..hou2014.codec import SAMPLED_CHUNKS
+from ..hou2014.motion_encoder import SAMPLED_CHUNKS
 from .chunk import ChunkEncoder
 from .coding.rows import HEADING, step_size
 from .header import StreamHeader

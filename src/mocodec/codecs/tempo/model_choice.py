@@ -38,6 +38,8 @@ FINER_UP_TO = 0.4
 make it larger. Of fewer points the trial costs little, and a finer pose may be all that a still recording needs."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
+COARSER_MODELS = 7
+"""Models of up to this many coarser steps, two octaves apart, are tried where one takes more than half of a size."""
 ERROR_SLOPE = 0.85
 """Rise of the logarithm of the mean error per logarithm of the step."""
 
@@ -67,6 +69,16 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     if model not in (AUTO, TRANSFORM):
         raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
     return without_model(recording.like)
+
+
+def choose_for_size(recording: Recording, model: str, step: int, size: int) -> Choice:
+    """`choose`, for a size in bytes: at the recording's step or a coarser one, whose model takes at most half of it."""
+    choice = choose(recording, model)
+    for coarser in range(1, COARSER_MODELS + 1):
+        if len(choice.header.pack()) <= size / 2:
+            break
+        choice = choose(recording.with_step(step + coarser * 2 * OCTAVE), model)
+    return choice
 
 
 def known_by_name(recording: Recording) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -25,6 +26,8 @@ MOST_DISTINCT = 0.8
 """Where more of the frames than this share are distinct, all are coded."""
 RUN_BYTES = 8
 """Bytes that a chunk's run lengths take at most, if they are regular."""
+TRIES = 3
+"""How often the mean error of distinct frames is lowered, until the mean over all frames is at most the target."""
 _OVERRUN = "tempo: run lengths that do not fill their chunk"
 
 
@@ -63,6 +66,33 @@ def encode(motion: Motion, distinct: Booleans, encode_distinct: Callable[[Motion
     ]
     header = replace(StreamHeader.unpack(inner.shared, motion.points), millihertz=millihertz)
     return replace(inner, about=about(motion), chunks=chunks, shared=(header.pack(),))
+
+
+def bytes_of_runs(motion: Motion, chunk_seconds: float) -> int:
+    """About the bytes that the run lengths of all chunks take."""
+    return RUN_BYTES * (2 + int(motion.seconds / chunk_seconds))
+
+
+def encode_to_mean(
+    motion: Motion,
+    distinct: Booleans,
+    target: float,
+    encode_distinct: Callable[[float, Motion], Encoded[Motion]],
+    mean_error: Callable[[Encoded[Motion], Motion], float],
+) -> Encoded[Motion]:
+    """`encode` to a mean error over all frames, metres: distinct frames have another mean than all frames.
+
+    encode_distinct: codes a motion to a mean error. mean_error: that of an encoded motion.
+    """
+    wanted = target
+    encoded = encode(motion, distinct, partial(encode_distinct, wanted))
+    for _ in range(TRIES):
+        mean = mean_error(encoded, motion)
+        if mean <= target:
+            break
+        wanted *= target / mean
+        encoded = encode(motion, distinct, partial(encode_distinct, wanted))
+    return encoded
 
 
 def decode(

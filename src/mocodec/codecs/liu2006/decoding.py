@@ -1,0 +1,146 @@
+"""Decoding: the inverse of figure 2.
+
+segments ─► normalisation markers ─► body frame ─► poses, blended at transitions ─► positions
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ... import encoded as encodeds
+from ... import progress
+from ...encoded import Chunk, Encoded
+from ...entropy import varint
+from ...errors import Corrupt
+from ...geometry import body_frame
+from ...motion import Motion
+from ...stages import bounded, frozen
+from ...typing import Floats, Integers
+from .. import base
+from . import body_poses, marker_groups, segment_model
+from .marker_groups import MarkerGroups
+from .segment_model import SegmentModel
+
+
+def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
+    """The motion, or a slice of its frames. Raises Corrupt."""
+    if not encoded.shared:
+        return base.decode_gaps(encoded, frames)
+    start, stop = encoded.range(frames)
+    blend_frames, markers, max_error = read_shared(encoded)
+    models, packed_gaps, residuals = read_segments(encoded.covering(start, stop), markers)
+    up = encoded.about.up
+    positions = np.empty((stop - start, markers.points, 3))
+    for model, packed, residual in progress.over(list(zip(models, packed_gaps, residuals, strict=True))):
+        first, last = max(model.start, start), min(model.stop, stop)
+        if first >= last:
+            continue
+        out = positions[first - start : last - start]
+        if not residual and not packed:
+            reconstruct(models, markers, up, first, last, blend_frames, out)
+            continue
+        # Gaps and residual unpack only as a whole segment.
+        decoded = reconstruct(models, markers, up, model.start, model.stop, blend_frames)
+        if residual:
+            decoded = bounded.unpack(residual, decoded, max_error, packed)
+        out[...] = frozen.restore(decoded, packed)[first - model.start : last - model.start]
+    return encodeds.restore(encoded, positions, start)
+
+
+def reconstruct(
+    models: Sequence[SegmentModel],
+    markers: MarkerGroups,
+    up: str,
+    start: int,
+    stop: int,
+    blend_frames: int,
+    out: Floats | None = None,
+) -> Floats:
+    """Positions (frames, points, 3) of frames [start, stop), in `out` if it is given: section 3.5.
+
+    models: consecutive segments that cover these frames, and for the blend the segments next to them.
+    """
+    positions = np.empty((stop - start, markers.points, 3)) if out is None else out
+    for i, model in enumerate(models):
+        first, last = max(model.start, start), min(model.stop, stop)
+        if first >= last:
+            continue
+        decoded = positions[first - start : last - start]
+        normalisation = model.normalisation(first, last)
+        decoded[:, markers.normalisation] = normalisation
+        if not markers.pca_groups:
+            continue
+        frame = body_frame.from_markers(normalisation, up)
+        for group, columns in enumerate(markers.pca_groups):
+            poses = blended_poses(models, i, group, first, last, blend_frames)
+            body_poses.to_world(poses, columns, frame, decoded)
+    return positions
+
+
+def blended_poses(
+    models: Sequence[SegmentModel], i: int, group: int, start: int, stop: int, blend_frames: int
+) -> Floats:
+    """Poses (frames, dimensions) of frames [start, stop) within segment i: y_t = Σ wᵢ b_t,i, section 3.5.
+
+    wᵢ = rᵢ / (h + 1), where rᵢ counts the frames of segment i among t − h/2 to t + h/2. At the ends of the motion this
+    window has fewer frames, and wᵢ is rᵢ over their number.
+    """
+    poses = models[i].poses(group, start, stop)
+    half = blend_frames // 2
+    frames = np.arange(start, stop)
+    window_start = np.maximum(frames - half, models[0].start)
+    window_stop = np.minimum(frames + half + 1, models[-1].stop)
+    for neighbour in (*models[max(i - 1, 0) : i], *models[i + 1 : i + 2]):
+        first = max(start, neighbour.start - neighbour.before)
+        last = min(stop, neighbour.stop + neighbour.after)
+        if first >= last:
+            continue
+        overlap = slice(first - start, last - start)
+        r = np.minimum(window_stop, neighbour.stop) - np.maximum(window_start, neighbour.start)
+        weight = (np.maximum(r, 0) / (window_stop - window_start))[overlap, None]
+        poses[overlap] += weight * (neighbour.poses(group, first, last) - models[i].poses(group, first, last))
+    return poses
+
+
+def read_shared(encoded: Encoded[Motion]) -> tuple[int, MarkerGroups, float]:
+    """The blend's h, the marker groups, and the `max_error` of the file or zero. Raises Corrupt."""
+    if len(encoded.shared) != 1:
+        raise Corrupt(f"liu2006: the file has {len(encoded.shared)} shared blobs, not 1")
+    data = encoded.shared[0]
+    (blend_frames,), at = varint.read(data, 1)
+    markers, size = marker_groups.unpack(data[at:], encoded.about.points)
+    rest = data[at + size :]
+    if len(rest) not in (0, 8):
+        raise Corrupt(f"liu2006: {len(rest)} bytes follow the marker groups, not 0 or 8")
+    max_error = struct.unpack("<d", rest)[0] if rest else 0.0
+    if not 0 <= max_error < np.inf:
+        raise Corrupt(f"liu2006: max_error must be positive and finite, not {max_error}")
+    return blend_frames, markers, max_error
+
+
+def read_segments(
+    chunks: Sequence[Chunk], markers: MarkerGroups
+) -> tuple[list[SegmentModel], list[bytes], list[bytes]]:
+    """The models, the packed gaps and the residuals of chunks. Raises Corrupt."""
+    unpacked = [segment_model.unpack(chunk.payload, chunk.start, chunk.stop, markers) for chunk in chunks]
+    return [u[0] for u in unpacked], [u[1] for u in unpacked], [u[2] for u in unpacked]
+
+
+def key_frames(encoded: Encoded[Motion]) -> Callable[[Chunk], Integers]:
+    """A function from a segment's chunk to the frames with a key frame of any marker group, ascending, (n,).
+
+    It raises Corrupt, as does this one.
+    """
+    _, markers, _ = read_shared(encoded)
+
+    def of_segment(chunk: Chunk) -> Integers:
+        (model,), _, _ = read_segments([chunk], markers)
+        frames = [model.start + model.markers.keys.by_level]
+        frames += [model.start - model.before + group.track.keys.by_level for group in model.groups]
+        found: Integers = np.unique(np.concatenate(frames))
+        return found[(found >= model.start) & (found < model.stop)]
+
+    return of_segment
