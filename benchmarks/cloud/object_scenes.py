@@ -178,10 +178,23 @@ def write_tables(folder: Path) -> Path:
     return folder / "cloud_objects.md"
 
 
+def _stored(path: Path, measured: Sequence[str]) -> tuple[list[SceneResult], list[ThingResult]]:
+    """The stored results but those of scenes that are measured again."""
+    content = read_json(path)
+    scenes = [SceneResult(**record) for record in content["scenes"] if record["scene"] not in measured]
+    return scenes, [ThingResult(**record) for record in content["things"]]
+
+
 @click.command("cloud-objects")
 @click.option("-o", "--output", required=True, type=click.Path(file_okay=False, path_type=Path), help="Result folder.")
 @click.option("--frames", default=24, show_default=True, type=click.IntRange(6), help="Frames of every scene.")
-@click.option("--scene", "chosen", multiple=True, type=click.Choice(list(objects.SCENES)), help="Only this scene.")
+@click.option(
+    "--scene",
+    "chosen",
+    multiple=True,
+    type=click.Choice(list(objects.SCENES)),
+    help="Only this scene: stored ones stay.",
+)
 def command(output: Path, frames: int, chosen: tuple[str, ...]) -> None:
     """Measure points within a bound on props, a dog, a robe, two people, empty frames and a lost track, against an
     octree of each frame by itself at equal D1.
@@ -189,21 +202,23 @@ def command(output: Path, frames: int, chosen: tuple[str, ...]) -> None:
     Takes about six minutes of one core. Writes cloud_objects.json and .md.
     """
     output.mkdir(parents=True, exist_ok=True)
-    scenes, things = list[SceneResult](), list[ThingResult]()
-    names = chosen or tuple(objects.SCENES)
+    names, path = chosen or tuple(objects.SCENES), output / "cloud_objects.json"
+    scenes, things = _stored(path, chosen) if chosen and path.exists() else ([], [])
+    thing_d1_mm = () if things else D1_MM
 
     def write() -> None:
+        scenes.sort(key=lambda r: list(objects.SCENES).index(r.scene))
         records = {"scenes": list(map(asdict, scenes)), "things": list(map(asdict, things))}
-        write_json(output / "cloud_objects.json", rounded({"machine": machine_description(), **records}))
+        write_json(path, rounded({"machine": machine_description(), **records}))
 
-    with progress(len(names) * len(D1_MM) + len(D1_MM)) as advance:
+    with progress(len(names) * len(D1_MM) + len(thing_d1_mm)) as advance:
         for name in names:
             clouds = objects.SCENES[name](makehuman.find(), frames)
             for d1_mm in D1_MM:
                 scenes.append(measure(name, clouds, d1_mm))
                 advance(f"{name}, D1 {d1_mm:g} mm")
                 write()
-        for d1_mm in D1_MM:
+        for d1_mm in thing_d1_mm:
             things.append(measure_thing(frames, d1_mm))
             advance(f"chair beside a person, D1 {d1_mm:g} mm")
             write()

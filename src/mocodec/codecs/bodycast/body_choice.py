@@ -1,4 +1,8 @@
-"""Whether the bodies that were found are worth their bytes, for points that are coded from their surface."""
+"""Whether the bodies that were found are worth their bytes, for points that are coded from their surface.
+
+first frames of a chunk ─► bytes with bodies, alone ─► bytes of the recording ─ clear ─► yes or no
+                                                              └─ close ─► longer runs at both ends of the chunk
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...typing import Booleans
+from ...typing import Booleans, Floats, Integers
 from ..clouds.raw_frames import Cloud
 from .body_model import pack_model
 from .encoder import BodyEncoder
@@ -14,8 +18,9 @@ from .point_encoder import PointEncoder, PointTarget
 from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence
 
-TRIED_FRAMES = 2
-MAX_EXTRA_SHARE = 0.1  # of the bytes of points alone, that bodies may cost
+FIRST_FRAMES = 2
+RUN_FRAMES = 4  # of each longer run: references have most of their effect in its second half
+CLEAR_SHARE = 0.05  # difference in bytes that decides after the first frames: references change it by less later
 
 
 def absences(bodies: Sequence[BodyEncoder], span: slice) -> Booleans:
@@ -25,25 +30,71 @@ def absences(bodies: Sequence[BodyEncoder], span: slice) -> Booleans:
 
 
 def bodies_pay(
-    bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool, target: PointTarget
+    bodies: Sequence[BodyEncoder],
+    frames: Sequence[Cloud],
+    spans: Sequence[slice],
+    coloured: bool,
+    target: PointTarget,
 ) -> bool:
-    """Whether points of all frames take at most MAX_EXTRA_SHARE more bytes with the bodies than alone.
+    """Whether points of all frames take no more bytes with the bodies than alone.
 
-    A thing may look like a body, and a short recording does not earn back what is sent once. Judged by the first frames
-    of a chunk, `span`, that have a body.
+    A thing may look like a body, and a short recording does not earn back what is sent once. spans: of chunks; the
+    first one with a body stands for all.
     """
-    is_absent = absences(bodies, span)
-    chosen = np.flatnonzero(~is_absent.all(axis=1))[:TRIED_FRAMES]
-    if not len(chosen):
-        return True
-    coded = [body.encode_chunk(span) for body in bodies]
-    poses = [PoseSequence(sequence.rotations[chosen], sequence.roots[chosen]) for _, sequence in coded]
-    some, whole = [frames[span.start + k] for k in chosen.tolist()], [slice(0, len(chosen))]
-    textures = [SurfaceTexture(body.model) for body in bodies]
-    beside = PointEncoder(some, whole, textures, [poses], [is_absent[chosen]], coloured)
-    alone = PointEncoder(some, whole, [], [[]], [is_absent[chosen, :0]], coloured)
-    bound = alone.bound(target)
-    bytes_beside, bytes_alone = (len(encoder.coded(bound)[0]) / len(chosen) for encoder in (beside, alone))
-    poses_bytes = sum(len(streams.poses) for streams, _ in coded) / (span.stop - span.start)
-    once = sum(len(pack_model(body.model)) for body in bodies) / len(frames)
-    return bytes_beside + poses_bytes + once <= (1 + MAX_EXTRA_SHARE) * bytes_alone
+    with_bodies = [span for span in spans if not absences(bodies, span).all()]
+    if not with_bodies:
+        return False
+    trial = _Trial(bodies, frames, with_bodies[0], coloured)
+    filled = sum(any(present) for present in zip(*(body.is_present for body in bodies), strict=True))
+    once = sum(len(pack_model(body.model)) for body in bodies) + filled * trial.pose_bytes
+    share = 0.0
+    for runs in (trial.present[:FIRST_FRAMES],), _both_ends(trial.present):
+        beside, alone = (_recording_bytes(own, len(with_bodies), filled) for own in trial.frame_bytes(runs, target))
+        share = (once + beside) / alone
+        if abs(share - 1) > CLEAR_SHARE:
+            break
+    return share <= 1
+
+
+def _both_ends(present: Integers) -> tuple[Integers, ...]:
+    """Runs of RUN_FRAMES at both ends, or everything if that is no more."""
+    if len(present) <= 2 * RUN_FRAMES:
+        return (present,)
+    return present[:RUN_FRAMES], present[-RUN_FRAMES:]
+
+
+def _recording_bytes(runs: Sequence[Floats], chunks: int, frames: int) -> float:
+    """Bytes of a recording, whose chunks begin as these runs do and go on like their second halves."""
+    first = np.mean([run[0] for run in runs])
+    later = np.mean(np.concatenate([run[len(run) // 2 :] for run in runs]))
+    return float(chunks * first + (frames - chunks) * later)
+
+
+class _Trial:
+    """Codes runs of frames of a chunk in both ways. present: frames of the chunk with a body, counted from its first.
+    pose_bytes: of such a frame.
+    """
+
+    def __init__(self, bodies: Sequence[BodyEncoder], frames: Sequence[Cloud], span: slice, coloured: bool) -> None:
+        self.frames, self.coloured = frames[span], coloured
+        self.is_absent = absences(bodies, span)
+        self.present = np.flatnonzero(~self.is_absent.all(axis=1))
+        coded = [body.encode_chunk(span) for body in bodies]
+        self.pose_bytes = sum(len(streams.poses) for streams, _ in coded) / len(self.present)
+        self.poses = [sequence for _, sequence in coded]
+        self.textures = [SurfaceTexture(body.model) for body in bodies]
+        self._bound: float | None = None
+
+    def frame_bytes(self, runs: Sequence[Integers], target: PointTarget) -> tuple[list[Floats], list[Floats]]:
+        """The bytes of each frame of each run, with the bodies and alone."""
+        rows = np.concatenate(runs)
+        ends = np.cumsum([len(run) for run in runs]).tolist()
+        spans = [slice(end - len(run), end) for end, run in zip(ends, runs, strict=True)]
+        some, absent = [self.frames[k] for k in rows.tolist()], [self.is_absent[run] for run in runs]
+        poses = [[PoseSequence(p.rotations[run], p.roots[run]) for p in self.poses] for run in runs]
+        beside = PointEncoder(some, spans, self.textures, poses, absent, self.coloured)
+        nobody = [own[:, :0] for own in absent]
+        alone = PointEncoder(some, spans, [], [[] for _ in runs], nobody, self.coloured)
+        if self._bound is None:
+            self._bound = alone.bound(target)
+        return beside.frame_bytes(self._bound), alone.frame_bytes(self._bound)

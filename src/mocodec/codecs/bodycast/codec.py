@@ -90,8 +90,8 @@ class Bodycast:
     chunk_frames: int = 150
 
     def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
-        """Frames without a body are coded as points within a bound, by default of 5 mm. Bodies that cost more than a
-        tenth more than points alone are left out, unless a skeleton is given.
+        """Frames without a body are coded as points within a bound, by default of 5 mm. Where all points are
+        coded and the bodies would take more bytes than they save, bodies are left out, unless a skeleton is given.
 
         Raises CannotEncode for a target that cannot be met, BadInput for settings or a skeleton that cannot be used.
         """
@@ -110,7 +110,7 @@ class Bodycast:
             settings["max_error"] = self._bound_of_residual(bodies, frames, spans, coloured)
         if self._codes_points(bodies) and bodies and self.skeleton is None:
             target = PointTarget(settings.get("max_error"), self.mean_error)
-            if not bodies_pay(bodies, frames, spans[0], coloured, target):
+            if not bodies_pay(bodies, frames, spans, coloured, target):
                 bodies, shared = [], ()
         if self._has_target or self._percent > SURFACE_PERCENT or self.residual == EXACT:
             limit_m = float(np.finfo(np.float32).max)  # every point counts, however far away

@@ -13,7 +13,7 @@ import numpy as np
 from ... import progress
 from ...errors import CannotEncode
 from ...metrics import point_clouds
-from ...typing import Booleans, Bytes
+from ...typing import Booleans, Bytes, Floats
 from ..clouds.raw_frames import Cloud
 from . import point_targets
 from .colour_lifting import ColourSteps
@@ -86,6 +86,12 @@ class PointEncoder:
     def coded(self, bound: float) -> list[bytes]:
         """The part of each chunk, with the usual colours of this bound, metres; not checked."""
         return [chunk.with_colours(self._usual_steps(bound))[0] for chunk in self._places(bound)]
+
+    def frame_bytes(self, bound: float) -> list[Floats]:
+        """Bytes of each frame with points of each chunk, as `coded`; colours and the rest count in equal shares."""
+        octrees = [np.diff(chunk.places.ends, prepend=0) for chunk in self._places(bound)]
+        parts = self.coded(bound)
+        return [own + (len(part) - own.sum()) / len(own) for part, own in zip(parts, octrees, strict=True)]
 
     def _usual_steps(self, bound: float) -> ColourSteps | None:
         return ColourSteps.of_luma(point_targets.usual_colour_step(bound)) if self.coloured else None

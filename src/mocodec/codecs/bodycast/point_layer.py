@@ -59,12 +59,14 @@ class LocatedPoints(NamedTuple):
 
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours. references: of each frame. smooths: whether points move from the lattice to the surface.
+    colours. ends: bytes of the octrees after each frame with points, about. references: of each frame. smooths: whether
+    points move from the lattice to the surface.
     """
 
     depth: int
     head: bytes
     octrees: bytes
+    ends: list[int]
     frames: list[LocatedPoints]
     table: SampleTable
     references: list[Reference]
@@ -133,7 +135,7 @@ def pack_places(
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
-    coder, located = BitEncoder(), list[LocatedPoints]()
+    coder, located, ends = BitEncoder(), list[LocatedPoints](), list[int]()
     scene = Scene(textures, shifts, is_absent, learns=True, smooths=smooths)
     earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
     for k, frame in enumerate(frames):
@@ -142,8 +144,9 @@ def pack_places(
             octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
             coder, reference, points = octree_of_frame.encode(coder, frame, choice)
             located.append(points)
+            ends.append(coder.size)
         references.append(reference)
-    return CodedPlaces(grid.depth, head, coder.finish(), located, scene.table, references, smooths)
+    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, smooths)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
