@@ -1,4 +1,4 @@
-"""A mean error about the noise of the cameras is met by the lattice engine."""
+"""A mean error by other means: noise by the lattice engine, short recordings by other targets."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mocodec.motion import Motion
 from mocodec.stages import lattice
 from mocodec.testing import synthetic
 
-from .motions import error, header
+from .motions import error, header, through
 
-pytestmark = pytest.mark.skipif(not lattice.is_fast(), reason="needs the compiled module")
+needs_lattice = pytest.mark.skipif(not lattice.is_fast(), reason="needs the compiled module")
 
 
 def noisy_markers(frames: int = 400, gaps: bool = False) -> Motion:
@@ -27,6 +27,7 @@ def noisy_markers(frames: int = 400, gaps: bool = False) -> Motion:
     return Motion(positions, motion.rate, motion.names, motion.up)
 
 
+@needs_lattice
 @pytest.mark.parametrize("gaps", [False, True])
 def test_noise_is_smaller_on_the_lattice_and_the_mean_is_met(gaps: bool) -> None:
     motion = noisy_markers(gaps=gaps)
@@ -51,6 +52,7 @@ def test_a_coarse_mean_is_not_tried() -> None:
     assert mean_targets.on_lattice(encoded, motion, 0.01, encode, Tempo.decode) is encoded
 
 
+@needs_lattice
 def test_the_encoding_given_stays_where_the_lattice_is_larger() -> None:
     motion = noisy_markers()
     tiny = Tempo(ratio=60).encode_chunks(motion)
@@ -60,3 +62,34 @@ def test_the_encoding_given_stays_where_the_lattice_is_larger() -> None:
         return replace(codec, max_error=bound).encode_chunks(part)
 
     assert mean_targets.on_lattice(tiny, motion, 1e-6, encode, Tempo.decode) is tiny
+
+
+@pytest.mark.parametrize("frames", [1, 3, 7])
+def test_a_short_recording_is_not_larger_at_twice_the_mean(frames: int) -> None:
+    motion = synthetic.markers(frames=600, seed=1)[:frames]
+    sizes = []
+    for wanted in (0.0025, 0.005, 0.01, 0.02):
+        decoded, size = through(motion, mean_error=wanted)
+        assert error(motion, decoded).mean() <= wanted
+        sizes.append(size)
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_a_short_recording_is_not_larger_than_under_a_bound_of_a_smaller_mean() -> None:
+    motion = synthetic.markers(frames=600, seed=1)[:3]
+    decoded, bounded = through(motion, max_error=0.002)
+    assert error(motion, decoded).mean() <= 0.001
+    assert through(motion, mean_error=0.001)[1] <= bounded
+
+
+def test_longer_recordings_are_not_tried_at_other_targets() -> None:
+    motion = synthetic.markers(frames=mean_targets.SHORT_FRAMES + 1, seed=1)
+    encoded = Tempo(mean_error=0.005).encode_chunks(motion)
+    tried = []
+
+    def encode(target: str, wanted: float) -> Encoded[Motion]:
+        tried.append((target, wanted))
+        return encoded
+
+    assert mean_targets.smallest(encoded, motion, 0.005, encode, lambda *_: 0.0) is encoded
+    assert tried == [("max_error", 0.005)]

@@ -172,17 +172,16 @@ class Tempo:
         return layer.lost_rotations(motion)
 
     def encode_smallest(self, motion: Motion) -> Encoded[Motion]:
-        """The smallest of the ways that suit the motion: with or without repeats, by tempo's models or by hou2014.
-
-        With a mean error also under this error as a bound, if that may be smaller.
-        """
+        """The smallest by tempo's models or hou2014, with or without repeats; for a mean also at other targets."""
         encoded = self._with_or_without_repeats(motion)
-        if self.mean_error is None or not mean_targets.may_exceed_bounded(encoded):
+        if self.mean_error is None:
             return encoded
-        bounded = replace(self, mean_error=None, max_error=self.mean_error)._with_or_without_repeats(motion)
-        if bounded.payload_bytes >= encoded.payload_bytes:
-            return encoded
-        return replace(bounded, settings=self._stored_settings())
+
+        def encode(target: str, wanted: float) -> Encoded[Motion]:
+            found = replace(self, **{"mean_error": None, target: wanted})._with_or_without_repeats(motion)
+            return replace(found, settings=self._stored_settings())
+
+        return mean_targets.smallest(encoded, motion, self.mean_error, encode, decoded_mean_error)
 
     def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
         if (distinct := repeats.distinct_frames(motion, self.chunk_seconds)) is None:

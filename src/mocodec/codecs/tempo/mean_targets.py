@@ -7,7 +7,7 @@ a chunk of the transform's stream ─lattice engine─► smaller? ── yes �
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from ... import metrics, progress
 from ...encoded import Encoded
@@ -29,9 +29,21 @@ PROMISING = 1.05
 FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
 """A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 
+SHORT_FRAMES, SHORT_SAMPLES = 16, 2048
+"""Recordings up to so long are tried at other targets too: most of their bytes are a model, whose choice depends on the
+target, and few settings come near the mean error."""
+BOUND_RATIO, WIDEST_BOUND = 2**0.5, 8.0
+"""Bounds that are tried: each this many times the one before, up to so many times the mean error asked for."""
+SMALLER_MEANS = (0.5, 0.25)
+"""Means that are tried, of the one asked for: a file for half of a target is then never smaller than one for it."""
+
 Encode = Callable[[Motion, float], Encoded[Motion]]
 """All of a motion by the lattice engine, under a bound (metres)."""
 Decode = Callable[[Encoded[Motion]], Motion]
+EncodeAt = Callable[[str, float], Encoded[Motion]]
+"""All of a motion at "mean_error" or "max_error", metres."""
+MeanError = Callable[[Encoded[Motion], Motion], float]
+"""Of an encoding, against the motion: metres."""
 
 
 def on_lattice(
@@ -72,3 +84,32 @@ def may_exceed_bounded(encoded: Encoded[Motion]) -> bool:
         return False
     payloads = [Payload.unpack(c.payload) for c in encoded.chunks]
     return sum(p.engine == DIRECT or p.step is not None for p in payloads) > UNUSUAL_SHARE * len(payloads)
+
+
+def smallest(
+    encoded: Encoded[Motion], motion: Motion, mean_error: float, encode: EncodeAt, measure: MeanError
+) -> Encoded[Motion]:
+    """The smallest of the encoding given, one under the mean error (metres) as a bound if that may be smaller and, of a
+    short recording, those at smaller means and under wider bounds whose mean error is at most the one asked for."""
+    is_short = len(motion) <= SHORT_FRAMES and len(motion) * motion.points <= SHORT_SAMPLES
+    if not is_short and not may_exceed_bounded(encoded):
+        return encoded
+    found = [encoded, encode("max_error", mean_error)]
+    if is_short:
+        found += _at_other_targets(motion, mean_error, encode, measure)
+    return min(found, key=lambda each: each.payload_bytes)
+
+
+def _at_other_targets(
+    motion: Motion, mean_error: float, encode: EncodeAt, measure: MeanError
+) -> Iterator[Encoded[Motion]]:
+    """Encodings whose mean error is at most the one asked for (metres)."""
+    for share in SMALLER_MEANS:
+        yield encode("mean_error", share * mean_error)
+    bound = BOUND_RATIO
+    while bound <= WIDEST_BOUND:
+        wider = encode("max_error", bound * mean_error)
+        if not measure(wider, motion) <= mean_error:
+            break
+        yield wider
+        bound *= BOUND_RATIO

@@ -328,3 +328,13 @@ def test_a_single_still_joint() -> None:
     motion = Motion(np.zeros((5, 1, 3)), 30.0, ("a",), "y", skeleton, turn)
     decoded = mocodec.decode(mocodec.encode(motion, max_error=0.001), Motion)
     assert_allclose(rotations_of(decoded), turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", ["max_error", "mean_error"])
+def test_rotations_of_a_single_frame_are_not_stored_exactly(target: str) -> None:
+    motion = hinged_figures.figure(96)[50:51]
+    encoded = mocodec.encode(motion, **{target: 0.005})
+    found = errors(motion, mocodec.decode(encoded, Motion)).joints_and_shell
+    assert (found.largest if target == "max_error" else found.mean) <= 0.005
+    exact_bytes = rotations_of(motion).shape[1] * 3 * 8
+    assert Tempo(**{target: 0.005}).encode(motion).payload_bytes < exact_bytes

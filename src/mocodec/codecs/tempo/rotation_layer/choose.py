@@ -61,7 +61,7 @@ def choose(skeleton: Skeleton, own_frame: bool, positions: Floats, rotations: Fl
     ]
     for joint, rule in enumerate(joints):
         q = rotations[:, joint]
-        if np.abs(_aligned(q, q[:1]) - q[0]).max() < SAME:
+        if _is_constant(q):
             joints[joint] = replace(rule, rule=r.FIXED, usual=_constant(q[0], limits_form(skeleton, joint)), form=None)
     carried = carried_vectors(skeleton, own_frame, joints)
     some = slice(None, None, max(1, len(positions) // SAMPLED_FRAMES))
@@ -139,6 +139,14 @@ def continuous(q: Floats) -> Floats:
     signs = np.concatenate([[1.0], np.cumprod(flips)])
     signs *= -1.0 if float((signs * q[:, 0]).sum()) < 0 else 1.0
     return q * signs[:, None]
+
+
+def _is_constant(q: Floats) -> bool:
+    """Whether rotations (frames, 4) are one. A single frame shows it of no rotation only: others would be stored in
+    float64, whatever the target."""
+    if len(q) == 1 and not np.array_equal(_tidy(q[0]), r.IDENTITY):
+        return False
+    return bool(np.abs(_aligned(q, q[:1]) - q[0]).max() < SAME)
 
 
 def _placed(skeleton: Skeleton, own_frame: bool, positions: Floats, world: Floats) -> list[bool]:
