@@ -175,11 +175,11 @@ def test_float_colours_of_either_range(tmp_path, kind):
 
 
 def test_points_and_normals_without_numbers_are_noted(tmp_path):
-    points = np.array([[0, 0, 0], [np.nan] * 3, [1, 1, 1]])
+    points = np.array([[0, 0, 0], [np.nan] * 3, [1, np.inf, 1]])
     ply.write(
         tmp_path / "a.ply", PointClouds([points], 10.0, normals=[np.array([[0, 0, 1], [np.nan] * 3, [np.nan] * 3])])
     )
-    assert [note[:8] for note in formats.notes(ply.read(tmp_path / "a.ply"))] == ["1 points", "2 normal"]
+    assert [note[:8] for note in formats.notes(ply.read(tmp_path / "a.ply"))] == ["2 points", "2 normal"]
 
 
 @pytest.mark.parametrize("count", ["99999999999999999999", "4611686018427387904", "1000000000000"])

@@ -73,6 +73,10 @@ class MixedBits:
             self.counters[slot] = moved, min(seen + 1, 250)
         return bit
 
+    def end(self) -> None:
+        """After the last bit."""
+        assert len(self.source) <= self.at <= len(self.source) + 4, "the stream leaves bytes, or needs more"
+
 
 # --- colours
 

@@ -89,7 +89,8 @@ def points(
     if data[0] == 7:
         return exact(stream, lambda part: Layer(part, frames, bodies, poses, surface, posed))
     layer = Layer(stream, frames, bodies, poses, surface, posed)
-    colours = Colours(MixedBits(stream.rest()), layer.steps) if layer.steps[0] else None
+    colour_bits = MixedBits(stream.rest())
+    colours = Colours(colour_bits, layer.steps) if layer.steps[0] else None
     result: Decoded = []
     for cells, own, shifts in layer.frames(colours, lambda count: [0] * count):
         places = [
@@ -97,6 +98,7 @@ def points(
             for cell, shift in zip(cells, shifts, strict=True)
         ]
         result.append((places, own))
+    colour_bits.end()
     return result
 
 
@@ -105,10 +107,12 @@ def exact(stream: Bytes, layer_of: Callable[[Bytes], Layer]) -> Decoded:
     spacing = stream.varint()
     corner = [stream.folded() for _ in range(3)]
     sizes = [stream.varint() for _ in range(3)]
-    layer = layer_of(Bytes(stream.take(sizes[0])))
+    place_bytes = Bytes(stream.take(sizes[0]))
+    layer = layer_of(place_bytes)
     repeat_bits, float_bits = MixedBits(stream.take(sizes[1])), stream.take(sizes[2])
     rest = stream.rest()
-    colours = Colours(MixedBits(rest), (1, 1, 1)) if rest else None
+    colour_bits = MixedBits(rest)
+    colours = Colours(colour_bits, (1, 1, 1)) if rest else None
 
     def repeats(count: int) -> list[int]:
         rows = list(range(count))
@@ -116,6 +120,9 @@ def exact(stream: Bytes, layer_of: Callable[[Bytes], Layer]) -> Decoded:
         return [found[i] for i in rows]
 
     found = list(layer.frames(colours, repeats))
+    for bits in (repeat_bits, MixedBits(place_bytes.rest()), colour_bits):
+        bits.end()
+    assert not (grid and float_bits)
     cells = [
         [[c + spacing * (x >> 1) for x, c in zip(cell, corner, strict=True)] for cell in own] for own, _, _ in found
     ]
@@ -180,6 +187,7 @@ class Layer:
             if self.kind == 5:
                 shifts = Smoothing(octree, [cell for cell, _ in found], [s for _, s in found]).shifts()
             yield *self.coloured(found, own, standing, earlier, colours, repeats(count)), shifts
+        self.octrees.end()
 
     def coloured(
         self, found: list[tuple[Vector, int]], own: int, standing: Posed, earlier: Samples | None,

@@ -92,8 +92,8 @@ def read(
     normals = [columns(values, normal) for values, _ in frames] if normal else None
     colours = _colours([values for values, _ in frames], colour, notes) if colour else None
     for name, frames_of_vectors in (("points", positions), ("normals", normals or [])):
-        if missing := sum(int(np.isnan(vectors).any(axis=1).sum()) for vectors in frames_of_vectors):
-            notes.append(f"{missing} {name} are NaN; codecs of point clouds may leave them out")
+        if missing := sum(int((~np.isfinite(vectors)).any(axis=1).sum()) for vectors in frames_of_vectors):
+            notes.append(f"{missing} {name} are NaN or infinite; codecs of point clouds may leave them out")
     used = {*POSITION, *(colour or ()), *(normal or ())}
     source: dict[str, Any] = {
         "format": "ply", "encoding": frames[0][1].encoding, "units": units, "unit_m": unit_m,

@@ -237,6 +237,12 @@ def test_points_that_cannot_be_bounded_are_refused():
         Bodycast(max_error=-1.0).encode(things())
 
 
+def test_exact_points_at_infinity_are_refused():
+    points = np.array([[0.0, 0, 0], [np.inf, 1, 1]])
+    with pytest.raises(CannotEncode, match="infinity"):
+        Bodycast(residual="exact").encode(PointClouds([points], 10.0))
+
+
 def test_duplicates_become_one_point_with_their_mean_colour():
     points = np.tile([[0.1, 0.2, 0.3]], (4, 1))
     colours = np.array([[0, 0, 0], [10, 0, 0], [20, 0, 0], [30, 0, 0]], np.uint8)

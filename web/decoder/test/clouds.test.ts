@@ -46,6 +46,16 @@ test("damaged chunks end in a named error or in points", async () => {
   expect(errors).toBeGreaterThan(0);
 }, 60_000);
 
+test("bytes left after the repeats or colours of exact points are corrupt", async () => {
+  const bytes = goldenBytes("bodycast-exact");
+  const file = await open(bytes);
+  const { header } = file as unknown as { header: Header };
+  const { offset, size, frames } = file.info.chunks[0]!;
+  const payload = payloadOf(bytes.subarray(offset, offset + size), file.info.chunks[0]!, 0);
+  payload[5027]! ^= 1;
+  expect(() => [...new BodycastPoints(header.shared, true).decode({ frames, payload })]).toThrow("left over");
+});
+
 test("with salvage, a damaged chunk has frames without points", async () => {
   const bytes = goldenBytes("bodycast-jumper-learned");
   const { offset, size } = (await open(bytes)).info.chunks[0]!;

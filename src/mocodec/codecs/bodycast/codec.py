@@ -98,6 +98,8 @@ class Bodycast:
         if isinstance(clouds, Motion):
             raise CannotEncode("bodycast codes point clouds, not motions")
         self._require_settings()
+        if self.residual == EXACT and any(np.isinf(points).any() for points in clouds.positions):
+            raise CannotEncode("residual exact cannot keep points at infinity: leave them out")
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
         coloured = clouds.colours is not None
         with progress.phase(0.0, 0.6):

@@ -59,6 +59,8 @@ class ExactHeader(NamedTuple):
         cells = np.array([varint.unsigned(v) for v in corner])
         if not 0 < spacing < MAX_SPACING or np.abs(cells).max() > MAX_CELL or at + sum(sizes) > len(data):
             raise Corrupt("bodycast: the cells of exact points are out of range, or cut off")
+        if kind != FLOATS and sizes[2]:
+            raise Corrupt("bodycast: exact points on a grid have bits of floats")
         return ExactHeader(grid, spacing, cells, (sizes[0], sizes[1], sizes[2])), at
 
 
@@ -219,15 +221,19 @@ def unpack(
         if total > min(octree.MAX_POINTS, point_layer.POINTS_PER_BYTE * (len(data) + 1)):
             raise Corrupt(f"bodycast: more than {total} exact points in {len(data)} bytes")
         found.append(None if located is None or own is None else (located, own))
+    repeats.finish()
+    BitDecoder(places.rest).finish()  # colours of the places: none
     cells = [_cells_of(header, *own) for own in found if own is not None]
     points = iter(_coordinates(header.grid, cells, parts[2]))
     memory, colour_bits = ColoursOfChunk(places.table, LOSSLESS), BitDecoder(data[at:])
-    for own in found:
-        if own is None:
-            yield no_points(coloured)
-            continue
-        colours: Bytes | None = memory.code_repeated(colour_bits, None, *own) if coloured else None
-        yield next(points), colours
+    for k, own in enumerate(found):
+        cloud = no_points(coloured)
+        if own is not None:
+            colours: Bytes | None = memory.code_repeated(colour_bits, None, *own) if coloured else None
+            cloud = next(points), colours
+        if k == frames - 1:  # before it is handed out: a caller may take no more than the frames there are
+            colour_bits.finish()
+        yield cloud
 
 
 def _cells_of(header: ExactHeader, located: LocatedPoints, repeats: Integers) -> Integers:

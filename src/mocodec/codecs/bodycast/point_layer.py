@@ -182,16 +182,18 @@ def unpack_points(
     kind, steps, table = places.head.kind, places.head.steps, places.table
     colours = BitDecoder(places.rest)
     memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
-    for located in places.frames():
-        if located is None:
-            yield no_points(coloured)
-            continue
-        colour = None
-        if memory is not None:
-            colour = memory.code(colours, None, located)
-        elif coloured:
-            colour = _unlearned_colours(colours, table.colours, located.samples, steps[0])
-        yield located.positions, colour
+    for k, located in enumerate(places.frames()):
+        cloud = no_points(coloured)
+        if located is not None:
+            colour = None
+            if memory is not None:
+                colour = memory.code(colours, None, located)
+            elif coloured:
+                colour = _unlearned_colours(colours, table.colours, located.samples, steps[0])
+            cloud = located.positions, colour
+        if k == frames - 1:  # before it is handed out: a caller may take no more than the frames there are
+            colours.finish()
+        yield cloud
 
 
 class PlacesDecoder:
@@ -222,14 +224,14 @@ class PlacesDecoder:
         waiting, earlier = iter(self.head.pose_shifts), EarlierFrames()
         for k, count in enumerate(self.head.counts):
             present = [b for b in range(len(self._textures)) if not self._is_absent[k, b]]
-            own = [next(waiting) for _ in present]
-            if not count:
-                yield None
-                continue
-            values = [integer_surface.pose_values(self._textures[b].body, self._poses[b][k]) for b in present]
-            octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, values, own, earlier)
-            yield octree_of_frame.decode(self._coder, count, self._references[k])
-        self._coder.finish()
+            own, located = [next(waiting) for _ in present], None
+            if count:
+                values = [integer_surface.pose_values(self._textures[b].body, self._poses[b][k]) for b in present]
+                octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, values, own, earlier)
+                located = octree_of_frame.decode(self._coder, count, self._references[k])
+            if k == len(self.head.counts) - 1:
+                self._coder.finish()
+            yield located
 
 
 def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:

@@ -7,7 +7,7 @@ import { AdaptiveBits } from "./adaptive.js";
 import { type Cloud, checkCounts, rgbOf } from "./cloud.js";
 import { OctreeCounts, readOctree } from "./octree.js";
 
-const FLOATS = 0;
+export const FLOATS = 0;
 const BINARY_STEP = 1;
 const DECIMAL_STEP = 2;
 const CELLS_IN_METRE = 1024;

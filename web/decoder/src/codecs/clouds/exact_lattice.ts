@@ -4,7 +4,7 @@ import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
 import { type Cloud, checkCounts, rgbOf } from "./cloud.js";
 import { Colours, readValues } from "./colours.js";
-import { MOST_CELL, positionsOf, readGrid } from "./exact.js";
+import { FLOATS, MOST_CELL, positionsOf, readGrid } from "./exact.js";
 import { type Bodies, Lattice } from "./lattice.js";
 import { MixedBits } from "./mixed.js";
 
@@ -17,6 +17,7 @@ export function* readExactLattice(data: Uint8Array, frames: number, coloured: bo
   const grid = readGrid(part);
   const corner = [0, 1, 2].map(() => part.foldedWithin(-MOST_CELL, MOST_CELL, "the corner"));
   const [placeBytes, repeatBytes, floatBytes] = [part.varint(), part.varint(), part.varint()];
+  check(grid.kind === FLOATS || floatBytes === 0, "bodycast: exact points on a grid have bits of floats");
   const layer = new Lattice(part.take(placeBytes), frames, false, bodies);
   const repeatBits = new MixedBits(part.take(repeatBytes));
   const floatBits = part.take(floatBytes);
@@ -30,6 +31,8 @@ export function* readExactLattice(data: Uint8Array, frames: number, coloured: bo
     return more;
   };
   const found = [...layer.frames(coloured ? new Colours(colourBits, [1, 1, 1]) : undefined, repeats)];
+  repeatBits.end();
+  new MixedBits(layer.rest).end(); // colours of the places: none
   const cells = new Float64Array(found.reduce((sum, frame) => sum + frame.cells.length, 0));
   let at = 0;
   for (const frame of found) frame.cells.forEach((value, i) => (cells[at++] = corner[i % 3]! + grid.spacing * (value >> 1)));
@@ -41,5 +44,5 @@ export function* readExactLattice(data: Uint8Array, frames: number, coloured: bo
     if (coloured) cloud.colours = frame.colours ? rgbOf(frame.colours) : new Uint8Array(0);
     yield cloud;
   }
-  if (coloured) colourBits.end();
+  colourBits.end();
 }

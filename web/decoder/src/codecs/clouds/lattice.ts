@@ -50,7 +50,7 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
     else if (coloured) cloud.colours = rgbOf(readTexturedColours(colourBits, frame.rows, layer.scene.colours, steps[0]));
     yield cloud;
   }
-  if (coloured) colourBits.end();
+  colourBits.end();
 }
 
 /** The points of a frame: coordinates (points, 3), samples of bodies, colours as Y, Co, Cg, and shifts of 1/FINE units. */
