@@ -152,6 +152,16 @@ def test_bare_leaves_out_extras(command: Command, walk: mc.Motion, walk_trc: Pat
     assert Path("bare.mocz").stat().st_size < 0.2 * Path("full.mocz").stat().st_size
     with mc.open("bare.mocz") as opened:
         assert "analog" not in opened[:].extras
+    checked = command("verify", "bare.mocz", "--against", "full.c3d")
+    assert checked.code == 0
+    assert "not in the file, which was encoded without them: analog" in checked.out
+    assert json.loads(command("verify", "bare.mocz", "--against", "full.c3d", "--json").out)["left_out"][0] == "analog"
+    bare = mc.read("bare.mocz", mc.Motion)
+    mc.write("other.mocz", replace(bare, extras={"analog": replace(analog, values=analog.values + 1)}))
+    assert "extras differ: analog" in command("verify", "other.mocz", "--against", "full.c3d").out
+    silent = {name: value for name, value in bare.source.items() if name != "extras"}
+    mc.write("silent.mocz", replace(bare, source=silent))
+    assert "extras differ: analog" in command("verify", "silent.mocz", "--against", "full.c3d").out
 
 
 def test_residuals_are_left_out_with_a_note_or_kept_on_request(

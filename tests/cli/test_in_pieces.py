@@ -84,6 +84,32 @@ def test_a_c3d_loses_nothing_in_pieces_unless_bare(
     assert mc.compare(motion, bare).max_error <= 0.005
 
 
+@pytest.mark.parametrize("words", ["all zero", "all equal", "small", "large", "one late"])
+def test_residuals_of_a_bare_c3d_are_as_at_once(command: Command, tmp_path: Path, words: str) -> None:
+    motion, lab = synthetic.markers(frames=9000, seed=3), tmp_path / "lab.c3d"
+    shape = motion.positions.shape[:2]
+    word = np.full(shape, 0 if words == "all zero" else 247, np.int16)
+    if words == "small":
+        word[10:20] = 5
+    if words == "one late":
+        word[-1, -1] = 5
+    if words == "large":
+        word = np.random.default_rng(1).integers(1, 2**15, shape).astype(np.int16)
+    mc.write(lab, replace(motion, extras={"residuals": mc.Signal(word, motion.rate)}))
+    notes, sources = [], []
+    for how in ("--in-pieces", "--at-once"):
+        out = tmp_path / f"lab{how}.mocz"
+        done = command("encode", lab, "-o", out, "--bare", how)
+        assert done.code == 0, done.err
+        notes.append([line for line in done.err.splitlines() if line.startswith("note: ")])
+        sources.append(mc.read(out, mc.Motion).source)
+        assert command("verify", out, "--against", lab).code == 0
+    assert notes[0] == notes[1]
+    assert sources[0] == sources[1]
+    assert sources[0].get("residual_word") == (247 if words == "all equal" else None)
+    assert ("residuals" in sources[0]) == (words in ("small", "large", "one late"))
+
+
 def test_guesses_are_said_as_without_pieces(command: Command, recording: Path, tmp_path: Path) -> None:
     guessed = tmp_path / "plain.npy"
     np.save(guessed, mc.read(recording, mc.Motion).positions)

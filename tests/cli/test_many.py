@@ -139,6 +139,15 @@ def test_damage_and_a_broken_promise_fail_one_file(folder: Path, command: Comman
     assert "has no recording of this name" in extra.out
 
 
+def test_originals_are_found_by_stem(folder: Path, command: Command) -> None:
+    Path("in/sub/broken.trc").unlink()
+    command("encode", "in", "-o", "out", *FAST)
+    Path("in/a.trc").unlink()  # a.npz alone is mirrored to a.mocz; the file is a.npz.mocz
+    result = command("verify", "out", "--against", "in", "--json")
+    assert statuses_of(result.out) == {"a.npz.mocz": "done", "a.trc.mocz": "failed", "sub/b.mocz": "done"}
+    assert "in has no recording of this name (a.trc, with any suffix), or several" in result.out
+
+
 def test_decoding_never_replaces_what_it_did_not_write(folder: Path, command: Command) -> None:
     Path("in/sub/broken.trc").unlink()
     command("encode", "in", "-o", "out", *FAST)

@@ -103,15 +103,28 @@ def test_feature_vectors_are_decoded(tmp_path: Path) -> None:
         (np.zeros((4, 251)), "KIT-ML"),
         (np.zeros((4, 7)), r"\(frames, joints, 3\)"),
         (np.zeros(3), r"\(frames, joints, 3\)"),
-        (np.zeros((0, 22, 3)), "must be numbers"),
+        (np.zeros((0, 41, 3)), "has no frames"),
         (np.array([[["a", "b", "c"]]]), "must be numbers"),
-        (np.full((4, 22, 3), np.inf), "infinite"),
+        (np.full((4, 22, 3), np.inf), r"a\.npy: .*infinite"),
     ],
 )
 def test_other_arrays_are_named(tmp_path: Path, array: np.ndarray, says: str) -> None:
     np.save(tmp_path / "a.npy", array)
     with pytest.raises(BadInput, match=says):
         mc.read(tmp_path / "a.npy")
+
+
+def test_in_pieces_errors_name_the_file_and_the_frames(tmp_path: Path) -> None:
+    path, positions = tmp_path / "long.npy", np.zeros((7000, 41, 3))
+    np.save(path, positions[:0])
+    with pytest.raises(BadInput, match=r"long\.npy: has no frames"):
+        mc.read_blocks(path, rate=120)
+    positions[6500, 1, 2] = np.inf
+    np.save(path, positions)
+    blocks = mc.read_blocks(path, rate=120)
+    begin = len(next(iter(blocks)))
+    with pytest.raises(BadInput, match=rf"long\.npy: in the frames from {begin:,} on, .* frame {6500 - begin} of them"):
+        list(blocks)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])

@@ -18,7 +18,7 @@ from ..codecs.tempo.models import prior
 from ..encoded import Recording
 from ..errors import BadInput, CannotEncode, MocodecError
 from ..file_range import FileRange
-from ..formats import folders, replace_whole
+from ..formats import folders, replace_whole, without_extras
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS, with_options
 from . import names, sources
@@ -105,7 +105,7 @@ def _encoded(path: str, task: Task) -> Outcome:
     options = task.options
     recording = api.read(path, **options.reader)
     if options.bare:
-        recording = replace(recording, extras={})
+        recording = without_extras(recording)
     if isinstance(recording, Motion) and not options.rotations:
         recording = replace(recording, rotations=None)
     settings: dict[str, Any] = {**options.settings, **options.targets}

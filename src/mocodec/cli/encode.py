@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -193,7 +192,7 @@ def encoded(
     with files.working(f"reading {source}"):
         recording = files.read(source, **options)
     if bare:
-        recording = replace(recording, extras={})
+        recording = formats.without_extras(recording)
     chosen = codec_with(codec or api.default_codec(recording), settings, targets)
     if (lost := api.not_kept(recording, chosen)) and not quiet:
         files.line(f"note: {files.printable(source)}: not kept: {', '.join(lost)}", err=True)

@@ -51,7 +51,7 @@ def encoded(
             raise
         return None  # reading the whole says what is wrong, if anything is
     if chosen.get("bare"):
-        blocks = replace(blocks, about=replace(blocks.about, extras={}))
+        blocks = replace(blocks, about=formats.without_extras(blocks.about))
     elif blocks.left_out:
         if asked:
             raise BadInput(

@@ -40,7 +40,7 @@ def command(
 
     Promises are the max-error, mean-error, max-rotation, ratio or size that it was encoded with. If the file keeps
     rotations, errors are promised of joints and of shell points beside them. Equal names, rate, gaps and extras
-    (analog channels, events, …) are always promised.
+    (analog channels, events, …) are always promised, but for extras that the file says to lack (`encode --bare`).
 
     Several files, or a folder, are checked one by one; --against names the folder that they were encoded from.
     """
@@ -71,7 +71,7 @@ def one(
 ) -> dict[str, Any]:
     """Check one of many files; returns its record for the summary. Nothing is written. Raises BrokenPromise."""
     if against is not None and original is None:
-        raise BadInput(f"{against} has no recording of this name")
+        raise BadInput(f"{against} has no recording of this name ({Path(source).stem}, with any suffix), or several")
     report = checked(source, original, **options)
     if report.get("broken"):
         raise BrokenPromise("; ".join(report["broken"]))
@@ -83,7 +83,10 @@ def one(
 
 
 def original_of(found: Sequence[many.Source], folder: str) -> dict[str, str]:
-    """The recording in a folder that each .mocz was encoded from, by path: the one that is mirrored to its name."""
+    """The recording in a folder that each .mocz was encoded from, by path.
+
+    That is the one that is mirrored to its name, or else the only one of its stem, whatever suffix it has.
+    """
     recordings = many.find([folder], formats.FORMATS)
     path_of = {
         name: path
@@ -91,7 +94,19 @@ def original_of(found: Sequence[many.Source], folder: str) -> dict[str, str]:
             recordings, dict.fromkeys((recording.path for recording in recordings), files.SUFFIX)
         ).items()
     }
-    return {source.path: path_of[source.name] for source in found if source.name in path_of}
+    exact = {recording.name: [recording.path] for recording in recordings}
+    by_stem: dict[str, list[str]] = {}
+    for recording in recordings:
+        by_stem.setdefault(Path(recording.name).with_suffix("").as_posix(), []).append(recording.path)
+    result: dict[str, str] = {}
+    for source in found:
+        whole = source.name.removesuffix(files.SUFFIX)  # walk, or walk.c3d where other recordings had the same stem
+        same = exact.get(whole) or by_stem.get(whole, [])
+        if source.name in path_of:
+            result[source.path] = path_of[source.name]
+        elif len(same) == 1:
+            result[source.path] = same[0]
+    return result
 
 
 def checked(file: str, against: str | None, **options: Any) -> dict[str, Any]:
@@ -146,9 +161,11 @@ def check(
     if not result.gaps_equal:
         broken.append("the gaps differ")
     signal_error = facts.get("settings", {}).get("signal_error")
-    extras = source.extras if signal_error is None else within_bounds(source.extras, decoded.extras, signal_error)
+    left_out = formats.left_out(source, decoded)
+    original = {name: value for name, value in source.extras.items() if name not in left_out}
+    extras = original if signal_error is None else within_bounds(original, decoded.extras, signal_error)
     broken += [f"extras differ: {name}" for name in differing(extras, decoded.extras)]
-    broken += [] if signal_error is None else list(bounds.broken(source.extras, decoded.extras, signal_error))
+    broken += [] if signal_error is None else list(bounds.broken(original, decoded.extras, signal_error))
     broken += broken_errors(promise, result)
     if "size" in promise and stored_bytes > promise["size"]:
         broken.append(f"the file has {quantities.size(stored_bytes)}, promised {quantities.size(int(promise['size']))}")
@@ -157,7 +174,7 @@ def check(
     )
     if "ratio" in promise and ratio * SLACK < promise["ratio"]:
         broken.append(f"the ratio is {ratio:.3g}, promised {promise['ratio']:g}")
-    return asdict(result), broken
+    return asdict(result) | ({"left_out": left_out} if left_out else {}), broken
 
 
 def broken_errors(promise: Mapping[str, float], result: metrics.Comparison) -> list[str]:
@@ -238,7 +255,10 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
                 f"shell points {quantities.bound(pose['shell_m'])} off: mean error {mean}, max {largest}; "
                 f"rotations: max {angle}"
             )
-    equal = "frames and rate" if "d1" in report else "names, rate, gaps and extras"
+    left_out = report.get("left_out", [])
+    if left_out:
+        text.append(f"not in the file, which was encoded without them: {', '.join(left_out)}")
+    equal = "frames and rate" if "d1" in report else f"names, rate, gaps and {'other ' * bool(left_out)}extras"
     kept = "the promise is kept" if report["promise"] else f"no bound was promised; {equal} are equal"
     return text + ([f"broken: {what}" for what in report["broken"]] or [kept])
 

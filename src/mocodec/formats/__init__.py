@@ -6,7 +6,7 @@ docs/formats.md lists what each format stores, what is kept and what is not.
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -19,11 +19,11 @@ from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
 from .blocks import Blocks
 from .conventions import UNITS_M, metres_in, with_start
-from .decisions import notes
+from .decisions import left_out, notes, without_extras
 
 __all__ = [
-    "CLOUDS", "FORMATS", "Blocks", "can_read_blocks", "dropped", "is_images", "notes", "read", "read_blocks",
-    "read_options", "replace_whole", "write", "writing_whole",
+    "CLOUDS", "FORMATS", "Blocks", "can_read_blocks", "dropped", "is_images", "left_out", "notes",
+    "read", "read_blocks", "read_options", "replace_whole", "without_extras", "write", "writing_whole",
 ]  # fmt: skip
 
 FORMATS = {
@@ -91,7 +91,21 @@ def read_blocks(path: str | PathLike[str], **options: Any) -> Blocks:
         raise BadInput(f"{path}: {path.suffix.lower()} is read as a whole only; in pieces: {', '.join(BLOCKS)}")
     if not path.exists():
         raise BadInput(f"{path}: no such file")
-    return _call(BLOCKS[path.suffix.lower()], "read_blocks", path, **options)
+    blocks: Blocks = _call(BLOCKS[path.suffix.lower()], "read_blocks", path, **options)
+    return replace(blocks, parts=lambda: _with_file_named(path, blocks.parts()))
+
+
+def _with_file_named(path: Path, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    """The blocks. Raises BadInput with the file and the frames for one that is no motion, which knows neither."""
+    begin = 0
+    try:
+        for block in blocks:
+            yield block
+            begin += len(block)
+    except BadInput as error:
+        if path.name in str(error):
+            raise
+        raise BadInput(f"{path}: in the frames from {begin:,} on, {error} of them") from None
 
 
 def can_read_blocks(path: str | PathLike[str]) -> bool:
@@ -177,7 +191,9 @@ def _call(module: str, verb: str, path: Path, *args: Any, **options: Any) -> Any
         raise BadInput(f"{path}: {error.strerror or error}") from error
     except BadInput as error:
         message = str(error)
-        if message.isprintable() and len(message) <= MAX_MESSAGE_CHARACTERS:
+        if verb != "write" and path.name not in message:  # of a motion, which does not know its file
+            message = f"{path}: {message}"
+        if message == str(error) and message.isprintable() and len(message) <= MAX_MESSAGE_CHARACTERS:
             raise
         printable = "".join(c if c.isprintable() else " " for c in message)
         raise BadInput(printable[:MAX_MESSAGE_CHARACTERS]) from None

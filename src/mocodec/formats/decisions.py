@@ -8,8 +8,10 @@ a .mocz alike.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
+from ..encoded import RecordingT
 from ..motion import Motion
 from ..pointcloud import PointClouds
 
@@ -38,6 +40,21 @@ def kept_apart(recording: Motion | PointClouds) -> Iterator[str]:
         yield f"these properties of points are left out: {', '.join(map(str, ignored))}"
     if source.get("residuals") == "left out":
         yield "residuals and camera masks of samples are left out; --residuals keeps them"
+
+
+def without_extras(recording: RecordingT) -> RecordingT:
+    """The recording without extras. Its source says so, so that a file promises nothing about them (`left_out`)."""
+    source = {name: value for name, value in recording.source.items() if name != "model_outputs"}
+    source |= {"residuals": "left out"} if "residuals" in recording.extras else {}
+    return replace(recording, source=source | {"extras": "left out"}, extras={})
+
+
+def left_out(original: Motion, kept: Motion) -> list[str]:
+    """The names of extras of the original that `kept` lacks and says to lack, sorted."""
+    missing = set(original.extras) - set(kept.extras)
+    if kept.source.get("extras") != "left out":
+        missing &= {"residuals"} if kept.source.get("residuals") == "left out" else set()
+    return sorted(missing)
 
 
 def guesses(recording: Motion | PointClouds) -> list[str]:

@@ -50,6 +50,8 @@ def read(path: str | Path, rate: float | None = None, unit: str | float | None =
         raise BadInput(f"{path}: larger than the {MAX_ARRAY_BYTES >> 30} GiB that are read at once")
     with reading(path, "an NPY"):
         values = array_of(path.read_bytes(), f"{path}: its array")
+    if values.ndim and not len(values):
+        raise BadInput(f"{path}: has no frames: its array is {values.shape}")
     if values.dtype.kind not in "fiu" or values.size == 0:
         raise BadInput(f"{path}: must be numbers (frames, joints, 3), not {values.dtype} {values.shape}")
     return _motion_of(values, path, rate, unit, up)
@@ -63,7 +65,9 @@ def read_blocks(
     with reading(path, "an NPY"), path.open("rb") as file:
         header = header_of(file.read(MAX_HEADER_BYTES))
     shape, dtype = header.shape, header.dtype
-    if len(shape) != 3 or shape[2] != 3 or dtype.kind not in "fiu" or not shape[0] or header.is_fortran:
+    if shape and not shape[0]:
+        raise BadInput(f"{path}: has no frames: its array is {shape}")
+    if len(shape) != 3 or shape[2] != 3 or dtype.kind not in "fiu" or header.is_fortran:
         raise BadInput(f"{path}: only numbers (frames, joints, 3) in C order are read in pieces")
     size = header.size + math.prod(shape) * dtype.itemsize
     if path.stat().st_size != size:

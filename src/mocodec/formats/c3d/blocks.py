@@ -1,16 +1,19 @@
 # pyright: strict
 """C3D in pieces: header and parameters once, then frames where they are asked for. Analog channels, model outputs and
-segment poses are left out (`Blocks.left_out`), residuals too."""
+segment poses are left out (`Blocks.left_out`), residuals too, unless all are equal."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ...errors import BadInput
 from ...motion import Motion
+from ...typing import Booleans, Floats
 from ..blocks import Blocks, block_frames, of_ranges
 from ..zeros import parked_at_origin, zeros_are_gaps
 from . import reading
@@ -18,6 +21,10 @@ from .parameters import BLOCK
 
 HEAD_BYTES = (1 << 16) * BLOCK
 """Header and parameters end before this: the header counts blocks in 16 bits."""
+
+
+Samples: TypeAlias = tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[Any]], Booleans]
+"""What `reading.Opened.samples` gives: positions, fourth words, gaps."""
 
 
 class FileBytes:
@@ -64,11 +71,17 @@ def read_blocks(
     outputs = reading.all_outputs(file, labels, columns)
     markers = np.setdiff1d(np.arange(file.layout.points), [*chain.from_iterable(outputs.values())])
 
+    def samples(begin: int, end: int) -> Samples:
+        return file.samples(file.columns(file.table(data, begin, end))[:, markers])
+
     def positions(begin: int, end: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        found, _, gap = file.samples(file.columns(file.table(data, begin, end))[:, markers])
+        found, _, gap = samples(begin, end)
         found[gap | parked_at_origin(found, gap, is_part=True) if zeros else gap] = np.nan
         return found
 
+    if residuals is None:
+        ranges = ((begin, min(begin + each, file.frames)) for begin in range(0, file.frames, each))
+        file.source.update(_residuals_fact(samples(*frames) for frames in ranges))
     about = _about(head, file, labels, markers, positions(0, len(columns)))
 
     def between(begin: int, end: int) -> Motion:
@@ -81,6 +94,21 @@ def read_blocks(
     }
     present = tuple(what for what, count in left_out.items() if count)
     return of_ranges(about, file.frames, between, each, present)
+
+
+def _residuals_fact(blocks: Iterable[Samples]) -> dict[str, object]:
+    """What `reading.read` says of the fourth words in the source, but for words that it would keep as samples: these
+    are left out. Reads no further than to the first word that differs.
+    """
+    common: float | None = None
+    for _, word, gap in blocks:
+        words = word[~gap]
+        if not words.size:
+            continue
+        common = float(words[0]) if common is None else common
+        if np.any(words != common):
+            return {"residuals": "left out"}
+    return {"residual_word": common} if common else {}
 
 
 def _about(
