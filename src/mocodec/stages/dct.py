@@ -137,7 +137,7 @@ def _low_half_matrices(frames: int, frequencies: int) -> tuple[Floats, Floats]:
     turns = np.cos(np.pi / (2 * frames) * np.arange(4 * frames)) * np.sqrt(2 / frames)
     places = (2 * np.arange((frames + 1) // 2)[:, None] + 1) * np.arange(min(frequencies, frames)) % (4 * frames)
     cosines = turns[places]
-    cosines[:, 0] /= np.sqrt(2)
+    cosines[:, :1] /= np.sqrt(2)  # there is none where all runs are zero
     return np.ascontiguousarray(cosines[:, ::2]), np.ascontiguousarray(cosines[:, 1::2])
 
 
