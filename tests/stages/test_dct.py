@@ -54,7 +54,9 @@ def test_no_frequencies_are_zeros_and_no_frames_are_none():
     assert dct.forward(np.zeros((0, 3))).shape == (0, 3)
 
 
-@pytest.mark.parametrize(("frames", "known"), [(1, 1), (51, 20), (70, 70), (1500, 90), (1500, 1400), (64, 0), (1500, 0)])
+@pytest.mark.parametrize(
+    ("frames", "known"), [(1, 1), (51, 20), (70, 70), (1500, 90), (1500, 1400), (64, 0), (1500, 0)]
+)
 def test_panels_are_the_inverse(frames: int, known: int):
     rng = np.random.default_rng(frames)
     spectra = rng.normal(size=(2, known, 37))
