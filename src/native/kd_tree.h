@@ -4,12 +4,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 #include <stdexcept>
 #include <vector>
 
 #include "algebra3.h"
 #include "arrays.h"
+#include "kd_nodes.h"
 
 class KdTree {
   public:
@@ -23,17 +23,17 @@ class KdTree {
                 values[i * dimensions + d] = points.data()[3 * i + d];
                 if (coloured) values[i * dimensions + 3 + d] = colours.data()[3 * i + d];
             }
-        order.resize(count);
-        std::iota(order.begin(), order.end(), 0);
-        if (count) build(0, count);
+        const auto value = [this](size_t row, int axis) { return values[row * size_t(dimensions) + size_t(axis)]; };
+        tree.build(count, dimensions, LEAF, value);
         sorted.resize(count * dimensions);
-        for (size_t i = 0; i < count; ++i) std::copy_n(&values[order[i] * dimensions], dimensions, &sorted[i * dimensions]);
+        for (size_t i = 0; i < count; ++i)
+            std::copy_n(&values[tree.order[i] * dimensions], dimensions, &sorted[i * dimensions]);
     }
 
     const double *point(size_t row) const { return &values[row * dimensions]; }
 
     // All rows in the order of the tree's leaves: neighbours in space are neighbours here.
-    const std::vector<size_t> &spatial_order() const { return order; }
+    const std::vector<size_t> &spatial_order() const { return tree.order; }
 
     // The row nearest to a query of `dimensions` coordinates at a squared distance below `limit`, −1 if there is none.
     // `limit` becomes its squared distance.
@@ -105,55 +105,16 @@ class KdTree {
   private:
     static constexpr size_t LEAF = 12;  // points of a leaf, at most
 
-    struct Node {
-        size_t first, last;  // rows order[first] to order[last − 1]
-        int axis = -1;       // that the node is split along; −1 for a leaf
-        double low, high;    // the greatest coordinate of the first child along the axis, the least of the second
-        size_t second;       // the second child; the first follows its parent
-    };
-
-    size_t build(size_t first, size_t last) {
-        const size_t here = nodes.size();
-        nodes.push_back({first, last, -1, 0, 0, 0});
-        if (last - first <= LEAF) return here;
-        double widest = -1;
-        int axis = 0;
-        for (int d = 0; d < dimensions; ++d) {
-            double least = std::numeric_limits<double>::infinity(), most = -least;
-            for (size_t i = first; i < last; ++i) {
-                const double value = values[order[i] * dimensions + d];
-                least = std::min(least, value);
-                most = std::max(most, value);
-            }
-            if (most - least > widest) widest = most - least, axis = d;
-        }
-        if (!(widest > 0)) return here;
-        const size_t middle = (first + last) / 2;
-        std::nth_element(order.begin() + first, order.begin() + middle, order.begin() + last, [&](size_t i, size_t j) {
-            return values[i * dimensions + axis] < values[j * dimensions + axis];
-        });
-        double low = -std::numeric_limits<double>::infinity();
-        for (size_t i = first; i < middle; ++i) low = std::max(low, values[order[i] * dimensions + axis]);
-        const double high = values[order[middle] * dimensions + axis];
-        build(first, middle);
-        const size_t second = build(middle, last);
-        nodes[here].axis = axis;
-        nodes[here].low = low;
-        nodes[here].high = high;
-        nodes[here].second = second;
-        return here;
-    }
-
     // box_distance: squared distance of the query from the node's box; offsets: its distance along each axis.
     void visit(size_t at, const double *query, double &limit, int64_t &found, double box_distance, double *offsets) const {
-        const Node &node = nodes[at];
+        const KdNode<double> &node = tree.nodes[at];
         if (node.axis < 0) {
             for (size_t i = node.first; i < node.last; ++i) {
                 const double *other = &sorted[i * dimensions];
                 double sum = squared_distance(query, other);
                 if (sum >= limit) continue;
                 for (int d = 3; d < dimensions; ++d) sum += squared(query[d] - other[d]);
-                if (sum < limit) limit = sum, found = int64_t(order[i]);
+                if (sum < limit) limit = sum, found = int64_t(tree.order[i]);
             }
             return;
         }
@@ -169,6 +130,5 @@ class KdTree {
     }
 
     std::vector<double> values, sorted;  // coordinates by rows, and in the order of the leaves
-    std::vector<size_t> order;
-    std::vector<Node> nodes;
+    KdNodes<double> tree;
 };

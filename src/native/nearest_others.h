@@ -5,42 +5,35 @@
 #include <array>
 #include <cstdint>
 #include <limits>
-#include <numeric>
 #include <utility>
 #include <vector>
+
+#include "kd_nodes.h"
 
 class NearestOthers {
 public:
     using Place = std::array<int64_t, 3>;
 
-    // points: coordinates below 2^30 in magnitude. They must outlive this.
-    explicit NearestOthers(const std::vector<Place> &points) : points_(points), order_(points.size()) {
-        std::iota(order_.begin(), order_.end(), 0);
-        if (!points.empty()) build(0, points.size());
-        for (size_t row : order_) sorted_.push_back(points[row]);
+    // points: coordinates below 2^30 in magnitude.
+    explicit NearestOthers(const std::vector<Place> &points) {
+        tree_.build(points.size(), 3, LEAF, [&](size_t row, int axis) { return points[row][size_t(axis)]; });
+        for (size_t row : tree_.order) sorted_.push_back(points[row]);
     }
 
     // rows (m, COUNT): the others nearest to each point, nearest first; there must be more than COUNT points.
     template <size_t COUNT>
     void find(int64_t *rows) const {
-        for (size_t i = 0; i < order_.size(); ++i) {
-            Found<COUNT> found{sorted_[i], int64_t(order_[i]), {}};
+        for (size_t i = 0; i < tree_.order.size(); ++i) {
+            Found<COUNT> found{sorted_[i], int64_t(tree_.order[i]), {}};
             found.best.fill({std::numeric_limits<int64_t>::max(), -1});
             int64_t away[3] = {0, 0, 0};
             visit(0, found, 0, away);
-            for (size_t k = 0; k < COUNT; ++k) rows[order_[i] * COUNT + k] = found.best[k].second;
+            for (size_t k = 0; k < COUNT; ++k) rows[tree_.order[i] * COUNT + k] = found.best[k].second;
         }
     }
 
 private:
     static constexpr size_t LEAF = 8;  // points of a leaf, at most
-
-    struct Node {
-        size_t first, last;  // rows order_[first] to order_[last − 1]
-        int axis = -1;       // that the node is split along; −1 for a leaf
-        int64_t low, high;   // the greatest coordinate of the first child along the axis, the least of the second
-        size_t second;       // the second child; the first follows its parent
-    };
 
     // What a search has found so far: squared distances with rows, in order.
     template <size_t COUNT>
@@ -58,41 +51,10 @@ private:
         }
     };
 
-    size_t build(size_t first, size_t last) {
-        const size_t here = nodes_.size();
-        nodes_.push_back({first, last, -1, 0, 0, 0});
-        if (last - first <= LEAF) return here;
-        int64_t widest = 0;
-        int axis = -1;
-        for (int d = 0; d < 3; ++d) {
-            int64_t least = std::numeric_limits<int64_t>::max(), most = std::numeric_limits<int64_t>::min();
-            for (size_t i = first; i < last; ++i) {
-                least = std::min(least, points_[order_[i]][size_t(d)]);
-                most = std::max(most, points_[order_[i]][size_t(d)]);
-            }
-            if (most - least > widest) widest = most - least, axis = d;
-        }
-        if (axis < 0) return here;
-        const auto value = [&](size_t row) { return points_[row][size_t(axis)]; };
-        const size_t middle = (first + last) / 2;
-        std::nth_element(order_.begin() + int64_t(first), order_.begin() + int64_t(middle), order_.begin() + int64_t(last),
-                         [&](size_t i, size_t j) { return value(i) < value(j); });
-        int64_t low = std::numeric_limits<int64_t>::min();
-        for (size_t i = first; i < middle; ++i) low = std::max(low, value(order_[i]));
-        const int64_t high = value(order_[middle]);
-        build(first, middle);
-        const size_t second = build(middle, last);
-        nodes_[here].axis = axis;
-        nodes_[here].low = low;
-        nodes_[here].high = high;
-        nodes_[here].second = second;
-        return here;
-    }
-
     // box: squared distance of the query from the node's box; away: its distance along each axis.
     template <size_t COUNT>
     void visit(size_t at, Found<COUNT> &found, int64_t box, int64_t *away) const {
-        const Node &node = nodes_[at];
+        const KdNode<int64_t> &node = tree_.nodes[at];
         if (node.axis < 0) {
             for (size_t i = node.first; i < node.last; ++i) {
                 int64_t square = 0;
@@ -100,7 +62,7 @@ private:
                     const int64_t apart = sorted_[i][d] - found.query[d];
                     square += apart * apart;
                 }
-                found.offer(square, int64_t(order_[i]));
+                found.offer(square, int64_t(tree_.order[i]));
             }
             return;
         }
@@ -116,8 +78,6 @@ private:
         away[node.axis] = before;
     }
 
-    const std::vector<Place> &points_;
-    std::vector<size_t> order_;
-    std::vector<Place> sorted_;
-    std::vector<Node> nodes_;
+    KdNodes<int64_t> tree_;
+    std::vector<Place> sorted_;  // in the order of the leaves
 };
