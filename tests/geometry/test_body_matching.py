@@ -6,23 +6,16 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulated_icp, articulation, link_grids, skinning
+from mocodec.geometry import articulation, link_grids
 from mocodec.geometry.body_matching import FramePoints, Matcher, Step
 from mocodec.geometry.gauss_newton import PosePrior
-from mocodec.testing import actors, sequences
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 
 
 @pytest.fixture(scope="module")
-def scene():
-    performance = sequences.jumping_jacks(actors.capsules(), 4)
-    clouds = sequences.record(performance, 1500, seed=2)
-    actor = performance.actor
-    assert clouds.colours is not None
-    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
-    body, model = articulated_icp.make_model(body, clouds.positions[0], clouds.colours[0], by_surface=True)
-    return clouds, body, model, skinning.skin(body, model.points, model.links)
+def scene(jumper):
+    return jumper(1500)
 
 
 def matcher_of(scene, coloured: bool) -> tuple[Matcher, FramePoints]:

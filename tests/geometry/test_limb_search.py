@@ -6,22 +6,15 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulated_icp, articulation, body_tracking, joint_limits, limb_search, skinning
+from mocodec.geometry import articulation, body_tracking, joint_limits, limb_search
 from mocodec.geometry.body_matching import FramePoints
-from mocodec.testing import actors, sequences
 
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or left aside")
 
 
 @pytest.fixture(scope="module")
-def scene():
-    performance = sequences.jumping_jacks(actors.capsules(), 4)
-    clouds = sequences.record(performance, 2500, seed=2)
-    actor = performance.actor
-    assert clouds.colours is not None
-    body = articulation.from_skeleton(actor.names, actor.parents, performance.joints[0])
-    body, model = articulated_icp.make_model(body, clouds.positions[0], clouds.colours[0], by_surface=True)
-    return clouds, body, model, skinning.skin(body, model.points, model.links)
+def scene(jumper):
+    return jumper(2500)
 
 
 def tracker_of(scene, limits=joint_limits.NO_LIMITS) -> body_tracking.BodyTracker:
