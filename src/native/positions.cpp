@@ -84,7 +84,7 @@ int64_t predicted(const int64_t *values, size_t m, size_t around, size_t last) {
     return (9 * line - values[m - 3 * around] - values[m + 3 * around] + 8) >> 4;
 }
 
-// Sums (coordinates,) of the magnitudes of direct._residuals but for the first frame, of every so many points of positions
+// Sums (coordinates,) of the magnitudes of direct._residuals but for the first frame, of one point in `every`, for positions
 // (frames, points, 3) in steps of `step` metres. None for positions too large to count in steps.
 nb::object direct_residuals(Input<double, 3> positions, double step, size_t every, int64_t largest) {
     const size_t frames = positions.shape(0), points = positions.shape(1);

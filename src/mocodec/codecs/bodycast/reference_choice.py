@@ -43,7 +43,7 @@ class ReferenceChoice:
     def _moved(
         self, earlier: EarlierFrames, cells: Integers, depth: int, has_bodies: bool, hides: bool, frames: Sequence[int]
     ) -> list[Reference]:
-        """References to so many frames with their motion; none of them if there are too few points."""
+        """A reference to each of these numbers of frames, with their motion; none if there are too few points."""
         before = earlier.references(1, depth, has_bodies) if any(frames) and len(cells) >= LEAST_POINTS else None
         if before is None:
             return [Reference(hides_bodies=hides)] if len(frames) == 1 else []

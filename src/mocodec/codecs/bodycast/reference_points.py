@@ -100,7 +100,7 @@ class EarlierFrames:
         return result
 
     def references(self, frames: int, depth: int, has_bodies: bool) -> ReferencePoints | None:
-        """Samples of the distinct points of so many frames, within the octree; None for fewer than LEAST_POINTS.
+        """Samples of the distinct points of the last `frames` frames, within the octree; None below LEAST_POINTS of them.
 
         Of equal points that of the latest frame counts. has_bodies: whether those that a body explains are left out.
         """

@@ -48,8 +48,8 @@ PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
 """The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
 
 PROMISING, PROMISING_BYTES = 1.06, 256
-"""A first coding up to this much larger than tempo's, and so many bytes, may still be smaller at its best step. Most
-bytes of still recordings are the basis, which a coarser step makes much smaller."""
+"""A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:
+most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
 STRETCH_FRAMES = 1000
 """Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis

@@ -55,8 +55,8 @@ def unpack(data: bytes, shape: tuple[int, int]) -> Integers:
 def estimate(positions: Floats, step: float, every: int = 1) -> float:
     """Estimate of the bytes of `pack` for positions (frames, points, 3) in steps of `step` metres.
 
-    It is made from the mean residual of each coordinate of every so many points. Raises CannotEncode where they are too
-    large.
+    It is made from the mean residual of each coordinate of one point in `every`. Raises CannotEncode where residuals
+    are too large.
     """
     frames, points = positions.shape[:2]
     sums = None
