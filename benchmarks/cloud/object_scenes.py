@@ -22,6 +22,7 @@ from mocodec.codecs.bodycast import Bodycast, lattice
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
 from mocodec.codecs.bodycast.point_encoder import PointEncoder
 from mocodec.codecs.bodycast.point_layer import split_references
+from mocodec.codecs.bodycast.point_scene import ChunkBodies
 from mocodec.codecs.bodycast.reference_points import Reference
 from mocodec.encoded import Encoded
 from mocodec.errors import BadInput
@@ -109,8 +110,8 @@ def _alone(clouds: PointClouds, bound: float, chunk_frames: int) -> int:
     """The bytes of the points without bodies."""
     frames = [(np.asarray(p), None) for p in clouds.positions]
     spans = [slice(s, min(s + chunk_frames, len(frames))) for s in range(0, len(frames), chunk_frames)]
-    absent = [np.zeros((s.stop - s.start, 0), bool) for s in spans]
-    return sum(map(len, PointEncoder(frames, spans, [], [[] for _ in spans], absent, False).coded(bound)))
+    nobody = [ChunkBodies.nobody(s.stop - s.start) for s in spans]
+    return sum(map(len, PointEncoder(frames, spans, nobody, False).coded(bound)))
 
 
 def yardstick_bytes(clouds: PointClouds, d1_m: float) -> float:

@@ -15,7 +15,7 @@ from ..clouds.raw_frames import Cloud
 from .body_model import pack_model
 from .encoder import BodyEncoder
 from .point_encoder import PointEncoder, PointTarget
-from .point_scene import SurfaceTexture
+from .point_scene import ChunkBodies, SurfaceTexture
 from .pose_stream import PoseSequence
 
 FIRST_FRAMES = 2
@@ -92,9 +92,9 @@ class _Trial:
         spans = [slice(end - len(run), end) for end, run in zip(ends, runs, strict=True)]
         some, absent = [self.frames[k] for k in rows.tolist()], [self.is_absent[run] for run in runs]
         poses = [[PoseSequence(p.rotations[run], p.roots[run]) for p in self.poses] for run in runs]
-        beside = PointEncoder(some, spans, self.textures, poses, absent, self.coloured)
-        nobody = [own[:, :0] for own in absent]
-        alone = PointEncoder(some, spans, [], [[] for _ in runs], nobody, self.coloured)
+        bodies = [ChunkBodies(self.textures, *own) for own in zip(poses, absent, strict=True)]
+        beside = PointEncoder(some, spans, bodies, self.coloured)
+        alone = PointEncoder(some, spans, [ChunkBodies.nobody(len(run)) for run in runs], self.coloured)
         if self._bound is None:
             self._bound = alone.bound(target)
         return beside.frame_bytes(self._bound), alone.frame_bytes(self._bound)

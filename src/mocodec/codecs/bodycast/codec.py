@@ -37,7 +37,7 @@ from .exact_octree import pack_smallest
 from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
-from .point_scene import SurfaceTexture
+from .point_scene import ChunkBodies, SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
 from .residual_scale import SURFACE_PERCENT
 from .tracking import MIN_BODY_POINTS
@@ -272,7 +272,8 @@ class Bodycast:
         size = None if file_bytes is None else file_bytes - beside
         textures = [SurfaceTexture(body.model) for body in bodies]
         poses = [[sequence for _, sequence in own] for own in coded]
-        encoder = PointEncoder(frames, spans, textures, poses, absent, coloured)
+        chunk_bodies = [ChunkBodies(textures, *own) for own in zip(poses, absent, strict=True)]
+        encoder = PointEncoder(frames, spans, chunk_bodies, coloured)
         parts = encoder.encode(PointTarget(settings.get("max_error"), self.mean_error, size, self.psnr, beside))
         return [pack_chunk(streams._replace(exact_points=part)) for streams, part in zip(empty, parts, strict=True)]
 
@@ -307,7 +308,8 @@ class Bodycast:
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:
             textures, poses = [SurfaceTexture(body.model) for body in bodies], [sequence for _, sequence in coded]
-            exact = pack_smallest(frames[span], self.precision, coloured, textures, poses, is_absent)
+            chunk_bodies = ChunkBodies(textures, poses, is_absent)
+            exact = pack_smallest(frames[span], self.precision, coloured, chunk_bodies)
             return pack_chunk(ChunkStreams(is_absent, b"", b"", exact, streams))
         outliers = self._outliers(bodies, [poses for _, poses in coded], frames, span, is_absent)
         raw_frames = [frame for frame, absent in zip(frames[span], is_absent, strict=True) if absent.all()]

@@ -24,7 +24,7 @@ from .chunk_payload import BodyStreams, ChunkStreams, unpack_chunk
 from .exact_points import unpack_exact
 from .outliers import unpack_outliers
 from .point_layer import KINDS, unpack_points
-from .point_scene import SurfaceTexture
+from .point_scene import ChunkBodies, SurfaceTexture
 from .pose_stream import PoseSequence, unpack_poses
 from .surface_sampling import sample_surface
 
@@ -102,9 +102,8 @@ class SceneDecoder:
         kind = streams.exact_points[0] if streams.exact_points else None
         if kind in (*KINDS, exact_octree.KIND):
             unpack = exact_octree.unpack if kind == exact_octree.KIND else unpack_points
-            poses = self._poses(streams, chunk.frames)
-            bodies = self.textures, poses, streams.is_absent
-            yield from islice(unpack(streams.exact_points, chunk.frames, *bodies, self.coloured), start, stop)
+            bodies = ChunkBodies(self.textures, self._poses(streams, chunk.frames), streams.is_absent)
+            yield from islice(unpack(streams.exact_points, chunk.frames, bodies, self.coloured), start, stop)
             return
         if streams.exact_points:
             yield from unpack_exact(streams.exact_points, chunk.frames, self.coloured)[start:stop]

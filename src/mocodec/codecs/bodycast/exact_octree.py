@@ -17,7 +17,7 @@ import numpy as np
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
-from ...typing import AnyInteger, Booleans, Bytes, Floats, Integers
+from ...typing import AnyInteger, Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import exact_points, octree, point_colours, point_layer
 from .binary_coder import BinaryEncoder
@@ -25,8 +25,7 @@ from .colour_lifting import ColourSteps
 from .exact_points import CELL_EXPONENT, FLOATS, MAX_CELL, MAX_SPACING, Grid
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
 from .point_layer import ColoursOfChunk, LocatedPoints
-from .point_scene import SurfaceTexture
-from .pose_stream import PoseSequence
+from .point_scene import ChunkBodies
 
 KIND = 7  # of the part that holds all points
 MAX_REPEATS = 2000  # points of a cell besides the first
@@ -80,13 +79,11 @@ def pack_smallest(
     frames: Sequence[Cloud],
     precision_m: float,
     coloured: bool,
-    textures: Sequence[SurfaceTexture],
-    poses: Sequence[PoseSequence],
-    is_absent: Booleans,
+    bodies: ChunkBodies,
 ) -> bytes:
     """The smaller of this form, if it can hold the points, and that of `exact_points`. Raises CannotEncode."""
     plain = exact_points.pack_exact(frames, precision_m, coloured)
-    packed = _pack(frames, precision_m, coloured, textures, poses, is_absent)
+    packed = _pack(frames, precision_m, coloured, bodies)
     return plain if packed is None or len(packed) >= len(plain) else packed
 
 
@@ -94,9 +91,7 @@ def _pack(
     frames: Sequence[Cloud],
     precision_m: float,
     coloured: bool,
-    textures: Sequence[SurfaceTexture],
-    poses: Sequence[PoseSequence],
-    is_absent: Booleans,
+    bodies: ChunkBodies,
 ) -> bytes | None:
     """None for points that this form cannot hold, or that do not come back from it."""
     step = precision_m or exact_points.common_grid_step(frames)
@@ -110,7 +105,7 @@ def _pack(
     if max((int(own.repeats.max()) for own in cells if own is not None), default=0) > MAX_REPEATS:
         return None
     distinct = [_lattice_frame(own) for own in cells]
-    coded = point_layer.pack_places(lattice, distinct, textures, poses, is_absent, smooths=False)
+    coded = point_layer.pack_places(lattice, distinct, bodies, smooths=False)
     filled = [own for own in cells if own is not None]
     encoder = BitEncoder()
     for own in filled:
@@ -125,7 +120,7 @@ def _pack(
             wanted = point_colours.ycocg_from_rgb(colour[own.order].astype(np.int64))
             memory.code_repeated(colour_coder, wanted, located, own.repeats)
         packed += colour_coder.finish()
-    back = unpack(packed, len(frames), textures, poses, is_absent, coloured)
+    back = unpack(packed, len(frames), bodies, coloured)
     expected = [_in_order(frame, own, grid) for frame, own in zip(frames, cells, strict=True)]
     same = all(_is_same(a, b) for a, b in zip(back, expected, strict=True))
     return packed if same else None
@@ -196,14 +191,7 @@ def _is_same(a: Cloud, b: Cloud) -> bool:
     return a[1] is None or b[1] is None or np.array_equal(a[1], b[1])
 
 
-def unpack(
-    data: bytes,
-    frames: int,
-    textures: Sequence[SurfaceTexture],
-    poses: Sequence[PoseSequence],
-    is_absent: Booleans,
-    coloured: bool,
-) -> Iterator[Cloud]:
+def unpack(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Iterator[Cloud]:
     """The inverse of `pack_smallest` for a part of this kind, frame by frame, in the order of the octree. Raises
     Corrupt.
     """
@@ -212,7 +200,7 @@ def unpack(
     for size in header.sizes:
         parts.append(data[at : at + size])
         at += size
-    places = point_layer.PlacesDecoder(parts[0], frames, textures, poses, is_absent, coloured=False)
+    places = point_layer.PlacesDecoder(parts[0], frames, bodies, coloured=False)
     found, total = list[tuple[LocatedPoints, Integers] | None](), 0
     repeats = BitDecoder(parts[1])
     for located in places.frames():

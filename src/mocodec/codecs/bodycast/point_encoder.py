@@ -13,14 +13,13 @@ import numpy as np
 from ... import progress
 from ...errors import CannotEncode
 from ...metrics import point_clouds
-from ...typing import Booleans, Bytes, Floats
+from ...typing import Bytes, Floats
 from ..clouds.raw_frames import Cloud
 from . import point_targets
 from .colour_lifting import ColourSteps
 from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
 from .point_layer import CodedPlaces, LocatedPoints, join, pack_colours, pack_places, unpack_points
-from .point_scene import SurfaceTexture
-from .pose_stream import PoseSequence
+from .point_scene import ChunkBodies
 
 
 class PointTarget(NamedTuple):
@@ -38,21 +37,17 @@ class PointTarget(NamedTuple):
 class PointEncoder:
     """The points of all frames with what their coding depends on.
 
-    spans: frames of each chunk. poses: of each chunk and body, as they are decoded. is_absent: (frames, bodies) of each
-    chunk.
+    spans: frames of each chunk. bodies: of each chunk.
     """
 
     def __init__(
         self,
         frames: Sequence[Cloud],
         spans: Sequence[slice],
-        textures: Sequence[SurfaceTexture],
-        poses: Sequence[Sequence[PoseSequence]],
-        is_absent: Sequence[Booleans],
+        bodies: Sequence[ChunkBodies],
         coloured: bool,
     ) -> None:
-        self.frames, self.spans, self.textures = frames, spans, textures
-        self.poses, self.is_absent, self.coloured = poses, is_absent, coloured
+        self.frames, self.spans, self.bodies, self.coloured = frames, spans, bodies, coloured
         self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
@@ -101,9 +96,9 @@ class PointEncoder:
         if self._last is not None and self._last[0] == bound:
             return self._last[1]
         chunks = list[_CodedChunk]()
-        for span, poses, absent in zip(self.spans, self.poses, self.is_absent, strict=True):
+        for span, bodies in zip(self.spans, self.bodies, strict=True):
             grid, frames = to_lattice(self.frames[span], bound, self.coloured)
-            places = pack_places(grid, frames, self.textures, poses, absent, smooths=True)
+            places = pack_places(grid, frames, bodies, smooths=True)
             chunks.append(_CodedChunk(grid, frames, places))
         self._last = bound, chunks
         return chunks
@@ -136,10 +131,10 @@ class PointEncoder:
         bound: float,
     ) -> None:
         """Decodes all chunks and compares them. Raises CannotEncode."""
-        rows = list(zip(parts, colours, chunks, self.spans, self.poses, self.is_absent, strict=True))
-        for part, expected, chunk, span, poses, absent in progress.over(rows):
+        rows = list(zip(parts, colours, chunks, self.spans, self.bodies, strict=True))
+        for part, expected, chunk, span, bodies in progress.over(rows):
             count, waiting = span.stop - span.start, iter(expected)
-            decoded = unpack_points(part, count, self.textures, poses, absent, self.coloured)
+            decoded = unpack_points(part, count, bodies, self.coloured)
             filled = [cloud for cloud in decoded if len(cloud[0])]
             for (frame, located), (points, colour) in zip(chunk.pairs(), filled, strict=True):
                 same = np.array_equal(points, located.positions)

@@ -18,14 +18,13 @@ import numpy as np
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
-from ...typing import Booleans, Bytes, Floats, Integers
+from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing, reference_points
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
-from .point_scene import Scene, SurfaceTexture
-from .pose_stream import PoseSequence
+from .point_scene import ChunkBodies, Scene
 from .reference_choice import ReferenceChoice
 from .reference_points import NO_REFERENCE, EarlierFrames, Reference, ReferencePoints
 from .surface_hints import SurfaceHints
@@ -119,24 +118,17 @@ class PointsHeader(NamedTuple):
 def pack_places(
     grid: LatticeGrid,
     frames: Sequence[LatticeFrame],
-    textures: Sequence[SurfaceTexture],
-    poses: Sequence[PoseSequence],
-    is_absent: Booleans,
+    bodies: ChunkBodies,
     smooths: bool,
 ) -> CodedPlaces:
-    """poses: of each body, as they are decoded. is_absent (frames, bodies). smooths: whether points move from the
-    lattice to the surface where that keeps the bound.
-    """
-    shifts = [texture.shift for texture in textures]
-    values = [
-        [integer_surface.pose_values(t.body, poses[b][k]) for b, t in enumerate(textures) if not is_absent[k, b]]
-        for k in range(len(frames))
-    ]
+    """smooths: whether points move from the lattice to the surface where that keeps the bound."""
+    shifts = [texture.shift for texture in bodies.textures]
+    values = [bodies.pose_values(k) for k in range(len(frames))]
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
     coder, located, ends = BitEncoder(), list[LocatedPoints](), list[int]()
-    scene = Scene(textures, shifts, is_absent, learns=True, smooths=smooths)
+    scene = Scene(bodies, shifts, learns=True, smooths=smooths)
     earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
     for k, frame in enumerate(frames):
         reference = NO_REFERENCE
@@ -169,16 +161,9 @@ def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes
     return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
-def unpack_points(
-    data: bytes,
-    frames: int,
-    textures: Sequence[SurfaceTexture],
-    poses: Sequence[PoseSequence],
-    is_absent: Booleans,
-    coloured: bool,
-) -> Iterator[Cloud]:
+def unpack_points(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Iterator[Cloud]:
     """The inverse of `join`, frame by frame, in the order of the octree. Raises Corrupt."""
-    places = PlacesDecoder(data, frames, textures, poses, is_absent, coloured)
+    places = PlacesDecoder(data, frames, bodies, coloured)
     kind, steps, table = places.head.kind, places.head.steps, places.table
     colours = BitDecoder(places.rest)
     memory = ColoursOfChunk(table, ColourSteps(*steps)) if kind != UNLEARNED and coloured else None
@@ -201,33 +186,22 @@ class PlacesDecoder:
     follows.
     """
 
-    def __init__(
-        self,
-        data: bytes,
-        frames: int,
-        textures: Sequence[SurfaceTexture],
-        poses: Sequence[PoseSequence],
-        is_absent: Booleans,
-        coloured: bool,
-    ) -> None:
+    def __init__(self, data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> None:
         """As `unpack_points`. Raises Corrupt."""
         part, self._references = split_references(data, frames)
-        self.head = PointsHeader.read(part, frames, len(textures), int((~is_absent).sum()), coloured)
+        self.head = PointsHeader.read(part, frames, len(bodies.textures), int((~bodies.is_absent).sum()), coloured)
         self._coder, self.rest = BitDecoder(part[self.head.octrees]), part[self.head.octrees.stop :]
-        self._textures, self._poses, self._is_absent = textures, poses, is_absent
         kind = self.head.kind
-        self._scene = Scene(textures, self.head.shifts, is_absent, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
+        self._scene = Scene(bodies, self.head.shifts, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
         self.table = self._scene.table
 
     def frames(self) -> Iterator[LocatedPoints | None]:
         """The points of each frame, None for a frame without points. Raises Corrupt."""
-        waiting, earlier = iter(self.head.pose_shifts), EarlierFrames()
+        bodies, waiting, earlier = self._scene.bodies, iter(self.head.pose_shifts), EarlierFrames()
         for k, count in enumerate(self.head.counts):
-            present = [b for b in range(len(self._textures)) if not self._is_absent[k, b]]
-            own, located = [next(waiting) for _ in present], None
+            shifts, located = [next(waiting) for _ in bodies.present(k)], None
             if count:
-                values = [integer_surface.pose_values(self._textures[b].body, self._poses[b][k]) for b in present]
-                octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, values, own, earlier)
+                octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, bodies.pose_values(k), shifts, earlier)
                 located = octree_of_frame.decode(self._coder, count, self._references[k])
             if k == len(self.head.counts) - 1:
                 self._coder.finish()

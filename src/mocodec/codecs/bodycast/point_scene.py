@@ -7,13 +7,15 @@ poses ───────► samples of a frame ─`PlaceMemory`─► correct
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ...typing import Booleans, Bytes, Floats, Integers
 from . import integer_surface, point_colours, video
 from .body_model import BodyModel
-from .integer_surface import IntegerSurface, posed_samples, rounding_shift
+from .integer_surface import IntegerSurface, pose_values, posed_samples, rounding_shift
+from .pose_stream import PoseSequence
 from .surface_hints import NEIGHBOURS, SurfaceHints
 from .surface_memory import SEARCHED_SAMPLES, PlaceMemory, PosedSurface, SampleTable
 from .surface_sampling import SurfaceSamples, sample_surface
@@ -52,6 +54,29 @@ def _texture(samples: SurfaceSamples, planes: Bytes) -> Integers:
     return point_colours.ycocg_from_rgb(np.clip(np.stack([red, green, blue], axis=1), 0, 255))
 
 
+class ChunkBodies(NamedTuple):
+    """The bodies of a chunk, from which its points are coded. poses: of each body, as they are decoded. is_absent
+    (frames, bodies): True where a body is not in a frame.
+    """
+
+    textures: Sequence[SurfaceTexture]
+    poses: Sequence[PoseSequence]
+    is_absent: Booleans
+
+    @staticmethod
+    def nobody(frames: int) -> ChunkBodies:
+        """For a chunk of `frames` frames without bodies."""
+        return ChunkBodies([], [], np.zeros((frames, 0), bool))
+
+    def present(self, k: int) -> list[int]:
+        """The numbers of the bodies in frame k."""
+        return np.flatnonzero(~self.is_absent[k]).tolist()
+
+    def pose_values(self, k: int) -> list[Floats]:
+        """`integer_surface.pose_values` of each body in frame k."""
+        return [pose_values(self.textures[b].body, self.poses[b][k]) for b in self.present(k)]
+
+
 class Scene:
     """The surfaces of all bodies of a file, frame after frame of a chunk. table: their samples.
 
@@ -59,30 +84,23 @@ class Scene:
     the surface that the points around them show.
     """
 
-    def __init__(
-        self,
-        textures: Sequence[SurfaceTexture],
-        shifts: Sequence[int],
-        is_absent: Booleans,
-        learns: bool,
-        smooths: bool,
-    ) -> None:
-        self.is_absent, self.learns, self.smooths = is_absent, learns, smooths
-        self.surfaces = [texture.integers(shift) for texture, shift in zip(textures, shifts, strict=True)]
+    def __init__(self, bodies: ChunkBodies, shifts: Sequence[int], learns: bool, smooths: bool) -> None:
+        """shifts: the rounding shift of each body's surface."""
+        self.bodies, self.learns, self.smooths = bodies, learns, smooths
+        self.surfaces = [texture.integers(shift) for texture, shift in zip(bodies.textures, shifts, strict=True)]
         self._starts = np.cumsum([0, *(len(s.points) for s in self.surfaces)])
         neighbours = _joined(self.surfaces, self._starts.tolist())
         self.table = SampleTable(
             np.concatenate([np.zeros((0, 3), np.int64), *(s.points for s in self.surfaces)]),
             neighbours[:, : SEARCHED_SAMPLES - 1],
-            np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in textures)]),
+            np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in bodies.textures)]),
         )
         self._memory = PlaceMemory(self.table)
 
     def posed(self, k: int, values: Sequence[Floats], shifts: Sequence[int]) -> PosedSurface:
         """The samples in frame k. values, shifts: `pose_values` and rounding shift of each body in the frame."""
-        present = [b for b in range(len(self.surfaces)) if not self.is_absent[k, b]]
         parts = list[tuple[Integers, Integers, Integers, Integers]]()
-        for b, value, shift in zip(present, values, shifts, strict=True):
+        for b, value, shift in zip(self.bodies.present(k), values, shifts, strict=True):
             surface = self.surfaces[b]
             places, normals, turns = posed_samples(surface, value, shift)
             rows = np.arange(self._starts[b], self._starts[b + 1])
@@ -92,7 +110,7 @@ class Scene:
 
     def hints(self, k: int, frame: PosedSurface, step_m: float, corner: Integers, depth: int) -> SurfaceHints | None:
         """What the octree of frame k sees of the samples; None without bodies. Raises Corrupt."""
-        present = [s for b, s in enumerate(self.surfaces) if not self.is_absent[k, b]]
+        present = [self.surfaces[b] for b in self.bodies.present(k)]
         starts = np.cumsum([0, *(len(s.points) for s in present)]).tolist()
         places = self._memory.corrected(frame) if self.learns else frame.places
         neighbours = _joined(present, starts)
