@@ -15,7 +15,7 @@ from ..clouds.raw_frames import Cloud
 from .body_model import pack_model
 from .encoder import BodyEncoder
 from .point_encoder import PointEncoder, PointTarget
-from .point_scene import ChunkBodies, SurfaceTexture
+from .point_scene import ChunkBodies
 from .pose_stream import PoseSequence
 
 FIRST_FRAMES = 2
@@ -82,7 +82,7 @@ class _Trial:
         coded = [body.encode_chunk(span) for body in bodies]
         self.pose_bytes = sum(len(streams.poses) for streams, _ in coded) / len(self.present)
         self.poses = [sequence for _, sequence in coded]
-        self.textures = [SurfaceTexture(body.model) for body in bodies]
+        self.textures = [body.texture for body in bodies]
         self._bound: float | None = None
 
     def frame_bytes(self, runs: Sequence[Integers], target: PointTarget) -> tuple[list[Floats], list[Floats]]:

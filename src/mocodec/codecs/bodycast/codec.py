@@ -37,7 +37,7 @@ from .exact_octree import pack_smallest
 from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
-from .point_scene import ChunkBodies, SurfaceTexture
+from .point_scene import ChunkBodies
 from .pose_stream import PoseSequence, unpack_poses
 from .residual_scale import SURFACE_PERCENT
 from .tracking import MIN_BODY_POINTS
@@ -270,7 +270,7 @@ class Bodycast:
         )
         file_bytes = self.size if self.ratio is None else raw_bytes / self.ratio
         size = None if file_bytes is None else file_bytes - beside
-        textures = [SurfaceTexture(body.model) for body in bodies]
+        textures = [body.texture for body in bodies]
         poses = [[sequence for _, sequence in own] for own in coded]
         chunk_bodies = [ChunkBodies(textures, *own) for own in zip(poses, absent, strict=True)]
         encoder = PointEncoder(frames, spans, chunk_bodies, coloured)
@@ -307,7 +307,7 @@ class Bodycast:
         coded = [body.encode_chunk(span) for body in bodies]
         streams = tuple(stream for stream, _ in coded)
         if self.residual == EXACT:
-            textures, poses = [SurfaceTexture(body.model) for body in bodies], [sequence for _, sequence in coded]
+            textures, poses = [body.texture for body in bodies], [sequence for _, sequence in coded]
             chunk_bodies = ChunkBodies(textures, poses, is_absent)
             exact = pack_smallest(frames[span], self.precision, coloured, chunk_bodies)
             return pack_chunk(ChunkStreams(is_absent, b"", b"", exact, streams))

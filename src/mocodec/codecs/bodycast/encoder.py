@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..clouds.raw_frames import Cloud
 from . import video
 from .body_model import MAX_POINTS, BodyModel
 from .chunk_payload import BodyStreams
+from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, PoseSteps, pack_poses, unpack_poses
 from .surface_mask import surface_cells
 from .texture_atlas import Atlas, CellSums, atlas_planes
@@ -68,6 +70,11 @@ class BodyEncoder:
         self.clouds.append(cloud)
         self.poses.append(self.person.tracker.pose)
         self.is_present.append(is_present)
+
+    @cached_property
+    def texture(self) -> SurfaceTexture:
+        """What points are coded from; after `build_model`."""
+        return SurfaceTexture(self.model)
 
     @property
     def is_explained(self) -> bool:
