@@ -17,10 +17,9 @@ import numpy as np
 from ...entropy import varint
 from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
-from ...typing import AnyInteger, Bytes, Floats, Integers
+from ...typing import AnyInteger, Bytes, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import exact_points, octree, point_colours, point_layer
-from .binary_coder import BinaryEncoder
 from .colour_lifting import ColourSteps
 from .exact_points import CELL_EXPONENT, FLOATS, MAX_CELL, MAX_SPACING, Grid
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
@@ -110,7 +109,11 @@ def _pack(
     encoder = BitEncoder()
     for own in filled:
         _code_repeats(encoder, own.repeats, len(own.repeats))
-    streams = point_layer.join(coded, None, b""), encoder.finish(), b"" if step else _float_bits(filled)
+    streams = (
+        point_layer.join(coded, None, b""),
+        encoder.finish(),
+        b"" if step else exact_points.float_bits([(own.cells, own.magnitudes) for own in filled]),
+    )
     packed = ExactHeader(grid, spacing, corner, (len(streams[0]), len(streams[1]), len(streams[2]))).pack()
     packed += b"".join(streams)
     if coloured:
@@ -163,14 +166,6 @@ def _code_repeats(coder: BitCoder, wanted: Integers | None, count: int) -> Integ
     return found
 
 
-def _float_bits(filled: Sequence[_FrameCells]) -> bytes:
-    ranges = [exact_points.float_range(own.cells, CELL_EXPONENT) for own in filled]
-    if not ranges:
-        return b""
-    bits = [(own.magnitudes - start).reshape(-1) for own, (_, start) in zip(filled, ranges, strict=True)]
-    return BinaryEncoder().finish(np.concatenate(bits), np.concatenate([width.reshape(-1) for width, _ in ranges]))
-
-
 def _in_order(frame: Cloud, own: _FrameCells | None, grid: Grid) -> Cloud:
     """The frame as it is decoded, −0 as 0."""
     if own is None:
@@ -212,7 +207,7 @@ def unpack(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Ite
     repeats.finish()
     BitDecoder(places.rest).finish()  # colours of the places: none
     cells = [_cells_of(header, *own) for own in found if own is not None]
-    points = iter(_coordinates(header.grid, cells, parts[2]))
+    points = iter(exact_points.coordinates(header.grid, cells, parts[2]))
     memory, colour_bits = ColoursOfChunk(places.table, LOSSLESS), BitDecoder(data[at:])
     for k, own in enumerate(found):
         cloud = no_points(coloured)
@@ -227,9 +222,3 @@ def unpack(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Ite
 def _cells_of(header: ExactHeader, located: LocatedPoints, repeats: Integers) -> Integers:
     """(n, 3): the cell of each point."""
     return np.repeat((located.cells >> 1) * header.spacing + header.corner, repeats + 1, axis=0)
-
-
-def _coordinates(grid: Grid, cells: Sequence[Integers], float_bits: bytes) -> list[Floats]:
-    if grid.kind == FLOATS:
-        return exact_points.floats(float_bits, cells, grid.exponent)
-    return [np.asarray(own * grid.step_m, np.float64) for own in cells]

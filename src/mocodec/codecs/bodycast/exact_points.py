@@ -84,7 +84,7 @@ def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> b
     spacing, depth, corner = extent([cells for cells, _ in places], step)
     encoder, contexts = BinaryEncoder(), octree.OctreeContexts.new()
     rests, rest_widths = list[Integers](), list[Integers]()
-    bits, bit_widths = list[Integers](), list[Integers]()
+    within = list[tuple[Integers, Integers]]()
     stops, colour_differences = list[int](), list[Integers]()
     for (points, colours), (cells, magnitudes) in zip(filled, places, strict=True):
         code = octree.morton_codes((cells - corner) // spacing)
@@ -93,19 +93,17 @@ def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> b
         rests.append(octree.encode_octree(encoder, contexts, code[order], depth, stops[-1]))
         rest_widths.append(np.full(len(points), 3 * (depth - stops[-1])))
         if not step:
-            width, start = float_range(cells[order], CELL_EXPONENT)
-            bits.append((magnitudes[order].astype(np.int64) - start).reshape(-1))
-            bit_widths.append(width.reshape(-1))
+            within.append((cells[order], magnitudes[order].astype(np.int64)))
         if coloured and colours is not None:
             ycocg = ycocg_from_rgb(colours[order].astype(np.int64))
             colour_differences.append(np.diff(ycocg, axis=0, prepend=0))
     octrees = encoder.finish(np.concatenate(rests), np.concatenate(rest_widths)) if filled else b""
-    float_bits = BinaryEncoder().finish(np.concatenate(bits), np.concatenate(bit_widths)) if bits else b""
+    bits = float_bits(within)
     colour = coder.pack(np.concatenate(colour_differences)) if colour_differences else b""
     counts = [len(points) for points, _ in frames]
     head = varint.write([grid.kind, grid.nanometres, varint.signed(grid.exponent)])
     head += varint.write([spacing, depth, *(varint.signed(v) for v in corner.tolist()), *counts, *stops])
-    return head + varint.write([len(octrees), len(float_bits)]) + octrees + float_bits + colour
+    return head + varint.write([len(octrees), len(bits)]) + octrees + bits + colour
 
 
 def unpack_exact(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
@@ -118,10 +116,7 @@ def unpack_exact(data: bytes, frames: int, coloured: bool) -> list[Cloud]:
     codes = _decode_codes(data[at : at + octree_bytes], layout)
     at += octree_bytes
     cells = [octree.cells_of_codes(code) * layout.spacing + layout.corner for code in codes]
-    if grid.kind == FLOATS:
-        points = floats(data[at : at + float_bytes], cells, grid.exponent)
-    else:
-        points = [np.asarray(c * grid.step_m, np.float64) for c in cells]
+    points = coordinates(grid, cells, data[at : at + float_bytes])
     colours: list[Bytes | None] = [None] * len(cells)
     if coloured:
         differences = coder.unpack(data[at + float_bytes :], (sum(counts), 3))
@@ -219,7 +214,7 @@ def cells_and_bits(points: Floats, step_m: float, exponent: int) -> tuple[Intege
     return np.where(single < 0, -cell - 1, cell), np.abs(single).view(np.uint32)
 
 
-def float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
+def _float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
     """(n, 3) each, for cells of floats: bits that select a float in its cell, and the pattern of the cell's lowest."""
     size = np.where(cells < 0, -cells - 1, cells)
     start = (size * 2.0**exponent).astype(np.float32).view(np.uint32).astype(np.int64)
@@ -228,14 +223,30 @@ def float_range(cells: Integers, exponent: int) -> tuple[Integers, Integers]:
     return np.where(size == 0, LOWEST_CELL_BITS, width), start
 
 
-def floats(data: bytes, cells: Sequence[Integers], exponent: int) -> list[Floats]:
+def float_bits(frames: Sequence[tuple[Integers, Integers]]) -> bytes:
+    """The bits that select floats in their cells. frames: cells (n, 3), and the bits (n, 3) of the magnitudes."""
+    if not frames:
+        return b""
+    ranges = [_float_range(cells, CELL_EXPONENT) for cells, _ in frames]
+    bits = [(magnitudes - start).reshape(-1) for (_, magnitudes), (_, start) in zip(frames, ranges, strict=True)]
+    return BinaryEncoder().finish(np.concatenate(bits), np.concatenate([width.reshape(-1) for width, _ in ranges]))
+
+
+def coordinates(grid: Grid, cells: Sequence[Integers], bits: bytes) -> list[Floats]:
+    """The points (n, 3) of cells (n, 3) on a grid. bits: of floats, as `float_bits` makes them. Raises Corrupt."""
+    if grid.kind == FLOATS:
+        return _floats(bits, cells, grid.exponent)
+    return [np.asarray(own * grid.step_m, np.float64) for own in cells]
+
+
+def _floats(data: bytes, cells: Sequence[Integers], exponent: int) -> list[Floats]:
     """Coordinates from cells and the bits within them. Raises Corrupt."""
     if not cells:
         return []
     every = np.concatenate(cells)
     if exponent != CELL_EXPONENT or np.abs(every).max() > MAX_CELL:
         raise Corrupt("bodycast: the cells of exact points are out of range")
-    width, start = float_range(every, exponent)
+    width, start = _float_range(every, exponent)
     within = BinaryDecoder(data).finish(width.reshape(-1)).astype(np.int64).reshape(every.shape)
     values = (start + within).clip(0, MAX_FLOAT_BITS).astype(np.uint32).view(np.float32).astype(np.float64)
     values = np.where(every < 0, -values, values)
