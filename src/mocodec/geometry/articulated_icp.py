@@ -71,7 +71,7 @@ def _cylindrical(body: Body, a: Floats, b: Floats, points: Floats) -> tuple[Floa
     """(links, n) each, metres: points' distance from the line through each link's axis, the place along the axis that
     is closest to them, and how far they are beyond the axis's ends.
     """
-    origins, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    origins, axes, _, _ = _cylinders(body, a, b)
     along = axes @ points.T - np.sum(axes * origins, axis=1)[:, None]
     square = np.sum(points**2, axis=1) - 2 * origins @ points.T + np.sum(origins**2, axis=1)[:, None]
     foot = np.clip(along, 0, body.lengths[:, None])
@@ -85,7 +85,7 @@ def _cylinders(body: Body, a: Floats, b: Floats) -> tuple[Floats, Floats, Floats
 
 def _facing(body: Body, a: Floats, b: Floats, points: Floats, directions: Floats, foot: Floats) -> Floats:
     """(links, n): positive where directions (n, 3) point away from a link's axis; `foot` as `_cylindrical` gives it."""
-    origins, axes = joint_positions(body, a, b), np.einsum("lij,lj->li", a, body.axes)
+    origins, axes, _, _ = _cylinders(body, a, b)
     return np.sum(points * directions, axis=1) - origins @ directions.T - foot * (axes @ directions.T)
 
 
