@@ -153,13 +153,12 @@ def hints_of_frame(
     step_m: float,
     corner: Integers,
     depth: int,
-    large_cubes_correct: bool,
+    smooths: bool,
 ) -> SurfaceHints | None:
     """The samples of all bodies in a frame as the octree sees them; None without samples.
 
     places (m, 3): 2^-PLACE_BITS metres. normals (m, 3). neighbours (m, NEIGHBOURS): rows. step_m: unit of the octree.
-    corner (3,): of the octree, in that unit. large_cubes_correct: also cubes larger than the spacing of the samples,
-    whose centres tell less than the body, correct the surface. Raises Corrupt for a pose that is out of range.
+    corner (3,): of the octree, in that unit. smooths: as in `hints_of_samples`. Raises Corrupt for a pose out of range.
     """
     if not len(places):
         return None
@@ -167,11 +166,20 @@ def hints_of_frame(
     if np.abs(places).max() * scale > 2.0**40:
         raise Corrupt("bodycast: a pose is out of range")
     points = np.floor(places * scale).astype(np.int64) - (corner << SUBUNIT_BITS)
-    spacing = spacing_of(points, neighbours)
-    return SurfaceHints(points, normals, neighbours, spacing, depth, UNLIMITED if large_cubes_correct else spacing)
+    return hints_of_samples(points, normals, neighbours, depth, smooths)
 
 
-def spacing_of(points: Integers, neighbours: Integers) -> int:
+def hints_of_samples(
+    points: Integers, normals: Integers, neighbours: Integers, depth: int, smooths: bool
+) -> SurfaceHints:
+    """Samples (m, 3) in units of the octree as it sees them. smooths: only cubes up to the spacing of the samples
+    correct the surface, since the centres of larger ones tell less than the body; otherwise all cubes do.
+    """
+    spacing = _spacing_of(points, neighbours)
+    return SurfaceHints(points, normals, neighbours, spacing, depth, spacing if smooths else UNLIMITED)
+
+
+def _spacing_of(points: Integers, neighbours: Integers) -> int:
     """The median distance of samples (m, 3) from the first of their neighbours (m, k), at least 1."""
     gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
     middle = len(gaps) // 2

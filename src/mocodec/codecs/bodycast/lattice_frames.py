@@ -34,6 +34,10 @@ class LatticeFrame(NamedTuple):
     originals: Floats
     rows: Integers
 
+    def own_distances(self, decoded: Floats) -> Floats:
+        """(m,): the distance of each original from its own decoded point, metres. decoded (n, 3): of the codes."""
+        return np.linalg.norm(self.originals - decoded[self.rows], axis=1)
+
 
 @dataclass(frozen=True)
 class LatticeGrid:

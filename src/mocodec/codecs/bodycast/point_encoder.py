@@ -135,14 +135,14 @@ class PointEncoder:
         for part, expected, chunk, span, bodies in progress.over(rows):
             count, waiting = span.stop - span.start, iter(expected)
             decoded = unpack_points(part, count, bodies, self.coloured)
-            filled = [cloud for cloud in decoded if len(cloud[0])]
+            filled = (cloud for cloud in decoded if len(cloud[0]))
             for (frame, located), (points, colour) in zip(chunk.pairs(), filled, strict=True):
                 same = np.array_equal(points, located.positions)
                 if self.coloured:
                     same = same and np.array_equal(next(waiting), np.asarray(colour))
                 if not same:
                     raise CannotEncode("bodycast: the decoded points are not those that were coded")
-                if point_targets.own_distances(frame, points).max() > bound:
+                if frame.own_distances(points).max() > bound:
                     raise CannotEncode(f"bodycast cannot bound the error of these points by {bound * 1000:g} mm")
 
 

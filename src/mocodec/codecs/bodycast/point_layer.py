@@ -246,8 +246,8 @@ class _OctreeOfFrame:
         self, coder: BitEncoder, frame: LatticeFrame, choice: ReferenceChoice
     ) -> tuple[BitEncoder, Reference, LocatedPoints]:
         """Code the points with the shortest choice of references. The coder to go on with."""
-        has_bodies, depth = self.hints is not None, self.grid.depth
-        candidates = choice.candidates(self.earlier, octree.cells_of_codes(frame.codes), depth, has_bodies)
+        cells, has_bodies, depth = octree.cells_of_codes(frame.codes), self.hints is not None, self.grid.depth
+        candidates = choice.candidates(self.earlier, cells, depth, has_bodies)
         tried = list[tuple[BitEncoder, _Seen, Integers]]()
         for reference in candidates:
             trial, seen = coder.copy() if len(candidates) > 1 else coder, self._seen(reference)
@@ -255,7 +255,7 @@ class _OctreeOfFrame:
             tried.append((trial, seen, nearest))
         best, seen, nearest = min(tried, key=lambda one: one[0].size)
         choice.keep(seen.reference)
-        return best, seen.reference, self._keep(best, frame, octree.cells_of_codes(frame.codes), nearest, seen)
+        return best, seen.reference, self._keep(best, frame, cells, nearest, seen)
 
     def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
         """The points (count,). Raises Corrupt."""
@@ -293,9 +293,10 @@ class _OctreeOfFrame:
         self.scene.learn(self.surface, points, of_bodies)
         self.earlier.move(seen.reference.motion)
         self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
-        positions = self.grid.positions(cells)
         if self.scene.smooths:
             positions = self._moved(coder, frame, cells, nearest, seen.hints)
+        else:
+            positions = self.grid.positions(cells)
         others = np.where(nearest < bodies, -1, nearest - bodies)
         return LocatedPoints(cells, samples, places, seen.references, others, positions)
 
@@ -311,7 +312,7 @@ class _OctreeOfFrame:
         smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
         if frame is not None:
             moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
-            away = np.linalg.norm(frame.originals - moved[frame.rows], axis=1)
+            away = frame.own_distances(moved)
             stays = np.zeros(len(cells), bool)
             stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
         stays = point_smoothing.code_stays(coder, smoothed, stays)

@@ -114,9 +114,7 @@ class Scene:
         starts = np.cumsum([0, *(len(s.points) for s in present)]).tolist()
         places = self._memory.corrected(frame) if self.learns else frame.places
         neighbours = _joined(present, starts)
-        return integer_surface.hints_of_frame(
-            places, frame.normals, neighbours, step_m, corner, depth, large_cubes_correct=not self.smooths
-        )
+        return integer_surface.hints_of_frame(places, frame.normals, neighbours, step_m, corner, depth, self.smooths)
 
     def learn(self, frame: PosedSurface, points: Integers, samples: Integers) -> None:
         """As `PlaceMemory.learn`."""

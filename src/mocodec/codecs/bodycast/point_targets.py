@@ -33,11 +33,6 @@ def usual_colour_step(bound_m: float) -> int:
     return int(np.clip(round(4 * math.sqrt(bound_m / 0.001)), 1, 16))
 
 
-def own_distances(frame: LatticeFrame, decoded: Floats) -> Floats:
-    """Distances (m,) of the points of a frame from their own decoded points (n, 3), at least those from the nearest."""
-    return np.linalg.norm(frame.originals - decoded[frame.rows], axis=1)
-
-
 def bound_of_mean(mean_m: float, mean_error_of: Callable[[float], float]) -> float:
     """A bound with which the mean error of the decoded points is at most `mean_m`, and not much less.
 
@@ -62,7 +57,7 @@ def mean_error(frames: Sequence[tuple[LatticeFrame, Floats]]) -> float:
     """
     there, back = list[Floats](), list[Floats]()
     for frame, decoded in frames:
-        distance = own_distances(frame, decoded)
+        distance = frame.own_distances(decoded)
         nearest = np.full(len(decoded), np.inf)
         np.minimum.at(nearest, frame.rows, distance)
         there.append(distance)

@@ -15,19 +15,18 @@ import numpy as np
 from ...entropy import varint
 from ...errors import Corrupt
 from ...typing import Booleans, Integers
-from . import integer_surface, octree
+from . import octree
+from .integer_surface import hints_of_samples
 from .reference_surface import Samples, surface_of_points
-from .surface_hints import NEIGHBOURS, SUBUNIT_BITS, UNLIMITED, SurfaceHints
-from .surface_memory import FARTHEST, PosedSurface, offsets_from
+from .surface_hints import NEIGHBOURS, SUBUNIT_BITS, SurfaceHints
+from .surface_memory import AVERAGED, FARTHEST, PosedSurface, mean_colour, offsets_from
 
 MAX_FRAMES = 4  # before a frame, whose points it may refer to
 LEAST_POINTS = 4 * NEIGHBOURS  # fewer points are no surface
 MAX_MOTION = 1 << 16  # lattice units from frame to frame
 MAX_ASIDE = 2621  # 2^-16 m: 40 mm, that a point of a body lies from its sample
 CANDIDATES = 7  # reference points whose colours may be expected: the nearest and its first neighbours
-AVERAGED = 4  # of them, whose mean colour is expected
 SOFTENING = 128  # added to squared distances, subunits: (0.7 lattice units)²
-WEIGHT_UNIT = 1 << 40
 
 
 class Reference(NamedTuple):
@@ -61,9 +60,7 @@ class ReferencePoints(NamedTuple):
         square = ((self.samples.places[candidates] - (cells << SUBUNIT_BITS)[:, None]) ** 2).sum(axis=2)
         order = np.argsort(square, axis=1, kind="stable")[:, :AVERAGED]
         chosen = np.take_along_axis(candidates, order, axis=1)
-        weight = WEIGHT_UNIT // (np.take_along_axis(square, order, axis=1) + SOFTENING)
-        total = np.maximum(weight.sum(axis=1), 1)[:, None]
-        return ((self._colours(colours)[chosen] * weight[..., None]).sum(axis=1) + total // 2) // total
+        return mean_colour(self._colours(colours)[chosen], np.take_along_axis(square, order, axis=1) + SOFTENING)
 
     def _colours(self, colours: Sequence[Integers]) -> Integers:
         result = np.zeros((len(self.rows), 3), np.int64)
@@ -100,7 +97,7 @@ class EarlierFrames:
         return result
 
     def references(self, frames: int, depth: int, has_bodies: bool) -> ReferencePoints | None:
-        """Samples of the distinct points of the last `frames` frames, within the octree; None below LEAST_POINTS of them.
+        """Samples of the distinct points of the last `frames` frames, within the octree; None below LEAST_POINTS.
 
         Of equal points that of the latest frame counts. has_bodies: whether those that a body explains are left out.
         """
@@ -129,10 +126,10 @@ class EarlierFrames:
 
 
 def explained_points(surface: PosedSurface, points: Integers, nearest: Integers) -> Booleans:
-    """(n,): whether a body explains the points (n, 3), 2^-16 m. nearest (n,): a sample near each, of the bodies'
-    samples, or beyond them, or negative.
+    """(n,): whether a body explains the points (n, 3), 2^-16 m. nearest (n,): a body's sample near each,
+    negative without one.
     """
-    result = (nearest >= 0) & (nearest < len(surface.rows))
+    result = nearest >= 0
     rows = nearest[result]
     aside = ((points[result] - surface.places[rows]) ** 2).sum(axis=1)
     distance = offsets_from(surface, points[result], rows)
@@ -153,8 +150,7 @@ def joined_hints(
         places = np.concatenate([bodies.points, own.places])
         normals = np.concatenate([bodies.normals, own.normals])
         neighbours = np.concatenate([bodies.neighbours, own.neighbours + len(bodies.points)])
-    spacing = integer_surface.spacing_of(places, neighbours)
-    return SurfaceHints(places, normals, neighbours, spacing, depth, spacing if smooths else UNLIMITED)
+    return hints_of_samples(places, normals, neighbours, depth, smooths)
 
 
 def pack_references(references: Sequence[Reference]) -> bytes:

@@ -100,6 +100,13 @@ class PlaceMemory:
         self._counts = self._counts * KEPT_FIFTHS // 5 + COUNT_UNIT * np.bincount(rows, minlength=size)
 
 
+def mean_colour(colours: Integers, square: Integers) -> Integers:
+    """(n, 3): the mean of colours (n, AVERAGED, 3), weighted by the inverse of squares (n, AVERAGED) > 0."""
+    weight = WEIGHT_UNIT // square
+    total = np.maximum(weight.sum(axis=1), 1)[:, None]
+    return ((colours * weight[..., None]).sum(axis=1) + total // 2) // total
+
+
 class ColourMemory:
     """The latest points of each sample with their colours; at first the sample itself with that of the texture."""
 
@@ -127,11 +134,9 @@ class ColourMemory:
         square = ((candidates - places[:, None]) ** 2).sum(axis=2)
         slots = square.shape[1]
         chosen = np.argpartition(square * slots + np.arange(slots), AVERAGED, axis=1)[:, :AVERAGED]
-        weight = WEIGHT_UNIT // (np.take_along_axis(square, chosen, axis=1) + SOFTENING)
         candidates = self._colours[searched].reshape(len(rows), slots, 3)
         colours = np.take_along_axis(candidates, chosen[..., None], axis=1).astype(np.int64)
-        total = np.maximum(weight.sum(axis=1), 1)[:, None]
-        return ((colours * weight[..., None]).sum(axis=1) + total // 2) // total
+        return mean_colour(colours, np.take_along_axis(square, chosen, axis=1) + SOFTENING)
 
     def learn(self, rows: Integers, places: Integers, colours: Integers) -> None:
         """Keep points with their colours (n, 3); of each sample the last KEPT_POINTS. rows, places: as above."""
