@@ -192,12 +192,7 @@ private:
         std::vector<uint16_t> words;
         for (size_t i = slots_.size(); i-- > 0;) {
             const Slot slot = slots_[i];
-            uint32_t x = state[slot.lane];
-            if (x >= uint64_t(slot.frequency) << (32 - PRECISION)) {
-                words.push_back(uint16_t(x));
-                x >>= 16;
-            }
-            state[slot.lane] = x + x / slot.frequency * (TOTAL - slot.frequency) + slot.start;
+            push(state[slot.lane], slot.frequency, slot.start, words);
         }
         write_states(state, lanes);
         for (size_t i = words.size(); i-- > 0;) {
