@@ -8,6 +8,7 @@
 #include "arrays.h"
 #include "bulk_layout.h"
 #include "contexts.h"
+#include "tokens.h"
 
 namespace {
 
@@ -15,15 +16,14 @@ using namespace bulk;
 using contexts::LOWEST;
 using contexts::PRECISION;
 using contexts::TOTAL;
+using tokens::DIRECT;
+using tokens::mantissa_bits;
+using tokens::token_floor;
 
 constexpr uint32_t MASK = TOTAL - 1, ESCAPE_FLAG = 1u << 31;
 constexpr uint16_t ESCAPE = 255;
 constexpr int64_t MAX_TURNS = 15;
-constexpr unsigned DIRECT = 16, TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
-
-// models.mantissa_bits, models.token_floor
-unsigned mantissa_bits(unsigned token) { return token < DIRECT ? 0 : (token - DIRECT) / 4 + 2; }
-int64_t token_floor(unsigned token) { return token < DIRECT ? token : int64_t(4 + token % 4) << mantissa_bits(token); }
+constexpr unsigned TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
 
 // Bits in a row, highest first; those behind the end are 0.
 class Bits {
