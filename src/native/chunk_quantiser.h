@@ -33,7 +33,7 @@ public:
         out.integers.step = in.step;
         find_choices(spectrum, in);
         const auto base = of_.contexts_of(in.step, frequencies_);
-        const int64_t top = highest_at(0, in.step);
+        const int64_t top = highest_threshold(in.step);
         out.threshold = top + 1;
         if (!choices_.empty()) {
             choose(*base, in);
@@ -85,11 +85,10 @@ private:
 
     static_assert(THRESHOLD_UNIT == 16, "logarithms are shifted by 4");
 
-    // The highest threshold whose coded zone includes the first frequencies of some row.
-    int64_t highest_at(size_t frequency, int64_t step) const {
+    // The highest threshold whose coded zone includes the first frequency of some row.
+    int64_t highest_threshold(int64_t step) const {
         int64_t top = INT64_MIN;
-        for (size_t r = 0; r < rows_; ++r)
-            top = std::max(top, (of_.highest_by_frequency_[frequency * rows_ + r] - (r ? step : 0)) >> 4);
+        for (size_t r = 0; r < rows_; ++r) top = std::max(top, (of_.highest_by_frequency_[r] - (r ? step : 0)) >> 4);
         return top;
     }
 
