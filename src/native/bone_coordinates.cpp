@@ -49,9 +49,7 @@ Output<double> tempo_bone_coordinates(Input<double, 3> positions, Input<int64_t,
         else
 #endif
             run(of, from, out.data.get());
-        double *found = out.data.get();
-        for (size_t b = 0; b < of.bones; ++b) unwrap(found + 2 * b * frames, 2, frames);
-        for (size_t h = 0; h < of.hubs; ++h) unwrap(found + (2 * of.bones + 3 * h) * frames, 3, frames);
+        unwrap_all(of.bones, of.hubs, out.data.get(), frames);
     }
     return out.give({dimensions, frames});
 }

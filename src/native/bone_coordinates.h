@@ -173,4 +173,10 @@ inline void unwrap(double *vector, size_t size, size_t frames) {
     }
 }
 
+// Unwraps the vectors of all bones, then of all hubs: of coordinates (dimensions, frames).
+inline void unwrap_all(size_t bones, size_t hubs, double *coordinates, size_t frames) {
+    for (size_t b = 0; b < bones; ++b) unwrap(coordinates + 2 * b * frames, 2, frames);
+    for (size_t h = 0; h < hubs; ++h) unwrap(coordinates + (2 * bones + 3 * h) * frames, 3, frames);
+}
+
 }  // namespace bones

@@ -7,20 +7,23 @@
 
 #include "arrays.h"
 #include "bulk_layout.h"
+#include "contexts.h"
+#include "tokens.h"
 
 namespace {
 
 using namespace bulk;
+using contexts::LOWEST;
+using contexts::PRECISION;
+using contexts::TOTAL;
+using tokens::DIRECT;
+using tokens::mantissa_bits;
+using tokens::token_floor;
 
-constexpr int PRECISION = 12;
-constexpr uint32_t TOTAL = 1u << PRECISION, MASK = TOTAL - 1, LOWEST = 1u << 16, ESCAPE_FLAG = 1u << 31;
+constexpr uint32_t MASK = TOTAL - 1, ESCAPE_FLAG = 1u << 31;
 constexpr uint16_t ESCAPE = 255;
 constexpr int64_t MAX_TURNS = 15;
-constexpr unsigned DIRECT = 16, TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
-
-// models.mantissa_bits, models.token_floor
-unsigned mantissa_bits(unsigned token) { return token < DIRECT ? 0 : (token - DIRECT) / 4 + 2; }
-int64_t token_floor(unsigned token) { return token < DIRECT ? token : int64_t(4 + token % 4) << mantissa_bits(token); }
+constexpr unsigned TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
 
 // Bits in a row, highest first; those behind the end are 0.
 class Bits {
@@ -205,13 +208,6 @@ std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_
     return out.give({size_t(steps), size_t(lanes)});
 }
 
-// rans.push of one symbol; its word moves out first where the state is full.
-inline void push(uint32_t &x, uint32_t code, std::vector<uint16_t> &words) {
-    const uint32_t frequency = code >> PRECISION, start = code & MASK;
-    if (x >= frequency << (32 - PRECISION)) words.push_back(uint16_t(x)), x >>= 16;
-    x += x / frequency * (TOTAL - frequency) + start;
-}
-
 // bulk._push_all: tokens (steps, lanes) into the states (n), in place; the words in the order of decoding.
 Output<uint16_t> bulk_push(InPlace<uint32_t, 1> states, Input<uint8_t, 2> token, Input<uint16_t, 1> weights,
                            Input<uint8_t, 1> ladder, Input<uint32_t, 1> code, Input<int64_t, 1> last, Input<uint16_t, 1> hints) {
@@ -237,7 +233,8 @@ Output<uint16_t> bulk_push(InPlace<uint32_t, 1> states, Input<uint8_t, 2> token,
         const int64_t n = int64_t(states.shape(0));
         std::vector<uint32_t> codes, beyond;
         auto push_all = [&](const std::vector<uint32_t> &of) {  // in turns, all backwards
-            for (int64_t j = int64_t(of.size()); j-- > 0;) push(states.data()[j % n], of[size_t(j)], words);
+            for (int64_t j = int64_t(of.size()); j-- > 0;)
+                contexts::push(states.data()[j % n], of[size_t(j)] >> PRECISION, of[size_t(j)] & MASK, words);
         };
         for (int64_t i = layout.diagonals(), begin, end; i-- > 0;) {
             layout.diagonal(i, begin, end);

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "tokens.h"
+
 namespace bulk {
 
 // layout.Layout: an array (rows, columns) as diagonals of segments in one flat array.
@@ -85,7 +87,7 @@ public:
             uint16_t *means = mean_.data() + first(i, begin);
             for (int64_t j = 0; j < end - begin; ++j) {
                 const int64_t age = i - j / k - std::max<int64_t>(0, i - of_.steps + 1);
-                const int speed = age == 0 ? 1 : age < 3 ? 2 : 3;
+                const int speed = tokens::mean_shift(age);
                 means[j] = uint16_t(means[j] - (means[j] >> speed) + (tokens_[begin + j] << (8 - speed)));
             }
         }

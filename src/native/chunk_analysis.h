@@ -128,14 +128,14 @@ private:
 
     // np.unwrap, and whole turns so that the first angle is at most half a turn.
     void unwrap(double *angle) const {
-        const double pi = 3.14159265358979323846;
+        using bones::PI;
         double turns = 0, before = angle[0];
-        const double first = 2 * pi * std::nearbyint(angle[0] / (2 * pi));
+        const double first = 2 * PI * std::nearbyint(angle[0] / (2 * PI));
         for (size_t f = 0; f < frames_; ++f) {
             const double step = angle[f] - before;
             before = angle[f];
-            if (step > pi) turns -= 2 * pi;
-            else if (step < -pi) turns += 2 * pi;
+            if (step > PI) turns -= 2 * PI;
+            else if (step < -PI) turns += 2 * PI;
             angle[f] += turns - first;
         }
     }
@@ -170,8 +170,7 @@ private:
                                        tree.program.size() / 6, tree.bones, tree.hubs, tree.slots};
         double *curves = scratch.curves.data();
         bones::all_coordinates(schedule, {scratch.columns.data(), of_.points, frames_}, curves);
-        for (size_t b = 0; b < tree.bones; ++b) bones::unwrap(curves + 2 * b * frames_, 2, frames_);
-        for (size_t h = 0; h < tree.hubs; ++h) bones::unwrap(curves + (2 * tree.bones + 3 * h) * frames_, 3, frames_);
+        bones::unwrap_all(tree.bones, tree.hubs, curves, frames_);
     }
 
     // stages/dct.py, forward, of all curves: (blocks of TILE frequencies, columns, TILE).

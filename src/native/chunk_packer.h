@@ -160,13 +160,9 @@ private:
             const size_t start = of_.starts_[g], end = std::min(of_.starts_[g + 1], zone);
             size_t wanted = rows_, lane = 0;
             while (wanted && reach[wanted - 1] <= start) --wanted;
-            const int32_t *below[DEPTH + 1];
-            field.below(start, below);
-            Expectations::neighbourhood(below, wanted, [&](size_t r, int32_t sum) {
-                logs[r] = int16_t(of_.log_of(sum) - of_.tables_->first_class);
-            });
+            of_.logs_of(field, start, wanted, logs);
             for (size_t f = start; f < end; ++f) {
-                const size_t shape = size_t(CLASSES) * (f == 0 ? 0 : f < 4 ? 1 : 2);
+                const size_t shape = Expectations::shape_of(f);
                 for (size_t r = 0; r < wanted; ++r) {
                     if (f >= reach[r]) continue;
                     const int64_t place = std::clamp<int64_t>(int64_t(logs[r]) + (*base)[f * rows_ + r], 0, last);
@@ -192,12 +188,7 @@ private:
         std::vector<uint16_t> words;
         for (size_t i = slots_.size(); i-- > 0;) {
             const Slot slot = slots_[i];
-            uint32_t x = state[slot.lane];
-            if (x >= uint64_t(slot.frequency) << (32 - PRECISION)) {
-                words.push_back(uint16_t(x));
-                x >>= 16;
-            }
-            state[slot.lane] = x + x / slot.frequency * (TOTAL - slot.frequency) + slot.start;
+            push(state[slot.lane], slot.frequency, slot.start, words);
         }
         write_states(state, lanes);
         for (size_t i = words.size(); i-- > 0;) {

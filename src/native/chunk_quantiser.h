@@ -33,7 +33,7 @@ public:
         out.integers.step = in.step;
         find_choices(spectrum, in);
         const auto base = of_.contexts_of(in.step, frequencies_);
-        const int64_t top = highest_at(0, in.step);
+        const int64_t top = highest_threshold(in.step);
         out.threshold = top + 1;
         if (!choices_.empty()) {
             choose(*base, in);
@@ -85,11 +85,10 @@ private:
 
     static_assert(THRESHOLD_UNIT == 16, "logarithms are shifted by 4");
 
-    // The highest threshold whose coded zone includes the first frequencies of some row.
-    int64_t highest_at(size_t frequency, int64_t step) const {
+    // The highest threshold whose coded zone includes the first frequency of some row.
+    int64_t highest_threshold(int64_t step) const {
         int64_t top = INT64_MIN;
-        for (size_t r = 0; r < rows_; ++r)
-            top = std::max(top, (of_.highest_by_frequency_[frequency * rows_ + r] - (r ? step : 0)) >> 4);
+        for (size_t r = 0; r < rows_; ++r) top = std::max(top, (of_.highest_by_frequency_[r] - (r ? step : 0)) >> 4);
         return top;
     }
 
@@ -100,13 +99,9 @@ private:
         logs_.resize(rows_);
         for (size_t g = 0; g + 1 < of_.starts_.size() && of_.starts_[g] < frequencies_; ++g) {
             const size_t start = of_.starts_[g], end = std::min(of_.starts_[g + 1], frequencies_);
-            const int32_t *below[DEPTH + 1];
-            field.below(start, below);
-            Expectations::neighbourhood(below, rows_, [&](size_t r, int32_t sum) {
-                logs_[r] = int16_t(of_.log_of(sum) - of_.tables_->first_class);
-            });
+            of_.logs_of(field, start, rows_, logs_);
             for (size_t f = start; f < end; ++f) {
-                const uint16_t shape = uint16_t(CLASSES) * (f == 0 ? 0 : f < 4 ? 1 : 2);
+                const size_t shape = Expectations::shape_of(f);
                 for (size_t r = 0; r < rows_; ++r) {
                     const int64_t place = std::clamp<int64_t>(int64_t(logs_[r]) + base[f * rows_ + r], 0, last);
                     tables_[f * rows_ + r] = uint16_t((class_of[place] + shape) * SYMBOLS);

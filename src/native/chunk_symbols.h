@@ -198,6 +198,16 @@ private:
         return tables_->numerator_logs[std::min<size_t>(size_t(sum), tables_->numerator_logs.size() - 1)];
     }
 
+    // Logarithms of what is around the rows [0, wanted), less the first class's.
+    void logs_of(Field &field, size_t start, size_t wanted, std::vector<int16_t> &logs) const {
+        const int32_t *below[DEPTH + 1];
+        field.below(start, below);
+        neighbourhood(below, wanted, [&](size_t r, int32_t sum) { logs[r] = int16_t(log_of(sum) - tables_->first_class); });
+    }
+
+    // The first table of a frequency's shape: contexts.SHAPE_STARTS.
+    static size_t shape_of(size_t f) { return size_t(CLASSES) * (f == 0 ? 0 : f < 4 ? 1 : 2); }
+
     // contexts.base of at least the lowest `wanted` frequencies; what lies far beyond the classes is clipped.
     std::shared_ptr<const Base> contexts_of(int64_t step, size_t wanted) const {
         {
@@ -261,16 +271,13 @@ private:
             if (start >= quiet_since + DEPTH) {
                 std::fill_n(logs.begin(), wanted, none);
             } else {
-                const int32_t *below[DEPTH + 1];
-                field.below(start, below);
-                neighbourhood(below, wanted,
-                              [&](size_t r, int32_t sum) { logs[r] = int16_t(log_of(sum) - tables_->first_class); });
+                logs_of(field, start, wanted, logs);
             }
             size_t lane = 0;
             for (size_t f = start; f < end; ++f) {
                 const int16_t *of_base = base.data() + f * rows;
                 int32_t *magnitudes = field.row(f);
-                const size_t shape = size_t(CLASSES) * (f == 0 ? 0 : f < 4 ? 1 : 2);  // contexts.SHAPE_STARTS
+                const size_t shape = shape_of(f);
                 for (size_t r = 0; r < wanted; ++r) {
                     if (f >= reach[r]) continue;
                     const int64_t place = std::clamp<int64_t>(int64_t(logs[r]) + of_base[r], 0, last_class);

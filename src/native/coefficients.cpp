@@ -241,13 +241,7 @@ nb::tuple tempo_encode(Input<int64_t, 2> values, Input<int64_t, 2> base, Table r
     for (size_t step = begins.size() - 1; step-- > 0;)
         for (size_t at = begins[step + 1]; at-- > begins[step];) {
             const Slot slot = slots[at];
-            uint32_t &x = state[at - begins[step]];
-            if (x >= uint64_t(slot.frequency) << (32 - PRECISION)) {
-                words.push_back(uint16_t(x));
-                x >>= 16;
-            }
-            const uint32_t quotient = x / slot.frequency;
-            x += quotient * (TOTAL - slot.frequency) + slot.start;
+            push(state[at - begins[step]], slot.frequency, slot.start, words);
         }
     for (size_t lane = 0; lane < lanes; ++lane) states.data[lane] = state[lane];
     Fresh<uint16_t> sequence(words.size());

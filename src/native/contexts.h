@@ -3,12 +3,22 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 namespace contexts {
 
 // entropy/lanes.py
 constexpr int PRECISION = 12;
 constexpr uint32_t TOTAL = 1u << PRECISION, LOWEST = 1u << 16;
+
+// rans.push of one symbol; its word moves out first where the state is full.
+inline void push(uint32_t &x, uint32_t frequency, uint32_t start, std::vector<uint16_t> &words) {
+    if (x >= uint64_t(frequency) << (32 - PRECISION)) {
+        words.push_back(uint16_t(x));
+        x >>= 16;
+    }
+    x += x / frequency * (TOTAL - frequency) + start;
+}
 
 // coding/contexts.py: weights of neighbours, and the farthest neighbour
 constexpr int NEAR = 13, BELOW_3 = 8, OLDER = 6, BESIDE = 6, BLOCK = 3;

@@ -5,8 +5,11 @@
 #include <vector>
 
 #include "arrays.h"
+#include "tokens.h"
 
 namespace {
+
+using tokens::mean_shift;
 
 using Table = Input<int64_t, 1>;
 
@@ -44,9 +47,6 @@ Output<int64_t> entropy_unpack_bits(Input<uint8_t, 1> bits, Table widths) {
 constexpr int FINE_PRECISION = 14;
 constexpr uint64_t FINE_TOTAL = 1u << FINE_PRECISION;
 
-// neighbours.mean_shift
-int mean_shift(size_t step) { return step == 0 ? 1 : step < 3 ? 2 : 3; }
-
 // neighbours._means: each lane's running mean before each step, × 256, from the tokens (steps, lanes) and its first value.
 Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first) {
     const size_t steps = tokens.shape(0), lanes = tokens.shape(1);
@@ -57,7 +57,7 @@ Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first)
     for (size_t step = 0; step < steps; ++step)
         for (size_t lane = 0, at = step * lanes; lane < lanes; ++lane, ++at) {
             out.data[at] = mean[lane];
-            mean[lane] += ((int32_t(tokens.data()[at]) << 8) - mean[lane]) >> mean_shift(step);
+            mean[lane] += ((int32_t(tokens.data()[at]) << 8) - mean[lane]) >> mean_shift(int64_t(step));
         }
     return out.give({steps, lanes});
 }
@@ -115,7 +115,7 @@ nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols
             row[lane + 2] = int64_t(token);
             if (lane == 0) row[1] = int64_t(token);
             if (step == 0) up[lane + 3] = up2[lane + 3] = int64_t(token);  // the nearest value inside the array
-            mean[lane] += ((int64_t(token) << 8) - mean[lane]) >> mean_shift(step);
+            mean[lane] += ((int64_t(token) << 8) - mean[lane]) >> mean_shift(int64_t(step));
             out.data[step * lanes + lane] = uint8_t(token);
         }
         std::swap(up2, up);

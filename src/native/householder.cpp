@@ -86,5 +86,8 @@ void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, 
 
 }  // namespace
 
-void bind_householder(nb::module_ &m) { m.def("basis_compose", &basis_compose), m.def("basis_decompose", &basis_decompose);
-    m.def("basis_sum_differences", &basis_sum_differences, nb::arg().noconvert(), nb::arg(), nb::arg()); }
+void bind_householder(nb::module_ &m) {
+    m.def("basis_compose", &basis_compose);
+    m.def("basis_decompose", &basis_decompose);
+    m.def("basis_sum_differences", &basis_sum_differences, nb::arg().noconvert(), nb::arg(), nb::arg());
+}

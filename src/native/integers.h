@@ -1,7 +1,16 @@
-// Arithmetic of integers as NumPy defines it.
+// Arithmetic of integers.
 #pragma once
 
 #include <cstdint>
 
 // Rounds towards minus infinity, as NumPy's // does.
 inline int64_t floor_division(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
+
+inline int64_t dot(const int64_t *a, const int64_t *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+// As Python's int.bit_length.
+inline int bit_length(uint64_t x) {
+    int bits = 0;
+    for (; x; x >>= 1) ++bits;
+    return bits;
+}

@@ -89,11 +89,10 @@ class LimbSearch {
     // Rotations for which a place on the second bone, a share of its length, is at a target; `side`: whither it bends.
     // The body's current pose must be the base pose, and `from` its rotations.
     Doubles reaching(const Doubles &from, const double *target, double share, const double *side) const {
-        const double *a = &body.a[9 * upper], *origin = &body.origins[3 * upper], *bend = &body.origins[3 * lower];
+        const double *origin = &body.origins[3 * upper], *bend = &body.origins[3 * lower];
         double start[3], first[3], second[3], offset[3], to[3], across[3], along[3], place[3];
-        transform(a, origin, start);
+        body.place(size_t(upper), origin, start);
         for (int d = 0; d < 3; ++d) {
-            start[d] += body.b[3 * upper + d];
             first[d] = bend[d] - origin[d];
             second[d] = task.end[d] - bend[d];
             offset[d] = target[d] - start[d];
@@ -141,9 +140,8 @@ class LimbSearch {
         set(rotations);
         std::vector<double> result(6);
         const double *bend = two ? &body.origins[3 * lower] : task.end;
-        transform(&body.a[9 * upper], bend, &result[0]);
-        transform(&body.a[9 * lower], task.end, &result[3]);
-        for (int d = 0; d < 3; ++d) result[d] += body.b[3 * upper + d], result[3 + d] += body.b[3 * lower + d];
+        body.place(size_t(upper), bend, &result[0]);
+        body.place(size_t(lower), task.end, &result[3]);
         return result;
     }
 
@@ -205,11 +203,7 @@ class LimbSearch {
     }
 
     // out = a template point that follows its first link alone.
-    void pose(int64_t row, double *out) const {
-        const int64_t link = body.links[2 * row];
-        transform(&body.a[9 * link], &body.points[3 * row], out);
-        for (int d = 0; d < 3; ++d) out[d] += body.b[3 * link + d];
-    }
+    void pose(int64_t row, double *out) const { body.place(size_t(body.links[2 * row]), &body.points[3 * row], out); }
 
     SkinnedBody &body;
     const KdTree &data;

@@ -22,8 +22,6 @@ constexpr int64_t GAIN_AT_UNIT = 48000, GAIN_LOSS = 90, LARGEST_MOVE = 1 << (FIN
 
 using Numbers = Input<int64_t, 2>;
 
-int64_t dot(const int64_t *a, const int64_t *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
 // The points of each sample, in order.
 struct PointsOfSamples {
     std::vector<int32_t> first, points;

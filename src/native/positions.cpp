@@ -7,11 +7,10 @@
 #include <stdexcept>
 #include <vector>
 
+#include "algebra3.h"
 #include "arrays.h"
 
 namespace {
-
-double squared(const double *v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; }
 
 // Of positions (frames, points, 3): whether any is missing (NaN in x), whether any has the bits of the frame before
 // while another has not, whether any is a spike (leaps.spikes), whether any step is longer than `leap` metres.
@@ -29,18 +28,15 @@ nb::tuple screen_positions(Input<double, 3> positions, double leap, double facto
                 missing |= here[0] != here[0];
                 if (!f) continue;
                 const double *before = here - pitch;
-                const double step[3] = {here[0] - before[0], here[1] - before[1], here[2] - before[2]};
-                if (step[0] == 0) same += !std::memcmp(here, before, 3 * sizeof(double));
-                leaps |= squared(step) > leap * leap;
+                if (here[0] - before[0] == 0) same += !std::memcmp(here, before, 3 * sizeof(double));
+                leaps |= squared_distance(here, before) > leap * leap;
                 if (f + 1 == frames) continue;
                 const double *after = here + pitch;
-                double off[3], across[3];
-                for (size_t k = 0; k < 3; ++k) {
-                    off[k] = here[k] - (before[k] + after[k]) / 2;
-                    across[k] = after[k] - before[k];
-                }
-                const double distance = squared(off);
-                if (distance > leap * leap) spike |= std::sqrt(distance) > factor / 2 * std::sqrt(squared(across));
+                double off[3];
+                for (size_t k = 0; k < 3; ++k) off[k] = here[k] - (before[k] + after[k]) / 2;
+                const double distance = dot(off, off);
+                if (distance > leap * leap)
+                    spike |= std::sqrt(distance) > factor / 2 * std::sqrt(squared_distance(after, before));
             }
             repeats |= same && 3 * same < pitch;
         }
@@ -56,9 +52,8 @@ nb::list leap_frames(Input<double, 3> positions, double least, double factor) {
     {
         nb::gil_scoped_release release;
         auto step = [&](size_t f, size_t i) {  // from frame f to the next
-            const double *a = positions.data() + f * pitch + i, *b = a + pitch;
-            const double by[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
-            return squared(by);
+            const double *from = positions.data() + f * pitch + i;
+            return squared_distance(from + pitch, from);
         };
         for (size_t f = 0; f + 1 < frames && frames > 3; ++f) {
             const size_t before = f ? f - 1 : 1, after = f + 2 < frames ? f + 1 : f - 1;
@@ -135,8 +130,7 @@ nb::tuple compare_positions(Input<double, 3> original, Input<double, 3> decoded)
                 const bool missing = a[0] != a[0];
                 same &= missing == (b[0] != b[0]);
                 if (missing) continue;
-                const double off[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
-                const double distance = std::sqrt(squared(off));
+                const double distance = std::sqrt(squared_distance(a, b));
                 ++count;
                 of_frame += distance;
                 largest = std::max(largest, distance);

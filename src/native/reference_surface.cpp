@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 
+#include "integers.h"
 #include "nearest_others.h"
 #include "octree_surface.h"
 
@@ -15,12 +16,6 @@ using point_octree::NORMAL_BITS;
 using point_octree::Place;
 
 constexpr int SPREAD_BITS = 9, COLUMN_BITS = 20;
-
-int bit_length(uint64_t value) {
-    int bits = 0;
-    for (; value; value >>= 1) ++bits;
-    return bits;
-}
 
 // The normal of the plane through points and the origin.
 Place plane_normal(const std::array<Place, NEIGHBOURS> &apart) {
@@ -58,8 +53,6 @@ Place plane_normal(const std::array<Place, NEIGHBOURS> &apart) {
     return column;
 }
 
-int64_t product(const Place &a, const Place &b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
 // points (m, 3): distinct, below 2^24. (places, normals, neighbours) as surface_of_points.
 nb::tuple surface_of_points(Input<int64_t, 2> points) {
     const size_t m = points.shape(0);
@@ -86,9 +79,9 @@ nb::tuple surface_of_points(Input<int64_t, 2> points) {
             }
         Place normal = plane_normal(apart);
         for (size_t d = 0; d < 3; ++d) outward[d] = own[i][d] - centre[d];
-        if (product(outward, normal) < 0)
+        if (dot(outward.data(), normal.data()) < 0)
             for (int64_t &v : normal) v = -v;
-        const int64_t offset = floor_division(product(total, normal) >> NORMAL_BITS, NEIGHBOURS + 1);
+        const int64_t offset = floor_division(dot(total.data(), normal.data()) >> NORMAL_BITS, NEIGHBOURS + 1);
         for (size_t d = 0; d < 3; ++d) {
             places.data[3 * i + d] = own[i][d] + (offset * normal[d] >> NORMAL_BITS);
             normals.data[3 * i + d] = normal[d];
@@ -99,8 +92,7 @@ nb::tuple surface_of_points(Input<int64_t, 2> points) {
         const int64_t *n = &normals.data[3 * i];
         size_t kept = 0;
         for (size_t k = 0; k < size_t(NEIGHBOURS); ++k) {
-            const int64_t *other = &normals.data[3 * size_t(row[k])];
-            if (n[0] * other[0] + n[1] * other[1] + n[2] * other[2] > 0) row[kept++] = row[k];
+            if (dot(n, &normals.data[3 * size_t(row[k])]) > 0) row[kept++] = row[k];
         }
         std::fill(row + kept, row + NEIGHBOURS, int64_t(i));
     }

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "arrays.h"
+#include "integers.h"
 #include "signal_least_squares.h"
 #include "signal_prediction.h"
 
@@ -108,12 +109,6 @@ std::vector<Fit> fits(const Matrix &matrix, size_t others, size_t order, size_t 
         result.push_back(fit(matrix, alone, inside, largest, order, count));
     }
     return result;
-}
-
-int bit_length(uint64_t x) {
-    int bits = 0;
-    for (; x; x >>= 1) ++bits;
-    return bits;
 }
 
 uint64_t size_of(int64_t x) { return x < 0 ? 0 - uint64_t(x) : uint64_t(x); }

@@ -68,8 +68,7 @@ class SkinnedBody {
         world_centres.resize(3 * count);
         for (size_t link = 0; link < count; ++link) {
             update_transform(int64_t(link));
-            transform(&a[9 * link], &centres[3 * link], &world_centres[3 * link]);
-            for (int d = 0; d < 3; ++d) world_centres[3 * link + d] += b[3 * link + d];
+            place(link, &centres[3 * link], &world_centres[3 * link]);
         }
     }
 
@@ -85,9 +84,14 @@ class SkinnedBody {
             for (int d = 0; d < 3; ++d) b[3 * link + d] = offset[d] + root[d];
         } else {
             multiply(&a[9 * parent], own, &a[9 * link]);
-            transform(&a[9 * parent], offset, &b[3 * link]);
-            for (int d = 0; d < 3; ++d) b[3 * link + d] += b[3 * parent + d];
+            place(size_t(parent), offset, &b[3 * link]);
         }
+    }
+
+    // out = a point of a link's canonical coordinates, in the world: A x + b.
+    void place(size_t link, const double *point, double *out) const {
+        transform(&a[9 * link], point, out);
+        for (int d = 0; d < 3; ++d) out[d] += b[3 * link + d];
     }
 
     // out = a vector in the frame of a link's parent, in the world's.
@@ -108,16 +112,12 @@ class SkinnedBody {
     // out = a template point in the current pose, by linear blend skinning.
     void pose_point(int64_t row, double *out) const {
         const int64_t l0 = links[2 * row], l1 = links[2 * row + 1];
+        place(size_t(l0), &points[3 * row], out);
+        if (l0 == l1) return;
         const double share = weights[row];
-        double first[3], second[3];
-        transform(&a[9 * l0], &points[3 * row], first);
-        if (l0 == l1) {
-            for (int d = 0; d < 3; ++d) out[d] = first[d] + b[3 * l0 + d];
-            return;
-        }
-        transform(&a[9 * l1], &points[3 * row], second);
-        for (int d = 0; d < 3; ++d)
-            out[d] = share * (first[d] + b[3 * l0 + d]) + (1 - share) * (second[d] + b[3 * l1 + d]);
+        double other[3];
+        place(size_t(l1), &points[3 * row], other);
+        for (int d = 0; d < 3; ++d) out[d] = share * out[d] + (1 - share) * other[d];
     }
 
     // out = the coordinates of a template point in a tree of data points: its place, and its colour if the tree has some.

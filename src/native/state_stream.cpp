@@ -10,13 +10,19 @@
 #include <vector>
 
 #include "arrays.h"
+#include "tokens.h"
 
 namespace {
+
+using tokens::DIRECT;
+using tokens::mantissa_bits;
+using tokens::mean_shift;
+using tokens::token_floor;
 
 constexpr int PRECISION = 14;
 constexpr uint64_t TOTAL = 1u << PRECISION, MASK = TOTAL - 1, LOWEST = 1u << 16, MANY = 64;
 constexpr size_t FIELDS = 8, OFFSETS = 8, SHAPES = 2, MIXTURES = 10, WITHOUT_HINTS = 7, NEIGHBOURS = 7;
-constexpr unsigned DIRECT = 16, TOKENS = DIRECT + 4 * 59;
+constexpr unsigned TOKENS = DIRECT + 4 * 59;
 
 // rans: a state, and the words that move into it.
 struct State {
@@ -78,10 +84,6 @@ struct Laws {
 
 // choice.kept
 size_t kept(size_t extent, size_t symbol) { return std::max<size_t>(1, (extent * (symbol + 1) + 31) / 32); }
-
-// neighbours.mean_shift, models.mantissa_bits
-int mean_shift(size_t step) { return step == 0 ? 1 : step < 3 ? 2 : 3; }
-unsigned mantissa_bits(unsigned token) { return token < DIRECT ? 0 : (token - DIRECT) / 4 + 2; }
 
 // The tables of choice.parameter_tables, of the laws of models.family of one ladder, of models.usual_law, of MIXTURES.
 class StateStreams {
@@ -155,7 +157,7 @@ private:
         std::vector<int64_t> mean(lanes, 0), row(lanes + 3, 0), up(lanes + 3, 0), up2(lanes + 3, 0);
         for (size_t step = 0; step < steps; ++step) {
             row[0] = row[1] = up[1] = up[2];
-            const int shift = mean_shift(step);
+            const int shift = mean_shift(int64_t(step));
             for (size_t lane = 0; lane < lanes; ++lane) {
                 if (step == 0) mean[lane] = up[lane + 2] << 8;
                 const int64_t expected = w[0] * up[lane + 2] + w[1] * up2[lane + 2] + w[2] * row[lane + 1] + w[3] * row[lane] +
@@ -209,7 +211,7 @@ private:
                 continue;
             }
             const bool negative = take(1) != 0;
-            const int64_t magnitude = int64_t(uint64_t(width ? (t - DIRECT) % 4 + 4 : t) << width | take(width));
+            const int64_t magnitude = token_floor(t) | int64_t(take(width));
             out[i] = negative ? -magnitude : magnitude;
         }
         return true;
