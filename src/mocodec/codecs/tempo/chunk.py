@@ -333,9 +333,9 @@ def encoders(
     return list(parallel.over(lambda b: ChunkEncoder.of(model, source, slice(*b[1]), known.get(b[0])), numbered))
 
 
-def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> list[Draft]:
+def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int) -> list[Draft]:
     """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
-    return list(parallel.over(lambda encoder: encoder.draft(step, slope), encoders))
+    return list(parallel.over(lambda encoder: encoder.draft(step), encoders))
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
