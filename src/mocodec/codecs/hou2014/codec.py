@@ -9,8 +9,8 @@ A chunk is a group of clips. It decodes from the shared bytes and its own payloa
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 from ...encoded import Encoded
@@ -20,7 +20,7 @@ from ...stages import gaps
 from ...typing import Floats
 from .. import base, rescue
 from . import decoding
-from .motion_encoder import SAMPLED_CHUNKS, MotionEncoder
+from .motion_encoder import MotionEncoder
 from .settings import Settings
 
 PROMISING_BITS = 1.1
@@ -49,27 +49,26 @@ class Hou2014(Settings):
         base.require_usual_lengths(self, moving)
         filled = gaps.fill(moving)[0]
         if self.mean_error is None:
-            return self.encode_smoothed(motion, filled, by_engine=True)
+            return self.prepared(motion, filled, by_engine=True).to_target()
         return self._encode_to_mean(motion, filled, self.mean_error)
 
     def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
         """At a mean error, or under this error as a bound where that is smaller, or the only way."""
-        base.require_frames(motion)
-        self.check(motion)
-        encoder, encoded, failure = MotionEncoder(self, motion, filled), None, None
+        encoder, encoded, failure = self.prepared(motion, filled), None, None
         bounded = replace(self, mean_error=None, max_error=target)
+        by_bound = cache(lambda: bounded.prepared(motion, filled))
         promising = True
         try:
             rung = encoder.rung_for_mean_error(target)
             encoded = encoder.encoded(rung)
             size = encoded.payload_bytes
             promising = encoder.bits_over(bounded.first_rung, rung) < PROMISING_BITS
-            promising = promising and bounded.estimate(motion, filled, limit=size)[0] < size
+            promising = promising and by_bound().estimate(limit=size)[0] < size
         except CannotEncode as error:
             failure = error
         if promising:
             try:
-                rival = bounded.encode_smoothed(motion, filled)
+                rival = by_bound().to_target()
             except CannotEncode:
                 rival = None
             if rival is not None and (encoded is None or rival.payload_bytes < encoded.payload_bytes):
@@ -80,45 +79,17 @@ class Hou2014(Settings):
         rescue.require_kept(motion, {"mean_error": target}, encoded, Hou2014.decode)
         return encoded
 
-    def encode_smoothed(self, motion: Motion, smooth: Floats, by_engine: bool = False) -> Encoded[Motion]:
-        """`encode`, where the transform codes `smooth` in place of the motion's positions.
+    def prepared(self, motion: Motion, smooth: Floats, by_engine: bool = False) -> MotionEncoder:
+        """For encoding by a transform that codes `smooth` in place of the motion's positions. Raises as `encode`.
 
         smooth (frames, points, 3): the positions with gaps filled. With `max_error`, outliers of single frames may be
         smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections.
         """
         base.require_frames(motion)
         self.check(motion)
-        encoder = MotionEncoder(self, motion, smooth, by_engine)
-        if self.max_error is not None:
-            return encoder.for_max_error(self.max_error)
-        if self.mean_error is not None:
-            return encoder.encoded(encoder.rung_for_mean_error(self.mean_error))
-        if self.ratio is not None:
-            return encoder.for_ratio(self.ratio)
-        return encoder.encoded(self.first_rung)
+        return MotionEncoder(self, motion, smooth, by_engine)
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:
         """The motion, or a slice of its frames. Raises Corrupt."""
         return decoding.decode(encoded, frames)
-
-    def estimate(
-        self,
-        motion: Motion,
-        smooth: Floats,
-        times: float = 1.0,
-        chunks: int = SAMPLED_CHUNKS,
-        limit: float = math.inf,
-    ) -> tuple[float, float]:
-        """Estimated payload bytes of `encode_smoothed`, and the mean error in metres, at the first step of the search.
-
-        Costs one encoding of at most `chunks` chunks. With `max_error` the mean error is not measured, but NaN. times:
-        factor for the size of the chunks, if `motion` is a part of the motion to estimate. limit: bytes beyond which
-        the estimate may be too low. Raises as `encode`.
-        """
-        base.require_frames(motion)
-        self.check(motion)
-        encoder = MotionEncoder(self, motion, smooth)
-        rung = self.first_rung
-        size = encoder.sampled_size(rung, times, chunks, limit)
-        return size, math.nan if self.max_error is not None else encoder.mean_error(rung)

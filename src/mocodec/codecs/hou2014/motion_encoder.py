@@ -108,6 +108,30 @@ class MotionEncoder:
             lengths = stream.equal_lengths(len(filled), length)
         return replace(prepared, lengths=lengths, clip_frames=length)
 
+    def to_target(self) -> Encoded[Motion]:
+        """Encoded to the codec's target. Raises CannotEncode."""
+        codec = self.codec
+        if codec.max_error is not None:
+            return self.for_max_error(codec.max_error)
+        if codec.mean_error is not None:
+            return self.encoded(self.rung_for_mean_error(codec.mean_error))
+        if codec.ratio is not None:
+            return self.for_ratio(codec.ratio)
+        return self.encoded(codec.first_rung)
+
+    def estimate(
+        self, times: float = 1.0, chunks: int = SAMPLED_CHUNKS, limit: float = math.inf
+    ) -> tuple[float, float]:
+        """Estimated payload bytes of `to_target`, and the mean error in metres, at the first step of the search.
+
+        Costs one encoding of at most `chunks` chunks. With `max_error` the mean error is not measured, but NaN. times:
+        factor for the size of the chunks, if the motion is a part of the motion to estimate. limit: bytes beyond which
+        the estimate may be too low. Raises CannotEncode.
+        """
+        rung = self.codec.first_rung
+        size = self.sampled_size(rung, times, chunks, limit)
+        return size, math.nan if self.codec.max_error is not None else self.mean_error(rung)
+
     def bits_over(self, rung: int, other: int) -> float:
         """How many times the bits of the coefficients at one step those at another are, estimated."""
         unit, step = self.codec.unit, quantise.step

@@ -333,21 +333,21 @@ def encoders(
     return list(parallel.over(lambda b: ChunkEncoder.of(model, source, slice(*b[1]), known.get(b[0])), numbered))
 
 
-def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int, slope: float = quantise.SLOPE) -> list[Draft]:
+def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int) -> list[Draft]:
     """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
-    return list(parallel.over(lambda encoder: encoder.draft(step, slope), encoders))
+    return list(parallel.over(lambda encoder: encoder.draft(step), encoders))
 
 
 def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[bytes]:
     """The payloads of drafts, in the threads of `parallel`."""
     numbers: dict[int, bytes | None] = {}
-    drafted = [i for i, draft in enumerate(drafts) if draft.numbers is not None]
+    drafted = {i: draft.numbers for i, draft in enumerate(drafts) if draft.numbers is not None}
     compiled = [i for i in drafted if compiled_chunks.decodes(encoders[i].model, encoders[i].frames)]
-    numbers |= zip(compiled, parallel.over(lambda i: _packed_compiled(encoders[i], drafts[i]), compiled), strict=True)
+    numbers |= zip(compiled, parallel.over(lambda i: _packed_compiled(encoders[i], drafted[i]), compiled), strict=True)
     rest = [i for i in drafted if i not in numbers]
     for first in range(0, len(rest), BATCH):
         batch = rest[first : first + BATCH]
-        numbers |= zip(batch, _pack_numbers([(encoders[i], drafts[i]) for i in batch]), strict=True)
+        numbers |= zip(batch, _pack_numbers([(encoders[i], drafted[i]) for i in batch]), strict=True)
     payloads: list[bytes] = []
     for i, (encoder, draft) in enumerate(zip(encoders, drafts, strict=True)):
         packed = numbers.get(i)
@@ -358,25 +358,20 @@ def pack(encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft]) -> list[byte
     return payloads
 
 
-def _packed_compiled(encoder: ChunkEncoder, draft: Draft) -> bytes | None:
-    """The coefficients of a draft by the compiled module; None where their coding fails."""
-    numbers = draft.numbers
-    assert numbers is not None
+def _packed_compiled(encoder: ChunkEncoder, numbers: coefficients.ChunkNumbers) -> bytes | None:
+    """The coefficients of a chunk by the compiled module; None where their coding fails."""
     return encoder.attempt(lambda: compiled_chunks.pack(encoder.model, numbers))
 
 
-def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, Draft]]) -> list[bytes | None]:
-    """The coefficients of these drafts by NumPy; None where their coding fails."""
-    listed = [(e, d.numbers) for e, d in batch if d.numbers is not None]
-    if not listed:
-        return []
-    model, numbers = listed[0][0].model, [n for _, n in listed]
-    together = listed[0][0].attempt(lambda: coefficients.pack(model, numbers)) if len(listed) > 1 else None
+def _pack_numbers(batch: Sequence[tuple[ChunkEncoder, coefficients.ChunkNumbers]]) -> list[bytes | None]:
+    """The coefficients of these chunks by NumPy; None where their coding fails."""
+    first, numbers = batch[0][0], [n for _, n in batch]
+    together = first.attempt(lambda: coefficients.pack(first.model, numbers)) if len(batch) > 1 else None
     if together is not None:
         return list(together)
-    if len(listed) > 1:
-        listed[0][0].failure = None
-    alone = [e.attempt(lambda n=n: coefficients.pack(model, [n])) for e, n in listed]
+    if len(batch) > 1:
+        first.failure = None
+    alone = [e.attempt(lambda n=n: coefficients.pack(first.model, [n])) for e, n in batch]
     return [None if one is None else one[0] for one in alone]
 
 

@@ -349,10 +349,9 @@ class Tempo:
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
     def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
-        step = self.first_step(motion)
-        recording = Recording(chunks, motion, step)
+        recording = Recording(chunks, motion, self.first_step(motion))
         if self._has_size:
-            return model_choice.choose_for_size(recording, self.model, step, self._wanted_bytes(motion))
+            return model_choice.choose_for_size(recording, self.model, self._wanted_bytes(motion))
         return model_choice.choose(recording, self.model, self.mean_error)
 
     def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:

@@ -96,9 +96,14 @@ def encodes(model: Model, frames: int) -> bool:
     return _encoder(model, frames) is not None
 
 
+def _is_supported(model: Model, frames: int) -> bool:
+    """Whether the module codes chunks of this length."""
+    return native.kernel("ChunkCodec") is not None and 0 < frames <= dct.MATRIX_FRAMES and model.rows > 0
+
+
 def _of_length(model: Model, frames: int) -> Any:
     """Codes chunks of this length; None where the module does not."""
-    if native.kernel("ChunkCodec") is None or not 0 < frames <= dct.MATRIX_FRAMES or not model.rows:
+    if not _is_supported(model, frames):
         return None
     found = model.compiled.get(frames)
     if found is None:
@@ -117,8 +122,8 @@ def _of_length(model: Model, frames: int) -> Any:
 
 def _encoder(model: Model, frames: int) -> Any:
     """The same for encoding, which needs more of the model than decoding."""
-    if ENCODES not in model.compiled and _of_length(model, frames) is not None:
-        whole = model.compiled[MODEL]
+    if ENCODES not in model.compiled and _is_supported(model, frames):
+        whole = model.compiled.get(MODEL) or _of_model(model)
         whole.set_encoding(model.tables.cost.ravel(), quantise.prices(model), *_analysis(model))
         model.compiled.clear()
         model.compiled.update({MODEL: whole, ENCODES: True})

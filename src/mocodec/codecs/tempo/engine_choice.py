@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 
@@ -59,7 +59,7 @@ transform takes at least as many bits for a chunk."""
 class LatticePlan:
     """How the lattice engine is used. alone: no chunk needs a model; certain: nor is hou2014 tried.
 
-    choose: the neighbours of the points and the stride (`lattice.encode`), found when they are needed first.
+    choose: the neighbours of the points and the stride (`lattice.encode`), found by the first call.
     least_bits: of a coordinate; the engine is not tried for chunks that take the transform less. rivals: it is tried
     for the whole recording beside a model too.
     """
@@ -70,17 +70,13 @@ class LatticePlan:
     least_bits: float = 0.0
     rivals: bool = False
 
-    @cached_property
-    def _chosen(self) -> tuple[lattice.Neighbours, int]:
-        return self.choose()
-
     @property
     def neighbours(self) -> lattice.Neighbours:
-        return self._chosen[0]
+        return self.choose()[0]
 
     @property
     def stride(self) -> int:
-        return self._chosen[1]
+        return self.choose()[1]
 
 
 def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
@@ -94,6 +90,7 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
     first = max(0, (len(motion) - frames) // 2)
     some = slice(first, min(len(motion), first + frames))
 
+    @cache
     def chosen() -> tuple[lattice.Neighbours, int, int]:
         found = lattice.neighbours(source.smooth)
         positions = source.smooth[some] if weights is None else source.smooth[some] * weights[:, None]

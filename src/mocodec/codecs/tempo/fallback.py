@@ -24,7 +24,7 @@ from ...motion import Motion
 from ...stages import dct
 from ...typing import Floats
 from ..hou2014 import Hou2014
-from ..hou2014.motion_encoder import SAMPLED_CHUNKS
+from ..hou2014.motion_encoder import SAMPLED_CHUNKS, MotionEncoder
 from .chunk import ChunkEncoder
 from .coding.rows import HEADING, step_size
 from .header import StreamHeader
@@ -127,16 +127,18 @@ def smaller(
         try:
             if len(motion) > 2 * STRETCH_FRAMES:
                 times = len(motion) / (stretch.stop - stretch.start)
-                size = _estimate(codec, motion[stretch], near[stretch], best.payload_bytes, times, 1)
+                part = codec.prepared(motion[stretch], near[stretch])
+                size = _estimate(part, best.payload_bytes, times, 1)
                 if size > best.payload_bytes:
                     continue
             most = PROMISING * best.payload_bytes + PROMISING_BYTES
-            if _estimate(codec, motion, near, most) > most:
+            encoder = codec.prepared(motion, near)
+            if _estimate(encoder, most) > most:
                 continue
             if codec.max_error and target == "mean_error":
                 rival = _to_mean(codec, motion, near, wanted)
             else:
-                rival = codec.encode_smoothed(motion, near)
+                rival = encoder.to_target()
         except CannotEncode:
             continue
         if rival is not None and rival.payload_bytes + 1 < best.payload_bytes:
@@ -188,15 +190,14 @@ def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Mo
     return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
 
 
-def _estimate(
-    codec: Hou2014, motion: Motion, near: Floats, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS
-) -> float:
+def _estimate(encoder: MotionEncoder, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
     """Estimate of the bytes of `times` as much motion at the codec's target, from a few coded chunks.
 
     most: bytes beyond which it need not be exact.
     """
-    size, mean = codec.estimate(motion, near, times, chunks, math.inf if codec.mean_error else most)
-    return size * (mean / codec.mean_error) ** BYTES_SLOPE if codec.mean_error and mean > 0 else size
+    wanted = encoder.codec.mean_error
+    size, mean = encoder.estimate(times, chunks, math.inf if wanted else most)
+    return size * (mean / wanted) ** BYTES_SLOPE if wanted and mean > 0 else size
 
 
 def _stretch(encoded: Encoded[Motion]) -> slice:
@@ -235,7 +236,7 @@ def _to_mean(codec: Hou2014, motion: Motion, smooth: Floats, wanted: float) -> E
     """Coded under the bound whose mean error is the one wanted, or None if the search does not converge."""
     bound = codec.max_error or wanted
     for _ in range(MEAN_TRIES):
-        encoded = replace(codec, max_error=bound).encode_smoothed(motion, smooth)
+        encoded = replace(codec, max_error=bound).prepared(motion, smooth).to_target()
         mean = metrics.mean_distance(motion.positions, Hou2014.decode(encoded).positions)
         if 1 - MEAN_WITHIN <= mean / wanted <= 1:
             return encoded

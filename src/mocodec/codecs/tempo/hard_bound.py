@@ -119,21 +119,17 @@ class _LatticeTrials:
         self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, len(encoders)
         self._trials = EngineTrials()
         self._typical = encoders[len(encoders) // 2]
-        self._number = self._reported = 0
+        self._number = 0
 
     @cached_property
     def share(self) -> float:
         """Bytes that a chunk of the transform is charged with: the stream has the model, or the neighbours."""
         return max(0, self._model_bytes - len(self._plan.neighbours.pack())) / self._chunks
 
-    def report(self) -> None:
-        """Progress, where the lattice engine is used alone: one more chunk is coded."""
-        self._reported += 1
-        progress.report(self._reported / self._chunks)
-
     def coded(self, encoders: Sequence[ChunkEncoder], drafts: Sequence[Draft | None]) -> list[OnLattice | None]:
         """The next chunks, None where one is not tried or not possible, in the threads of `parallel`. drafts: by the
-        transform. What they show is learned for the chunks after them."""
+        transform. What they show is learned for the chunks after them; without any, progress is reported."""
+        first = self._number
         tried = [i for i, draft in enumerate(drafts) if self._tries(encoders[i], draft)]
         found: list[OnLattice | None] = [None] * len(encoders)
         stride, of_typical = self._best if tried else (0, None)
@@ -143,6 +139,8 @@ class _LatticeTrials:
 
         for i, one in zip(tried, parallel.over(on_lattice, tried), strict=True):
             found[i], draft = one, drafts[i]
+            if draft is None:
+                progress.report((first + i + 1) / self._chunks)
             if one is not None and draft is not None and draft.numbers is not None:
                 self._trials.learn(draft.bits / 8 + self.share, len(one.payload))
         return found
@@ -181,15 +179,11 @@ def _on_lattice(
     """What the lattice engine makes of each chunk, None where it is not tried or not possible."""
     if trials is None:
         yield from [None] * len(batch)
-    elif any(draft is not None for draft in drafts):
-        for first in range(0, len(batch), TOGETHER):
-            some = slice(first, first + TOGETHER)
-            yield from trials.coded(batch[some], drafts[some])
-    else:  # chunks do not depend on each other once the first has shown the stride
-        yield from trials.coded(batch[:1], [None])
-        for found in parallel.over(lambda encoder: trials.coded([encoder], [None])[0], batch[1:]):
-            trials.report()
-            yield found
+        return
+    together = TOGETHER if any(draft is not None for draft in drafts) else len(batch)
+    for first in range(0, len(batch), together):
+        some = slice(first, first + together)
+        yield from trials.coded(batch[some], drafts[some])
 
 
 def _smallest(

@@ -71,13 +71,13 @@ def choose(recording: Recording, model: str = AUTO, mean_error: float | None = N
     return without_model(recording.like)
 
 
-def choose_for_size(recording: Recording, model: str, step: int, size: int) -> Choice:
+def choose_for_size(recording: Recording, model: str, size: int) -> Choice:
     """`choose`, for a size in bytes: at the recording's step or a coarser one, whose model takes at most half of it."""
     choice = choose(recording, model)
     for coarser in range(1, COARSER_MODELS + 1):
         if len(choice.header.pack()) <= size / 2:
             break
-        choice = choose(recording.with_step(step + coarser * 2 * OCTAVE), model)
+        choice = choose(recording.with_step(recording.step + coarser * 2 * OCTAVE), model)
     return choice
 
 
