@@ -41,12 +41,21 @@ export function samplesOfBodies({ count, moved, normals, neighbours }: Standing,
   return { points, normals, neighbours };
 }
 
+/** The cubes of a side that samples are in, and the numbers of the samples in each. */
+interface Inside {
+  side: number;
+  index: CubeIndex;
+  samples: number[][];
+}
+
 export class SurfaceHints {
   /** (samples, 3), subunits from the corner of the octree. */
   private readonly points: Float64Array;
   readonly normals: Float64Array;
   readonly neighbours: Int32Array;
   readonly spacing: number;
+  /** What `inside` found last: the children of a level are the cubes of the next. */
+  private last?: Inside;
 
   /** largeCubesCorrect: whether cubes larger than the spacing have offsets. */
   constructor(
@@ -74,8 +83,9 @@ export class SurfaceHints {
     return Math.floor(sum / NORMAL);
   }
 
-  /** The samples in each cube of this side: the cubes, and numbers of the samples of each, `most` at most. */
-  private inside(side: number): { index: CubeIndex; samples: number[][] } {
+  /** The samples in each cube of this side. */
+  private inside(side: number): Inside {
+    if (this.last?.side === side) return this.last;
     const count = this.points.length / 3;
     const cells = Float64Array.from(this.points, (v) => Math.floor((v + HALF) / side));
     const order = new Map<string, number>();
@@ -91,7 +101,7 @@ export class SurfaceHints {
       }
       samples[cube]!.push(i);
     }
-    return { index: new CubeIndex(places), samples };
+    return (this.last = { side, index: new CubeIndex(places), samples });
   }
 
   /** A sample near each cube (n, 3), −1 without one. parents: those of the cubes above; side: of a child, subunits. */
