@@ -1,8 +1,9 @@
 /** The model of `lien2006` as maps on the cylinders of its links, on one sheet (docs/payloads/lien2006.md, "Residual maps"). */
 
 import { type Vector, dot, lengthOf, minus, times } from "../../geometry.js";
+import { halfToEven } from "../../numbers.js";
 import type { Body } from "../bodies.js";
-import { type Cylinder, cylinderOf, halfToEven } from "./sampling.js";
+import { type Cylinder, cylinderOf } from "./sampling.js";
 
 const LEAST_POINTS = 6;
 const SHORTEST_MAP_M = 0.02;

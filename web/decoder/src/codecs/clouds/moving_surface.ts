@@ -1,11 +1,12 @@
 /** The surface of a body in the frames of a chunk (docs/payloads/bodycast.md, "Surface of a frame"). */
 
 import { check } from "../../errors.js";
+import { clip8, halfToEven } from "../../numbers.js";
 import { VideoDecoder } from "../../video/video.js";
 import type { Body, Placement } from "../bodies.js";
 import { type Atlas, type Planes, nextPlanes } from "./atlas.js";
-import { type Cloud, clip8 } from "./cloud.js";
-import { type Sample, halfToEven, sampleSurface } from "./sampling.js";
+import type { Cloud } from "./cloud.js";
+import { type Sample, sampleSurface } from "./sampling.js";
 import { Skin } from "./skin.js";
 
 export class MovingSurface {

@@ -1,6 +1,7 @@
 /** The surface of a body in integers, in the canonical pose and in the poses of frames (docs/payloads/bodycast-points.md, "Surface"). */
 
 import { matrixOf } from "../../geometry.js";
+import { clip8 } from "../../numbers.js";
 import type { Body, Placement } from "../bodies.js";
 import { type Atlas, keyPlanes } from "./atlas.js";
 import { ycocgOf } from "./cloud.js";
@@ -51,7 +52,6 @@ export function textureOf(body: Body, atlas: Atlas): Texture {
 }
 
 function colourOf(y: number, cb: number, cr: number): [number, number, number] {
-  const clip8 = (value: number) => Math.min(Math.max(value, 0), 255);
   const red = y + ((103_206 * cr) >> 16);
   const blue = y + ((121_609 * cb) >> 16);
   const green = y - ((30_678 * cr + 12_277 * cb) >> 16);
