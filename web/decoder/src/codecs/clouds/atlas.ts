@@ -5,6 +5,7 @@ import { check } from "../../errors.js";
 import { readIntegers } from "../../integers/read.js";
 import { VideoDecoder } from "../../video/video.js";
 import { AdaptiveBits, Counts } from "./adaptive.js";
+import { type Item, shelve } from "./shelves.js";
 
 const MOST_TILE_SIDE = 1024;
 const MOST_SIDE = 4096;
@@ -19,16 +20,11 @@ const ABOVE = [[1, -2], [1, -1], [1, 0], [1, 1], [2, 0], [1, 2]] as const;
 const MOST_POINTS = 2 ** 20;
 const MOST_INTERVAL = 2 ** 16 - 1;
 
-export interface Tile {
-  link: number;
-  height: number;
-  width: number;
+export interface Tile extends Item {
   /** Millimetres along the axis, and from it. */
   low: number;
   high: number;
   reach: number;
-  top: number;
-  left: number;
 }
 
 export interface Atlas {
@@ -78,15 +74,9 @@ function arrange(tiles: Tile[]): { height: number; width: number } {
   const cells = tiles.reduce((sum, { height, width }) => sum + height * width, 0);
   const widest = tiles.reduce((most, { width }) => Math.max(most, width), tiles.length ? 0 : 8);
   const across = aligned(Math.max(widest, Math.floor(1.05 * Math.sqrt(cells))));
-  let [left, top, shelf] = [0, 0, 0];
-  for (const tile of [...tiles].sort((a, b) => b.height - a.height || a.link - b.link)) {
-    if (left + tile.width > across) [left, top, shelf] = [0, top + shelf, 0];
-    [tile.top, tile.left] = [top, left];
-    left += tile.width;
-    shelf = Math.max(shelf, tile.height);
-  }
+  const height = shelve(tiles, across);
   tiles.sort((a, b) => a.link - b.link);
-  return { height: Math.max(LEAST_HEIGHT, aligned(top + shelf)), width: Math.max(LEAST_WIDTH, across) };
+  return { height: Math.max(LEAST_HEIGHT, aligned(height)), width: Math.max(LEAST_WIDTH, across) };
 }
 
 function readMask(data: Uint8Array, height: number, width: number): Uint8Array {
