@@ -32,7 +32,6 @@ export interface Atlas {
   width: number;
   /** In the order of their links. */
   tiles: Tile[];
-  coloured: boolean;
   /** Points of the body in a frame. */
   points: number;
   /** Frames that a picture of the changing surface lasts. */
@@ -56,7 +55,7 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   check(new Set(tiles.map(({ link }) => link)).size === count, "bodycast: a link has two tiles");
   const { height, width } = arrange(tiles);
   check(width <= MOST_SIDE && 2 * height <= MOST_SIDE, "bodycast: the atlas is too large");
-  const coloured = part.varintWithin(0, 1, "whether there are colours") === 1;
+  part.varintWithin(0, 1, "whether there are colours");
   const points = part.varintWithin(1, MOST_POINTS, "the points of a frame");
   const interval = part.varintWithin(1, MOST_INTERVAL, "the interval of pictures");
   const [maskBytes, keyBytes] = [part.varint(), part.varint()];
@@ -65,7 +64,7 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   for (const { top, left, height: h, width: w } of tiles) for (let y = top; y < top + h; y++) inside.fill(1, y * width + left, y * width + left + w);
   const keyPicture = part.take(keyBytes);
   part.end();
-  return { height, width, tiles, coloured, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
+  return { height, width, tiles, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
 }
 
 /** Places tiles on shelves, the tallest first, and sorts them by link. */

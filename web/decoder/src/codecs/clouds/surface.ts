@@ -6,6 +6,7 @@ import type { Body, Placement } from "../bodies.js";
 import { type Atlas, keyPlanes } from "./atlas.js";
 import { ycocgOf } from "./cloud.js";
 import { type Sample, sampleSurface } from "./sampling.js";
+import { largest } from "./skin.js";
 
 export const NEIGHBOURS = 12;
 const SAMPLES = 8000;
@@ -131,13 +132,8 @@ function blendedLinks(samples: Sample[], neighbours: Int32Array, links: number):
   const firsts = new Int32Array(count);
   for (let i = 0; i < count; i++) {
     const own = shares.subarray(i * links, (i + 1) * links);
-    const largest = (without: number) => {
-      let best = -1;
-      for (let l = 0; l < links; l++) if (l !== without && (best < 0 || own[l]! > own[best]!)) best = l;
-      return best;
-    };
-    const first = largest(-1);
-    const second = largest(first);
+    const first = largest(own, -1);
+    const second = largest(own, first);
     const other = second < 0 ? 0 : own[second]!;
     pairs[2 * i] = first;
     pairs[2 * i + 1] = other > 0 ? second : first;

@@ -6,14 +6,16 @@ import type { Samples } from "./references.js";
 import type { Standing } from "./scene.js";
 import { NEIGHBOURS } from "./surface.js";
 
+/** Classes where nothing is known: of the probability of an octant, and of its distance. */
+export const NO_HINT = 64;
+export const NO_DISTANCE = 21;
+
 const NORMAL = 2 ** 10;
 const SUBUNITS = 16;
 const PLACE = 2 ** 16;
 const HALF = 8;
 const MOST_IN_CUBE = 3;
 const MOST_COORDINATE = 2 ** 40;
-const NO_HINT = 64;
-const NO_DISTANCE = 21;
 const DISTANCE_STEPS = [1, 2, 3, 4, 5, 7, 9, 12, 16, 24];
 const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(4096 * Math.exp(-((k / 16) ** 2) / 2) + 0.5));
 /** Order of the cubes around a cube, along each axis. */
