@@ -45,7 +45,7 @@ def measure(label: str, path: str) -> list[dict[str, Any]]:
                 "codec": codec.name,
                 "mean_error": target,
                 "bytes": encoded.payload_bytes,
-                "encode": frames / seconds(lambda s=settings: s.encode(motion), max(3, ENCODING_RUNS)),
+                "encode": frames / seconds(lambda s=settings: s.encode(motion), ENCODING_RUNS),
                 "decode": frames / seconds(lambda c=codec, e=encoded: c.decode(e), RUNS),
             }
             with native.without():

@@ -178,8 +178,9 @@ def repair(where: Path_) -> Report:
             with catalogue.transaction():
                 for number, path in shards.numbered(folder).items():
                     _recover_shard(catalogue, number, path, known, report)
+                missing = {number for number in known.in_shard if not shards.path_of(folder, number).exists()}
                 for name, entry in known.entries.items():
-                    if not shards.path_of(folder, entry.row.shard).exists():
+                    if entry.row.shard in missing:
                         report.failed.append((name, f"its shard {entry.row.shard:06}.mocs is missing"))
         finally:
             catalogue.close()
@@ -194,9 +195,10 @@ def repair(where: Path_) -> Report:
 
 @dataclass(frozen=True)
 class Known:
-    """What the old catalogue says: sound recordings by name, and the options of their coding by name."""
+    """What the old catalogue says: sound recordings by name and by shard, and the options of their coding by name."""
 
     entries: dict[str, Entry] = field(default_factory=dict[str, Entry])
+    in_shard: dict[int, list[Entry]] = field(default_factory=dict[int, list[Entry]])
     options: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
 
 
@@ -211,6 +213,8 @@ def _known(folder: Path) -> Known:
                     known.options[row.name] = old.catalogue.options(row.options)
     except MocodecError:
         return Known()
+    for entry in known.entries.values():
+        known.in_shard.setdefault(entry.row.shard, []).append(entry)
     return known
 
 
@@ -232,10 +236,8 @@ def _recover_shard(catalogue: Catalogue, number: int, path: Path, known: Known, 
         report.failed.append((path.name, str(error)))
         return
     is_file = path.is_file() and not path.is_symlink()
-    for entry in known.entries.values():
+    for entry in known.in_shard.get(number, []) if is_file else []:
         row = entry.row
-        if not is_file or row.shard != number:
-            continue
         there = catalogue.row(row.name)
         if there is not None and there.content == row.content:
             continue

@@ -12,7 +12,6 @@ import numpy as np
 
 from .. import metrics
 from ..channels import channels
-from ..errors import Corrupt, Truncated
 from ..geometry import links
 from ..metrics import point_clouds
 from ..motion import Motion
@@ -62,10 +61,7 @@ def facts(shown: Shown, original: Shown | None) -> dict[str, Any]:
 
 def first_points(shown: Shown) -> int:
     """Points of the first frame of point clouds: how much the page asks for at once depends on it."""
-    try:
-        return len(shown.clouds(0, 1).positions[0]) if shown.frames else 0
-    except (Corrupt, Truncated):
-        return 0
+    return len(shown.frame_or_nothing(0).positions[0]) if shown.frames else 0
 
 
 def damage_notes(shown: Shown) -> list[str]:

@@ -66,13 +66,14 @@ class Shown:
         if isinstance(about, Motion):
             positions = replace(self, columns=None).positions(0, self.frames)
             return replace(about, positions=positions, rotations=None, extras={})
-        frames = [self._frame_or_nothing(frame) for frame in range(self.frames)]
+        frames = [self.frame_or_nothing(frame) for frame in range(self.frames)]
         colours = None if any(f.colours is None for f in frames) else [c for f in frames for c in f.colours or ()]
         return replace(
             about, positions=[p for f in frames for p in f.positions], colours=colours, normals=None, extras={}
         )
 
-    def _frame_or_nothing(self, frame: int) -> PointClouds:
+    def frame_or_nothing(self, frame: int) -> PointClouds:
+        """One frame of point clouds, without points if it is damaged."""
         try:
             return self.clouds(frame, frame + 1)
         except (Corrupt, Truncated):

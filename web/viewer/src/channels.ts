@@ -1,13 +1,11 @@
 /** Channels of signals in .mocz files: the range of their values in equal parts of the recording, as mocodec.viewer.facts has them. */
 
-import type { MoczFile } from "../../decoder/src/index.js";
+import type { Signal } from "../../decoder/src/index.js";
 import type { SignalFacts } from "./session.ts";
 
 const BINS = 1024;
 const MOST_SAMPLES = 8_000_000;
 const MOST_CHANNELS = 64;
-
-type Signal = Awaited<ReturnType<MoczFile["extras"]>>["signals"][number];
 
 /** The ranges of channels of numbers, forces first. */
 export async function channelsOf(signals: Signal[]): Promise<SignalFacts[]> {

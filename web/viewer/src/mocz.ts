@@ -17,14 +17,19 @@ const MOST_READ_FRAMES = 20_000;
 /** More marks of a kind would fill the timeline from end to end. */
 const MOST_MARKS = 5_000;
 
+type Mocz = Extract<Media, { type: "mocz" }>;
+
 /** The file behind a media. */
-export async function fileOf(media: Extract<Media, { type: "mocz" }>): Promise<MoczFile> {
-  if (media.id !== undefined) return opened.get(media.id)!;
-  if (media.url !== undefined) return openFile(new URL(media.url, location.href).href);
-  return openFile(fromBase64(media.base64 ?? ""));
+export async function fileOf(media: Mocz): Promise<MoczFile> {
+  return media.id === undefined ? openFile(sourceOf(media)) : opened.get(media.id)!;
 }
 
-/** The facts about an open file; it decodes a few frames for links and, of short recordings, all for gaps and marks. */
+function sourceOf({ url, base64 }: Mocz): Source {
+  return url === undefined ? fromBase64(base64 ?? "") : new URL(url, location.href).href;
+}
+
+/** Opens a file. Its facts need the first frame of point clouds; of a motion a few frames for links and, if it is short, all for gaps
+ * and marks. */
 export async function factsOf(source: Source, name: string): Promise<Facts> {
   const file = await openFile(source);
   const { info } = file;
@@ -108,8 +113,8 @@ export function closeBefore(count: number): void {
 }
 
 /** The decoder of the point clouds behind a media. */
-export function readerOf(media: Extract<Media, { type: "mocz" }>): CloudReader {
-  return readers.get(media.id ?? -1) ?? new CloudReader(media.url === undefined ? fromBase64(media.base64 ?? "") : new URL(media.url, location.href).href);
+export function readerOf(media: Mocz): CloudReader {
+  return readers.get(media.id ?? -1) ?? new CloudReader(sourceOf(media));
 }
 
 async function linksOf(file: MoczFile): Promise<[number, number][]> {

@@ -1,6 +1,7 @@
 /** Key frames, splines and tracks (docs/payloads/stages.md), which liu2006 uses. */
 
 import type { Bits } from "../bytes.js";
+import { halfToEven } from "../numbers.js";
 
 /** Key frames of a run of `frames` frames, level after level, each ascending. */
 export function readKeyFrames(bits: Bits, frames: number): number[][] {
@@ -20,12 +21,6 @@ export function readKeyFrames(bits: Bits, frames: number): number[][] {
     levels.push(middles);
     intervals = halves;
   }
-}
-
-function halfToEven(value: number): number {
-  const floor = Math.floor(value);
-  const rest = value - floor;
-  return rest < 0.5 || (rest === 0.5 && floor % 2 === 0) ? floor : floor + 1;
 }
 
 /** Trajectories (frames, lanes) as key frames with values. */

@@ -4,6 +4,7 @@ import { Bytes } from "../bytes.js";
 import { check } from "../errors.js";
 import { inflateZlib } from "../inflate.js";
 import { readIntegersWithin } from "../integers/read.js";
+import { halfToEven } from "../numbers.js";
 import { Gaps } from "../stages.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "./codec.js";
 
@@ -64,7 +65,7 @@ export class Lossless implements ChunkDecoder {
     const fromLevel = (level: number) => rankOf(level * down);
     const toLevel = (rank: number) => {
       const level = floatOf(rank) * up;
-      return Number.isNaN(level) ? 0 : clip(roundHalfToEven(level), MOST_LEVEL);
+      return Number.isNaN(level) ? 0 : clip(halfToEven(level), MOST_LEVEL);
     };
     return this.ranks(residuals, frames, channels, fromLevel, toLevel).map((rank) => floatOf(rank) * this.unit);
   }
@@ -115,13 +116,6 @@ export class Lossless implements ChunkDecoder {
 
 function clip(value: number, most: number): number {
   return value < -most ? -most : value > most ? most : value;
-}
-
-export function roundHalfToEven(value: number): number {
-  const floor = Math.floor(value);
-  const rest = value - floor;
-  if (rest !== 0.5) return rest < 0.5 ? floor : floor + 1;
-  return floor % 2 === 0 ? floor : floor + 1;
 }
 
 const FLOAT = new Float32Array(1);

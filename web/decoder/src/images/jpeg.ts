@@ -6,6 +6,7 @@
 
 import { Bytes } from "../bytes.js";
 import { Unsupported, check } from "../errors.js";
+import { clip8 } from "../numbers.js";
 
 const END = 0xd9;
 const [SOF0, SOF1, SOF2] = [0xc0, 0xc1, 0xc2];
@@ -293,7 +294,6 @@ function write(v: Int32Array, at: number, step: number, shift: number, even: num
 function coloured(components: Component[], { width, height }: { width: number; height: number }): Uint8Array {
   const [luma, blueness, redness] = components.map((component) => enlarged(component, width, height, components[0]!));
   const pixels = new Uint8Array(3 * width * height);
-  const clip8 = (value: number) => (value < 0 ? 0 : value > 255 ? 255 : value);
   for (let i = 0; i < width * height; i++) {
     const [y, b, r] = [luma![i]!, blueness![i]! - 128, redness![i]! - 128];
     pixels[3 * i] = clip8(y + ((91_881 * r + 32_768) >> 16));

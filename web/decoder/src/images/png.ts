@@ -72,11 +72,12 @@ function unfilter(lines: Uint8Array, height: number, stride: number): void {
     const first = y * (stride + 1) + 1;
     const filter = lines[first - 1]!;
     check(filter <= 4, "PNG: an unknown filter");
+    if (filter === 0) continue;
     for (let i = 0; i < stride; i++) {
       const left = i > 0 ? lines[first + i - 1]! : 0;
       const above = y > 0 ? lines[first + i - stride - 1]! : 0;
       const corner = i > 0 && y > 0 ? lines[first + i - stride - 2]! : 0;
-      const predicted = [0, left, above, (left + above) >> 1, paeth(left, above, corner)][filter]!;
+      const predicted = filter === 1 ? left : filter === 2 ? above : filter === 3 ? (left + above) >> 1 : paeth(left, above, corner);
       lines[first + i] = lines[first + i]! + predicted;
     }
   }
@@ -84,6 +85,8 @@ function unfilter(lines: Uint8Array, height: number, stride: number): void {
 
 function paeth(left: number, above: number, corner: number): number {
   const sum = left + above - corner;
-  const [a, b, c] = [Math.abs(sum - left), Math.abs(sum - above), Math.abs(sum - corner)];
+  const a = Math.abs(sum - left);
+  const b = Math.abs(sum - above);
+  const c = Math.abs(sum - corner);
   return a <= b && a <= c ? left : b <= c ? above : corner;
 }

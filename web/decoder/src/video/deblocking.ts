@@ -1,5 +1,6 @@
 /** The deblocking filter at edges of blocks (ITU-T H.265, 8.7.2). */
 
+import { clip } from "../numbers.js";
 import type { Plane } from "./intra.js";
 import type { MotionField } from "./motion.js";
 import type { Parameters } from "./slice.js";
@@ -27,10 +28,6 @@ export interface Blocks {
   motion: MotionField;
 }
 const GRID = 8;
-
-function clip(value: number, least: number, most: number): number {
-  return value < least ? least : value > most ? most : value;
-}
 
 export function deblock(planes: Plane[], blocks: Blocks, parameters: Parameters): void {
   const { width, height, qp, betaOffset, tcOffset, pictureQpOffsets } = parameters;

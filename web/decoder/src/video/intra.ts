@@ -1,5 +1,7 @@
 /** Prediction of a block from the samples beside it (ITU-T H.265, 8.4.4.2). */
 
+import { clip8 } from "../numbers.js";
+
 export const PLANAR = 0;
 export const MEAN = 1;
 export const ACROSS = 10;
@@ -22,10 +24,6 @@ export interface Plane {
   height: number;
   samples: Uint8Array;
   isDecoded: Uint8Array;
-}
-
-function clip8(value: number): number {
-  return value < 0 ? 0 : value > 255 ? 255 : value;
 }
 
 /** Writes the predicted samples of the block at (x, y) of 2^log2 × 2^log2. */

@@ -5,6 +5,7 @@ import { check } from "../../errors.js";
 import { readIntegers } from "../../integers/read.js";
 import { VideoDecoder } from "../../video/video.js";
 import { AdaptiveBits, Counts } from "./adaptive.js";
+import { type Item, shelve } from "./shelves.js";
 
 const MOST_TILE_SIDE = 1024;
 const MOST_SIDE = 4096;
@@ -19,16 +20,11 @@ const ABOVE = [[1, -2], [1, -1], [1, 0], [1, 1], [2, 0], [1, 2]] as const;
 const MOST_POINTS = 2 ** 20;
 const MOST_INTERVAL = 2 ** 16 - 1;
 
-export interface Tile {
-  link: number;
-  height: number;
-  width: number;
+export interface Tile extends Item {
   /** Millimetres along the axis, and from it. */
   low: number;
   high: number;
   reach: number;
-  top: number;
-  left: number;
 }
 
 export interface Atlas {
@@ -36,7 +32,6 @@ export interface Atlas {
   width: number;
   /** In the order of their links. */
   tiles: Tile[];
-  coloured: boolean;
   /** Points of the body in a frame. */
   points: number;
   /** Frames that a picture of the changing surface lasts. */
@@ -60,7 +55,7 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   check(new Set(tiles.map(({ link }) => link)).size === count, "bodycast: a link has two tiles");
   const { height, width } = arrange(tiles);
   check(width <= MOST_SIDE && 2 * height <= MOST_SIDE, "bodycast: the atlas is too large");
-  const coloured = part.varintWithin(0, 1, "whether there are colours") === 1;
+  part.varintWithin(0, 1, "whether there are colours");
   const points = part.varintWithin(1, MOST_POINTS, "the points of a frame");
   const interval = part.varintWithin(1, MOST_INTERVAL, "the interval of pictures");
   const [maskBytes, keyBytes] = [part.varint(), part.varint()];
@@ -69,7 +64,7 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   for (const { top, left, height: h, width: w } of tiles) for (let y = top; y < top + h; y++) inside.fill(1, y * width + left, y * width + left + w);
   const keyPicture = part.take(keyBytes);
   part.end();
-  return { height, width, tiles, coloured, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
+  return { height, width, tiles, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
 }
 
 /** Places tiles on shelves, the tallest first, and sorts them by link. */
@@ -78,15 +73,9 @@ function arrange(tiles: Tile[]): { height: number; width: number } {
   const cells = tiles.reduce((sum, { height, width }) => sum + height * width, 0);
   const widest = tiles.reduce((most, { width }) => Math.max(most, width), tiles.length ? 0 : 8);
   const across = aligned(Math.max(widest, Math.floor(1.05 * Math.sqrt(cells))));
-  let [left, top, shelf] = [0, 0, 0];
-  for (const tile of [...tiles].sort((a, b) => b.height - a.height || a.link - b.link)) {
-    if (left + tile.width > across) [left, top, shelf] = [0, top + shelf, 0];
-    [tile.top, tile.left] = [top, left];
-    left += tile.width;
-    shelf = Math.max(shelf, tile.height);
-  }
+  const height = shelve(tiles, across);
   tiles.sort((a, b) => a.link - b.link);
-  return { height: Math.max(LEAST_HEIGHT, aligned(top + shelf)), width: Math.max(LEAST_WIDTH, across) };
+  return { height: Math.max(LEAST_HEIGHT, aligned(height)), width: Math.max(LEAST_WIDTH, across) };
 }
 
 function readMask(data: Uint8Array, height: number, width: number): Uint8Array {

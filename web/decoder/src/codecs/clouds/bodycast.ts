@@ -74,13 +74,13 @@ export class BodycastPoints implements PointDecoder {
     const others = readOutliers(outliers, frames, coloured);
     const surfaces = models.map((model, b) => {
       model.moving ??= new MovingSurface(model.body, model.atlas);
-      return model.moving.frames(readPlacements(poses[b]!, frames, model), pictures[b]!);
+      return model.moving.frames(readPlacements(poses[b]!, frames, model), pictures[b]!, (t) => !absent[t * models.length + b]);
     });
     let next = 0;
     for (let t = 0; t < frames; t++) {
-      const clouds = surfaces.map((surface) => surface.next().value!);
+      const shown = surfaces.map((surface): Cloud | null => surface.next().value);
       if (isRaw[t]) yield raw[next++]!;
-      else yield joined([...clouds.filter((_, b) => !absent[t * models.length + b]), others[t]!], coloured);
+      else yield joined([...shown.filter((cloud) => cloud !== null), others[t]!], coloured);
     }
   }
 }

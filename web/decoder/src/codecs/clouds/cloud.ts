@@ -1,6 +1,7 @@
 /** Frames of points with colours. */
 
 import { check } from "../../errors.js";
+import { clip8 } from "../../numbers.js";
 import type { StoredChunk } from "../codec.js";
 
 /** One frame of a point cloud. */
@@ -24,10 +25,6 @@ const MOST_POINTS_IN_BYTE = 131_072;
 export function checkCounts(counts: number[], bytes: number): void {
   const total = counts.reduce((sum, count) => sum + count, 0);
   check(total <= MOST_POINTS && total <= MOST_POINTS_IN_BYTE * (bytes + 1), `bodycast: ${total} points in ${bytes} bytes`);
-}
-
-export function clip8(value: number): number {
-  return value < 0 ? 0 : value > 255 ? 255 : value;
 }
 
 /** Red, green, blue of colours Y, Co, Cg (YCoCg-R), clipped. */

@@ -1,5 +1,6 @@
 /** Colours of points on a lattice (docs/payloads/bodycast-points.md, "Colours"). */
 
+import { clip } from "../../numbers.js";
 import type { MixedBits } from "./mixed.js";
 
 const STRIDES = [0, 32, 16, 8, 4, 2, 1];
@@ -20,10 +21,6 @@ function atMost(edges: readonly number[], value: number): number {
   let count = 0;
   while (count < edges.length && edges[count]! <= value) count++;
   return count;
-}
-
-function clip(value: number, least: number, most: number): number {
-  return value < least ? least : value > most ? most : value;
 }
 
 /** Points of a pass, of `count` in all. */

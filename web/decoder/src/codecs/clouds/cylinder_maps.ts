@@ -1,8 +1,10 @@
 /** The model of `lien2006` as maps on the cylinders of its links, on one sheet (docs/payloads/lien2006.md, "Residual maps"). */
 
 import { type Vector, dot, lengthOf, minus, times } from "../../geometry.js";
+import { halfToEven } from "../../numbers.js";
 import type { Body } from "../bodies.js";
-import { type Cylinder, cylinderOf, halfToEven } from "./sampling.js";
+import { type Cylinder, cylinderOf } from "./sampling.js";
+import { type Item, shelve } from "./shelves.js";
 
 const LEAST_POINTS = 6;
 const SHORTEST_MAP_M = 0.02;
@@ -21,12 +23,7 @@ export interface Template {
   starts: number[];
 }
 
-export interface CylinderMap {
-  link: number;
-  height: number;
-  width: number;
-  top: number;
-  left: number;
+export interface CylinderMap extends Item {
   cylinder: Cylinder;
   low: number;
   high: number;
@@ -48,15 +45,8 @@ export function layOut(template: Template, share: number): Sheet {
   const maps = template.body.parents.flatMap((_, link) => mapOf(template, link, share) ?? []);
   const cells = maps.reduce((sum, { height, width }) => sum + height * width, 0);
   const across = Math.max(...maps.map(({ width }) => width), Math.floor(SHEET_SHARE * Math.sqrt(cells)));
-  let [left, top, shelf] = [0, 0, 0];
-  for (const map of [...maps].sort((a, b) => b.height - a.height || a.link - b.link)) {
-    if (left + map.width > across) [left, top, shelf] = [0, top + shelf, 0];
-    [map.top, map.left] = [top, left];
-    left += map.width;
-    shelf = Math.max(shelf, map.height);
-  }
-  const end = (ends: number[]) => ends.reduce((most, value) => Math.max(most, value), 0);
-  return { height: end(maps.map((map) => map.top + map.height)), width: end(maps.map((map) => map.left + map.width)), maps };
+  const height = shelve(maps, across);
+  return { height, width: maps.reduce((most, { left, width }) => Math.max(most, left + width), 0), maps };
 }
 
 function mapOf({ body, points, colours, starts }: Template, link: number, share: number): CylinderMap | null {

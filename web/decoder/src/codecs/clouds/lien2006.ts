@@ -6,12 +6,13 @@ import { type Vector, matrixOf, minus, plus, times, dot } from "../../geometry.j
 import { readJpeg } from "../../images/jpeg.js";
 import { readPng } from "../../images/png.js";
 import { readIntegers } from "../../integers/read.js";
+import { clip8, halfToEven } from "../../numbers.js";
 import { type Placement, readBody, readLienChunk } from "../bodies.js";
 import type { StoredChunk } from "../codec.js";
-import { type Cloud, clip8 } from "./cloud.js";
+import type { Cloud } from "./cloud.js";
 import { type CylinderMap, type Sheet, type Template, layOut } from "./cylinder_maps.js";
 import { readRawFrames } from "./raw_frames.js";
-import { around, halfToEven } from "./sampling.js";
+import { around } from "./sampling.js";
 
 const POINT_STEP_M = 0.002;
 const COLOUR_STEP = 4;

@@ -1,6 +1,7 @@
 /** Mixed bits (docs/payloads/bodycast-points.md). */
 
 import { check } from "../../errors.js";
+import { clip } from "../../numbers.js";
 
 const CONTEXTS = 5;
 const COUNTERS = 2 ** 15;
@@ -9,10 +10,6 @@ const FIRST_WEIGHT = 18_350;
 const MOST_SEEN = 250;
 const MOST_WEIGHT = 2 ** 22;
 const MOST_BEYOND = 4;
-
-function clip(value: number, least: number, most: number): number {
-  return value < least ? least : value > most ? most : value;
-}
 
 const SQUASH = Int32Array.from({ length: 4096 }, (_, x) => clip(Math.floor(65536 / (1 + Math.exp(-(x - 2048) / 256)) + 0.5), 16, 65520));
 const STRETCH = Int32Array.from({ length: 4096 }, (_, x) => {

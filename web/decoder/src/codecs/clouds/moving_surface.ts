@@ -1,11 +1,12 @@
 /** The surface of a body in the frames of a chunk (docs/payloads/bodycast.md, "Surface of a frame"). */
 
 import { check } from "../../errors.js";
+import { clip8, halfToEven } from "../../numbers.js";
 import { VideoDecoder } from "../../video/video.js";
 import type { Body, Placement } from "../bodies.js";
 import { type Atlas, type Planes, nextPlanes } from "./atlas.js";
-import { type Cloud, clip8 } from "./cloud.js";
-import { type Sample, halfToEven, sampleSurface } from "./sampling.js";
+import type { Cloud } from "./cloud.js";
+import { type Sample, sampleSurface } from "./sampling.js";
 import { Skin } from "./skin.js";
 
 export class MovingSurface {
@@ -26,8 +27,9 @@ export class MovingSurface {
     this.key = this.canonical(planes);
   }
 
-  /** One frame after the other. placements: where the links are in each; pictures: packets of the changing surface. */
-  *frames(placements: Placement[][], pictures: Uint8Array[]): Generator<Cloud> {
+  /** One frame after the other, null where isShown says no. placements: where the links are in each; pictures: packets of the
+   * changing surface. */
+  *frames(placements: Placement[][], pictures: Uint8Array[], isShown: (frame: number) => boolean): Generator<Cloud | null> {
     const { interval } = this.atlas;
     const frames = placements.length;
     check(pictures.length === 0 || pictures.length === 1 + Math.ceil(frames / interval), "bodycast: another number of pictures");
@@ -39,6 +41,10 @@ export class MovingSurface {
     let surface = this.key;
     for (let t = 0; t < frames; t++) {
       if (pictures.length && t % interval === 0) surface = this.canonical(nextPlanes(this.atlas, video, pictures[1 + t / interval]!));
+      if (!isShown(t)) {
+        yield null;
+        continue;
+      }
       const cloud: Cloud = { positions: this.skin.posed(surface.positions, placements[t]!) };
       if (surface.colours) cloud.colours = surface.colours;
       yield cloud;

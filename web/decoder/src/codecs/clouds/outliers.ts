@@ -3,8 +3,9 @@
 import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
 import { readIntegers } from "../../integers/read.js";
+import { clip8 } from "../../numbers.js";
 import { AdaptiveBits } from "./adaptive.js";
-import { type Cloud, checkCounts, clip8 } from "./cloud.js";
+import { type Cloud, checkCounts } from "./cloud.js";
 import { OctreeCounts, readOctree } from "./octree.js";
 
 const CELL_M = 0.01;

@@ -3,10 +3,8 @@
 import { check } from "../../errors.js";
 import { bitsIn, descend, neighbourCubes } from "./cubes.js";
 import type { MixedBits } from "./mixed.js";
-import { type Hints, SurfaceHints } from "./surface_hints.js";
+import { type Hints, NO_DISTANCE, NO_HINT, SurfaceHints } from "./surface_hints.js";
 
-const NO_HINT = 64;
-const NO_DISTANCE = 21;
 const WEIGHT_SETS = 2048;
 const ALL_OCTANTS = [0, 1, 2, 3, 4, 5, 6, 7];
 const LATTICE_OCTANTS = [0, 7];

@@ -6,6 +6,7 @@
 
 import { check } from "../../errors.js";
 import { type Vector, cross, lengthOf, minus, normalised, plus, times } from "../../geometry.js";
+import { halfToEven } from "../../numbers.js";
 import type { Body } from "../bodies.js";
 import type { Atlas, Tile } from "./atlas.js";
 
@@ -141,12 +142,6 @@ function subcells(body: Body, atlas: Atlas, tile: Tile, luma: Uint8Array): Fine 
 /** The level of a cell of a tile in the lower half of the picture. */
 function displacement(atlas: Atlas, tile: Tile, luma: Uint8Array, cell: number): number {
   return luma[(atlas.height + tile.top + Math.floor(cell / tile.width)) * atlas.width + tile.left + (cell % tile.width)]!;
-}
-
-export function halfToEven(value: number): number {
-  const floor = Math.floor(value);
-  const rest = value - floor;
-  return rest > 0.5 || (rest === 0.5 && floor % 2 !== 0) ? floor + 1 : floor;
 }
 
 /** targets: areas along the path of the tile, ascending; first: the number of the first point. */

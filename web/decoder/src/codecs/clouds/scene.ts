@@ -1,5 +1,6 @@
 /** The samples of all bodies while the frames of a chunk are decoded: where they stand, and what earlier frames showed of them. */
 
+import { clip } from "../../numbers.js";
 import type { Placement } from "../bodies.js";
 import { NEIGHBOURS, type Posed, type Surface, posed } from "./surface.js";
 
@@ -40,10 +41,6 @@ export interface Located {
   places: Float64Array;
   /** Of each point: whether a body explains it. */
   explained: Uint8Array;
-}
-
-function clip(value: number, least: number, most: number): number {
-  return value < least ? least : value > most ? most : value;
 }
 
 export class Scene {

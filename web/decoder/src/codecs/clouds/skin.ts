@@ -70,7 +70,8 @@ function extentOf({ origins, tips }: Body): number {
   return Math.max(...[0, 1, 2].map((c) => Math.max(...ends.map((end) => end[c]!)) - Math.min(...ends.map((end) => end[c]!))));
 }
 
-function largest(values: Float64Array, without: number): number {
+/** The number of the largest value but the one `without`, the first of several; −1 if there is no other. */
+export function largest(values: ArrayLike<number>, without: number): number {
   let best = -1;
   for (let i = 0; i < values.length; i++) if (i !== without && (best < 0 || values[i]! > values[best]!)) best = i;
   return best;

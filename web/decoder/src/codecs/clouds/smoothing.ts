@@ -1,5 +1,6 @@
 /** Moves points of a lattice towards the surface around them (docs/payloads/bodycast-points.md, "Smoothing"). */
 
+import { clip } from "../../numbers.js";
 import type { MixedBits } from "./mixed.js";
 import { NEIGHBOURS } from "./surface.js";
 
@@ -21,10 +22,6 @@ export interface Samples {
   normals: Float64Array;
   neighbours: Int32Array;
   spacing: number;
-}
-
-function clip(value: number, least: number, most: number): number {
-  return value < least ? least : value > most ? most : value;
 }
 
 /** Shifts (points, 3) of a frame. cells (points, 3): lattice coordinates. near: the sample near each, −1 without one. */

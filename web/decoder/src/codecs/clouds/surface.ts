@@ -1,10 +1,12 @@
 /** The surface of a body in integers, in the canonical pose and in the poses of frames (docs/payloads/bodycast-points.md, "Surface"). */
 
 import { matrixOf } from "../../geometry.js";
+import { clip8 } from "../../numbers.js";
 import type { Body, Placement } from "../bodies.js";
 import { type Atlas, keyPlanes } from "./atlas.js";
 import { ycocgOf } from "./cloud.js";
 import { type Sample, sampleSurface } from "./sampling.js";
+import { largest } from "./skin.js";
 
 export const NEIGHBOURS = 12;
 const SAMPLES = 8000;
@@ -51,7 +53,6 @@ export function textureOf(body: Body, atlas: Atlas): Texture {
 }
 
 function colourOf(y: number, cb: number, cr: number): [number, number, number] {
-  const clip8 = (value: number) => Math.min(Math.max(value, 0), 255);
   const red = y + ((103_206 * cr) >> 16);
   const blue = y + ((121_609 * cb) >> 16);
   const green = y - ((30_678 * cr + 12_277 * cb) >> 16);
@@ -131,13 +132,8 @@ function blendedLinks(samples: Sample[], neighbours: Int32Array, links: number):
   const firsts = new Int32Array(count);
   for (let i = 0; i < count; i++) {
     const own = shares.subarray(i * links, (i + 1) * links);
-    const largest = (without: number) => {
-      let best = -1;
-      for (let l = 0; l < links; l++) if (l !== without && (best < 0 || own[l]! > own[best]!)) best = l;
-      return best;
-    };
-    const first = largest(-1);
-    const second = largest(first);
+    const first = largest(own, -1);
+    const second = largest(own, first);
     const other = second < 0 ? 0 : own[second]!;
     pairs[2 * i] = first;
     pairs[2 * i + 1] = other > 0 ? second : first;

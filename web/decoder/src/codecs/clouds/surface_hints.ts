@@ -6,14 +6,16 @@ import type { Samples } from "./references.js";
 import type { Standing } from "./scene.js";
 import { NEIGHBOURS } from "./surface.js";
 
+/** Classes where nothing is known: of the probability of an octant, and of its distance. */
+export const NO_HINT = 64;
+export const NO_DISTANCE = 21;
+
 const NORMAL = 2 ** 10;
 const SUBUNITS = 16;
 const PLACE = 2 ** 16;
 const HALF = 8;
 const MOST_IN_CUBE = 3;
 const MOST_COORDINATE = 2 ** 40;
-const NO_HINT = 64;
-const NO_DISTANCE = 21;
 const DISTANCE_STEPS = [1, 2, 3, 4, 5, 7, 9, 12, 16, 24];
 const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(4096 * Math.exp(-((k / 16) ** 2) / 2) + 0.5));
 /** Order of the cubes around a cube, along each axis. */
@@ -41,12 +43,21 @@ export function samplesOfBodies({ count, moved, normals, neighbours }: Standing,
   return { points, normals, neighbours };
 }
 
+/** The cubes of a side that samples are in, and the numbers of the samples in each. */
+interface Inside {
+  side: number;
+  index: CubeIndex;
+  samples: number[][];
+}
+
 export class SurfaceHints {
   /** (samples, 3), subunits from the corner of the octree. */
   private readonly points: Float64Array;
   readonly normals: Float64Array;
   readonly neighbours: Int32Array;
   readonly spacing: number;
+  /** What `inside` found last: the children of a level are the cubes of the next. */
+  private last?: Inside;
 
   /** largeCubesCorrect: whether cubes larger than the spacing have offsets. */
   constructor(
@@ -74,8 +85,9 @@ export class SurfaceHints {
     return Math.floor(sum / NORMAL);
   }
 
-  /** The samples in each cube of this side: the cubes, and numbers of the samples of each, `most` at most. */
-  private inside(side: number): { index: CubeIndex; samples: number[][] } {
+  /** The samples in each cube of this side. */
+  private inside(side: number): Inside {
+    if (this.last?.side === side) return this.last;
     const count = this.points.length / 3;
     const cells = Float64Array.from(this.points, (v) => Math.floor((v + HALF) / side));
     const order = new Map<string, number>();
@@ -91,7 +103,7 @@ export class SurfaceHints {
       }
       samples[cube]!.push(i);
     }
-    return { index: new CubeIndex(places), samples };
+    return (this.last = { side, index: new CubeIndex(places), samples });
   }
 
   /** A sample near each cube (n, 3), −1 without one. parents: those of the cubes above; side: of a child, subunits. */

@@ -3,6 +3,7 @@
 import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
 import { readIntegersWithin } from "../../integers/read.js";
+import { halfToEven } from "../../numbers.js";
 import { Gaps } from "../../stages.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "../codec.js";
 import { readDirect } from "./direct.js";
@@ -55,13 +56,6 @@ async function openPositions(facts: Facts, priors: PriorLoader): Promise<{ decod
   }
   part.end();
   return { decoder: new Tempo(facts, { repeats, millihertz, weights, model, fallback: undefined, lattice }), millihertz };
-}
-
-/** 0.5 rounds to 0, 1.5 to 2. */
-function halfToEven(value: number): number {
-  const floor = Math.floor(value);
-  const rest = value - floor;
-  return rest < 0.5 || (rest === 0.5 && floor % 2 === 0) ? floor : floor + 1;
 }
 
 async function readModel(number: number, part: Bytes, prior: Prior, facts: Facts): Promise<Model> {

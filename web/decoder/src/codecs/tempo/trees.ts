@@ -1,6 +1,7 @@
 /** Trees of bones (docs/payloads/tempo-models.md, "Trees of bones"). */
 
 import { check } from "../../errors.js";
+import { halfToEven } from "../../numbers.js";
 import { type Matrix, cross, length, matrix, product, rowOf, sum, transposed, unit } from "./ordered.js";
 import { nearestRotation } from "./kabsch.js";
 import type { Prior } from "./prior.js";
@@ -126,13 +127,7 @@ function axesOf(vector: ArrayLike<number>): { first: Vector; second: Vector } {
 
 /** Offsets of a skeleton, rounded to 10 µm, halves to even. */
 export function roundedOffsets(offsets: Float64Array): Float64Array {
-  return offsets.map((v) => {
-    const scaled = v * 100_000;
-    const floor = Math.floor(scaled);
-    const rest = scaled - floor;
-    const rounded = rest < 0.5 || (rest === 0.5 && floor % 2 === 0) ? floor : floor + 1;
-    return rounded / 100_000;
-  });
+  return offsets.map((v) => halfToEven(v * 100_000) / 100_000);
 }
 
 /** Points in the order root, its children, their children …: the point of each place. Throws Corrupt. */
