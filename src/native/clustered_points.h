@@ -82,7 +82,7 @@ public:
     // A limit for `search` around a place from what was found around another: as many points are within it.
     static double limit_from(const Nearest &nearest, double moved) {
         const double reach = std::sqrt(nearest.back().first) + moved;
-        return squared(reach * (1 + 1e-9));
+        return squared(reach * (1 + 1e-9)) + std::numeric_limits<double>::min();  // above 0, also for points at one place
     }
 
 private:

@@ -62,7 +62,11 @@ def test_normals_of_a_plane_and_a_sphere():
     _, n, _ = blob(4000)
     assert np.median(np.abs(np.sum(normals.estimate(n) * n, axis=1))) > 0.99
     assert normals.estimate(np.zeros((2, 3))).shape == (2, 3)
-    assert np.isfinite(normals.estimate(np.zeros((9, 3)))).all()
+
+
+@pytest.mark.parametrize("places", [np.zeros((9, 3)), np.repeat(RNG.uniform(-1, 1, (5, 3)), 12, axis=0)])
+def test_normals_of_points_at_one_place_are_unit_vectors(places):
+    np.testing.assert_allclose(np.linalg.norm(normals.estimate(places), axis=1), 1)
 
 
 def test_closeness_is_equation_4():
