@@ -15,8 +15,9 @@ exactly orthonormal. Encoder and decoder must both use the basis that `unpack` r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,10 +49,27 @@ def fit_rows(rows: Floats, components: int | None = None) -> tuple[Floats, Float
     """`fit` of rowsᵀ rows, (samples, n) → (n, k), without that matrix where samples are fewer than dimensions."""
     if len(rows) >= rows.shape[1]:
         return fit(rows.T @ rows, components)
+    found = principal_of_rows(rows)
+    return found.vectors(components), found.variances[:components]
+
+
+class Principal(NamedTuple):
+    """variances (k,), strongest first; vectors: the first `count` of their directions (n, count), all for None."""
+
+    variances: Floats
+    vectors: Callable[[int | None], Floats]
+
+
+def principal_of_rows(rows: Floats) -> Principal:
+    """Of rowsᵀ rows, (samples, n), where samples are fewer than dimensions."""
     variances, weights = np.linalg.eigh(rows @ rows.T)
     real = variances > np.finfo(float).eps * len(rows) * max(float(variances[-1]), 0.0)
-    variances, weights = variances[real][::-1][:components], weights[:, real][:, ::-1][:, :components]
-    return _signed(rows.T @ weights / np.sqrt(variances)), variances
+    variances, weights = variances[real][::-1], weights[:, real][:, ::-1]
+
+    def vectors(count: int | None) -> Floats:
+        return _signed(rows.T @ weights[:, :count] / np.sqrt(variances[:count]))
+
+    return Principal(variances, vectors)
 
 
 def completed(basis: Floats, components: int | None = None, excluded: Floats | None = None) -> Floats:
@@ -63,19 +81,64 @@ def completed(basis: Floats, components: int | None = None, excluded: Floats | N
     rounded bases, and rounding gives it either sign. All machines must agree: within ZERO it counts as negative in the
     first column and as positive in the others, as in the first files.
     """
-    known = np.array(basis if excluded is None else np.concatenate([basis, excluded], axis=1), np.float64)
-    n, count = known.shape
-    mirrors, factors = np.zeros((n, count)), np.zeros((count, count))  # the product of reflections is I − U T Uᵀ
+    known = basis if excluded is None else np.concatenate([basis, excluded], axis=1)
+    found, given = Completion.of(known), basis.shape[1]
+    whole = np.empty((given + len(known) - found.count, len(known)))  # one column a row, as models use them
+    whole[:given] = basis.T
+    found.missing_rows(whole[given:])
+    return whole[:components].T
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """Orthonormal columns and those that complete them, as a product of few columns.
+
+    The product of the reflections takes the first columns of the identity to known · signs. As known is orthonormal,
+    the reflections follow from the elimination of known − signs, and only the signs need them one by one:
+    missing = the other columns of the identity + moved · across.
+
+    moved (n, k): the known columns less their signs on the diagonal. signs (k,). across (k, n − k).
+    """
+
+    moved: Floats
+    signs: Floats
+    across: Floats
+
+    @classmethod
+    def of(cls, known: Floats) -> Completion:
+        """Of orthonormal columns (n, k)."""
+        moved = np.array(known, np.float64)
+        count = moved.shape[1]
+        signs = _signs_of_reflections(moved[:count])
+        moved[np.arange(count), np.arange(count)] -= signs
+        return cls(moved, signs, signs[:, None] * np.linalg.solve(moved[:count].T, moved[count:].T))
+
+    @property
+    def count(self) -> int:
+        """Of known columns."""
+        return len(self.signs)
+
+    def missing_rows(self, out: Floats) -> None:
+        """The columns that complete the known ones, as rows (n − k, n)."""
+        np.matmul(self.across.T, self.moved.T, out=out)
+        out[np.arange(len(out)), np.arange(self.count, len(self.moved))] += 1.0
+
+    def components(self, rows: Floats) -> Floats:
+        """rows (…, n) times all columns, the known ones first: fewer steps than by `completed` where these are few."""
+        moved = rows @ self.moved
+        known = moved + rows[..., : self.count] * self.signs
+        return np.concatenate([known, rows[..., self.count :] + moved @ self.across], axis=-1)
+
+
+def _signs_of_reflections(corner: Floats) -> Floats:
+    """The sign (k,) that reflections give each diagonal entry, from the first rows (k, k) of orthonormal columns."""
+    left, count = corner.copy(), len(corner)
+    signs = np.empty(count)
     for i in range(count):
-        u = known[i:, i].copy()
-        u[0] += 1.0 if u[0] > (-ZERO if i else ZERO) else -1.0
-        u /= np.sqrt(u @ u)
-        known[i:, i:] -= 2 * np.outer(u, u @ known[i:, i:])
-        mirrors[i:, i] = u
-        factors[:i, i] = -2 * factors[:i, :i] @ (mirrors[i:, :i].T @ u)
-        factors[i, i] = 2.0
-    missing = np.eye(n)[:, count:] - mirrors @ (factors @ mirrors[count:].T)
-    return np.concatenate([basis, missing], axis=1)[:, :components]
+        signs[i] = -1.0 if left[i, i] > (-ZERO if i else ZERO) else 1.0
+        left[i + 1 :, i] /= left[i, i] - signs[i]
+        left[i + 1 :, i + 1 :] -= np.outer(left[i + 1 :, i], left[i, i + 1 :])
+    return signs
 
 
 def precisions(variances: Floats, noise: float) -> Integers:

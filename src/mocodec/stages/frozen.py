@@ -138,27 +138,46 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     others_move = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
     if not (same.any(axis=1) & others_move).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
-    frozen, constant = _find(positions, missing, same, bones)
+    repeating = same.any(axis=0)
+    frozen, constant, is_parking = _find(*(of[:, repeating] for of in (positions, missing, same)), others_move, bones)
+    if is_parking and not repeating.all():  # single samples of other points may have the same values
+        frozen, constant, _ = _find(positions, missing, same, others_move, bones)
+    else:
+        frozen, constant = (_columns(mask, repeating) for mask in (frozen, constant))
     if (frozen | missing).all():
         frozen = constant = nothing
     return Split(positions, missing, frozen, constant, tolerance, holds)
 
 
-def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> tuple[Booleans, Booleans]:
-    """Masks (frames, points) of frozen samples and of those with a constant. same: equal to the frame before."""
+def _columns(mask: Booleans, points: Booleans) -> Booleans:
+    """The mask (frames, some points) as one of all points, (frames, points), False for the others."""
+    whole = np.zeros((len(mask), len(points)), bool)
+    whole[:, points] = mask
+    return whole
+
+
+def _find(
+    positions: Floats, missing: Booleans, same: Booleans, any_moves: Booleans, bones: bool
+) -> tuple[Booleans, Booleans, bool]:
+    """Masks (frames, points) of frozen samples and of those with a constant, and whether there are parking values.
+
+    same (frames − 1, points): equal to the frame before. any_moves (frames − 1,): whether any point of the recording
+    moves from a frame to the next.
+    """
     runs = _runs_of(~missing, positions, same)
     values = positions[runs.first, runs.point]
     into, out = _steps(runs, values)
     typical = _typical_steps(runs, into, same)[runs.point]
     jump_in, jump_out = into > JUMP * typical, out > JUMP * typical
-    changes = np.append(0, np.cumsum((~same & ~(missing[1:] | missing[:-1])).any(axis=1)))
+    changes = np.append(0, np.cumsum(any_moves))
     others_move = changes[runs.first + runs.length - 1] - changes[runs.first] >= SHORTEST_RUN - 1
     is_jump = (jump_in & np.isfinite(typical)) | (jump_out & ~np.isnan(out))
     is_jump &= ~(np.isnan(into) & np.isnan(out))
     at_edge = (np.isnan(into) | np.isnan(out)) & (runs.length >= SHORTEST_EDGE_RUN) & (not bones)
     found = others_move & (runs.length >= SHORTEST_RUN) & (is_jump | at_edge)
     constant = np.isnan(into) | jump_in
-    of_constant = _with_values(values, _parking_values(runs, values, found & constant, jump_in & jump_out))
+    parking = _parking_values(runs, values, found & constant, jump_in & jump_out)
+    of_constant = _with_values(values, parking)
     found |= of_constant
     constant |= of_constant
     masks = np.zeros((2, *missing.shape), bool)
@@ -167,7 +186,7 @@ def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> 
     for mask, chosen in zip(masks, (found, found & constant), strict=True):
         frame = np.repeat(first[chosen], length[chosen]) + _within(length[chosen])
         mask[frame, np.repeat(runs.point[chosen], length[chosen])] = True
-    return masks[0], masks[1]
+    return masks[0], masks[1], bool(len(parking))
 
 
 def _parking_values(runs: _Runs, values: Floats, constant: Booleans, between_jumps: Booleans) -> Integers:

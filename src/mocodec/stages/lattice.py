@@ -32,6 +32,8 @@ from .lattice_chunk import NEIGHBOURS
 
 STRIDES, USUAL_STRIDE = range(5), 2
 """log₂ of the distances between the first frames that an encoder tries, and the one that it begins with."""
+LEAST_BITS_OF_SHORT = 4
+"""Where a sample takes more bits, what is far away in time predicts less than noise hides: short strides suit it."""
 LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200
@@ -40,6 +42,10 @@ CANDIDATES, MANY_POINTS, CANDIDATES_OF_MANY = 64, 128, 24
 """This many of the nearest points are considered as neighbours of each; fewer of many points, which lie closer."""
 LEAST_DISTANCE_M = 0.005
 """Points nearer than this to each other have no direction from one to the other."""
+
+ESTIMATE_OF_BITS, ESTIMATE_OF_SAMPLE = 1.45, 0.045
+"""`estimate`: bytes for each byte of the logarithms of its residuals, and for each sample; fitted to joints at 3 and
+5 mm."""
 
 
 def is_fast() -> bool:
@@ -201,6 +207,34 @@ def encode(
     return bytes([stride | SPIKED]) + varint.write([len(spikes)]) + spikes + stream, decoded
 
 
+def estimate(samples: Floats, stride: int) -> float:
+    """About the bytes of a stream of samples (frames, points, 3) in half steps, from what smooth curves through the
+    frames around leave of them.
+
+    Of joints it is hardly ever above the bytes by more than a tenth. It ignores neighbours, which save up to half or
+    more of the bytes of points that move alike.
+    """
+    frames, points = samples.shape[:2]
+    bits, counted = 0.0, 0
+    for level in range(stride + 1):
+        half = 1 << (stride - level)
+        if level:  # a frame in the middle of four, 2 half apart
+            middle = slice(3 * half, frames - 3 * half, 2 * half)
+            count = len(range(frames)[middle])
+            if not count:
+                continue
+            span = 2 * half * (count - 1) + 1
+            at = [samples[k * half : k * half + span : 2 * half] for k in (0, 2, 3, 4, 6)]
+            off = at[2] - 0.5625 * (at[1] + at[3])
+            off += 0.0625 * (at[0] + at[4])
+        else:
+            off = np.diff(samples[::half], n=2, axis=0)
+        np.abs(off, out=off)
+        bits += float(np.log2(1.0 + (off[..., 0] + off[..., 1] + off[..., 2])).sum())
+        counted += len(off)
+    return (ESTIMATE_OF_BITS * bits / 8 + ESTIMATE_OF_SAMPLE * counted * points) * frames / max(1, counted)
+
+
 def decode(data: bytes, missing: Booleans, known: Neighbours) -> Floats:
     """The samples (frames, points, 3) of `encode`, in half steps. Raises Corrupt."""
     if not data or data[0] & ~SPIKED > LARGEST_STRIDE:
@@ -253,7 +287,8 @@ def _add_spikes(samples: Floats, data: bytes) -> None:
 
 
 def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: Neighbours) -> tuple[int, int]:
-    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones."""
+    """The stride that makes these chunks smallest, and their bytes: longer ones are tried, then shorter ones; shorter
+    ones first where samples take many bits."""
     sizes: dict[int, int] = {}
 
     def size(stride: int) -> int:
@@ -262,8 +297,8 @@ def best_stride(samples: Sequence[Floats], missing: Sequence[Booleans], known: N
         return sizes[stride]
 
     best = USUAL_STRIDE
-    size(best)
-    for step in (1, -1):
+    takes_many = 8 * size(best) > LEAST_BITS_OF_SHORT * sum(s.shape[0] * s.shape[1] for s in samples)
+    for step in (-1, 1) if takes_many else (1, -1):
         while best + step in STRIDES and best + step not in sizes and size(best + step) < sizes[best]:
             best += step
     return best, sizes[best]

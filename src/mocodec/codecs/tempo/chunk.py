@@ -273,6 +273,11 @@ class ChunkEncoder:
         positions = in_metres(self.model, found[1], grid_size(step))
         return OnLattice(Payload(LATTICE, found[0], step, self.gaps).pack(), frozen.restore(positions, self.gaps))
 
+    def estimate_on_lattice(self, bound: float, stride: int) -> float:
+        """About the bytes by the lattice engine within the bound (metres)."""
+        samples = self._weighted(self.smooth) / grid_size(grid_step(lattice.half_step(bound)))
+        return lattice.estimate(samples, stride) * float(1 - self.gap_mask.mean())
+
     def draft(self, step: int, slope: float = quantise.SLOPE) -> Draft:
         """The chunk in one step, without a bound."""
         drafted = None

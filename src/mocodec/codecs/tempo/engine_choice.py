@@ -54,6 +54,10 @@ LEAST_BITS = 0.38
 """Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
 transform takes at least as many bits for a chunk."""
 
+UNLIKELY, UNLIKELY_OF_POINTS = 1.05, 2.5
+"""The lattice engine is not tried for chunks for which its estimate is above so many times the bytes of the transform.
+That of joints hardly ever exceeds the bytes by more than a tenth; that of points that move alike, by up to twice."""
+
 
 @dataclass(frozen=True, eq=False)
 class LatticePlan:
@@ -77,6 +81,11 @@ class LatticePlan:
     @property
     def stride(self) -> int:
         return self.choose()[1]
+
+    @property
+    def unlikely(self) -> float:
+        """The engine is not tried where its estimate is above so many times the bytes of the transform."""
+        return UNLIKELY if self.least_bits else UNLIKELY_OF_POINTS
 
 
 def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:

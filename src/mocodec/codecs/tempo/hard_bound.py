@@ -151,7 +151,10 @@ class _LatticeTrials:
         if draft is None or draft.numbers is None:
             return True
         few = draft.bits < self._plan.least_bits * encoder.positions.size
-        return not few and self._trials.tries_lattice(number)
+        if few or not self._trials.tries_lattice(number):
+            return False
+        estimate = encoder.estimate_on_lattice(self._bound, self._plan.stride)
+        return estimate <= self._plan.unlikely * (draft.bits / 8 + self.share)
 
     def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
         return encoder.on_lattice(self._bound, self._plan.neighbours, stride)

@@ -93,10 +93,10 @@ class PieceEncoder:
             choice = model_choice.without_model(sample)
         if not _is_readable(choice.header, sample[:0]):
             choice = model_choice.without_model(sample)
-        header, self._model = choice.header, choice.model
+        header = choice.header
         if self._plan is not None:
             header = replace(header, neighbours=self._plan.neighbours.pack())
-            self._model = replace(self._model, neighbours=self._plan.neighbours)
+        self._model = header.read_model(self.about)  # the decoder's own, which keeps what chunks of a length share
         self.shared: tuple[bytes, ...] = (header.pack(),)
         self.shared += () if self._rotations is None else (self._rotations.shared,)
         self.chunk_frames = max(1, round(self._chunk_seconds * sample.rate))

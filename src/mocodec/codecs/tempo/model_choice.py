@@ -29,13 +29,12 @@ KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 PRICED_CHUNKS = 4
 CLEARLY = 0.85
 """Of two models of known points one chunk decides, where the cheaper takes less than this share."""
-MOST_ON_BONES = 400
-"""More points than a marker set has are not tried on the prior's bones beside a stored basis."""
 WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
-FINER_UP_TO = 0.4
-"""A model of very many points that takes this share of the bytes or more is not tried in finer rounding, which would
-make it larger. Of fewer points the trial costs little, and a finer pose may be all that a still recording needs."""
+FINER_UP_TO = 0.65
+"""Of very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where it
+takes more, the coarser one is tried too. Of fewer points both are tried, since trials cost little, and a finer pose may
+be all that a still recording needs."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 COARSER_MODELS = 7
@@ -103,7 +102,8 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
     for name in _in_order_tried(names):
         on_bones = not named and name == "points-prior"
         few_bytes = best is not None and len(best.header.pack()) < WORTH_PRIOR * least
-        if best and on_bones and (few_bytes or recording.like.points > MOST_ON_BONES):
+        many = recording.like.points > points.MOST_OF_MARKERS  # not tried on the prior's bones beside a stored basis
+        if best and on_bones and (few_bytes or many):
             continue
         for candidate in _fitted(name, recording):
             if not recording.chunks:
@@ -112,7 +112,7 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
             if price >= least:
                 break  # the others of this type differ little
             best, least = candidate, price
-            if recording.like.points > MOST_ON_BONES and len(candidate.header.pack()) >= FINER_UP_TO * price:
+            if many and len(candidate.header.pack()) <= FINER_UP_TO * price:
                 break
     return best
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ....entropy.lanes import StaticTables
-from ....stages import dct
+from ....stages import basis, dct
 from ....stages.lattice import Neighbours
 from ....typing import Floats, Integers
 from ..coding import contexts
@@ -38,12 +38,14 @@ class Statistics:
 
     bases: for each band (components, dimensions), orthonormal rows, strongest first, of scaled coordinates.
     spreads (rows, frequencies of `contexts.BANDS_MHZ`) and means (rows,): log₂ in 1/32 octave of the mean magnitude of
-    the coefficients of heading, place and components, at 120 Hz, metres.
+    the coefficients of heading, place and components, at 120 Hz, metres. stored (dimensions, components): the columns
+    that the one basis of all bands was completed from, None where there are several.
     """
 
     bases: tuple[Floats, ...]
     spreads: Integers
     means: Integers
+    stored: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +113,11 @@ class Model:
         frames = len(positions)
         out = np.zeros((frames, self.rows))
         spectrum = coordinate_spectrum(positions, self.coordinates, self.rate, out)
-        for band, basis in zip(self.bands(frames), self.statistics.bases, strict=True):
-            out[band, POSE:] = spectrum[band] @ basis.T
+        if self.statistics.stored is not None:
+            out[:, POSE:] = basis.Completion.of(self.statistics.stored).components(spectrum)
+            return out
+        for band, of_band in zip(self.bands(frames), self.statistics.bases, strict=True):
+            out[band, POSE:] = spectrum[band] @ of_band.T
         return out
 
     def synthesise(self, coefficients: Floats, frames: int) -> Floats:
@@ -125,9 +130,9 @@ class Model:
         known = int(np.flatnonzero(coefficients.any(axis=1)).max(initial=-1)) + 1
         spectrum = np.empty((known, POSE + bases[0].shape[1]))
         spectrum[:, :POSE] = coefficients[:known, :POSE]
-        for band, basis in zip(self.bands(frames), bases, strict=True):
+        for band, of_band in zip(self.bands(frames), bases, strict=True):
             part = slice(band.start, min(band.stop, known))
-            spectrum[part, POSE:] = coefficients[part, POSE:] @ basis
+            spectrum[part, POSE:] = coefficients[part, POSE:] @ of_band
         curves = dct.inverse(spectrum, frames)
         moved = heading.rotate(self.coordinates.inverse(curves[:, POSE:]), curves[:, HEADING])
         moved += curves[:, None, PLACE] / np.sqrt(self.points)

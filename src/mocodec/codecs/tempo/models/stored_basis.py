@@ -102,6 +102,7 @@ class StoredBasis:
             (found.T,) * BANDS,
             np.concatenate([known.spreads[:POSE], spreads]),
             np.concatenate([known.means[:POSE], spreads[:, 2] - MEAN_BELOW]),
+            stored,
         )
 
 
@@ -113,16 +114,15 @@ def noise_step(step: int, frames: int) -> int:
 class Components(NamedTuple):
     """What a basis is rounded from, the same for every step.
 
-    spectra (frames, dimensions), one a chunk. vectors (dimensions, k): strongest first. variances (k,).
+    spectra (frames, dimensions), one a chunk. principal: the components, strongest first, and their variances.
     """
 
     spectra: Sequence[Floats]
-    vectors: Floats
-    variances: Floats
+    principal: basis.Principal
 
     @classmethod
     def of(cls, spectra: Sequence[Floats]) -> Components:
-        return cls(spectra, *_principal(spectra, sum(map(len, spectra))))
+        return cls(spectra, _principal(spectra, sum(map(len, spectra))))
 
     @classmethod
     def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
@@ -135,15 +135,16 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
 
     similar (dimensions,): a coordinate before each that moves alike, −1 for none, which its entries are predicted from.
     """
-    spectra, vectors, variances = components
+    spectra, variances = components.spectra, components.principal.variances
     frames = sum(map(len, spectra))
     noise = noise_step(step, frames)
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
+    vectors = components.principal.vectors(count)
     shapes = _shapes(prior.joints.statistics, count + 1)
-    gains = _gains([s @ vectors[:, :count] for s in spectra], rate, shapes[:count])
+    gains = _gains([s @ vectors for s in spectra], rate, shapes[:count])
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
-    packed = basis.pack(vectors[:, :count], precision, similar)
+    packed = basis.pack(vectors, precision, similar)
     stored = basis.unpack(packed, len(vectors), precision, similar)
     last = gains[-1:]
     if others := len(vectors) - count:
@@ -152,13 +153,14 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
     return StoredBasis(np.rint(np.append(gains, last) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
 
 
-def _principal(spectra: Sequence[Floats], frames: int) -> tuple[Floats, Floats]:
-    """Components (dimensions, k) of the recording, strongest first, and the variance of each."""
+def _principal(spectra: Sequence[Floats], frames: int) -> basis.Principal:
+    """Components of the recording, strongest first, and the variance of each."""
     if frames < spectra[0].shape[1]:
-        vectors, variances = basis.fit_rows(np.concatenate(spectra) / np.sqrt(frames))
-        if len(variances):
-            return vectors, variances
-    return basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+        found = basis.principal_of_rows(np.concatenate(spectra) / np.sqrt(frames))
+        if len(found.variances):
+            return found
+    vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+    return basis.Principal(variances, lambda count: vectors[:, :count])
 
 
 def _shapes(known: Statistics, count: int) -> Integers:

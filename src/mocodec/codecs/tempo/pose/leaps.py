@@ -15,6 +15,8 @@ SMALLEST_LEAP_M = 0.08
 """A step shorter than this between two frames is never a jump,"""
 LEAP_FACTOR = 6.0
 """nor is a step shorter than this many times the steps before and after it."""
+SCANNED_FRAMES = 256
+"""Looked at together: so few that they stay in the processor's cache."""
 MAX_PER_SECOND = 1.0
 """A recording with more discontinuities than this is coded without chunk borders at them."""
 
@@ -22,11 +24,16 @@ MAX_PER_SECOND = 1.0
 def spikes(positions: Floats) -> Booleans:
     """Mask (frames, points) of the samples of positions (frames, points, 3) that are spikes."""
     found = np.zeros(positions.shape[:2], bool)
-    if len(positions) > 2:
-        off = _length(positions[1:-1] - (positions[:-2] + positions[2:]) / 2)
-        across = _length(positions[2:] - positions[:-2])
-        found[1:-1] = (off > SMALLEST_LEAP_M) & (off > LEAP_FACTOR / 2 * across)
-        found[1:-1] &= ~(found[2:] | found[:-2])
+    for first in range(1, len(positions) - 1, SCANNED_FRAMES):
+        middle = positions[first : min(first + SCANNED_FRAMES, len(positions) - 1)]
+        before, after = (positions[first + to : first + to + len(middle)] for to in (-1, 1))
+        off = middle - (before + after) / 2
+        largest = max(off.max(initial=0.0), -off.min(initial=0.0))
+        if not largest * 3**0.5 <= SMALLEST_LEAP_M:  # otherwise no length is above it
+            lengths, across = _length(off), _length(after - before)
+            here = (lengths > SMALLEST_LEAP_M) & (lengths > LEAP_FACTOR / 2 * across)
+            found[first : first + len(middle)] = here
+    found[1:-1] &= ~(found[2:] | found[:-2])
     return found
 
 
