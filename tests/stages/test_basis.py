@@ -120,6 +120,14 @@ def test_completed_from_axes():
     assert np.abs(whole.T @ whole - np.eye(5)).max() < 1e-15
 
 
+@pytest.mark.parametrize("components", [0, 1, 7, 24])
+def test_components_along_the_completed_basis(components: int):
+    found = basis.fit(covariance(), components)[0]
+    rows = np.random.default_rng(5).normal(size=(6, 24))
+    along = basis.Completion.of(found).components(rows)
+    np.testing.assert_allclose(along, rows @ basis.completed(found), rtol=0, atol=1e-12)
+
+
 def test_no_components():
     empty = np.zeros((6, 0))
     none = np.zeros(0, np.int64)

@@ -161,3 +161,33 @@ def test_clouds_of_points_far_from_each_other_have_an_order() -> None:
     positions[:, 130:] *= 1e-3  # the more rigid part is where the tree begins
     positions[:, 130:] += 1000.0
     assert sorted(lattice.neighbours(positions).sequence) == list(range(300))
+
+
+@needs_module
+@pytest.mark.parametrize("bound", [0.001, 0.003, 0.005])
+@pytest.mark.parametrize("stride", [2, 3, 4])
+def test_the_estimate_for_joints_is_near_the_bytes(bound: float, stride: int) -> None:
+    positions = synthetic.joints(frames=480, seed=3).positions
+    samples = positions / lattice.half_step(bound)
+    missing = np.zeros(samples.shape[:2], bool)
+    found = lattice.encode(samples, missing, lattice.neighbours(positions), stride)
+    assert found is not None
+    assert 0.5 < lattice.estimate(samples, stride) / len(found[0]) < 1.3
+
+
+@pytest.mark.parametrize("frames", [1, 2, 7])
+def test_few_frames_have_an_estimate(frames: int) -> None:
+    wanted, _, _ = samples(frames, 3)
+    assert all(0 <= lattice.estimate(wanted, stride) < 1e4 for stride in lattice.STRIDES)
+
+
+@needs_module
+def test_shorter_strides_suit_samples_of_many_bits() -> None:
+    positions = synthetic.markers(frames=240, seed=1).positions
+    positions = positions + np.random.default_rng(1).normal(0, 0.002, positions.shape)
+    known, missing = lattice.neighbours(positions), np.zeros(positions.shape[:2], bool)
+    wanted = positions / lattice.half_step(0.0001)
+    stride, size = lattice.best_stride([wanted], [missing], known)
+    sizes = [len((lattice.encode(wanted, missing, known, each) or (b"", 0))[0]) for each in lattice.STRIDES]
+    assert stride < lattice.USUAL_STRIDE
+    assert size == min(sizes)

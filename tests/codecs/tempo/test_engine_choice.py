@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,6 +101,21 @@ def test_the_lattice_is_not_tried_where_joints_take_few_bits(monkeypatch: pytest
     motion = named_points(600)
     encoded = Tempo(max_error=0.02).encode_chunks(motion)
     assert error(motion, Tempo.decode(encoded)).max() <= 0.02
+
+
+@pytest.mark.parametrize(("estimate", "tried"), [(1e9, 0), (0.0, 1)])
+def test_an_estimate_rules_the_lattice_out(estimate: float, tried: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    coded, found = [], chunk.ChunkEncoder.on_lattice
+
+    def on_lattice(*arguments: Any) -> chunk.OnLattice | None:
+        coded.append(arguments)
+        return found(*arguments)
+
+    monkeypatch.setattr(lattice, "estimate", lambda *_: estimate)
+    monkeypatch.setattr(chunk.ChunkEncoder, "on_lattice", on_lattice)
+    motion = noisy(named_points(480), 0.002)
+    Tempo(max_error=0.001, model="auto").encode_chunks(motion)
+    assert bool(coded) == bool(tried)
 
 
 def test_joints_without_a_skeleton_take_a_model_where_it_is_smaller() -> None:
