@@ -135,11 +135,12 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     missing = np.isnan(positions[..., 0])
     nothing = np.zeros(missing.shape, bool)
     same = _equal(positions[1:], positions[:-1]) & ~missing[1:]
-    others_move = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
+    others_move = np.asarray((~same & ~(missing[1:] | missing[:-1])).any(axis=1))
     if not (same.any(axis=1) & others_move).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
-    repeating = same.any(axis=0)
-    frozen, constant, is_parking = _find(*(of[:, repeating] for of in (positions, missing, same)), others_move, bones)
+    repeating = np.asarray(same.any(axis=0))
+    narrow = positions[:, repeating], missing[:, repeating], same[:, repeating]
+    frozen, constant, is_parking = _find(*narrow, others_move, bones)
     if is_parking and not repeating.all():  # single samples of other points may have the same values
         frozen, constant, _ = _find(positions, missing, same, others_move, bones)
     else:
