@@ -69,11 +69,32 @@ public:
 
     // kind: what the bit says; set: of weights.
     int32_t mix(Mixed &m, uint32_t kind, uint32_t set) {
+        uint32_t counters[INPUTS];
+        const uint32_t hashed = kind * HASH;
+        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(slot(i, hashed));
+        return mix_with(m, counters, set);
+    }
+
+    // The counters of a bit of kind 0 with these contexts.
+    static void counters_of(const uint32_t *contexts, uint32_t *counters) {
+        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(i * SLOTS) + (contexts[i] * 257u * HASH >> 17);
+    }
+
+    // Fetches counters that a bit is likely to need.
+    void fetch(const uint32_t *counters) const {
+#if defined(__GNUC__)
+        for (int i = 0; i < INPUTS; ++i) __builtin_prefetch(&counters_[counters[i]], 1);
+#else
+        (void)counters;
+#endif
+    }
+
+    // As `mix`, of the counters that `counters_of` names.
+    int32_t mix_with(Mixed &m, const uint32_t *counters, uint32_t set) {
         int64_t sum = 0;
         m.weights = &weights_[(set % MIXERS) * INPUTS];
-        const uint32_t hashed = kind * HASH;
         for (int i = 0; i < INPUTS; ++i) {
-            m.from[i] = &counters_[slot(i, hashed)];
+            m.from[i] = &counters_[counters[i]];
             m.stretched[i] = stretch_[m.from[i]->p >> 4];
             sum += int64_t(m.weights[i]) * m.stretched[i];
         }
@@ -121,6 +142,7 @@ public:
     }
 
     size_t size() const { return out_.size(); }
+    const std::vector<uint8_t> &bytes() const { return out_; }
 
     // Ends with as few bytes as decode right when zeros follow.
     std::vector<uint8_t> finish() {
@@ -148,8 +170,16 @@ private:
 class Decoder {
 public:
     Decoder(const uint8_t *data, size_t size) : data_(data), size_(size) {
-        for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
+        for (int i = 0; i < HELD; ++i) code_ = code_ << 8 | next();
     }
+
+    // Goes on in a longer copy of its bytes.
+    void extend(const uint8_t *data, size_t size) { data_ = data, size_ = size; }
+
+    // Whether a bit can be decoded before more bytes are known.
+    bool has_bytes() const { return at_ + HELD <= size_; }
+
+    static constexpr int HELD = 4;  // bytes that a decoder holds, and reads for one bit at most
 
     int bit(int32_t p) {
         const uint32_t range = high_ - low_;
@@ -179,6 +209,40 @@ private:
     const uint8_t *data_;
     size_t size_, at_ = 0;
     uint32_t low_ = 0, high_ = 0xffffffffu, code_ = 0;
+};
+
+// Decodes what an encoder writes, with the probabilities that the encoder had: a decoder that has found the same bits so
+// far has the same ones. It follows the encoder, since bytes come later than the bits that they hold.
+class Follower {
+public:
+    // A bit with its probability.
+    void expect(int bit, int32_t p) { waiting_.push_back(uint32_t(p) << 1 | uint32_t(bit)); }
+
+    size_t waiting() const { return waiting_.size() - next_; }
+
+    // Decodes the bits that the bytes so far determine; all bits if the bytes are complete.
+    void follow(const std::vector<uint8_t> &bytes, bool are_complete) {
+        if (!has_started_) {
+            if (bytes.size() < size_t(Decoder::HELD) && !are_complete) return;
+            decoder_ = Decoder(bytes.data(), bytes.size());
+            has_started_ = true;
+        }
+        decoder_.extend(bytes.data(), bytes.size());
+        for (; next_ < waiting_.size() && (are_complete || decoder_.has_bytes()); ++next_)
+            agrees_ &= decoder_.bit(int32_t(waiting_[next_] >> 1)) == int(waiting_[next_] & 1);
+        if (2 * next_ < waiting_.size()) return;
+        waiting_.erase(waiting_.begin(), waiting_.begin() + std::ptrdiff_t(next_));
+        next_ = 0;
+    }
+
+    // Whether all bits were decoded, from all bytes.
+    bool has_found_all() const { return agrees_ && !waiting() && has_started_ && decoder_.at_end(); }
+
+private:
+    std::vector<uint32_t> waiting_;
+    size_t next_ = 0;
+    Decoder decoder_{nullptr, 0};
+    bool has_started_ = false, agrees_ = true;
 };
 
 }  // namespace bits

@@ -329,7 +329,9 @@ class ColoursOfChunk:
 
     def code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
-        return self.code_repeated(coder, wanted, points, np.zeros(len(points.cells), np.int64))
+        colours = self._code(coder, wanted, points)
+        self._keep(colours)
+        return point_colours.rgb_from_ycocg(colours)
 
     def code_repeated(
         self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints, repeats: Integers
@@ -339,16 +341,31 @@ class ColoursOfChunk:
             np.repeat(values, repeats + 1, axis=0)
             for values in (points.samples, points.places, points.cells, points.nearest)
         )
-        known, referring = samples >= 0, nearest >= 0
-        expected = np.zeros((len(known), 3), np.int64)
-        expected[known] = self.memory.expected(samples[known], places[known])
-        if points.references is not None:
-            expected[referring] = points.references.expected(self.decoded, cells[referring], nearest[referring])
-        colours = self.lifting.code_frame(coder, wanted, cells, expected, known | referring)
-        self.memory.learn(samples[known], places[known], colours[known])
-        first = np.cumsum(repeats + 1) - repeats - 1
-        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours[first]]
+        every = points._replace(samples=samples, places=places, cells=cells, nearest=nearest)
+        colours = self._code(coder, wanted, every)
+        self._keep(colours[np.cumsum(repeats + 1) - repeats - 1])
         return point_colours.rgb_from_ycocg(colours)
+
+    def _code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Integers:
+        samples, nearest = points.samples, points.nearest
+        known, referring = np.flatnonzero(samples >= 0), nearest >= 0
+        has_all = len(known) == len(samples)
+        rows, places = (samples, points.places) if has_all else (samples[known], points.places[known])
+        expected = self.memory.expected(rows, places)
+        if not has_all:
+            every = np.zeros((len(samples), 3), np.int64)
+            every[known] = expected
+            expected = every
+        if points.references is not None:
+            cells = points.cells[referring]
+            expected[referring] = points.references.expected(self.decoded, cells, nearest[referring])
+        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, (samples >= 0) | referring)
+        self.memory.learn(rows, places, colours if has_all else colours[known])
+        return colours
+
+    def _keep(self, colours: Integers) -> None:
+        """For later frames that refer to this one."""
+        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours]
 
 
 def _unlearned_colours(coder: BitDecoder, texture: Integers, samples: Integers, step: int) -> Bytes:
