@@ -6,6 +6,7 @@
 
 #include "adaptive_bits.h"
 #include "arrays.h"
+#include "bit_follower.h"
 
 namespace bit_arrays {
 

@@ -181,6 +181,7 @@ def hints_of_samples(
 
 def _spacing_of(points: Integers, neighbours: Integers) -> int:
     """The median distance of samples (m, 3) from the first of their neighbours (m, k), at least 1."""
-    gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
+    x, y, z = (points[neighbours[:, 0]] - points).T
+    gaps = x * x + y * y + z * z
     middle = len(gaps) // 2
     return max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)

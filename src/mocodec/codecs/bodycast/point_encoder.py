@@ -2,8 +2,8 @@
 
 target ─► bound of the lattice, colour step ─► chunks ─► decoded ─► the points of the lattice? colours good enough?
 
-The compiled coder decodes every bit as it writes it. So of each chunk only the first frames are decoded from nothing but
-the bytes; the others would take the same steps from the same bits once more.
+The compiled coder decodes every bit as it writes it. So of each chunk only the first frames are decoded from the
+bytes alone; the others would take the same steps from the same bits once more.
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ class PointEncoder:
             decoded = unpack_points(part, span.stop - span.start, bodies, self.coloured)
             filled = (cloud for cloud in decoded if len(cloud[0]))
             wanted = zip(pairs, expected if self.coloured else [None] * len(pairs), strict=True)
-            decoded_frames = DECODED_FRAMES if checks_bits else len(pairs)
-            for ((_, located), colour), (points, own) in zip(islice(wanted, decoded_frames), filled, strict=not checks_bits):
+            wanted = islice(wanted, DECODED_FRAMES if checks_bits else len(pairs))
+            for ((_, located), colour), (points, own) in zip(wanted, filled, strict=not checks_bits):
                 same = np.array_equal(points, located.positions)
                 if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
                     raise CannotEncode("bodycast: the decoded points are not those that were coded")

@@ -285,11 +285,14 @@ class _OctreeOfFrame:
         """
         points, table = self.grid.places(cells), self.scene.table
         bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
-        samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
         of_bodies = np.where(nearest < bodies, nearest, -1)
-        known = np.flatnonzero(of_bodies >= 0)
-        samples[known] = self.surface.rows[nearest[known]]
-        places[known] = table.canonical(self.surface, points[known], nearest[known])
+        if len(cells) and of_bodies.min() >= 0:
+            samples, places = self.surface.rows[nearest], table.canonical(self.surface, points, nearest)
+        else:
+            samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
+            known = np.flatnonzero(of_bodies >= 0)
+            samples[known] = self.surface.rows[nearest[known]]
+            places[known] = table.canonical(self.surface, points[known], nearest[known])
         self.scene.learn(self.surface, points, of_bodies)
         self.earlier.move(seen.reference.motion)
         self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
@@ -310,14 +313,14 @@ class _OctreeOfFrame:
     ) -> Floats:
         """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
         smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
+        moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
         if frame is not None:
-            moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
             away = frame.own_distances(moved)
             stays = np.zeros(len(cells), bool)
             stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
-        stays = point_smoothing.code_stays(coder, smoothed, stays)
-        shifts = np.where(stays[:, None], 0, smoothed.shifts)
-        return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
+        stays = np.flatnonzero(point_smoothing.code_stays(coder, smoothed, stays))
+        moved[stays] = self.grid.shifted_positions(cells[stays], 0 * cells[stays], point_smoothing.FINE_BITS)
+        return moved
 
 
 class ColoursOfChunk:
