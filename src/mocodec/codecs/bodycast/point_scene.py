@@ -92,7 +92,7 @@ class Scene:
         neighbours = _joined(self.surfaces, self._starts.tolist())
         self.table = SampleTable(
             np.concatenate([np.zeros((0, 3), np.int64), *(s.points for s in self.surfaces)]),
-            neighbours[:, : SEARCHED_SAMPLES - 1],
+            np.ascontiguousarray(neighbours[:, : SEARCHED_SAMPLES - 1]),
             np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in bodies.textures)]),
         )
         self._memory = PlaceMemory(self.table)
