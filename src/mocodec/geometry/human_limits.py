@@ -1,11 +1,11 @@
-"""Joint limits of people, for a body whose skeleton has none: of hips, knees and elbows.
+"""Joint limits of people, for a body whose skeleton has none: of knees and elbows.
 
-    body ──limb_chains──► arms, legs ──which way is front──► frames of their joints ──RANGES──► limits of links
+    body ──limb_chains──► arms, legs ──which way is front──► frames of their hinges ──RANGES──► limits of links
 
 Only places of joints are known, no axes. A knee or an elbow bends about the axis that it is bent about in the first
-pose, or if it is straight, about the one that bends a knee backwards and an elbow forwards. A joint's angles are zero
-where the limb is straight and the leg hangs down: Rx bends, Ry moves sideways, Rz twists. Shoulders turn so far that
-limits of theirs have not helped.
+pose, or if it is straight, about the one that bends a knee backwards and an elbow forwards. Its angles are zero where
+the limb is straight: Rx bends, Ry moves sideways, Rz twists. Hips and shoulders turn so far that limits of theirs have
+not helped.
 """
 
 from __future__ import annotations
@@ -17,12 +17,9 @@ from . import joint_limits, limb_chains
 from .articulation import Body
 from .joint_limits import LimitedJoint, LinkLimits
 
-RANGES = {
-    "hip": ((-135, 35), (-45, 75), (-70, 70)), "knee": ((-10, 155), (-15, 15), (-40, 40)),
-    "elbow": ((-10, 155), (-70, 70), (-120, 120)),
-}  # fmt: skip
-"""Degrees by which people bend a joint, move it sideways and twist it, on the left side; a hip bends forwards by a
-negative angle. An elbow's axis turns with an upper arm, whose twist its points hardly show: hence the wide range."""
+RANGES = {"knee": ((-10, 155), (-15, 15), (-40, 40)), "elbow": ((-10, 155), (-70, 70), (-120, 120))}
+"""Degrees by which people bend a joint, move it sideways and twist it. An elbow's axis turns with an upper arm, whose
+twist its points hardly show: hence the wide range."""
 LEG_WORDS = "leg", "thigh", "femur", "tibia", "shin", "knee", "calf", "ankle", "foot", "toe"
 ARM_WORDS = "arm", "humerus", "shldr", "shoulder", "elbow", "radius", "ulna", "wrist", "hand"
 SIDES = ("left", "right"), ("l", "r")
@@ -46,10 +43,8 @@ def of_body(body: Body) -> LinkLimits:
     trunk = _trunk_frame(body, legs, [chain for chain in limbs if chain not in legs])
     if trunk is None:
         return joint_limits.NO_LIMITS
-    joints = list[LimitedJoint]()
-    for chain in limbs:
-        joints += _of_limb(body, chain, trunk, chain in legs)
-    return joint_limits.of_joints(joints)
+    joints = [_hinge(body, chain, trunk, chain in legs) for chain in limbs]
+    return joint_limits.of_joints([joint for joint in joints if joint is not None])
 
 
 def _is_leg(body: Body, chain: list[int]) -> bool:
@@ -97,27 +92,21 @@ def _named_side(one: str, other: str) -> float:
     return 0.0
 
 
-def _of_limb(body: Body, chain: list[int], trunk: Floats, is_leg: bool) -> list[LimitedJoint]:
-    """The joints of one limb; none if the axis of its hinge is unknown. trunk (3, 3): see `_trunk_frame`."""
+def _hinge(body: Body, chain: list[int], trunk: Floats, is_leg: bool) -> LimitedJoint | None:
+    """The knee or elbow of a limb, None if its axis is unknown. trunk (3, 3): see `_trunk_frame`."""
     upper, lower = chain[:2]
-    left, up, front = trunk.T
+    left, _, front = trunk.T
     first, second = body.axes[[upper, lower]]
-    hinge = np.cross(first, second)
-    if np.arctan2(np.linalg.norm(hinge), first @ second) > BENT_RAD and hinge.any():
-        if is_leg and hinge @ left < KNEE_TURNED_OUT * np.linalg.norm(hinge):
-            return []
+    axis = np.cross(first, second)
+    if np.arctan2(np.linalg.norm(axis), first @ second) > BENT_RAD and axis.any():
+        if is_leg and axis @ left < KNEE_TURNED_OUT * np.linalg.norm(axis):
+            return None
     else:
-        hinge = left if is_leg else np.cross(first, front)
-        if np.linalg.norm(np.cross(hinge, first)) < MIN_SINE:
-            return []
+        axis = left if is_leg else np.cross(first, front)
+        if np.linalg.norm(np.cross(axis, first)) < MIN_SINE:
+            return None
     ranges = np.radians(np.array(RANGES["knee" if is_leg else "elbow"], float))
-    joints = [LimitedJoint(lower, _frame(hinge, first), _frame(hinge, second), ranges)]
-    if is_leg:
-        ranges = np.radians(np.array(RANGES["hip"], float))
-        if (body.origins[upper] - body.origins[0]) @ left < 0:
-            ranges[1] = -ranges[1, ::-1]
-        joints.append(LimitedJoint(upper, np.stack([left, front, -up], axis=1), _frame(hinge, first), ranges))
-    return joints
+    return LimitedJoint(lower, _frame(axis, first), _frame(axis, second), ranges)
 
 
 def _frame(x: Floats, z: Floats) -> Floats:
