@@ -158,14 +158,13 @@ def _find(
     that never repeat a sample have frozen samples only at values where others are parked, and are left out at first.
     """
     repeating = np.flatnonzero(same.any(axis=0))
-    some = (each[:, repeating] for each in (positions, missing, same))
-    found, parked = _find_among(*some, changes, bones)
-    masks = np.zeros((2, *missing.shape), bool)
+    found, parked = _find_among(positions[:, repeating], missing[:, repeating], same[:, repeating], changes, bones)
     if parked:
-        masks, _ = _find_among(positions, missing, same, changes, bones)
-    else:
-        masks[:, :, repeating] = found
-    return masks[0], masks[1]
+        found, _ = _find_among(positions, missing, same, changes, bones)
+        return found[0], found[1]
+    frozen, constant = np.zeros(missing.shape, bool), np.zeros(missing.shape, bool)
+    frozen[:, repeating], constant[:, repeating] = found
+    return frozen, constant
 
 
 def _find_among(
