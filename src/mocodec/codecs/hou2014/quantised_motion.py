@@ -256,8 +256,10 @@ def _smooth_magnitudes(magnitudes: Floats) -> Floats:
         pad[axis] = (reach, reach)
         padded = np.pad(magnitudes, pad, mode="edge") if magnitudes.size else magnitudes
         count = magnitudes.shape[axis]
-        shifted = (padded.take(range(i, i + count), axis) * w for i, w in enumerate(kernel))
-        magnitudes = sum(shifted, np.zeros_like(magnitudes)) / sum(kernel) if magnitudes.size else magnitudes
+        smooth = np.zeros_like(magnitudes)
+        for i, weight in enumerate(kernel):
+            smooth += weight * (padded[i : i + count] if axis == 0 else padded[:, i : i + count])
+        magnitudes = smooth / sum(kernel)
     return magnitudes
 
 
