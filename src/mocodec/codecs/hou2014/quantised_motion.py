@@ -62,10 +62,9 @@ class PreparedMotion:
     fitted: LeftTransform | None = None
     learned: tuple[LeftTransform, ...] = ()
 
-    @property
-    def row_weights(self) -> Floats:
-        """Factor of each row of M, (3 points,)."""
-        return stream.row_weights(self.weight_rungs, self.points)
+    def weighted(self, rows: Floats) -> Floats:
+        """Rows of Mᵀ (…, 3 points) times the weights of the points."""
+        return rows if self.weight_rungs is None else rows * stream.row_weights(self.weight_rungs, self.points)
 
     @cached_property
     def mean(self) -> Floats:
@@ -75,7 +74,7 @@ class PreparedMotion:
     @cached_property
     def spectra(self) -> tuple[ClipSpectra, ...]:
         """The spectra that all steps quantise, run after run."""
-        rows = (self.rows - self.mean) * self.row_weights
+        rows = self.weighted(self.rows - self.mean)
         spectra: list[ClipSpectra] = []
         for length, run, frames in _clip_runs(self.lengths):
             count = None if self.frequencies is None else int(self.frequencies[run.start])
@@ -110,7 +109,7 @@ def with_fitted_transform(motion: PreparedMotion) -> PreparedMotion:
     """With B fitted to C = Σ M_i D̃ D̃ᵀ M_iᵀ: equation (5) and Theorem 1. Unchanged if transforms are learned."""
     if motion.learned:
         return motion
-    rows = (motion.rows - (motion.mean if motion.centre else 0.0)) * motion.row_weights
+    rows = motion.weighted(motion.rows - motion.mean if motion.centre else motion.rows)
     if motion.frequencies is None:
         return replace(motion, fitted=left_transform.fit_rows(rows))
     spectra: list[Floats] = []
@@ -139,7 +138,7 @@ def quantise_motion(motion: PreparedMotion, rung: int) -> QuantisedMotion:
     )
     if motion.centre:
         header = _with_mean_pose(header, motion)
-    rest = (motion.mean - header.mean_pose) * motion.row_weights  # of the mean pose, which the clips code
+    rest = motion.weighted(motion.mean - header.mean_pose)  # of the mean pose, which the clips code
     transform_index = _best_transforms(motion, header.mean_pose, transforms)
     spectra: list[Integers] = []
     for clips in motion.spectra:
@@ -182,7 +181,7 @@ def _quantised(scaled: Floats, economy: float) -> Integers:
 def component_curves(motion: PreparedMotion, step: float) -> Floats:
     """Bᵀ M, transposed: (frames, k), the input of the DCT along time, before segmentation into clips."""
     transform = motion.learned[0] if motion.fitted is None else _worthwhile_components(motion, motion.fitted, step)
-    return (motion.rows - motion.mean) * motion.row_weights @ transform.matrix
+    return motion.weighted(motion.rows - motion.mean) @ transform.matrix
 
 
 def component_spectra(motion: PreparedMotion, step: float) -> list[Floats]:
@@ -228,7 +227,7 @@ def _best_transforms(motion: PreparedMotion, mean_pose: Floats, transforms: tupl
     lengths = motion.lengths
     if len(transforms) == 1:
         return np.zeros(len(lengths), np.int64)
-    rows = (motion.rows - mean_pose) * motion.row_weights
+    rows = motion.weighted(motion.rows - mean_pose)
     starts = np.cumsum(lengths) - lengths
     energies = [np.add.reduceat(np.einsum("fk,fk->f", c := rows @ one.matrix, c), starts) for one in transforms]
     return np.argmax(energies, axis=0)
@@ -250,16 +249,15 @@ def _rdo_rounding(scaled: Floats, economy: float) -> Floats:
 
 def _smooth_magnitudes(magnitudes: Floats) -> Floats:
     """Weighted means over five frequencies and three components, (l, k)."""
+    if not magnitudes.size:
+        return magnitudes
     for axis, kernel in ((0, (1, 3, 4, 3, 1)), (1, (1, 2, 1))):
-        reach = len(kernel) // 2
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (reach, reach)
-        padded = np.pad(magnitudes, pad, mode="edge") if magnitudes.size else magnitudes
-        count = magnitudes.shape[axis]
-        smooth = np.zeros_like(magnitudes)
+        values, reach = np.moveaxis(magnitudes, axis, 0), len(kernel) // 2
+        padded = np.concatenate([values[:1].repeat(reach, 0), values, values[-1:].repeat(reach, 0)])
+        smooth = np.zeros_like(values)
         for i, weight in enumerate(kernel):
-            smooth += weight * (padded[i : i + count] if axis == 0 else padded[:, i : i + count])
-        magnitudes = smooth / sum(kernel)
+            smooth += weight * padded[i : i + len(values)]
+        magnitudes = np.moveaxis(smooth / sum(kernel), 0, axis)
     return magnitudes
 
 
