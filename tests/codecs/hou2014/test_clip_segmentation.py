@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocodec import metrics
+from mocodec import metrics, native
 from mocodec.codecs.hou2014 import Hou2014, clip_segmentation, stream
+from mocodec.codecs.liu2006 import Liu2006
 from mocodec.errors import Corrupt
 from mocodec.motion import Motion
 
@@ -74,3 +75,12 @@ def test_equal_length_with_the_fewest_bits_is_found_by_low_frequencies(noise: fl
         one: clip_segmentation.estimate_bits(curves, stream.equal_lengths(len(curves), one), 1.0) for one in lengths
     }
     assert clip_segmentation.best_equal_length(curves, 1.0, 5000) == min(sorted(bits), key=lambda one: bits[one])
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize("codec", [Hou2014(mean_error=0.002), Liu2006(mean_error=0.002)])
+def test_the_compiled_module_gives_the_same_bytes(walk: Motion, codec: Hou2014 | Liu2006):
+    compiled = codec.encode(walk)
+    with native.without():
+        by_numpy = codec.encode(walk)
+    assert [chunk.payload for chunk in compiled.chunks] == [chunk.payload for chunk in by_numpy.chunks]
