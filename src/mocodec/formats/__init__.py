@@ -47,6 +47,7 @@ BLOCKS = {
     ".bvh": "mocodec.formats.bvh.blocks",
     ".trc": "mocodec.formats.trc_blocks",
     ".amc": "mocodec.formats.amc_blocks",
+    ".csv": "mocodec.formats.delimited_blocks",
 }
 """Modules with `read_blocks`: the formats that can be read in pieces."""
 IMAGES = "mocodec.formats.rgbd"
@@ -203,7 +204,8 @@ def _no_option(path: Path, verb: str, name: str) -> str:
     """What is wrong with an option that a format does not have: the formats that have it."""
     takers = [suffix for suffix in FORMATS if verb == "read" and name in read_options(f"x{suffix}")]
     only = f"; --{name} is for {', '.join(takers)}" if takers else ""
-    return f"{verb} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
+    how = {"read_blocks": "reading in pieces"}.get(verb, verb)
+    return f"{how} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
 
 
 def read_options(path: str | PathLike[str]) -> frozenset[str]:
