@@ -37,7 +37,7 @@ class LatticeFrame(NamedTuple):
 
     def own_distances(self, decoded: Floats) -> Floats:
         """(m,): the distance of each original from its own decoded point, metres. decoded (n, 3): of the codes."""
-        return np.linalg.norm(self.originals - decoded[self.rows], axis=1)
+        return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
 
     def with_cells(self, cells: Integers) -> LatticeFrame:
         """The same points in other cells (m, 3)."""
