@@ -15,7 +15,7 @@ import pytest
 import mocodec as mc
 from mocodec import formats, in_pieces
 from mocodec.testing import hinged_figures, synthetic
-from tests.formats.samples import capture, same_tree
+from tests.formats.samples import SHARED, capture, needs_shared, same_tree
 
 
 @pytest.fixture(autouse=True)
@@ -107,7 +107,7 @@ def test_rotations_are_kept_under_a_bound(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.mocz"]
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d", ".csv"])
 def test_files_in_pieces_give_the_frames_of_the_file(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,7 +117,7 @@ def test_files_in_pieces_give_the_frames_of_the_file(
     monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 333 * 41)
     skeletal = suffix in (".bvh", ".amc")
     motion = hinged_figures.figure(1000, own_frame=suffix == ".amc") if skeletal else markers(1000)
-    if suffix in (".trc", ".c3d"):
+    if suffix in (".trc", ".c3d", ".csv"):
         positions = motion.positions.copy()
         positions[300:340, 2] = np.nan
         motion = replace(motion, positions=positions)
@@ -138,7 +138,7 @@ def test_files_in_pieces_give_the_frames_of_the_file(
     assert written.frames == 1000
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".trc", ".bvh", ".amc", ".c3d", ".csv"])
 def test_truncated_files_raise_in_pieces(tmp_path: Path, suffix: str) -> None:
     motion = hinged_figures.figure(400, own_frame=suffix == ".amc")
     path = tmp_path / f"recording{suffix}"
@@ -147,29 +147,78 @@ def test_truncated_files_raise_in_pieces(tmp_path: Path, suffix: str) -> None:
     options = {"rate": motion.rate} if suffix == ".npy" else {}
     for share in (0.05, 0.5, 0.9, 0.999):
         path.write_bytes(data[: int(share * len(data))])
-        if suffix == ".trc" and share == 0.999:
+        if suffix in (".trc", ".csv") and share == 0.999:
             continue  # within the last row: empty cells at its end are gaps
         with pytest.raises(mc.BadInput):
             list(mc.read_blocks(path, **options))
 
 
-def test_a_c3d_keeps_events_and_parameters_in_pieces_and_names_what_it_leaves_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("residuals", [None, True, False])
+def test_a_c3d_in_pieces_has_all_that_it_has_at_once(
+    tmp_path: Path, residuals: bool | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 7 * 41)
     path, out = tmp_path / "lab.c3d", tmp_path / "out.mocz"
     mc.write(path, capture())
-    whole, parts = mc.read(path, mc.Motion), mc.read_blocks(path)
-    assert parts.left_out == ("analog channels",)
-    mc.encode_blocks(parts, out, max_error=0.005)
-    decoded = mc.read(out, mc.Motion)
-    kept = {name: value for name, value in whole.extras.items() if name not in ("analog", "residuals")}
-    assert "events" in kept
-    for name, value in kept.items():
-        assert name == "parameters" or same_tree(decoded.extras[name], value), name
-    assert same_tree(decoded.extras["parameters"]["Own Group"], kept["parameters"]["Own Group"])
-    with pytest.raises(mc.BadInput, match="residuals are not kept"):
-        mc.read_blocks(path, residuals=True)
+    whole, parts = mc.read(path, mc.Motion, residuals=residuals), mc.read_blocks(path, residuals=residuals)
+    assert same_tree(dict(parts.about.extras), dict(whole.extras))
+    assert parts.about.source == whole.source
+    written = mc.encode_blocks(parts, out, max_error=0.005)
+    with mc.open(out) as file:
+        assert file.info["bytes_by_part"]["signals"] == written.signal_bytes > 0
+    assert same_tree(dict(mc.read(out, mc.Motion).extras), dict(whole.extras))
 
 
-@pytest.mark.parametrize("suffix", [".trc", ".c3d"])
+CSV = {
+    "labels": "time,A.x,A.y,A.z,Fz,B.x,B.y,B.z\n",
+    "decimal commas": "sep=;\ntime;A.x;A.y;A.z;Fz;B.x;B.y;B.z\n",
+    "comments and units": "# unit: mm\n# up: y\ntime,A.x,A.y,A.z,Fz,B.x,B.y,B.z\ns,mm,mm,mm,N,mm,mm,mm\n",
+}
+
+
+@pytest.mark.parametrize("kind", CSV)
+def test_a_csv_in_pieces_has_all_that_it_has_at_once(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mocodec.formats.text_lines.BLOCK_LINES", 33)
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 50 * 2)
+    rng = np.random.default_rng(1)
+    lines = []
+    for frame in range(500):
+        if 200 <= frame < 210:
+            continue  # frames that the times skip
+        cells = [frame / 100, *rng.normal(5, 1, 7).round(3).tolist()]
+        if 300 <= frame < 320:
+            cells[1:4] = [0.0, 0.0, 0.0]
+        texts = [f"{cell:g}" for cell in cells]
+        if frame == 450:
+            texts[5:8] = ["", "", ""]
+        lines.append((";" if "commas" in kind else ",").join(texts))
+    body = "\n".join(lines) + "\n"
+    path = tmp_path / "table.csv"
+    path.write_text(CSV[kind] + (body.replace(".", ",") if "commas" in kind else body))
+    whole, parts = mc.read(path, mc.Motion, up="y"), mc.read_blocks(path, up="y")
+    assert same_tree(dict(parts.about.extras), dict(whole.extras))
+    assert parts.about.source == whole.source
+    assert (parts.about.names, parts.about.rate, parts.frames) == (whole.names, whole.rate, len(whole))
+    np.testing.assert_array_equal(np.concatenate([m.positions for m in parts]), whole.positions)
+
+
+@needs_shared
+@pytest.mark.parametrize("path", sorted(SHARED.glob("**/*.c3d")), ids=lambda path: path.name)
+def test_real_c3d_files_in_pieces_have_all_that_they_have_at_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 50 * 41)
+    try:
+        parts = mc.read_blocks(path)
+    except mc.BadInput as error:
+        pytest.skip(str(error))
+    whole = mc.read(path, mc.Motion)
+    assert same_tree(dict(parts.about.extras), dict(whole.extras))
+    assert parts.about.source == whole.source
+    np.testing.assert_array_equal(np.concatenate([m.positions for m in parts]), whole.positions)
+
+
+@pytest.mark.parametrize("suffix", [".trc", ".c3d", ".csv"])
 def test_zeros_are_gaps_in_blocks_of_nothing_else(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 100 * 41)
     monkeypatch.setattr("mocodec.formats.text_lines.blocks.__defaults__", (100,))

@@ -39,7 +39,8 @@ CHUNK_OVERHEAD_BYTES, END_BYTES = 18, 32
 
 @dataclass(frozen=True)
 class Written:
-    """What was written: frames and points, bytes of the file and of its extras, errors of the decoded file in metres.
+    """What was written: frames and points, bytes of the file, of its extras and of its signals, errors of the decoded
+    file in metres.
 
     mean_error, max_error: NaN without samples. samples: points in frames that are not missing.
     """
@@ -48,6 +49,7 @@ class Written:
     points: int
     bytes: int
     extras_bytes: int
+    signal_bytes: int
     mean_error: float
     max_error: float
     samples: int
@@ -153,10 +155,10 @@ def _write(
 ) -> Written:
     header = io.BytesIO()
     writer = container.Writer(header, about=about, codec=Tempo.name, settings=encoder.settings, shared=encoder.shared)
-    extras = container.extras_bytes(about)
+    extras = container.extras_and_signal_bytes(about)
     if frames and (codec.size or codec.ratio):
         raw = frames * about.points * 12
-        wanted = codec.size if codec.size else int(raw / (codec.ratio or 1)) + extras
+        wanted = codec.size if codec.size else int(raw / (codec.ratio or 1)) + sum(extras)
         chunks = 1 + frames // encoder.chunk_frames
         left = wanted - len(header.getvalue()) - END_BYTES - CHUNK_OVERHEAD_BYTES * chunks
         encoder.limit(left / frames)
@@ -222,10 +224,11 @@ class Errors:
         self._sum += found.sum
         self._largest = max(self._largest, found.max)
 
-    def written(self, points: int, size: int, extras: int) -> Written:
+    def written(self, points: int, size: int, extras: tuple[int, int]) -> Written:
+        """size: bytes of the file; extras: of its extras and of its signals."""
         none = self.samples == 0
         mean, largest = (np.nan, np.nan) if none else (self._sum / self.samples, self._largest)
-        return Written(self.frames, points, size, extras, mean, largest, self.samples)
+        return Written(self.frames, points, size, *extras, mean, largest, self.samples)
 
 
 def _measured_whole(motion: Motion, blob: bytes) -> Written:
@@ -233,7 +236,7 @@ def _measured_whole(motion: Motion, blob: bytes) -> Written:
     with container.Reader(blob) as reader:
         parts = reader.info()["bytes_by_part"]
         errors.add(motion, packing.codecs.codec_class(reader.encoded.codec).decode(reader.encoded))
-    return errors.written(motion.points, len(blob), parts["extras"] + parts["signals"])
+    return errors.written(motion.points, len(blob), (parts["extras"], parts["signals"]))
 
 
 def _require_promises(written: Written, settings: dict[str, Any]) -> None:
@@ -243,7 +246,9 @@ def _require_promises(written: Written, settings: dict[str, Any]) -> None:
         name for name, value in found.items() if name in settings and not (value <= settings[name] or value != value)
     ]
     wanted = settings.get("ratio")
-    if wanted and written.frames * written.points * 12 < wanted * (written.bytes - written.extras_bytes):
+    if wanted and written.frames * written.points * 12 < wanted * (
+        written.bytes - written.extras_bytes - written.signal_bytes
+    ):
         broken.append("ratio")
     if broken:
         raise CannotEncode(f"tempo did not keep its promise ({', '.join(broken)}), so nothing was written")

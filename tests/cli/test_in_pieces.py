@@ -64,20 +64,18 @@ def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> N
     assert not (tmp_path / "x.mocz").exists()
 
 
-def test_a_c3d_loses_nothing_in_pieces_unless_bare(
-    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_c3d_loses_nothing_in_pieces_unless_bare(command: Command, tmp_path: Path) -> None:
     lab, out = tmp_path / "lab.c3d", tmp_path / "lab.mocz"
     motion = synthetic.markers(frames=3000, seed=3)
-    signal = mc.Signal(np.zeros((6000, 2), np.int16), 240.0, ("Fx", "Fy"), ("N", "N"))
+    signal = mc.Signal(np.random.default_rng(1).integers(-99, 99, (6000, 2), np.int16), 240.0, ("Fx", "Fy"), ("N", "N"))
     mc.write(lab, replace(motion, extras={"analog": signal}))
-    done = command("encode", lab, "-o", out, "--in-pieces")
-    assert done.code == 3
-    assert "analog channels would be lost" in done.err
-    assert not out.exists()
-    monkeypatch.setattr("mocodec.cli.in_pieces.LARGE_BYTES", 1000)
-    assert command("encode", lab, "-o", out).code == 0
-    assert "analog" in mc.read(out, mc.Motion).extras
+    done = command("encode", lab, "-o", out, "--in-pieces", "--json")
+    assert done.code == 0, done.err
+    record = json.loads(done.out)
+    assert record["motion"] + record["signals"] + record["extras"] == record["bytes"] == out.stat().st_size
+    assert record["signals"] > 0
+    np.testing.assert_array_equal(mc.read(out, mc.Motion).extras["analog"].values, signal.values)
+    assert command("verify", out, "--against", lab).code == 0
     assert command("encode", lab, "-o", out, "--in-pieces", "--bare").code == 0
     bare = mc.read(out, mc.Motion)
     assert not bare.extras

@@ -58,7 +58,7 @@ def same_tree(a: object, b: object) -> bool:
     if isinstance(a, Signal) and isinstance(b, Signal):
         return (a.rate, a.labels, a.units) == (b.rate, b.labels, b.units) and same_tree(a.values, b.values)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return a.dtype == b.dtype and np.array_equal(a, b)
+        return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(same_tree(a[k], b[k]) for k in a)
     if isinstance(a, list) and isinstance(b, list):

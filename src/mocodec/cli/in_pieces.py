@@ -52,13 +52,6 @@ def encoded(
         return None  # reading the whole says what is wrong, if anything is
     if chosen.get("bare"):
         blocks = replace(blocks, about=formats.without_extras(blocks.about))
-    elif blocks.left_out:
-        if asked:
-            raise BadInput(
-                f"{source}: in pieces, {' and '.join(blocks.left_out)} would be lost; "
-                "encode it at once (--at-once), or leave them out (--bare)"
-            )
-        return None
     if not asked and not _is_possible(codec, blocks):
         return None
     return _written(source, output, blocks, codec, chosen.get("prior"))
@@ -84,8 +77,8 @@ def _written(source: str, output: str, blocks: formats.Blocks, codec: Any, prior
         "codec": codec.name,
         "frames": written.frames,
         "bytes": written.bytes,
-        "motion": written.bytes - written.extras_bytes,
-        "signals": 0,
+        "motion": written.bytes - written.extras_bytes - written.signal_bytes,
+        "signals": written.signal_bytes,
         "extras": written.extras_bytes,
         "raw_bytes": raw,
         "ratio": written.ratio,

@@ -55,7 +55,9 @@ def coded(signal: Signal) -> CodedSignal | None:
     values = np.asarray(signal.values)
     if not codec.suits(values) or values.ndim > arrays.MAX_DIMENSIONS:
         return None
-    same = zlib.crc32(np.ascontiguousarray(values).view(np.uint8).data)
+    channels = values.reshape(len(values), -1).T
+    is_by_channel = channels.flags.c_contiguous
+    same = zlib.crc32(np.ascontiguousarray(channels if is_by_channel else values).view(np.uint8).data)
     if signal not in _coded or _coded[signal][0] != same:
         _coded[signal] = same, _code(signal, values)
     return _coded[signal][1]

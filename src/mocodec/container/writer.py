@@ -34,10 +34,15 @@ def pack(encoded: Encoded[Any]) -> bytes:
 
 def extras_bytes(about: Motion | PointClouds) -> int:
     """Bytes that the extras of a recording take in a `.mocz`. Raises CannotEncode for extras that it cannot hold."""
+    return sum(extras_and_signal_bytes(about))
+
+
+def extras_and_signal_bytes(about: Motion | PointClouds) -> tuple[int, int]:
+    """The same in its two parts: the section of extras, and the signals behind it. Raises CannotEncode."""
     if not about.extras:
-        return 0
+        return 0, 0
     extras = values.pack_extras(about.extras)
-    return len(extras.section) + records.CHECKSUM_BYTES + extras.signal_bytes
+    return len(extras.section) + records.CHECKSUM_BYTES, extras.signal_bytes
 
 
 class Writer:

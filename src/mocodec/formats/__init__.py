@@ -47,6 +47,7 @@ BLOCKS = {
     ".bvh": "mocodec.formats.bvh.blocks",
     ".trc": "mocodec.formats.trc_blocks",
     ".amc": "mocodec.formats.amc_blocks",
+    ".csv": "mocodec.formats.delimited_blocks",
 }
 """Modules with `read_blocks`: the formats that can be read in pieces."""
 IMAGES = "mocodec.formats.rgbd"

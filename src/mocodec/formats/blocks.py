@@ -26,15 +26,13 @@ class Blocks:
     """A recording in pieces; iterating gives motions that follow each other, from the first frame each time.
 
     about: names, rate, skeleton, source and extras, without frames. frames: how many, None if unknown before the end.
-    parts: the blocks. between(start, stop): these frames, where the source can be read anywhere. left_out: what else
-    the file has that only `read` gives.
+    parts: the blocks. between(start, stop): these frames, where the source can be read anywhere.
     """
 
     about: Motion
     frames: int | None
     parts: Callable[[], Iterator[Motion]]
     between: Callable[[int, int], Motion] | None = None
-    left_out: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Motion]:
         return self.parts()
@@ -61,13 +59,11 @@ def block_frames(points: int) -> int:
     return max(1, BLOCK_SAMPLES // max(1, points))
 
 
-def of_ranges(
-    about: Motion, frames: int, between: Callable[[int, int], Motion], each: int, left_out: tuple[str, ...] = ()
-) -> Blocks:
+def of_ranges(about: Motion, frames: int, between: Callable[[int, int], Motion], each: int) -> Blocks:
     """Blocks of `each` frames of a source that can be read anywhere."""
 
     def parts() -> Iterator[Motion]:
         for start in range(0, frames, each):
             yield between(start, min(frames, start + each))
 
-    return Blocks(about, frames, parts, between, left_out)
+    return Blocks(about, frames, parts, between)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..motion import Motion, Signal
@@ -74,6 +76,11 @@ class Clock(NamedTuple):
     rate: float
     start: float
     is_regular: bool
+
+    @property
+    def total(self) -> int:
+        """Frames, those without a row included."""
+        return int(self.frames[-1]) + 1 if len(self.frames) else 0
 
 
 def clock(times: Floats, declared: float | None, given: float | None, notes: list[str]) -> Clock:
@@ -140,38 +147,83 @@ def motion_of(
     notes: list[str],
 ) -> Motion:
     """The motion of a table. values (rows, columns); units of each column; unit of the points: name and metres."""
-    frames = int(timing.frames[-1]) + 1 if len(timing.frames) else 0
+    frames = timing.total
     table = np.full((frames, values.shape[1]), np.nan)
     table[timing.frames] = values
-    positions = np.full((frames, len(points), 3), np.nan)
+    positions = positions_of(table, points, unit[1])
+    gap = np.isnan(positions[:, :, 0])
+    parked = parked_at_origin(positions, gap) if zeros else None
+    others = np.ascontiguousarray(table[:, others_of(labels, points)])
+    if parked is not None:
+        positions[parked] = np.nan
+    found = Table(list(labels), list(units), list(points), timing, times, unit, up)
+    about = described(found, positions, others, parked, bool(gap.any()), source, notes)
+    return replace(about, positions=positions)
+
+
+class Table(NamedTuple):
+    """What is known of a table but its numbers. units: of each column; unit: of the points, name and metres."""
+
+    labels: list[str]
+    units: list[str]
+    points: list[Point]
+    timing: Clock
+    times: Floats
+    unit: tuple[str, float]
+    up: str | None
+
+
+def positions_of(table: Floats, points: Sequence[Point], unit_m: float) -> Floats:
+    """(frames, points, 3): positions in metres, NaN for gaps; table (frames, columns)."""
+    positions = np.full((len(table), len(points), 3), np.nan)
     for at, point in enumerate(points):
-        positions[:, at] = table[:, point.columns] * unit[1]
+        positions[:, at] = table[:, point.columns] * unit_m
     positions[~np.isfinite(positions).all(axis=2)] = np.nan
+    return positions
+
+
+def others_of(labels: Sequence[str], points: Sequence[Point]) -> list[int]:
+    """The columns that are no points."""
     used = {column for point in points for column in point.columns}
-    others = [column for column in range(len(labels)) if column not in used]
+    return [column for column in range(len(labels)) if column not in used]
+
+
+def described(
+    table: Table,
+    positions: Floats,
+    signals: Floats,
+    parked: NDArray[Any] | None,
+    other_gaps: bool,
+    source: dict[str, Any],
+    notes: list[str],
+) -> Motion:
+    """The motion without frames: names, axes, source and extras.
+
+    positions (frames, points, 3): of some frames. signals (frames, columns): of the columns that are no points. parked,
+    other_gaps: as in `store_parked`, None without.
+    """
+    labels, points, timing = table.labels, table.points, table.timing
+    others = others_of(labels, points)
     extras: dict[str, Any] = {}
     if others:
-        names, of_names = (tuple(texts[column] for column in others) for texts in (labels, units))
-        extras["signals"] = Signal(np.ascontiguousarray(table[:, others]), timing.rate, names, of_names)
+        names, of_names = (tuple(texts[column] for column in others) for texts in (labels, table.units))
+        extras["signals"] = Signal(signals, timing.rate, names, of_names)
     if not timing.is_regular:
-        extras["times"] = Signal(times.copy(), timing.rate, ("time",), ("s",))
+        extras["times"] = Signal(table.times.copy(), timing.rate, ("time",), ("s",))
     if points and others and others != list(range(len(labels) - len(others), len(labels))):
         extras["columns"] = np.array(others, np.int32)
-    source |= {"units": unit[0], "unit_m": unit[1]}
-    if up is None and points:
+    source |= {"units": table.unit[0], "unit_m": table.unit[1]}
+    if table.up is None and points:
         source["up_guessed"] = True
-    if zeros:
-        gap = np.isnan(positions[:, :, 0])
-        parked = parked_at_origin(positions, gap)
-        store_parked(parked, gap, timing.rate, source, extras, notes)
-        positions[parked] = np.nan
+    if parked is not None:
+        store_parked(parked, other_gaps, timing.rate, source, extras, notes)
     if timing.start:
         source = with_start(source, timing.rate, timing.start)
     if notes:
         source["notes"] = notes
     names = unique_names([point.name for point in points])
-    up = up or (guess_up(positions) if points else "y")
-    return Motion(positions, timing.rate, names, up, source=source, extras=extras)
+    up = table.up or (guess_up(positions) if points else "y")
+    return Motion(positions[:0], timing.rate, names, up, source=source, extras=extras)
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:

@@ -14,8 +14,9 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from ..errors import BadInput
 from ..motion import Motion, Signal
 from ..typing import Floats
 from . import nexus, replace_whole
-from .columns import Clock, Point, cell, clock, columns_of, find_points, motion_of
+from .columns import Clock, Point, Table, cell, clock, columns_of, find_points, motion_of
 from .conventions import metres_in, start_s, unit_of, unit_option
 from .opensim import numbers
 from .text import is_gap, read_text
@@ -41,9 +42,10 @@ UNIT_WORDS = re.compile(
 )
 COMMENT = re.compile(r"^#(?!\s*[,;\t])")
 """A line that begins with # and is no header whose first label is #."""
-SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\s*\n", re.IGNORECASE)
+SEPARATOR_LINE = re.compile(r"\"?sep=.\"?\s*$", re.IGNORECASE)
 """A first line that tells spreadsheets the separator."""
 HEADER_ROWS = 30
+CUT_OFF = "cut off: its last row ends early; --salvage (salvage=True) leaves it out"
 
 
 class _Columns(NamedTuple):
@@ -82,28 +84,48 @@ def _read(
     text: str, up: str | None, unit: str | float | None, rate: float | None, zeros: bool, salvage: bool
 ) -> Motion:
     notes: list[str] = []
-    lines = SEPARATOR_LINE.sub("", text).split("\n")
-    comments: dict[str, str] = {}
-    for line in lines[:HEADER_ROWS]:
-        if COMMENT.match(line):
-            key, _, value = line[1:].partition(":")
-            comments[key.strip().lower()] = value.strip()
-    rows = _rows([line for line in lines if not COMMENT.match(line)])
+    comments, found = opened(text.split("\n"))
+    rows = list(found)
     if not rows:
         raise BadInput("has no rows")
-    kind = rows[0][0].lower() if rows[0] else ""
     sections: dict[str, list[list[str]]] = {}
-    if kind == "format version":
-        columns = _motive(rows)
-    elif kind in nexus.TITLES and not any(rows[0][1:]):
+    if has_sections(rows[0]):
         sections = nexus.sections(rows)
         title = nexus.main_title(sections)
         rows = sections.pop(title)
         columns = _section(title, rows)
     else:
-        columns = _plain(rows)
+        columns = columns_of_rows(rows)
     body = [row for row in rows[columns.first_row :] if any(row)]
     values = _values(body, len(columns.labels), salvage, notes)
+    table, keep, source = table_of(columns, comments, values, up, unit, rate, notes)
+    motion = motion_of(
+        table.labels, values[:, keep], table.points, table.timing, table.times, table.units, table.unit, table.up,
+        zeros, source, notes,
+    )  # fmt: skip
+    return _with_sections(motion, sections) if sections else motion
+
+
+def has_sections(first: Sequence[str]) -> bool:
+    """Whether a file with this first row is an export of Vicon Nexus."""
+    return first[0].lower() in nexus.TITLES and not any(first[1:])
+
+
+def columns_of_rows(rows: list[list[str]]) -> _Columns:
+    """The columns of a file without sections, by its first rows. Raises BadInput."""
+    return _motive(rows) if rows[0][0].lower() == "format version" else _plain(rows)
+
+
+def table_of(
+    columns: _Columns,
+    comments: Mapping[str, str],
+    values: Floats,
+    up: str | None,
+    unit: str | float | None,
+    rate: float | None,
+    notes: list[str],
+) -> tuple[Table, list[int], dict[str, Any]]:
+    """What the header and the numbers (rows, columns) say: the table, its columns among all, and the source."""
     declared = float(comments["rate"]) if _is_number(comments.get("rate", "")) else columns.rate
     timing, times, drop = _timing(columns, values, declared, rate, notes)
     unnamed = {column for column, label in enumerate(columns.labels) if not label}
@@ -121,21 +143,38 @@ def _read(
     chosen = unit_option(unit if unit is not None else declared_unit or "m")
     up = up or (comments.get("up") if comments.get("up") in ("x", "y", "z") else None)
     labels = [columns.labels[column] or f"column {column + 1}" for column in keep]
-    motion = motion_of(labels, values[:, keep], points, timing, times, units, chosen, up, zeros, source, notes)
-    return _with_sections(motion, sections) if sections else motion
+    return Table(labels, units, points, timing, times, chosen, up), keep, source
 
 
-def _rows(lines: Sequence[str]) -> list[list[str]]:
+def opened(lines: Iterable[str]) -> tuple[dict[str, str], Iterator[list[str]]]:
+    """Comments among the first lines, by key, and the rows of cells that are not all empty."""
+    rest = iter(lines)
+    head = list(islice(rest, HEADER_ROWS))
+    if head and SEPARATOR_LINE.match(head[0]):
+        head = [*head[1:], *islice(rest, 1)]
+    comments: dict[str, str] = {}
+    for line in head:
+        if COMMENT.match(line):
+            key, _, value = line[1:].partition(":")
+            comments[key.strip().lower()] = value.strip()
+    return comments, _rows(line for line in chain(head, rest) if not COMMENT.match(line))
+
+
+def _rows(lines: Iterator[str]) -> Iterator[list[str]]:
     """The cells of all lines without empty ones, by the separator that the lines have; decimal commas are points."""
-    head = [line for line in lines[: 2 * HEADER_ROWS] if line.strip()]
-    separator = next((mark for mark in "\t;," if sum(mark in line for line in head) * 2 > len(head)), ",")
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    rows = [row for row in rows if any(row)]
-    if separator != ",":
-        decimal = re.compile(r"^[-+]?\d*,\d+(e[-+]?\d+)?$", re.IGNORECASE)
-        if any(decimal.match(cell) for row in rows[:HEADER_ROWS] for cell in row):
-            rows = [[cell.replace(",", ".") if decimal.match(cell) else cell for cell in row] for row in rows]
-    return rows
+    head = list(islice(lines, 2 * HEADER_ROWS))
+    filled = [line for line in head if line.strip()]
+    separator = next((mark for mark in "\t;," if sum(mark in line for line in filled) * 2 > len(filled)), ",")
+    stripped = ([cell.strip() for cell in row] for row in csv.reader(chain(head, lines), delimiter=separator))
+    rows = (row for row in stripped if any(row))
+    if separator == ",":
+        return rows
+    first = list(islice(rows, HEADER_ROWS))
+    rows = chain(first, rows)
+    decimal = re.compile(r"^[-+]?\d*,\d+(e[-+]?\d+)?$", re.IGNORECASE)
+    if not any(decimal.match(cell) for row in first for cell in row):
+        return rows
+    return ([cell.replace(",", ".") if decimal.match(cell) else cell for cell in row] for row in rows)
 
 
 def _is_number(text: str) -> bool:
@@ -258,6 +297,17 @@ def _motive(rows: list[list[str]]) -> _Columns:
 
 def _values(body: list[list[str]], columns: int, salvage: bool, notes: list[str]) -> Floats:
     """Rows of cells as numbers (rows, columns). Shorter rows end in gaps, but for the last, which may be cut off."""
+    values = cells(body, columns)
+    if len(body) > 1 and len(body[-1]) < min(map(len, body[:-1])):
+        if not salvage:
+            raise BadInput(CUT_OFF)
+        values = values[:-1]
+        notes.append(f"cut off: its last row is left out, {len(values)} rows are read")
+    return values
+
+
+def cells(body: list[list[str]], columns: int) -> Floats:
+    """Rows of cells as numbers (rows, columns), NaN where rows are shorter. Raises BadInput."""
     widths = [len(row) for row in body]
     if len(body) * columns > 64 * sum(widths) + 4096:
         raise BadInput(f"its rows have far fewer cells than its {columns} labels")
@@ -265,11 +315,6 @@ def _values(body: list[list[str]], columns: int, salvage: bool, notes: list[str]
         extra = next(row for row in body if len(row) > columns)
         if any(extra[columns:]):
             raise BadInput(f"a row has {len(extra)} cells, there are {columns} labels")
-    if len(body) > 1 and len(body[-1]) < min(widths[:-1]):
-        if not salvage:
-            raise BadInput("cut off: its last row ends early; --salvage (salvage=True) leaves it out")
-        body = body[:-1]
-        notes.append(f"cut off: its last row is left out, {len(body)} rows are read")
     return numbers([[*row[:columns], *[""] * (columns - len(row))] for row in body], columns)
 
 

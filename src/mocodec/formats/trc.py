@@ -134,7 +134,7 @@ def motion_of(
         source["unit_guessed"] = True
     if zeros:
         parked = parked_at_origin(positions, gap, is_part)
-        store_parked(parked, gap, clock.rate, source, extras, notes)
+        store_parked(parked, bool(gap.any()), clock.rate, source, extras, notes)
         positions[parked] = np.nan
     if not math.isnan(clock.start):
         source = with_start(source, clock.rate, clock.start)

@@ -5,16 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..motion import Motion, Signal
 from ..typing import Booleans, Floats
+from .scratch import Columns
 
 GAP_OPTIONS = ("zeros", "keep")
 """zeros: samples at exactly (0, 0, 0) are gaps, unless the marker moves near the origin; keep: they are positions."""
 
 NEAR_ORIGIN_M = 0.05
 """A run of exact zeros next to a sample within this distance of the origin is part of a trajectory through it."""
+ZERO, KNOWN, NEAR = 1, 2, 4
+"""Bits of a sample: at exactly (0, 0, 0); somewhere else; near the origin."""
 
 
 def zeros_are_gaps(option: str | None) -> bool:
@@ -31,35 +35,76 @@ def parked_at_origin(positions: Floats, gap: Booleans, is_part: bool = False) ->
     origin is kept: there the marker passes through it. So are zeros if no sample is anywhere else, unless the positions
     are a part of a recording (is_part).
     """
-    parked = (positions == 0).all(axis=2) & ~gap
-    if not parked.any() or (not is_part and (parked | gap).all()):
-        return np.zeros_like(parked)
-    for point in np.flatnonzero(parked.any(axis=0)):
-        known = np.flatnonzero(~gap[:, point] & ~parked[:, point])
-        if not len(known):
-            continue
-        is_near = np.linalg.norm(positions[known, point], axis=1) < NEAR_ORIGIN_M
-        frames = np.flatnonzero(parked[:, point])
-        after = np.searchsorted(known, frames)
-        before_is_near = (after > 0) & is_near[np.maximum(after - 1, 0)]
-        after_is_near = (after < len(known)) & is_near[np.minimum(after, len(known) - 1)]
-        parked[frames[before_is_near | after_is_near], point] = False
+    zero = (positions == 0).all(axis=2) & ~gap
+    if not zero.any() or (not is_part and (zero | gap).all()):
+        return np.zeros_like(zero)
+    for point in np.flatnonzero(zero.any(axis=0)):
+        known = ~gap[:, point] & ~zero[:, point]
+        near = known & is_near_origin(positions[:, point])
+        zero[:, point] = parked_point(zero[:, point], known, near)
+    return zero
+
+
+def is_near_origin(positions: Floats) -> Booleans:
+    """Whether positions (…, 3) are so near the origin that zeros beside them belong to a trajectory; not for NaN."""
+    return np.linalg.norm(positions, axis=-1) < NEAR_ORIGIN_M
+
+
+def parked_point(zero: Booleans, known: Booleans, near: Booleans) -> Booleans:
+    """Which samples of one point stand for a missing marker.
+
+    zero (frames,): samples at exactly (0, 0, 0); known: other samples that are no gaps; near: those near the origin.
+    """
+    others, frames = np.flatnonzero(known), np.flatnonzero(zero)
+    if not len(others):
+        return zero
+    is_near = near[others]
+    after = np.searchsorted(others, frames)
+    before_is_near = (after > 0) & is_near[np.maximum(after - 1, 0)]
+    after_is_near = (after < len(others)) & is_near[np.minimum(after, len(others) - 1)]
+    parked = zero.copy()
+    parked[frames[before_is_near | after_is_near]] = False
     return parked
 
 
+def places(positions: Floats, gap: Booleans) -> NDArray[np.uint8]:
+    """(frames, points): where samples are, as ZERO, KNOWN and NEAR, for `parked_columns`; 0 for gaps."""
+    zero = (positions == 0).all(axis=2) & ~gap
+    known = ~gap & ~zero
+    return (ZERO * zero + KNOWN * known + NEAR * (known & is_near_origin(positions))).astype(np.uint8)
+
+
+def parked_columns(samples: Columns) -> NDArray[np.uint8] | None:
+    """As `parked_at_origin`, of recordings that do not fit into memory, by their `places`; None without any."""
+    points = samples.values.T
+    if not any((point & KNOWN).any() for point in points):
+        return None
+    parked, found = Columns(samples.rows, samples.shape, np.uint8), False
+    for number, point in enumerate(points):
+        zero = (point & ZERO) > 0
+        if zero.any():
+            here = parked_point(zero, (point & KNOWN) > 0, (point & NEAR) > 0)
+            parked.put(number, here.astype(np.uint8))
+            found |= bool(here.any())
+    return parked.values if found else None
+
+
 def store_parked(
-    parked: Booleans, gap: Booleans, rate: float, source: dict[str, Any], extras: dict[str, Any], notes: list[str]
+    parked: NDArray[Any], others: bool, rate: float, source: dict[str, Any], extras: dict[str, Any], notes: list[str]
 ) -> None:
-    """Remember which gaps were zeros, so that `parked_of` can tell the writer; gap: the other gaps."""
-    count = int(parked.sum())
+    """Remember which gaps were zeros, so that `parked_of` can tell the writer.
+
+    parked (frames, points): booleans, also as bytes; others: whether there are gaps that were no zeros.
+    """
+    count = int(np.count_nonzero(parked))
     if not count:
         return
     notes.append(
         f"{count} samples at exactly (0, 0, 0) are gaps (--gaps keep takes them as positions); a file that is written "
         "has the zeros again"
     )
-    if gap.any():
-        extras["zero_samples"] = Signal(parked.astype(np.uint8), rate)
+    if others:
+        extras["zero_samples"] = Signal(parked.view(np.uint8), rate)
     else:
         source["gaps"] = "zeros"
 

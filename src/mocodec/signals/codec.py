@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -79,8 +80,9 @@ def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | 
     known: list[Form] = []
     result: list[Form] = []
     places: dict[bytes, int] = {}
-    for column in np.ascontiguousarray(table.T):
-        place = places.setdefault(column.tobytes(), len(result))
+    for number in range(table.shape[1]):
+        column = np.ascontiguousarray(table[:, number])
+        place = places.setdefault(sha256(column.view(np.uint8).data).digest(), len(result))
         is_copy = place < len(result) and result[place].kind != forms.CONSTANT
         form = Form(forms.COPY, channel=place) if is_copy else forms.fit(column, known)
         if form is None:

@@ -23,6 +23,11 @@ def read_analog(table: NDArray[Any], layout: Layout, rate: float, parameters: Pa
     else:
         samples = samples.astype(np.int16)
         samples = samples.view(np.uint16) if is_unsigned(parameters) else samples
+    return analog_signal(samples, rate, layout, parameters)
+
+
+def analog_signal(samples: NDArray[Any], rate: float, layout: Layout, parameters: Parameters) -> Signal:
+    """Samples of all channels with their labels and units; rate: of frames."""
     labels, units = (tuple(parameters.texts("ANALOG", name)[: layout.channels]) for name in ("LABELS", "UNITS"))
     return Signal(samples, rate * layout.samples_per_frame, labels, units)
 

@@ -1,30 +1,32 @@
 # pyright: strict
-"""C3D in pieces: header and parameters once, then frames where they are asked for. Analog channels, model outputs and
-segment poses are left out (`Blocks.left_out`), residuals too, unless all are equal."""
+"""C3D in pieces: header and parameters once, then frames where they are asked for.
+
+What the data section has beside positions (analog channels, model outputs, residuals, segment poses) is first taken
+apart into channels in temporary files, in one pass, so that extras are those of `reading.read`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from ...errors import BadInput
-from ...motion import Motion
-from ...typing import Booleans, Floats
+from ...motion import Motion, Signal
+from ...typing import Floats
+from .. import zeros
 from ..blocks import Blocks, block_frames, of_ranges
-from ..zeros import parked_at_origin, zeros_are_gaps
+from ..scratch import Array, Columns
 from . import reading
+from .analog import analog_signal, is_unsigned, smallest
+from .model_outputs import output_values
 from .parameters import BLOCK
 
 HEAD_BYTES = (1 << 16) * BLOCK
 """Header and parameters end before this: the header counts blocks in 16 bits."""
-
-
-Samples: TypeAlias = tuple[Floats, np.ndarray[tuple[int, ...], np.dtype[Any]], Booleans]
-"""What `reading.Opened.samples` gives: positions, fourth words, gaps."""
 
 
 class FileBytes:
@@ -55,76 +57,110 @@ def read_blocks(
 ) -> Blocks:
     """As `reading.read`, in pieces. Which points are model outputs is decided by the first frames. Raises BadInput."""
     path = Path(path)
-    if residuals:
-        raise BadInput(f"{path}: in pieces, residuals are not kept: read it at once")
-    data, zeros = FileBytes(path), zeros_are_gaps(gaps)
-    head = data[:HEAD_BYTES]
     try:
-        file = reading.opened(head, data, reading.Options(residuals, unit, rate, zeros, salvage=False))
+        return _blocks(
+            FileBytes(path), reading.Options(residuals, unit, rate, zeros.zeros_are_gaps(gaps), salvage=False)
+        )
     except BadInput as error:
-        raise BadInput(f"{path}: {error}") from None
+        raise BadInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be taken apart into temporary files: {error}") from error
+
+
+def _blocks(data: FileBytes, options: reading.Options) -> Blocks:
+    head = data[:HEAD_BYTES]
+    file = reading.opened(head, data, options)
     if not file.layout.points or not file.frames:
-        raise BadInput(f"{path}: has no points, and in pieces only points are read")
-    each = block_frames(file.layout.points)
-    columns = file.columns(file.table(data, 0, min(each, file.frames)))
-    labels = file.parameters.texts("POINT", "LABELS")[: file.layout.points]
-    outputs = reading.all_outputs(file, labels, columns)
-    markers = np.setdiff1d(np.arange(file.layout.points), [*chain.from_iterable(outputs.values())])
+        raise BadInput("has no points, and in pieces only files with points are read")
+    each = block_frames(max(file.layout.points, file.layout.width // 4))
+    first = file.columns(file.table(data, 0, min(each, file.frames)))
+    labels, outputs, markers = reading.split(file, first)
+    beside = _Beside(data, file, options, each, outputs, markers).found
 
-    def samples(begin: int, end: int) -> Samples:
-        return file.samples(file.columns(file.table(data, begin, end))[:, markers])
-
-    def positions(begin: int, end: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        found, _, gap = samples(begin, end)
-        found[gap | parked_at_origin(found, gap, is_part=True) if zeros else gap] = np.nan
+    def positions(begin: int, end: int) -> Floats:
+        found, _, gap = file.samples(file.columns(file.table(data, begin, end))[:, markers])
+        found[gap if beside.parked is None else gap | beside.parked[begin:end].astype(bool)] = np.nan
         return found
 
-    if residuals is None:
-        ranges = ((begin, min(begin + each, file.frames)) for begin in range(0, file.frames, each))
-        file.source.update(_residuals_fact(samples(*frames) for frames in ranges))
-    about = _about(head, file, labels, markers, positions(0, len(columns)))
+    about = reading.describe(head, file, labels, outputs, markers, beside, options.residuals, positions(0, len(first)))
 
     def between(begin: int, end: int) -> Motion:
         return Motion(positions(begin, end), about.rate, about.names, about.up, source=about.source)
 
-    left_out = {
-        "analog channels": file.layout.channels,
-        "model outputs": len(outputs),
-        "segment poses": file.parameters.count("ROTATION", "USED"),
-    }
-    present = tuple(what for what, count in left_out.items() if count)
-    return of_ranges(about, file.frames, between, each, present)
+    return of_ranges(about, file.frames, between, each)
 
 
-def _residuals_fact(blocks: Iterable[Samples]) -> dict[str, object]:
-    """What `reading.read` says of the fourth words in the source, but for words that it would keep as samples: these
-    are left out. Reads no further than to the first word that differs.
-    """
-    common: float | None = None
-    for _, word, gap in blocks:
-        words = word[~gap]
-        if not words.size:
-            continue
-        common = float(words[0]) if common is None else common
-        if np.any(words != common):
-            return {"residuals": "left out"}
-    return {"residual_word": common} if common else {}
+class _Beside:
+    """What a file has beside positions, `found` by one pass over its blocks of `each` frames."""
+
+    def __init__(
+        self,
+        data: FileBytes,
+        file: reading.Opened,
+        options: reading.Options,
+        each: int,
+        outputs: Mapping[str, Sequence[int]],
+        markers: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
+    ) -> None:
+        layout, frames = file.layout, file.frames
+        number = np.float32 if layout.item == 4 else np.int16
+        analog = Columns(frames * layout.samples_per_frame, (layout.channels,), number)
+        values = {kind: Columns(frames, (len(columns), 3), np.float32) for kind, columns in outputs.items()}
+        listed = [*chain.from_iterable(outputs.values())]
+        output_words = Columns(frames, (len(listed),), number)
+        words = Columns(frames, (len(markers),), number)
+        places = Columns(frames, (len(markers),), np.uint8)
+        other_gaps = False
+        for begin in range(0, frames, each):
+            table = file.table(data, begin, min(frames, begin + each))
+            columns = file.columns(table)
+            positions, word, gap = file.samples(columns[:, markers])
+            analog.add(table[:, 4 * layout.points :].reshape(len(table) * layout.samples_per_frame, layout.channels))
+            for kind, of_kind in outputs.items():
+                values[kind].add(output_values(columns, of_kind, file.scale))
+            output_words.add(columns[:, listed, 3])
+            other_gaps |= bool(gap.any())
+            if options.residuals is not False:
+                words.add(np.where(gap, -1, word))
+            if options.zeros_are_gaps:
+                places.add(zeros.places(positions, gap))
+        self.found = reading.Beside(
+            analog_signal(_analog(analog, file), file.rate, layout, file.parameters) if layout.channels else None,
+            {kind: columns.values for kind, columns in values.items()},
+            _smallest(output_words),
+            None if options.residuals is False else _smallest(words),
+            zeros.parked_columns(places) if options.zeros_are_gaps else None,
+            other_gaps,
+            _rotations(data, file, each),
+        )
 
 
-def _about(
-    head: bytes,
-    file: reading.Opened,
-    labels: list[str],
-    markers: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
-    first: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> Motion:
-    """Names, rate, vertical axis, events and parameters; first: positions of the first frames."""
-    extras: dict[str, object] = {}
-    has_events = reading.read_all_events(head, file, extras)
-    source = file.source
-    names = reading.point_names(labels, markers, source)
-    up = reading.up_of(file.parameters, first, source)
-    reading.keep_parameters(file.parameters, False, has_events, extras)
-    if file.notes:
-        source["notes"] = file.notes
-    return Motion(first[:0], file.rate, names, up, source=source, extras=extras)
+def _analog(columns: Columns, file: reading.Opened) -> Array:
+    """Analog samples as `read_analog` has them."""
+    unsigned = is_unsigned(file.parameters)
+    if file.layout.item == 2:
+        return columns.values.view(np.uint16) if unsigned else columns.values
+    return _smallest(columns, np.uint16 if unsigned else np.int16)
+
+
+def _smallest(columns: Columns, dtype: type[np.integer[Any]] = np.int16) -> Array:
+    """As `analog.smallest`, channel by channel."""
+    values = columns.values
+    channels = values.reshape(columns.rows, columns.channels).T
+    if values.dtype == dtype or any(smallest(samples, dtype).dtype != dtype for samples in channels):
+        return values
+    whole = Columns(columns.rows, columns.shape, dtype)
+    for number, samples in enumerate(channels):
+        whole.put(number, smallest(samples, dtype))
+    return whole.values
+
+
+def _rotations(data: FileBytes, file: reading.Opened, each: int) -> Signal | None:
+    """Segment poses."""
+    layout = reading.rotation_layout(data, file, may_be_cut=False)
+    if layout is None:
+        return None
+    values = Columns(layout.samples, (layout.segments, 17), np.float32)
+    for begin in range(0, layout.samples, each):
+        values.add(layout.read(data, begin, min(layout.samples, begin + each), file.processor))
+    return Signal(values.values, file.rate * layout.ratio)

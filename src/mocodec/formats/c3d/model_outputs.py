@@ -19,7 +19,6 @@ from ...errors import BadInput
 from ...motion import Motion, Signal
 from ...typing import Floats
 from ..conventions import metres_in
-from .analog import smallest
 from .parameters import Parameters
 
 KINDS = {
@@ -95,39 +94,43 @@ def _unit(parameters: Parameters, kind: str) -> str:
     return next(iter(parameters.texts("POINT", f"{prefix}_UNITS")), "") or usual
 
 
+def output_values(samples: NDArray[Any], columns: Sequence[int], scale: float) -> NDArray[np.float32]:
+    """(frames, outputs, 3): the coordinates of some columns. samples (frames, points, 4); scale: of coordinates."""
+    values = samples[:, columns, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        return (values if scale == 1.0 else values * np.float64(scale)).astype(np.float32)
+
+
 def keep(
     parameters: Parameters,
     found: Mapping[str, Sequence[int]],
     labels: Sequence[str],
-    samples: NDArray[Any],
-    scale: float,
+    values: Mapping[str, NDArray[np.float32]],
+    words: NDArray[Any],
     rate: float,
     source: dict[str, Any],
     extras: dict[str, Any],
 ) -> None:
     """Store the outputs in `extras["model_outputs"]`, bit for bit.
 
-    found: from `find_columns`. samples (frames, points, 4): numbers of the file; scale: of its coordinates.
+    found: from `find_columns`. values: from `output_values` for each kind; words (frames, outputs): the fourth words of
+    all, kind after kind.
     signals: a `Signal` (frames, outputs, 3) for each kind. columns: of all outputs, in the order of the signals.
-    words (frames, outputs): the fourth word of each sample, negative in gaps, if any differs from 0.
+    words: if any differs from 0, negative in gaps.
     """
     columns = [column for kind in found for column in found[kind]]
     if not columns:
         return
     signals: dict[str, Signal] = {}
     for kind, of_kind in found.items():
-        values = samples[:, of_kind, :3]
-        if scale != 1.0:
-            values = values * np.float64(scale)
         texts = tuple(labels[column] for column in of_kind)
-        signals[kind] = Signal(values.astype(np.float32), rate, texts, (_unit(parameters, kind),) * len(texts))
+        signals[kind] = Signal(values[kind], rate, texts, (_unit(parameters, kind),) * len(texts))
     outputs: dict[str, Any] = {"signals": signals, "columns": np.array(columns, np.uint16)}
-    words = np.ascontiguousarray(samples[:, columns, 3])
-    if words.size and (words.any() or np.signbit(words).any()):
-        outputs["words"] = Signal(smallest(words), rate)
+    if any(column.any() or np.signbit(column).any() for column in words.T):
+        outputs["words"] = Signal(words, rate)
     extras["model_outputs"] = outputs
     source["model_outputs"] = {
-        f"{kind.lower()} ({signal.units[0]})" if signal.units[0] else kind.lower(): signal.values.shape[1]
+        f"{kind.lower()} ({signal.units[0]})" if signal.units[0] else kind.lower(): signal.shape[1]
         for kind, signal in signals.items()
     }
 

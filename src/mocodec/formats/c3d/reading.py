@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +23,7 @@ from .by_label import find_by_label
 from .events import read_events, read_header_events
 from .labels import unique_names
 from .layout import Bytes, Header, Layout, data_end, data_start, read_header, settle
-from .model_outputs import find_columns, keep
+from .model_outputs import find_columns, keep, output_values
 from .parameters import BLOCK, DEC, DERIVED, INTEL, MIPS, STANDARD, Parameters, floats, parse, same
 
 RESIDUALS_SHARE = 0.002
@@ -115,34 +117,87 @@ def opened(head: bytes, data: Bytes, options: Options) -> Opened:
     return Opened(header, parameters, processor, order, first, rate, start, layout, frames, scale, source, notes)
 
 
+class Beside(NamedTuple):
+    """What the data section has beside positions, of whole recordings.
+
+    analog: as stored. outputs (frames, outputs, 3): coordinates of model outputs by kind; output_words: their fourth
+    words, kind after kind. words (frames, markers): fourth words, −1 in gaps. parked (frames, markers): gaps that were
+    zeros, None without; other_gaps: whether there are others. rotations: segment poses.
+    """
+
+    analog: Signal | None
+    outputs: Mapping[str, NDArray[Any]]
+    output_words: NDArray[Any]
+    words: NDArray[Any] | None
+    parked: NDArray[Any] | None
+    other_gaps: bool
+    rotations: Signal | None
+
+
 def _read(data: bytes, options: Options) -> Motion:
     file = opened(data, data, options)
-    parameters, layout, rate, source, notes = file.parameters, file.layout, file.rate, file.source, file.notes
+    layout = file.layout
     table = file.table(data, 0, file.frames)
     columns = file.columns(table)
-    extras: dict[str, Any] = {}
-    if layout.channels:
-        extras["analog"] = read_analog(table[:, 4 * layout.points :], layout, rate, parameters)
-    has_events = read_all_events(data, file, extras)
-    labels = parameters.texts("POINT", "LABELS")[: layout.points]
-    outputs = all_outputs(file, labels, columns)
-    with np.errstate(invalid="ignore", over="ignore"):
-        keep(parameters, outputs, labels, columns, file.scale, rate, source, extras)
-    markers = np.setdiff1d(np.arange(layout.points), [*chain.from_iterable(outputs.values())])
+    labels, outputs, markers = split(file, columns)
     positions, word, gap = file.samples(columns[:, markers] if outputs else columns)
-    _keep_residuals(word, gap, options.residuals, rate, source, extras)
+    words = None if options.residuals is False else smallest(np.where(gap, -1, word))
+    other_gaps, parked = bool(gap.any()), None
     if options.zeros_are_gaps:
         parked = parked_at_origin(positions, gap)
-        store_parked(parked, gap, rate, source, extras, notes)
         gap = gap | parked
     positions[gap] = np.nan
+    beside = Beside(
+        read_analog(table[:, 4 * layout.points :], layout, file.rate, file.parameters) if layout.channels else None,
+        {kind: output_values(columns, of_kind, file.scale) for kind, of_kind in outputs.items()},
+        smallest(np.ascontiguousarray(columns[:, [*chain.from_iterable(outputs.values())], 3])),
+        words,
+        parked,
+        other_gaps,
+        _rotations(data, file, file.notes if options.salvage else None),
+    )
+    about = describe(data, file, labels, outputs, markers, beside, options.residuals, positions)
+    return replace(about, positions=positions)
+
+
+def split(file: Opened, columns: NDArray[Any]) -> tuple[list[str], dict[str, list[int]], NDArray[np.intp]]:
+    """Labels of all columns, the columns of model outputs by kind, and those of markers; columns: of some frames."""
+    labels = file.parameters.texts("POINT", "LABELS")[: file.layout.points]
+    outputs = all_outputs(file, labels, columns)
+    return labels, outputs, np.setdiff1d(np.arange(file.layout.points), [*chain.from_iterable(outputs.values())])
+
+
+def describe(
+    data: bytes,
+    file: Opened,
+    labels: list[str],
+    outputs: Mapping[str, Sequence[int]],
+    markers: NDArray[np.intp],
+    beside: Beside,
+    residuals: bool | None,
+    positions: Floats,
+) -> Motion:
+    """The motion without frames: names, axes, source and extras. data: header and parameters at least; positions
+    (frames, points, 3): of some frames; residuals: the option.
+    """
+    parameters, rate, source, notes = file.parameters, file.rate, file.source, file.notes
+    extras: dict[str, Any] = {}
+    if beside.analog is not None:
+        extras["analog"] = beside.analog
+    has_events = read_all_events(data, file, extras)
+    keep(parameters, outputs, labels, beside.outputs, beside.output_words, rate, source, extras)
+    if beside.words is not None:
+        _keep_residuals(beside.words, residuals, rate, source, extras)
+    if beside.parked is not None:
+        store_parked(beside.parked, beside.other_gaps, rate, source, extras, notes)
     names = point_names(labels, markers, source)
-    _keep_rotations(data, parameters, file.frames, rate, file.processor, extras, notes if options.salvage else None)
+    if beside.rotations is not None:
+        extras["rotations"] = beside.rotations
     up = up_of(parameters, positions, source)
-    keep_parameters(parameters, bool(layout.channels), has_events, extras)
+    keep_parameters(parameters, beside.analog is not None, has_events, extras)
     if notes:
         source["notes"] = notes
-    return Motion(positions, rate, names, up, source=source, extras=extras)
+    return Motion(positions[:0], rate, names, up, source=source, extras=extras)
 
 
 def all_outputs(file: Opened, labels: list[str], columns: NDArray[Any]) -> dict[str, list[int]]:
@@ -235,55 +290,70 @@ def read_all_events(head: bytes, file: Opened, extras: dict[str, Any]) -> bool:
 
 
 def _keep_residuals(
-    word: NDArray[Any],
-    gap: Booleans,
-    keep: bool | None,
-    rate: float,
-    source: dict[str, Any],
-    extras: dict[str, Any],
+    words: NDArray[Any], keep: bool | None, rate: float, source: dict[str, Any], extras: dict[str, Any]
 ) -> None:
-    """Store the fourth word of the samples: camera mask in its high byte, residual in its low byte."""
-    words = word[~gap]
-    if keep is False or words.size == 0 or not np.any(words):
+    """Store the fourth words of the samples (frames, points), −1 in gaps: camera mask in the high byte, residual in the
+    low byte.
+    """
+    known = [(column[column >= 0]) for column in words.T]
+    first = next((column[0] for column in known if column.size), 0)
+    if all((column == first).all() for column in known):
+        source.update({"residual_word": float(first)} if first else {})
         return
-    if np.all(words == words[0]):
-        source["residual_word"] = float(words[0])
-        return
-    kept = smallest(np.where(gap, -1, word))
-    size = len(zlib.compress(np.ascontiguousarray(kept.T).tobytes(), 1))
-    if keep or size <= RESIDUALS_SHARE * 12 * word.size:
-        extras["residuals"] = Signal(kept, rate)
+    packer = zlib.compressobj(1)
+    size = sum(len(packer.compress(np.ascontiguousarray(column).data)) for column in words.T) + len(packer.flush())
+    if keep or size <= RESIDUALS_SHARE * 12 * words.size:
+        extras["residuals"] = Signal(words, rate)
     else:
         source["residuals"] = "left out"
 
 
-def _keep_rotations(
-    data: bytes,
-    parameters: Parameters,
-    frames: int,
-    rate: float,
-    processor: int,
-    extras: dict[str, Any],
-    salvage_notes: list[str] | None,
-) -> None:
-    """Segment poses of the ROTATION group: per frame and segment a 4 × 4 matrix by columns and a reliability.
+class RotationLayout(NamedTuple):
+    """Where the ROTATION group has segment poses: per sample and segment a 4 × 4 matrix by columns and a reliability.
 
-    salvage_notes: where to note samples that are cut off, which become NaN; None refuses them.
+    start: byte of the first; ratio: samples in a frame; complete: samples that the file has in full.
     """
+
+    segments: int
+    start: int
+    ratio: int
+    samples: int
+    complete: int
+
+    def read(self, data: Bytes, begin: int, end: int, processor: int) -> NDArray[np.float32]:
+        """Samples [begin, end): (samples, segments, 17)."""
+        size = 68 * self.segments
+        numbers = floats(data[self.start + begin * size : self.start + end * size], processor)
+        return numbers.reshape(end - begin, self.segments, 17)
+
+
+def rotation_layout(data: Bytes, file: Opened, may_be_cut: bool) -> RotationLayout | None:
+    """None for a file without segment poses. Raises BadInput for one that is cut off, unless it may be."""
+    parameters = file.parameters
     used = parameters.count("ROTATION", "USED")
     block = parameters.count("ROTATION", "DATA_START")
     if not used or not block:
-        return
+        return None
     ratio = parameters.count("ROTATION", "RATIO") or 1
-    start, samples = (block - 1) * BLOCK, frames * ratio
+    start, samples = (block - 1) * BLOCK, file.frames * ratio
     complete = min(samples, max(0, len(data) - start) // (68 * used))
-    if complete < samples and (salvage_notes is None or samples * used * 68 > 16 * len(data)):
+    if complete < samples and (not may_be_cut or samples * used * 68 > 16 * len(data)):
         raise BadInput(f"cut off: {used} rotations in {samples} samples run past the end of the file")
-    values = np.full((samples, used, 17), np.nan, np.float32)
-    values[:complete] = floats(data[start : start + 68 * used * complete], processor).reshape(complete, used, 17)
-    if complete < samples and salvage_notes is not None:
-        salvage_notes.append(f"cut off: {complete} of {samples} samples of rotations are read, the others are NaN")
-    extras["rotations"] = Signal(values, rate * ratio)
+    return RotationLayout(used, start, ratio, samples, complete)
+
+
+def _rotations(data: bytes, file: Opened, salvage_notes: list[str] | None) -> Signal | None:
+    """Segment poses. salvage_notes: where to note samples that are cut off, which become NaN; None refuses them."""
+    layout = rotation_layout(data, file, salvage_notes is not None)
+    if layout is None:
+        return None
+    values = np.full((layout.samples, layout.segments, 17), np.nan, np.float32)
+    values[: layout.complete] = layout.read(data, 0, layout.complete, file.processor)
+    if layout.complete < layout.samples and salvage_notes is not None:
+        salvage_notes.append(
+            f"cut off: {layout.complete} of {layout.samples} samples of rotations are read, the others are NaN"
+        )
+    return Signal(values, file.rate * layout.ratio)
 
 
 def up_of(parameters: Parameters, positions: Floats, source: dict[str, Any]) -> str:

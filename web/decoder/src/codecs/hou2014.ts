@@ -5,6 +5,7 @@ import { addCorrections } from "../corrections.js";
 import { inverseDct } from "../dct.js";
 import { check } from "../errors.js";
 import { readIntegers, readIntegersWithin } from "../integers/read.js";
+import { loadKernels } from "../kernels.js";
 import { Gaps, readBasis, stepOf } from "../stages.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "./codec.js";
 
@@ -35,7 +36,13 @@ interface Clip {
   frequencies: number;
 }
 
-export class Hou2014 implements ChunkDecoder {
+/** Reads the shared bytes. */
+export async function openHou2014(facts: HouFacts): Promise<ChunkDecoder> {
+  await loadKernels();
+  return new Hou2014(facts);
+}
+
+class Hou2014 implements ChunkDecoder {
   private readonly flags: number;
   private readonly components: number;
   private readonly rung: number;

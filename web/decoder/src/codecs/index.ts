@@ -10,16 +10,16 @@ export async function chunkDecoder(codec: string, facts: Facts, priors: PriorLoa
   if (facts.shared.length === 0) return new GapsOnly(facts.points);
   if (codec === "tempo") return openTempo(facts, priors);
   if (codec === "hou2014") {
-    const { Hou2014 } = await import("./hou2014.js");
-    return new Hou2014({ points: facts.points, parents: facts.skeleton?.parents, shared: facts.shared });
+    const { openHou2014 } = await import("./hou2014.js");
+    return openHou2014({ points: facts.points, parents: facts.skeleton?.parents, shared: facts.shared });
   }
   if (codec === "lossless") {
     const { Lossless } = await import("./lossless.js");
     return new Lossless(facts);
   }
   if (codec === "liu2006") {
-    const { Liu2006 } = await import("./liu2006.js");
-    return new Liu2006(facts);
+    const { openLiu2006 } = await import("./liu2006.js");
+    return openLiu2006(facts);
   }
   throw codec === "lien2006" || codec === "bodycast"
     ? new Unsupported(`${codec} codes point clouds, which have no frames of points`)

@@ -4,6 +4,7 @@ import { Bits, Bytes } from "../bytes.js";
 import { addCorrections } from "../corrections.js";
 import { check } from "../errors.js";
 import { readIntegers } from "../integers/read.js";
+import { loadKernels } from "../kernels.js";
 import { Gaps, readBasis, stepOf } from "../stages.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "./codec.js";
 import { Track, readKeyFrames } from "./key_frames.js";
@@ -46,7 +47,13 @@ interface Placed {
   start: number;
 }
 
-export class Liu2006 implements ChunkDecoder {
+/** Reads the shared bytes. */
+export async function openLiu2006(facts: Facts): Promise<ChunkDecoder> {
+  await loadKernels();
+  return new Liu2006(facts);
+}
+
+class Liu2006 implements ChunkDecoder {
   private readonly blend: number;
   private readonly markers: number[];
   private readonly groups: number[][];

@@ -10,12 +10,12 @@ const MOST_WEIGHT = 1 << 22;
 const MOST_SEEN = 250;
 const HASH = 2654435761 | 0;
 
-const SQUASH = Int32Array.from({ length: 4096 }, (_, i) => Math.min(Math.max(Math.floor(65536 / (1 + Math.exp(-(i - 2048) / 256)) + 0.5), 16), 65520));
-const STRETCH = Int32Array.from({ length: 4096 }, (_, i) => {
+export const SQUASH = Int32Array.from({ length: 4096 }, (_, i) => Math.min(Math.max(Math.floor(65536 / (1 + Math.exp(-(i - 2048) / 256)) + 0.5), 16), 65520));
+export const STRETCH = Int32Array.from({ length: 4096 }, (_, i) => {
   const share = (i + 0.5) / 4096;
   return Math.min(Math.max(Math.floor(256 * Math.log(share / (1 - share)) + 0.5), -2047), 2047);
 });
-const RATE = Int32Array.from({ length: MOST_SEEN + 1 }, (_, i) => Math.floor(65536 / (i + 1.6)));
+export const RATE = Int32Array.from({ length: MOST_SEEN + 1 }, (_, i) => Math.floor(65536 / (i + 1.6)));
 
 /** A mixer's weight after a bit. */
 function shifted(weight: number, stretched: number, error: number): number {

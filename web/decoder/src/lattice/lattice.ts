@@ -6,16 +6,21 @@
 import { Bytes } from "../bytes.js";
 import { check } from "../errors.js";
 import { readIntegersWithin } from "../integers/read.js";
-import { AdaptiveBits } from "./bits.js";
+import { kernels } from "../kernels.js";
+import { AdaptiveBits, RATE, SQUASH, STRETCH } from "./bits.js";
 import { FEATURES, Filter } from "./filter.js";
 import { type Surroundings, halfOctaves, readPoint } from "./points.js";
-import { Samples } from "./samples.js";
+import { Samples, byFrame } from "./samples.js";
 
 const NEIGHBOURS = 3;
 const MOST_LEVELS = 6;
 const MOST_ACTIVITY = 4000;
 const LIMIT = 2 ** 40;
 const NO_MORE = -1;
+/** Of larger chunks the memory of the kernel would not suffice. */
+const MOST_KERNEL_SAMPLES = 2 ** 24;
+/** Numbers of a sample of the kernel: x, y, z, 0. */
+const KERNEL_LANES = 4;
 
 /** Neighbours of each point (points, 3), −1 for none, and the sequence in which points are coded. */
 export interface Network {
@@ -67,13 +72,35 @@ export function readLattice(data: Uint8Array, frames: number, points: number, ap
   const levels = kind & 127;
   check(levels <= MOST_LEVELS, "lattice: too many levels");
   const spikes = kind & 128 ? part.blob() : null;
-  const bits = new AdaptiveBits(part.rest());
+  const stream = part.rest();
+  const positions = readByKernel(stream, frames, points, levels, apart, network) ?? readStream(stream, frames, points, levels, apart, network);
+  if (spikes) addSpikes(spikes, positions, frames * points);
+  return positions;
+}
+
+function readStream(stream: Uint8Array, frames: number, points: number, levels: number, apart: Uint8Array | null, network: Network): Float64Array {
+  const bits = new AdaptiveBits(stream);
   const samples = new Samples(frames, points, apart);
   new Engine(samples, levels, network, bits).run();
   bits.end();
-  const positions = samples.byFrame();
-  if (spikes) addSpikes(spikes, positions, frames * points);
-  return positions;
+  return samples.byFrame();
+}
+
+/** The same by the kernel; null without it, and for a stream that it refuses. */
+function readByKernel(
+  stream: Uint8Array,
+  frames: number,
+  points: number,
+  levels: number,
+  apart: Uint8Array | null,
+  { sequence, neighbours }: Network,
+): Float64Array | null {
+  const loaded = kernels();
+  if (!loaded || frames * points === 0 || frames * points > MOST_KERNEL_SAMPLES) return null;
+  const mask = apart ?? new Uint8Array(frames * points);
+  const given = [stream, stream.length, frames, points, mask, sequence, neighbours, levels, SQUASH, STRETCH, RATE];
+  const samples = loaded.call("lattice", given, KERNEL_LANES * frames * points);
+  return samples && byFrame(samples, frames, points, KERNEL_LANES);
 }
 
 function addSpikes(data: Uint8Array, positions: Float64Array, count: number): void {

@@ -47,15 +47,19 @@ export class Samples {
 
   /** (frames, points, 3). */
   byFrame(): Float64Array {
-    const out = new Float64Array(this.values.length);
-    const { frames, points, values } = this;
-    for (let point = 0, from = 0; point < points; point++) {
-      for (let t = 0, to = 3 * point; t < frames; t++, from += 3, to += 3 * points) {
-        out[to] = values[from]!;
-        out[to + 1] = values[from + 1]!;
-        out[to + 2] = values[from + 2]!;
-      }
-    }
-    return out;
+    return byFrame(this.values, this.frames, this.points, 3);
   }
+}
+
+/** Values (points, frames, lanes), of which the first three count, as (frames, points, 3). */
+export function byFrame(values: Float64Array, frames: number, points: number, lanes: number): Float64Array {
+  const out = new Float64Array(3 * frames * points);
+  for (let point = 0, from = 0; point < points; point++) {
+    for (let t = 0, to = 3 * point; t < frames; t++, from += lanes, to += 3 * points) {
+      out[to] = values[from]!;
+      out[to + 1] = values[from + 1]!;
+      out[to + 2] = values[from + 2]!;
+    }
+  }
+  return out;
 }

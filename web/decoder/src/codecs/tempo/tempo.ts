@@ -26,7 +26,12 @@ export async function openTempo(facts: Facts, priors: PriorLoader): Promise<Chun
   check(facts.shared.length === (facts.rotations ? 2 : 1), "tempo: another number of shared blobs");
   const { decoder, millihertz } = await openPositions(facts, priors);
   if (!facts.rotations) return decoder;
-  const [{ readLayer }, { WithRotations }] = await Promise.all([import("./rotations/layer.js"), import("./rotations/payload.js")]);
+  const [{ readLayer }, { WithRotations }, { loadKernels }] = await Promise.all([
+    import("./rotations/layer.js"),
+    import("./rotations/payload.js"),
+    import("../../kernels.js"),
+  ]);
+  await loadKernels();
   const layer = await readLayer(facts.shared[1]!, facts.skeleton, (id) => loadPrior(id, priors));
   return new WithRotations(layer, decoder, millihertz);
 }
@@ -45,8 +50,8 @@ async function openPositions(facts: Facts, priors: PriorLoader): Promise<{ decod
   const lattice = flags & NEIGHBOURS ? await latticeOf(part.blob(), facts.points) : undefined;
   if (fallback) {
     const shared = [part.rest()];
-    const { Hou2014 } = await import("../hou2014.js");
-    const inner = new Hou2014({ points: facts.points, parents: facts.skeleton?.parents, shared });
+    const { openHou2014 } = await import("../hou2014.js");
+    const inner = await openHou2014({ points: facts.points, parents: facts.skeleton?.parents, shared });
     return { decoder: new Tempo(facts, { repeats, millihertz, weights, model: undefined, fallback: inner, lattice }), millihertz };
   }
   let model: Model | undefined;
@@ -85,7 +90,8 @@ interface Stream {
 type LatticeReader = (data: Uint8Array, frames: number, apart: Uint8Array | null) => Float64Array;
 
 async function latticeOf(neighbours: Uint8Array, points: number): Promise<LatticeReader> {
-  const { readLattice, readNetwork } = await import("../../lattice/lattice.js");
+  const [{ readLattice, readNetwork }, { loadKernels }] = await Promise.all([import("../../lattice/lattice.js"), import("../../kernels.js")]);
+  await loadKernels();
   const network = readNetwork(neighbours, points);
   return (data, frames, apart) => readLattice(data, frames, points, apart, network);
 }

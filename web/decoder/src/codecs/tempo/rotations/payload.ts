@@ -4,10 +4,12 @@ import { Bytes } from "../../../bytes.js";
 import { inverseDct } from "../../../dct.js";
 import { check } from "../../../errors.js";
 import { type Quaternion, type Vector, multiplied, unitQuaternion } from "../../../geometry.js";
+import { kernels } from "../../../kernels.js";
 import type { ChunkDecoder, Decoded, StoredChunk } from "../../codec.js";
 import { readCoefficients } from "../coefficients.js";
 import { readDirect } from "../direct.js";
 import { addWaves } from "../synthesis.js";
+import { type Tables, solveAll, tablesOf } from "./compiled.js";
 import { FIXED } from "./joints.js";
 import type { Layer } from "./layer.js";
 import { type Pose, forward, solve } from "./solve.js";
@@ -18,7 +20,15 @@ const SIDE_SCALE = 3;
 const SHRINK = 0.05;
 const FIRST_ROWS = 4;
 
+/** What rotations follow from: targets (frames, joints, 3), metres, and side values (frames, side values). */
+interface Aims {
+  targets: Float64Array;
+  side: Float64Array;
+}
+
 export class WithRotations implements ChunkDecoder {
+  private tables: Tables | undefined;
+
   /** targets: decodes the stream without rotations. */
   constructor(
     private readonly layer: Layer,
@@ -32,9 +42,15 @@ export class WithRotations implements ChunkDecoder {
     const own = new Bytes(part.blob(), "tempo");
     const targets = this.targets.decode([{ frames, payload: part.rest() }], 0).positions;
     const joints = this.layer.rules.parents.length;
+    const { aims, poseOf } = this.poses(own, targets, frames);
+    const loaded = kernels();
+    if (aims && loaded) {
+      this.tables ??= tablesOf(this.layer.rules);
+      const solved = solveAll(loaded, this.tables, aims.targets, aims.side, frames);
+      if (solved) return solved;
+    }
     const rotations = new Float64Array(4 * frames * joints);
     const positions = new Float64Array(3 * frames * joints);
-    const poseOf = this.poses(own, targets, frames);
     for (let t = 0; t < frames; t++) {
       const { local, positions: placed } = poseOf(t);
       for (let j = 0, at = 4 * t * joints; j < joints; j++, at += 4) {
@@ -54,19 +70,20 @@ export class WithRotations implements ChunkDecoder {
     return { positions, rotations };
   }
 
-  /** The pose of each frame. */
-  private poses(own: Bytes, targets: Float64Array, frames: number): (t: number) => Pose {
+  /** The pose of each frame; but for direct payloads, the targets and the side values that it follows from. */
+  private poses(own: Bytes, targets: Float64Array, frames: number): { aims?: Aims; poseOf: (t: number) => Pose } {
     const { layer } = this;
     const count = layer.nominal.length;
-    if (own.left === 0) return (t) => solve(layer.rules, vectorsAt(targets, t, layer.rules.parents.length), layer.nominal);
+    if (own.left === 0) return this.aimed({ targets, side: repeated(layer.nominal, frames) });
     const kind = own.byte();
     check(kind < DIRECT + CORRECTED, "tempo: rotations of an unknown kind");
     const grid = kind ? 2 ** (own.foldedWithin(-51_200, 51_200, "the grid") / 256) : 0;
-    if (kind === DIRECT) return this.direct(own.rest(), frames, grid);
+    if (kind === DIRECT) return { poseOf: this.direct(own.rest(), frames, grid) };
     const groups = Math.ceil(count / 3);
     const joints = layer.rules.parents.length;
     const coefficients = readCoefficients(own, frames, joints + groups, this.millihertz, layer.statistics, false);
     const side = this.sideValues(coefficients.values, coefficients.frequencies, coefficients.step, frames);
+    if (kind !== CORRECTED) return this.aimed({ targets, side });
     // targets, then side values by threes times a length, so that corrections apply to both
     const lanes = 3 * (joints + groups);
     const both = new Float64Array(frames * lanes);
@@ -75,12 +92,20 @@ export class WithRotations implements ChunkDecoder {
       both.set(targets.subarray(3 * t * joints, 3 * (t + 1) * joints), t * lanes);
       for (let i = 0; i < count; i++) both[t * lanes + 3 * joints + i] = scale * side[t * count + i]!;
     }
-    if (kind === CORRECTED) addWaves(both, coefficients, frames, joints + groups, grid, undefined);
-    const values = new Float64Array(count);
-    return (t) => {
-      for (let i = 0; i < count; i++) values[i] = both[t * lanes + 3 * joints + i]! / scale;
-      return solve(layer.rules, vectorsAt(both.subarray(t * lanes, t * lanes + 3 * joints), 0, joints), values);
-    };
+    addWaves(both, coefficients, frames, joints + groups, grid, undefined);
+    const corrected = new Float64Array(targets.length);
+    for (let t = 0; t < frames; t++) {
+      corrected.set(both.subarray(t * lanes, t * lanes + 3 * joints), 3 * t * joints);
+      for (let i = 0; i < count; i++) side[t * count + i] = both[t * lanes + 3 * joints + i]! / scale;
+    }
+    return this.aimed({ targets: corrected, side });
+  }
+
+  private aimed(aims: Aims): { aims: Aims; poseOf: (t: number) => Pose } {
+    const { rules, nominal } = this.layer;
+    const count = nominal.length;
+    const poseOf = (t: number) => solve(rules, vectorsAt(aims.targets, t, rules.parents.length), aims.side.subarray(t * count, (t + 1) * count));
+    return { aims, poseOf };
   }
 
   /** Side values (frames, side values) of coefficients (frequencies, rows). */
@@ -138,6 +163,12 @@ export class WithRotations implements ChunkDecoder {
     }
     return below;
   }
+}
+
+function repeated(values: Float64Array, times: number): Float64Array {
+  const out = new Float64Array(values.length * times);
+  for (let t = 0; t < times; t++) out.set(values, t * values.length);
+  return out;
 }
 
 function vectorsAt(positions: Float64Array, frame: number, points: number): Vector[] {
