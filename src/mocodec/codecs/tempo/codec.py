@@ -186,9 +186,9 @@ class Tempo:
         if (distinct := repeats.distinct_frames(motion, self.chunk_seconds)) is None:
             return self.encode_without_repeats(motion, kinds)
         with progress.attempt(0):
-            encoded = self._encode_distinct(motion, distinct)
+            encoded, mean = self._encode_distinct(motion, distinct)
         longest = max(chunk.frames for chunk in encoded.chunks)
-        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion):
+        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion, mean):
             return encoded
         with progress.attempt(1):
             return self.encode_without_repeats(motion)
@@ -332,24 +332,30 @@ class Tempo:
         """The bytes that `size` or `ratio` asks for."""
         return self.size or int(motion.raw_bytes / (self.ratio or 1))
 
-    def _encode_distinct(self, motion: Motion, distinct: Booleans) -> Encoded[Motion]:
+    def _encode_distinct(self, motion: Motion, distinct: Booleans) -> tuple[Encoded[Motion], float | None]:
+        """With the mean error, metres, where that is the target."""
+        mean = None
         if self.mean_error is not None:
 
             def encode(mean_error: float, part: Motion) -> Encoded[Motion]:
                 return replace(self, mean_error=mean_error).encode_without_repeats(part)
 
-            encoded = repeats.encode_to_mean(motion, distinct, self.mean_error, encode, decoded_mean_error)
+            encoded, mean = repeats.encode_to_mean(motion, distinct, self.mean_error, encode, decoded_mean_error)
         elif self._has_size:
             size = max(1, self._wanted_bytes(motion) - repeats.bytes_of_runs(motion, self.chunk_seconds))
             encoded = repeats.encode(motion, distinct, replace(self, ratio=None, size=size).encode_without_repeats)
         else:
             encoded = repeats.encode(motion, distinct, self.encode_without_repeats)
-        return replace(encoded, settings=self._stored_settings())
+        return replace(encoded, settings=self._stored_settings()), mean
 
-    def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
-        """Whether an encoding by other means has the mean error, or the size, that was asked for."""
+    def _meets_target(self, encoded: Encoded[Motion], motion: Motion, mean: float | None = None) -> bool:
+        """Whether an encoding by other means has the mean error, or the size, that was asked for.
+
+        mean: its mean error, metres, where it is known.
+        """
         if self.mean_error is not None:
-            return MEAN_SHARE <= decoded_mean_error(encoded, motion) / self.mean_error <= 1
+            mean = decoded_mean_error(encoded, motion) if mean is None else mean
+            return MEAN_SHARE <= mean / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
     def _choose_model(self, motion: Motion, chunks: list[Floats], kinds: Kinds | None) -> model_choice.Choice:
