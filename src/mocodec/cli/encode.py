@@ -73,7 +73,8 @@ from .codec_options import codec_with
     "--in-pieces",
     "piecewise",
     is_flag=True,
-    help="Encode block by block, in some hundred MB of memory; by default for .c3d .npy .npz .bvh .trc .amc .csv above 256 MB.",
+    help="Encode block by block, in some hundred MB of memory; by default for .c3d .npy .npz .bvh .trc .amc .csv above "
+    "256 MB.",
 )
 @click.option("--at-once", is_flag=True, help="Never encode block by block.")
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")

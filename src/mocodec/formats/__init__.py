@@ -204,7 +204,8 @@ def _no_option(path: Path, verb: str, name: str) -> str:
     """What is wrong with an option that a format does not have: the formats that have it."""
     takers = [suffix for suffix in FORMATS if verb == "read" and name in read_options(f"x{suffix}")]
     only = f"; --{name} is for {', '.join(takers)}" if takers else ""
-    return f"{verb} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
+    how = {"read_blocks": "reading in pieces"}.get(verb, verb)
+    return f"{how} of {path.suffix.lower() or 'this format'} has no option {name!r}{only}"
 
 
 def read_options(path: str | PathLike[str]) -> frozenset[str]:
