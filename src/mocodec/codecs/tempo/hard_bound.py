@@ -4,7 +4,8 @@
     every other chunk ─near the one searched before it───┴─► drafts ─pack─► transform ──┐
     chunks that take the transform many bits ────────────────────────────► lattice ─────┴─► the smaller
 
-Where the compiled module codes chunks, each is drafted, packed, compared with the direct engine and checked at once.
+Where the compiled module codes a chunk, and the lattice engine is not tried for it, the chunk is drafted, packed,
+compared with the direct engine and checked in one piece of work.
 
 A coarser step leaves more samples beyond the bound, which take corrections. Where the transform needs few bits the best
 step is coarse: offset = `BEST_OFFSET` + `BEST_SLOPE` · log₂ of the bits of a coordinate, fitted to joints and markers
@@ -38,8 +39,6 @@ STRIDE, NEAR = 8, 5
 TOGETHER = 4
 """So many chunks are tried by the lattice engine before the next ones learn from them, in any number of threads."""
 LEAST_OFFSET, MOST_OFFSET = -32, 128
-TOGETHER_PACKED = 4 * BATCH
-"""So many chunks are drafted before the lattice engine is tried for them."""
 EXACT_TO = 1e6
 """Of samples up to this many bounds from the origin, rounding moves no decoded sample beyond the bound: the trial of a
 step has measured what the compiled module decodes."""
@@ -56,12 +55,12 @@ class Searched:
 
 @dataclass(frozen=True)
 class Packed:
-    """A chunk by the transform: its draft, the bytes that this takes, and the payload of the smaller of the transform
-    and the direct engine. is_measured: whether the payload is known to be within the bound.
+    """A chunk's draft by the transform, and the payload of the smaller of the transform and the direct engine.
+
+    is_measured: whether the payload is known to be within the bound.
     """
 
     draft: Draft
-    transform_bytes: int
     payload: bytes
     is_measured: bool
 
@@ -80,13 +79,14 @@ def to_bound(
     searched = list(parallel.over(lambda e: _search(e, bound), encoders[::every])) if has_transform else []
     on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, encoders)
     payloads: list[bytes] = []
-    for first in range(0, len(encoders), TOGETHER_PACKED):
-        batch = encoders[first : first + TOGETHER_PACKED]
+    for first in range(0, len(encoders), BATCH):
+        batch = encoders[first : first + BATCH]
 
         def drafted(number: int) -> Draft | Packed:
             before, encoder = searched[number // every], encoders[number]
             draft = before.draft if number % every == 0 else _near(encoder, bound, before)
-            if draft.numbers is None or not compiled_chunks.decodes(encoder.model, encoder.frames):
+            alone = plan is None or _takes_few_bits(encoder, draft, plan)
+            if draft.numbers is None or not alone or not compiled_chunks.decodes(encoder.model, encoder.frames):
                 return draft
             return _packed(encoder, draft, chunk.pack([encoder], [draft])[0], bound)
 
@@ -103,7 +103,12 @@ def to_bound(
 def _packed(encoder: ChunkEncoder, draft: Draft, payload: bytes, bound: float) -> Packed:
     """payload: of the transform."""
     smaller = encoder.smaller_of_engines(payload, bound)
-    return Packed(draft, len(payload), smaller, _is_measured(encoder, smaller, bound))
+    return Packed(draft, smaller, _is_measured(encoder, smaller, bound))
+
+
+def _takes_few_bits(encoder: ChunkEncoder, draft: Draft, plan: LatticePlan) -> bool:
+    """Whether the lattice engine is not tried for a chunk, whatever other chunks show."""
+    return draft.bits < plan.least_bits * encoder.positions.size
 
 
 def _predicted(encoder: ChunkEncoder, bits: float) -> float:
@@ -176,8 +181,7 @@ class _LatticeTrials:
         number, self._number = self._number, self._number + 1
         if draft is None or draft.numbers is None:
             return True
-        few = draft.bits < self._plan.least_bits * encoder.positions.size
-        return not few and self._trials.tries_lattice(number)
+        return not _takes_few_bits(encoder, draft, self._plan) and self._trials.tries_lattice(number)
 
     def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
         return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
@@ -229,12 +233,12 @@ def _smallest(
     by_transform = {i: one for i, one in enumerate(found) if isinstance(one, Packed)}
     rest = {i: draft for i, draft in enumerate(drafts) if draft is not None and i not in by_transform}
     payloads = dict(zip(rest, chunk.pack([batch[i] for i in rest], list(rest.values())), strict=True))
-    packed = parallel.over(lambda i: _packed(batch[i], rest[i], payloads[i], bound), rest)
-    by_transform |= dict(zip(rest, packed, strict=True))
-    for i in list(by_transform):
+    for i in list(payloads):
         if i in on_lattice and trials is not None:
-            worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (by_transform[i].transform_bytes + trials.share)
-            (by_transform if worth else on_lattice).pop(i)
+            worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(payloads[i]) + trials.share)
+            (payloads if worth else on_lattice).pop(i)
+    packed = parallel.over(lambda i: _packed(batch[i], rest[i], payloads[i], bound), payloads)
+    by_transform |= dict(zip(payloads, packed, strict=True))
     return _checked(batch, by_transform, on_lattice, bound)
 
 

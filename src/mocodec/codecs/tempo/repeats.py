@@ -80,7 +80,7 @@ def encode_to_mean(
     encode_distinct: Callable[[float, Motion], Encoded[Motion]],
     mean_error: Callable[[Encoded[Motion], Motion], float],
 ) -> tuple[Encoded[Motion], float]:
-    """`encode` to a mean error over all frames, metres, and its mean: distinct frames have another mean than all frames.
+    """`encode` to a mean error over all frames, metres, and that mean: distinct frames have another than all frames.
 
     encode_distinct: codes a motion to a mean error. mean_error: that of an encoded motion.
     """
