@@ -69,11 +69,32 @@ public:
 
     // kind: what the bit says; set: of weights.
     int32_t mix(Mixed &m, uint32_t kind, uint32_t set) {
+        uint32_t counters[INPUTS];
+        const uint32_t hashed = kind * HASH;
+        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(slot(i, hashed));
+        return mix_with(m, counters, set);
+    }
+
+    // The counters of a bit of kind 0 with these contexts.
+    static void counters_of(const uint32_t *contexts, uint32_t *counters) {
+        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(i * SLOTS) + (contexts[i] * 257u * HASH >> 17);
+    }
+
+    // Fetches counters that a bit is likely to need.
+    void fetch(const uint32_t *counters) const {
+#if defined(__GNUC__)
+        for (int i = 0; i < INPUTS; ++i) __builtin_prefetch(&counters_[counters[i]], 1);
+#else
+        (void)counters;
+#endif
+    }
+
+    // As `mix`, of the counters that `counters_of` names.
+    int32_t mix_with(Mixed &m, const uint32_t *counters, uint32_t set) {
         int64_t sum = 0;
         m.weights = &weights_[(set % MIXERS) * INPUTS];
-        const uint32_t hashed = kind * HASH;
         for (int i = 0; i < INPUTS; ++i) {
-            m.from[i] = &counters_[slot(i, hashed)];
+            m.from[i] = &counters_[counters[i]];
             m.stretched[i] = stretch_[m.from[i]->p >> 4];
             sum += int64_t(m.weights[i]) * m.stretched[i];
         }
@@ -121,6 +142,7 @@ public:
     }
 
     size_t size() const { return out_.size(); }
+    const std::vector<uint8_t> &bytes() const { return out_; }
 
     // Ends with as few bytes as decode right when zeros follow.
     std::vector<uint8_t> finish() {
@@ -148,8 +170,16 @@ private:
 class Decoder {
 public:
     Decoder(const uint8_t *data, size_t size) : data_(data), size_(size) {
-        for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
+        for (int i = 0; i < HELD; ++i) code_ = code_ << 8 | next();
     }
+
+    // Goes on in a longer copy of its bytes.
+    void extend(const uint8_t *data, size_t size) { data_ = data, size_ = size; }
+
+    // Whether a bit can be decoded before more bytes are known.
+    bool has_bytes() const { return at_ + HELD <= size_; }
+
+    static constexpr int HELD = 4;  // bytes that a decoder holds, and reads for one bit at most
 
     int bit(int32_t p) {
         const uint32_t range = high_ - low_;

@@ -6,6 +6,7 @@
 
 #include "adaptive_bits.h"
 #include "arrays.h"
+#include "bit_follower.h"
 
 namespace bit_arrays {
 
@@ -40,7 +41,8 @@ public:
 
     // A copy with all that was learned and coded.
     BitArrayEncoder(const BitArrayEncoder &other)
-        : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_) {}
+        : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_),
+          follower_(other.follower_) {}
 
     // Whole bytes so far.
     size_t size() const { return encoder_.size(); }
@@ -52,30 +54,45 @@ public:
             code(contexts.data() + i * bits::INPUTS, sets.data()[i], values.data()[i] != 0);
     }
 
-    // Fetches what a bit with these contexts will need.
-    void prefetch(const uint32_t *contexts) {
-        mixer_.contexts(contexts);
-        mixer_.prefetch(0);
-    }
+    // Fetches counters (INPUTS) of a bit to come.
+    void fetch(const uint32_t *counters) { mixer_.fetch(counters); }
 
-    // Codes one bit with these INPUTS contexts and this weight set; returns it.
-    int code(const uint32_t *contexts, uint32_t set, int bit) {
+    // Codes one bit with these counters, as bits::Mixer::counters_of, and this weight set; returns it.
+    int code_with(const uint32_t *counters, uint32_t set, int bit) {
         bits::Mixed mixed;
-        mixer_.contexts(contexts);
-        encoder_.bit(bit, mixer_.mix(mixed, 0, set));
+        const int32_t p = mixer_.mix_with(mixed, counters, set);
+        encoder_.bit(bit, p);
+        follower_.expect(bit, p);
+        if (follower_.waiting() >= followed_from_) {
+            follower_.follow(encoder_.bytes(), false);
+            followed_from_ = follower_.waiting() + FOLLOWED_BITS;
+        }
         mixer_.learn(mixed, bit);
         return bit;
     }
 
-    nb::bytes finish() {
+    // Codes one bit with these INPUTS contexts.
+    int code(const uint32_t *contexts, uint32_t set, int bit) {
+        uint32_t counters[bits::INPUTS];
+        bits::Mixer::counters_of(contexts, counters);
+        return code_with(counters, set, bit);
+    }
+
+    // The bytes, and whether they decode to the bits.
+    nb::tuple finish() {
         const std::vector<uint8_t> out = encoder_.finish();
-        return nb::bytes(reinterpret_cast<const char *>(out.data()), out.size());
+        follower_.follow(out, true);
+        return nb::make_tuple(nb::bytes(reinterpret_cast<const char *>(out.data()), out.size()), follower_.has_found_all());
     }
 
 private:
+    static constexpr size_t FOLLOWED_BITS = 1 << 13;  // that are decoded together
+
     OwnTables tables_;
     bits::Mixer mixer_;
     bits::Encoder encoder_;
+    bits::Follower follower_;
+    size_t followed_from_ = FOLLOWED_BITS;
 };
 
 class BitArrayDecoder {
@@ -92,19 +109,22 @@ public:
         return out.give({n});
     }
 
-    // Fetches what a bit with these contexts will need.
-    void prefetch(const uint32_t *contexts) {
-        mixer_.contexts(contexts);
-        mixer_.prefetch(0);
-    }
+    // Fetches counters (INPUTS) of a bit to come.
+    void fetch(const uint32_t *counters) { mixer_.fetch(counters); }
 
-    // As BitArrayEncoder::code; the bit that is given has no meaning.
-    int code(const uint32_t *contexts, uint32_t set, int) {
+    // As BitArrayEncoder::code_with; the bit that is given has no meaning.
+    int code_with(const uint32_t *counters, uint32_t set, int) {
         bits::Mixed mixed;
-        mixer_.contexts(contexts);
-        const int bit = decoder_.bit(mixer_.mix(mixed, 0, set));
+        const int bit = decoder_.bit(mixer_.mix_with(mixed, counters, set));
         mixer_.learn(mixed, bit);
         return bit;
+    }
+
+    // Decodes one bit with these INPUTS contexts.
+    int code(const uint32_t *contexts, uint32_t set, int) {
+        uint32_t counters[bits::INPUTS];
+        bits::Mixer::counters_of(contexts, counters);
+        return code_with(counters, set, 0);
     }
 
     bool at_end() const { return decoder_.at_end(); }

@@ -50,6 +50,8 @@ inline uint64_t cell_key(int64_t x, int64_t y, int64_t z) { return uint64_t(x) |
 // Rows by 64-bit key: open addressing with linear probing, behind a filter that knows most keys that are not there.
 class KeyTable {
 public:
+    static constexpr uint64_t HASH = 0x9E3779B97F4A7C15u;
+
     explicit KeyTable(size_t keys) {
         size_t slots = 16;
         while (slots < 2 * keys) slots *= 2;
@@ -67,8 +69,10 @@ public:
     }
 
     // The row of this key, −1 without one.
-    int32_t find(uint64_t key) const {
-        const uint64_t hash = key * HASH;
+    int32_t find(uint64_t key) const { return find(key, key * HASH); }
+
+    // The same with the product of the key and HASH.
+    int32_t find(uint64_t key, uint64_t hash) const {
         if (!(filter_[hash >> 54] >> (hash >> 48 & 63) & 1)) return -1;
         for (size_t at = slot(hash); keys_[at] != EMPTY; at = (at + 1) & (keys_.size() - 1))
             if (keys_[at] == key) return rows_[at];
@@ -76,7 +80,7 @@ public:
     }
 
 private:
-    static constexpr uint64_t EMPTY = ~uint64_t(0), HASH = 0x9E3779B97F4A7C15u;
+    static constexpr uint64_t EMPTY = ~uint64_t(0);
 
     size_t slot(uint64_t hash) const { return (hash >> 32) & (keys_.size() - 1); }
 
@@ -85,6 +89,27 @@ private:
     std::vector<uint64_t> keys_;
     std::vector<int32_t> rows_;
 };
+
+// A step to one of the 27 cells around a cube. key: added to that of the cube. axes: along how many it leads.
+struct Around {
+    int32_t x, y, z;
+    uint64_t key;
+    int64_t axes;
+};
+
+struct AllAround {
+    std::array<Around, 27> of;
+    AllAround() {
+        static constexpr int32_t STEPS[3] = {0, -1, 1};
+        for (size_t k = 0; k < of.size(); ++k) {
+            const int32_t x = STEPS[k / 9], y = STEPS[k / 3 % 3], z = STEPS[k % 3];
+            const uint64_t key = uint64_t(x) + (uint64_t(y) << 21) + (uint64_t(z) << 42);
+            of[k] = {x, y, z, key, int64_t(x != 0) + (y != 0) + (z != 0)};
+        }
+    }
+};
+
+const AllAround AROUND;
 
 class Surface {
 public:
@@ -265,12 +290,17 @@ private:
     // The nearest of the samples in the 27 cells around a cube, or `row` if none is nearer.
     int32_t nearest_around(const std::array<int32_t, 3> &place, const Place &centre, int level, int64_t size,
                            const Cells &cells, int32_t row) const {
-        static constexpr int STEPS[3] = {0, 1, -1};
         const int32_t side = int32_t(1) << level;
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
-        const auto search = [&](int32_t x, int32_t y, int32_t z) {
-            if (x < 0 || y < 0 || z < 0 || x >= side || y >= side || z >= side) return;
-            const int32_t cell = cells.at.find(cell_key(x, y, z));
+        const uint64_t key = cell_key(place[0], place[1], place[2]), hash = key * KeyTable::HASH;
+        bool is_inner = true;  // all cells around are within the octree
+        for (int32_t v : place) is_inner &= v > 0 && v < side - 1;
+        const auto search = [&](const Around &step) {
+            if (!is_inner) {
+                const int32_t x = place[0] + step.x, y = place[1] + step.y, z = place[2] + step.z;
+                if (x < 0 || y < 0 || z < 0 || x >= side || y >= side || z >= side) return;
+            }
+            const int32_t cell = cells.at.find(key + step.key, hash + step.key * KeyTable::HASH);
             if (cell < 0) return;
             for (int32_t other : cells.first[size_t(cell)]) {
                 if (other < 0) break;
@@ -278,13 +308,10 @@ private:
                 if (own < best) best = own, row = other;
             }
         };
-        search(place[0], place[1], place[2]);
+        search(AROUND.of[0]);
         const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
-        for (int k = 1; k < 27 && quarter < best; ++k) {
-            const int x = k / 9, y = k / 3 % 3, z = k % 3;
-            if (((x > 0) + (y > 0) + (z > 0)) * quarter >= best) continue;  // all of the cell is as far
-            search(place[0] - STEPS[x], place[1] - STEPS[y], place[2] - STEPS[z]);
-        }
+        for (size_t k = 1; k < AROUND.of.size() && quarter < best; ++k)
+            if (AROUND.of[k].axes * quarter < best) search(AROUND.of[k]);  // otherwise all of the cell is as far
         return row;
     }
 
@@ -309,7 +336,7 @@ private:
                 sum += uint64_t(total[size_t(around[k])]);
                 cubes += count[size_t(around[k])];
             }
-            result[s] = floor_division(int64_t(sum), cubes);
+            result[s] = floor_quotient(int64_t(sum), cubes);
         }
         return result;
     }

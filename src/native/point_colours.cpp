@@ -72,12 +72,12 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
         }
         int64_t total = 0, sums[3] = {0, 0, 0};
         for (size_t k = 0; k < nearest.count; ++k) {
-            const int64_t weight = PLACE_WEIGHT / (nearest.square[k] + PLACE_SOFTENING);
+            const int64_t weight = floor_quotient(PLACE_WEIGHT, nearest.square[k] + PLACE_SOFTENING);
             total += weight;
             for (int d = 0; d < 3; ++d) sums[d] += weight * colours.data()[3 * nearest.at[k] + size_t(d)];
         }
         total = std::max<int64_t>(total, 1);
-        for (int d = 0; d < 3; ++d) out.data[3 * i + size_t(d)] = floor_division(sums[d] + total / 2, total);
+        for (int d = 0; d < 3; ++d) out.data[3 * i + size_t(d)] = floor_quotient(sums[d] + total / 2, total);
     }
     return out.give({n, 3});
 }
@@ -180,7 +180,7 @@ private:
         int64_t total = 0, mean[3] = {0, 0, 0}, error[3] = {0, 0, 0}, magnitude[3] = {0, 0, 0};
         for (size_t k = 0; k < nearest.count; ++k) {
             const int64_t square = nearest.square[k] + CELL_SOFTENING;
-            const int64_t weight = square < CELL_WEIGHT ? int64_t(uint32_t(CELL_WEIGHT) / uint32_t(square)) : 1;
+            const int64_t weight = square < CELL_WEIGHT ? floor_quotient(CELL_WEIGHT, square) : 1;
             total += weight;
             for (size_t d = 0; d < 3; ++d) {
                 const int64_t colour = known[nearest.at[k]][d], own = colour - bases_[nearest.at[k]][d];
@@ -190,10 +190,10 @@ private:
             }
         }
         for (size_t d = 0; d < 3; ++d) {
-            const int32_t middle = int32_t(floor_division(mean[d], total));
+            const int32_t middle = int32_t(floor_quotient(mean[d], total));
             if (!is_expected) result.base[d] = middle;
-            result.correction[d] = int32_t(floor_division(error[d], total));
-            result.activity[d] = int32_t(magnitude[d] / total);
+            result.correction[d] = int32_t(floor_quotient(error[d], total));
+            result.activity[d] = int32_t(floor_quotient(magnitude[d], total));
             for (size_t k = 0; k < nearest.count; ++k)
                 result.spread[d] = std::max(result.spread[d], std::abs(known[nearest.at[k]][d] - middle));
         }
@@ -204,34 +204,55 @@ private:
     template <class Coder>
     void code_integers(Coder &coder, const int64_t *wanted, uint32_t level) {
         const size_t n = place_.size();
-        const auto code = [&](uint32_t kind, size_t row, int bit) {
-            const auto &[channel, activity, spread, coded] = place_[row];
-            const uint32_t base = channel * KINDS + kind;
-            const uint32_t contexts[bits::INPUTS] = {
-                base * ACTIVITIES + activity, base * CLASSES + coded, (base * ACTIVITIES + spread) * LEVELS + level,
-                (base * ACTIVITIES + activity) * CLASSES + coded, (base * ACTIVITIES + spread) * ACTIVITIES + activity};
-            return coder.code(contexts, base * CLASSES + coded, bit);
+        // Codes a bit of the first `count` integers `rows`, or of all integers. The counters of a batch are in the cache in time.
+        const auto code = [&](uint32_t kind, const size_t *rows, size_t count, const auto &bit_of, const auto &take) {
+            constexpr size_t BATCH = 32;
+            uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
+            for (size_t start = 0; start < count; start += BATCH) {
+                const size_t stop = std::min(start + BATCH, count);
+                for (size_t i = start; i < stop; ++i) {
+                    const auto &[channel, activity, spread, coded] = place_[rows ? rows[i] : i];
+                    const uint32_t base = channel * KINDS + kind;
+                    const uint32_t contexts[bits::INPUTS] = {
+                        base * ACTIVITIES + activity, base * CLASSES + coded, (base * ACTIVITIES + spread) * LEVELS + level,
+                        (base * ACTIVITIES + activity) * CLASSES + coded,
+                        (base * ACTIVITIES + spread) * ACTIVITIES + activity};
+                    bits::Mixer::counters_of(contexts, counters[i - start]);
+                    coder.fetch(counters[i - start]);
+                    sets[i - start] = base * CLASSES + coded;
+                }
+                for (size_t i = start; i < stop; ++i) {
+                    const size_t row = rows ? rows[i] : i;
+                    take(row, coder.code_with(counters[i - start], sets[i - start], bit_of(row)));
+                }
+            }
         };
         const auto magnitude = [&](size_t row) { return wanted ? std::abs(wanted[row]) : 0; };
         found_.assign(n, 0);
         rest_.clear();
-        for (size_t i = 0; i < n; ++i) {
-            found_[i] = code(0, i, magnitude(i) > 0);
-            if (found_[i]) rest_.push_back(i);
-        }
+        code(0, nullptr, n, [&](size_t row) { return int(magnitude(row) > 0); }, [&](size_t row, int bit) {
+            found_[row] = bit;
+            if (bit) rest_.push_back(row);
+        });
         negative_.clear();
-        for (size_t row : rest_)
-            if (code(1, row, wanted && wanted[row] < 0)) negative_.push_back(row);
+        code(1, rest_.data(), rest_.size(), [&](size_t row) { return int(wanted && wanted[row] < 0); },
+             [&](size_t row, int bit) {
+                 if (bit) negative_.push_back(row);
+             });
         for (int size = 0; size < UNARY && !rest_.empty(); ++size) {
             size_t left = 0;
-            for (size_t row : rest_)
-                if (code(uint32_t(FIRST_MAGNITUDE + size), row, magnitude(row) > size + 1)) rest_[left++] = row;
+            code(uint32_t(FIRST_MAGNITUDE + size), rest_.data(), rest_.size(),
+                 [&](size_t row) { return int(magnitude(row) > size + 1); },
+                 [&](size_t row, int bit) {
+                     if (bit) rest_[left++] = row;
+                 });
             rest_.resize(left);
             for (size_t row : rest_) ++found_[row];
         }
         for (int digit = 0; digit < WIDE_BITS; ++digit)
-            for (size_t row : rest_)
-                found_[row] += int64_t(code(uint32_t(WIDE_KIND + digit), row, (magnitude(row) - UNARY - 1) >> digit & 1)) << digit;
+            code(uint32_t(WIDE_KIND + digit), rest_.data(), rest_.size(),
+                 [&](size_t row) { return int((magnitude(row) - UNARY - 1) >> digit & 1); },
+                 [&](size_t row, int bit) { found_[row] += int64_t(bit) << digit; });
         for (size_t row : negative_) found_[row] = -found_[row];
     }
 

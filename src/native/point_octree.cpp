@@ -63,18 +63,20 @@ Level children_of(const Level &level) {
         end += bits_of(level.known[i]);
     }
     Level next;
-    next.codes.reserve(size_t(end));
-    next.places.reserve(size_t(end));
-    next.neighbours.reserve(size_t(end));
-    next.nearest.reserve(size_t(end));
+    next.codes.resize(size_t(end));
+    next.places.resize(size_t(end));
+    next.neighbours.resize(size_t(end));
+    next.nearest.resize(size_t(end));
     next.known.assign(size_t(end) + 1, 0);
+    size_t row = 0;
     for (size_t i = 0; i < level.size(); ++i)
         for (int octant = 0; octant < 8; ++octant) {
             if (!(level.known[i] >> octant & 1)) continue;
-            next.codes.push_back(level.codes[i] << 3 | uint64_t(octant));
-            next.nearest.push_back(level.nearest[i]);
-            std::array<int32_t, 3> place;
-            std::array<int32_t, 6> around;
+            next.codes[row] = level.codes[i] << 3 | uint64_t(octant);
+            next.nearest[row] = level.nearest[i];
+            std::array<int32_t, 3> &place = next.places[row];
+            std::array<int32_t, 6> &around = next.neighbours[row];
+            ++row;
             for (int axis = 0; axis < 3; ++axis) {
                 const int bit = octant >> axis & 1;
                 place[size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
@@ -83,8 +85,6 @@ Level children_of(const Level &level) {
                     around[size_t(2 * axis + side)] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
                 }
             }
-            next.places.push_back(place);
-            next.neighbours.push_back(around);
         }
     return next;
 }
@@ -100,6 +100,38 @@ std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const Level
     }
     return masks;
 }
+
+// The posteriors of an octant in a batch of cubes, and what is left of their weights. The quotients of floats are exact
+// enough: numerators are below 2^19, and quotients at most POSTERIORS.
+class Posteriors {
+public:
+    static constexpr size_t CUBES = 32;
+
+    Posteriors() {
+        std::fill_n(below_, 2 * CUBES, 1.0f);
+        std::fill_n(quotients_, 2 * CUBES, NO_HINT);
+    }
+
+    void take(Hints *hints, size_t count, int octant) {
+        for (size_t k = 0; k < count; ++k) {
+            Hints &own = hints[k];
+            above_[k] = float(own.narrow[octant] * POSTERIORS), below_[k] = float(own.narrow_left + 1);
+            above_[CUBES + k] = float(own.wide[octant] * POSTERIORS), below_[CUBES + k] = float(own.wide_left + 1);
+            own.narrow_left -= own.narrow[octant];
+            own.wide_left -= own.wide[octant];
+        }
+        for (size_t k = 0; k < 2 * CUBES; ++k) quotients_[k] = int32_t(above_[k] / below_[k]);
+        for (size_t k = 0; k < count; ++k)
+            if (!hints[k].usable) quotients_[k] = quotients_[CUBES + k] = NO_HINT;
+    }
+
+    int narrow(size_t k) const { return quotients_[k]; }
+    int wide(size_t k) const { return quotients_[CUBES + k]; }
+
+private:
+    float above_[2 * CUBES] = {}, below_[2 * CUBES];
+    int32_t quotients_[2 * CUBES];
+};
 
 class Tree {
 public:
@@ -165,33 +197,32 @@ private:
     // batch of cubes come before its bits, and their counters are in the cache in time.
     template <class Coder>
     void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
-        constexpr size_t BATCH = 32;
-        uint32_t contexts[BATCH][bits::INPUTS], sets[BATCH];
+        constexpr size_t BATCH = Posteriors::CUBES;
+        uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
+        Posteriors posteriors;
         const int tall = std::min(height, 15), set = std::min(height, 20) * 4;
         for (size_t start = 0; start < level_.size(); start += BATCH) {
             const size_t stop = std::min(start + BATCH, level_.size());
+            if (surface_) posteriors.take(&hints_[start], stop - start, octant);
             for (size_t i = start; i < stop; ++i) {
                 const int few = std::min(bits_of(level_.known[i]), 3);
-                set_contexts(contexts[i - start], i, octant, few, tall, left);
+                uint32_t contexts[bits::INPUTS];
+                set_contexts(contexts, i, octant, few, tall, left, posteriors.narrow(i - start), posteriors.wide(i - start));
                 sets[i - start] = uint32_t((set + few) * 3 + (surface_ ? 1 + hints_[i].usable : 0));
-                coder.prefetch(contexts[i - start]);
+                bits::Mixer::counters_of(contexts, counters[i - start]);
+                coder.fetch(counters[i - start]);
             }
             for (size_t i = start; i < stop; ++i) {
                 int bit = 1;
                 if (left || level_.known[i])
-                    bit = coder.code(contexts[i - start], sets[i - start], occupied ? occupied[i] >> octant & 1 : 0);
+                    bit = coder.code_with(counters[i - start], sets[i - start], occupied ? occupied[i] >> octant & 1 : 0);
                 level_.known[i] = uint8_t(level_.known[i] | bit << octant);
             }
-        }
-        if (!surface_) return;
-        for (Hints &hints : hints_) {
-            hints.narrow_left -= hints.narrow[octant];
-            hints.wide_left -= hints.wide[octant];
         }
     }
 
     // The contexts of an octant of cube i; docs/payloads/bodycast-points.md has the table.
-    void set_contexts(uint32_t *contexts, size_t i, int octant, int few, int tall, int left) const {
+    void set_contexts(uint32_t *contexts, size_t i, int octant, int few, int tall, int left, int narrow, int wide) const {
         const unsigned known = level_.known[i];
         int beside = 0, nearby = 0;
         for (int axis = 0; axis < 3; ++axis) {
@@ -206,15 +237,10 @@ private:
             beside = beside * 4 + 2 * inner + outer;
             nearby += inner + outer;
         }
-        int narrow = NO_HINT, wide = NO_HINT, distance = FAR, samples = 0;
+        int distance = FAR, samples = 0;
         if (surface_) {
-            const Hints &hints = hints_[i];
-            samples = hints.samples[octant];
-            if (hints.usable) {
-                narrow = hints.narrow[octant] * POSTERIORS / (hints.narrow_left + 1);
-                wide = hints.wide[octant] * POSTERIORS / (hints.wide_left + 1);
-                distance = hints.distance[octant];
-            }
+            samples = hints_[i].samples[octant];
+            if (hints_[i].usable) distance = hints_[i].distance[octant];
         }
         contexts[0] = uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled_[i]);
         contexts[1] = uint32_t(narrow * 4 + few);

@@ -65,21 +65,27 @@ public:
         const size_t most = (around_ + 1) * PER_SAMPLE + LANES;
         for (auto *values : {&x_, &y_, &z_, &u_, &v_, &w_, &weights_, &distances_}) values->resize(most, 0.0);
         rows_.resize(most);
+        std::array<int64_t, 3> low, high;
+        low.fill(std::numeric_limits<int64_t>::max());
+        high.fill(std::numeric_limits<int64_t>::min());
+        for (size_t i = 0; i < cells.size(); ++i) {
+            low[i % 3] = std::min(low[i % 3], cells_[i]);
+            high[i % 3] = std::max(high[i % 3], cells_[i]);
+        }
+        is_near_ = true;
+        for (size_t d = 0; cells.size() && d < 3; ++d) is_near_ &= high[d] - NEAR <= low[d];
     }
 
     void gather(const PointsOfSamples &of, size_t sample) {
         size_ = 0;
-        low_.fill(std::numeric_limits<int64_t>::max());
-        high_.fill(std::numeric_limits<int64_t>::min());
         add(of, sample, sample);
         for (size_t k = 0; k < around_; ++k) add(of, sample, size_t(neighbours_[sample * around_ + k]));
     }
 
     Move move(size_t point) {
         const int64_t *place = cells_ + 3 * point;
-        for (size_t d = 0; d < 3; ++d)
-            if (size_ && (high_[d] - place[d] > NEAR || place[d] - low_[d] > NEAR)) return distant_move(point);
-        return near_move(double(place[0]), double(place[1]), double(place[2]), int32_t(point));
+        if (is_near_ || all_are_near(place)) return near_move(double(place[0]), double(place[1]), double(place[2]), int32_t(point));
+        return distant_move(point);
     }
 
 private:
@@ -89,6 +95,13 @@ private:
     static constexpr double OFFSET = 1 << 29;
     static constexpr size_t LANES = 4;  // sums side by side
 
+    bool all_are_near(const int64_t *place) const {
+        for (size_t k = 0; k < size_; ++k)
+            for (size_t d = 0; d < 3; ++d)
+                if (std::abs(cells_[3 * size_t(rows_[k]) + d] - place[d]) > NEAR) return false;
+        return true;
+    }
+
     // Adds the references of another sample, if it faces the same way.
     void add(const PointsOfSamples &of, size_t sample, size_t other) {
         const int64_t *own = normals_ + 3 * sample, *away = normals_ + 3 * other;
@@ -97,10 +110,6 @@ private:
             const int32_t row = of.reference(other, k);
             const int64_t *place = cells_ + 3 * row;
             rows_[size_] = row;
-            for (size_t d = 0; d < 3; ++d) {
-                low_[d] = std::min(low_[d], place[d]);
-                high_[d] = std::max(high_[d], place[d]);
-            }
             x_[size_] = double(place[0]), y_[size_] = double(place[1]), z_[size_] = double(place[2]);
             u_[size_] = double(own[0] + away[0]), v_[size_] = double(own[1] + away[1]), w_[size_] = double(own[2] + away[2]);
         }
@@ -166,7 +175,7 @@ private:
     const size_t around_;
     const int64_t square_;
     size_t size_ = 0;
-    std::array<int64_t, 3> low_, high_;  // of the references' places
+    bool is_near_;  // all points of the frame to one another
     std::vector<int32_t> rows_;
     std::vector<double> x_, y_, z_, u_, v_, w_;  // places of the references; sums of normals
     std::vector<double> weights_, distances_;

@@ -53,6 +53,21 @@ Place plane_normal(const std::array<Place, NEIGHBOURS> &apart) {
     return column;
 }
 
+// points (m, 3), m > NEIGHBOURS, below 2^30 in magnitude. (m, NEIGHBOURS): the other points nearest to each, equal ones by row.
+Output<int64_t> nearest_others(Input<int64_t, 2> points) {
+    const size_t m = points.shape(0);
+    if (points.shape(1) != 3 || m <= size_t(NEIGHBOURS)) throw std::invalid_argument("nearest_others: shapes differ");
+    std::vector<Place> own(m);
+    for (size_t i = 0; i < m; ++i)
+        for (size_t d = 0; d < 3; ++d) {
+            own[i][d] = points.data()[3 * i + d];
+            if (std::abs(own[i][d]) >= int64_t(1) << 30) throw std::invalid_argument("nearest_others: range");
+        }
+    Fresh<int64_t> rows(m * NEIGHBOURS);
+    NearestOthers(own).find<NEIGHBOURS>(rows.data.get());
+    return rows.give({m, size_t(NEIGHBOURS)});
+}
+
 // points (m, 3): distinct, below 2^24. (places, normals, neighbours) as surface_of_points.
 nb::tuple surface_of_points(Input<int64_t, 2> points) {
     const size_t m = points.shape(0);
@@ -101,4 +116,7 @@ nb::tuple surface_of_points(Input<int64_t, 2> points) {
 
 }  // namespace
 
-void bind_reference_surface(nb::module_ &m) { m.def("surface_of_points", &surface_of_points); }
+void bind_reference_surface(nb::module_ &m) {
+    m.def("nearest_others", &nearest_others);
+    m.def("surface_of_points", &surface_of_points);
+}

@@ -14,7 +14,8 @@ namespace {
 
 constexpr int TURN_BITS = 20, SHARE_BITS = 12, NORMAL_BITS = 10;
 constexpr size_t SMOOTHED = 6;
-constexpr int64_t COUNT_UNIT = 16, PRIOR_UNITS = 32, KEPT_FIFTHS = 4, FARTHEST = 983, LARGEST_PLACE = 1 << 23;
+constexpr int64_t COUNT_UNIT = 16, PRIOR_UNITS = 32, KEPT_FIFTHS = 4, FARTHEST = 983, MAX_ASIDE = 2621;
+constexpr int64_t LARGEST_PLACE = 1 << 23;
 
 using Rows = Input<int64_t, 1>;
 using Numbers = Input<int64_t, 2>;
@@ -102,7 +103,7 @@ Output<int64_t> corrected_places(Rows rows, Numbers places, Numbers normals, Num
             distance += distances.data()[other];
             count += counts.data()[other];
         }
-        const int64_t offset = floor_division(COUNT_UNIT * distance, count);
+        const int64_t offset = floor_quotient(COUNT_UNIT * distance, count);
         for (size_t d = 0; d < 3; ++d)
             out.data[3 * i + d] = places.data()[3 * i + d] + (int64_t(product(offset, normals.data()[3 * i + d])) >> NORMAL_BITS);
     }
@@ -119,8 +120,8 @@ void learn_places(Rows rows, Numbers places, Numbers normals, Numbers points, Ro
     require(counts.shape(0) == table);
     require_rows(rows.data(), m, table);
     for (size_t s = 0; s < table; ++s) {
-        distances.data()[s] = floor_division(distances.data()[s] * KEPT_FIFTHS, 5);
-        counts.data()[s] = floor_division(counts.data()[s] * KEPT_FIFTHS, 5);
+        distances.data()[s] = floor_quotient(distances.data()[s] * KEPT_FIFTHS, 5);
+        counts.data()[s] = floor_quotient(counts.data()[s] * KEPT_FIFTHS, 5);
     }
     for (size_t i = 0; i < n; ++i) {
         const int64_t sample = samples.data()[i];
@@ -135,6 +136,31 @@ void learn_places(Rows rows, Numbers places, Numbers normals, Numbers points, Ro
         distances.data()[row] += distance;
         counts.data()[row] += COUNT_UNIT;
     }
+}
+
+// reference_points.explained_points: places and normals (m, 3) of a frame, points (n, 3), and the sample near each (n),
+// negative without one.
+Output<uint8_t> explained_points(Numbers places, Numbers normals, Numbers points, Rows nearest) {
+    const size_t m = places.shape(0), n = nearest.shape(0);
+    require_shape(places, m);
+    require_shape(normals, m);
+    require_shape(points, n);
+    Fresh<uint8_t> out(n);
+    for (size_t i = 0; i < n; ++i) {
+        const int64_t sample = nearest.data()[i];
+        out.data[i] = 0;
+        if (sample < 0) continue;
+        require(size_t(sample) < m);
+        uint64_t sum = 0, square = 0;
+        for (size_t d = 0; d < 3; ++d) {
+            const int64_t apart = points.data()[3 * i + d] - places.data()[3 * size_t(sample) + d];
+            sum += product(apart, normals.data()[3 * size_t(sample) + d]);
+            square += product(apart, apart);
+        }
+        const int64_t distance = int64_t(sum) >> NORMAL_BITS;
+        out.data[i] = distance <= FARTHEST && distance >= -FARTHEST && int64_t(square) <= MAX_ASIDE * MAX_ASIDE;
+    }
+    return out.give({n});
 }
 
 // ColourMemory.learn: rows (n), places and colours (n, 3); of the memory, which changes: places and colours (t, kept, 3) and
@@ -165,6 +191,7 @@ void bind_surface_memory(nb::module_ &m) {
     m.def("corrected_places", &corrected_places);
     m.def("learn_places", &learn_places, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(),
           nb::arg().noconvert());
+    m.def("explained_points", &explained_points);
     m.def("learn_colours", &learn_colours, nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(),
           nb::arg().noconvert());
 }

@@ -335,6 +335,7 @@ class Page implements Commands {
     return {
       frame: this.frame,
       shownFrame: view?.shownFrame ?? -1,
+      block: view?.decoded.blockFrames ?? 0,
       isPlaying: this.isPlaying,
       recordings: this.views.map((one) => one.facts.name),
       positions: view?.positions ? Array.from(view.positions.slice(0, 300)) : null,

@@ -170,6 +170,7 @@ export class Stage {
     if (isMoving === this.isMoving) return;
     this.isMoving = isMoving;
     if (!this.isSoftware) return;
+    document.documentElement.toggleAttribute("data-layers", isMoving); // see style.css
     this.renderer.setPixelRatio(this.ratio);
     this.dirty = true;
   }

@@ -31,6 +31,7 @@ TURN_BITS = 20  # entries of rotation matrices are in 2^-20
 SHARE_BITS = 12  # shares of links are in 2^-12
 SMOOTHING_ROUNDS = 3  # over which the shares of links spread to neighbouring samples
 MAX_PLACE_M = 1 << 14
+MAX_COORDINATE = 1 << 30  # of points whose neighbours the compiled search finds
 TIES = 8  # samples at the same distance that a search may end with
 
 
@@ -72,7 +73,7 @@ class IntegerSurface:
     def build(samples: SurfaceSamples, canonical: Floats, shift: int, links: int) -> IntegerSurface:
         """shift: of the rounding of `values`. links: of the body."""
         both = rounded(IntegerSurface.values(samples, canonical), shift)
-        points, normals = both[:, :3], both[:, 3:]
+        points, normals = np.ascontiguousarray(both[:, :3]), np.ascontiguousarray(both[:, 3:])
         neighbours = nearest_samples(points, normals)
         pairs, shares = _blended_links(np.asarray(samples.links, np.int64), neighbours, links)
         return IntegerSurface(points, normals, neighbours, pairs, shares)
@@ -110,10 +111,29 @@ def nearest_samples(points: Integers, normals: Integers) -> Integers:
     """(m, NEIGHBOURS): of the NEIGHBOURS nearest samples around each those that face the same way, nearest first, then
     itself. Equal distances in the order of rows.
     """
+    count = len(points)
+    own = np.arange(count)[:, None]
+    found, kernel = None, native.kernel("nearest_others")
+    if kernel is not None and count > NEIGHBOURS and np.abs(points).max() < MAX_COORDINATE:
+        found = np.asarray(kernel(points))
+        if (points[found[:, 0]] == points).all(axis=1).any():
+            found = None  # the search in a tree counts points at one place in another way
+    if found is None:
+        found = _nearest_in_tree(points)
+    faces_alike = (normals[found] * normals[:, None]).sum(axis=2) > 0
+    others = faces_alike & (found != own)
+    order = np.argsort(~others, axis=1, kind="stable")[:, :NEIGHBOURS]
+    result = np.repeat(own, NEIGHBOURS, axis=1)
+    kept = np.take_along_axis(np.where(others, found, own), order, axis=1)
+    result[:, : kept.shape[1]] = kept
+    return result
+
+
+def _nearest_in_tree(points: Integers) -> Integers:
+    """(m, NEIGHBOURS + 1), or fewer columns for fewer points: the nearest of the points (m, 3), itself among them."""
     from scipy.spatial import KDTree
 
     count = len(points)
-    own = np.arange(count)[:, None]
     taken = min(NEIGHBOURS + 1, count)
     searched = min(taken + TIES, count)
     found = np.asarray(KDTree(points).query(points, searched)[1], np.int64).reshape(count, searched)
@@ -124,14 +144,7 @@ def nearest_samples(points: Integers, normals: Integers) -> Integers:
         for row in np.flatnonzero(square[:, taken - 1] == square[:, -1]).tolist():
             every = ((points - points[row]) ** 2).sum(axis=1)
             found[row] = np.lexsort((np.arange(count), every))[:searched]
-    found = found[:, :taken]
-    faces_alike = (normals[found] * normals[:, None]).sum(axis=2) > 0
-    others = faces_alike & (found != own)
-    order = np.argsort(~others, axis=1, kind="stable")[:, :NEIGHBOURS]
-    result = np.repeat(own, NEIGHBOURS, axis=1)
-    kept = np.take_along_axis(np.where(others, found, own), order, axis=1)
-    result[:, : kept.shape[1]] = kept
-    return result
+    return found[:, :taken]
 
 
 def _blended_links(links: Integers, neighbours: Integers, count: int) -> tuple[Integers, Integers]:
@@ -139,11 +152,14 @@ def _blended_links(links: Integers, neighbours: Integers, count: int) -> tuple[I
     shares = np.zeros((len(links), count), np.int64)
     shares[np.arange(len(links)), links] = 1 << SHARE_BITS
     for _ in range(SMOOTHING_ROUNDS):
-        shares = (4 * shares + shares[neighbours].sum(axis=1)) // (4 + NEIGHBOURS)
+        total = 4 * shares
+        for column in neighbours.T:
+            total += shares[column]
+        shares = total // (4 + NEIGHBOURS)
     order = np.argsort(-shares, axis=1, kind="stable")[:, :2] if count > 1 else np.zeros((len(links), 2), np.int64)
     first, second = (np.take_along_axis(shares, order[:, k : k + 1], axis=1)[:, 0] for k in (0, 1))
     order[second <= 0, 1] = order[second <= 0, 0]
-    return order, (first << SHARE_BITS) // np.maximum(first + np.where(second > 0, second, 0), 1)
+    return np.ascontiguousarray(order), (first << SHARE_BITS) // np.maximum(first + np.where(second > 0, second, 0), 1)
 
 
 def hints_of_frame(
@@ -181,6 +197,7 @@ def hints_of_samples(
 
 def _spacing_of(points: Integers, neighbours: Integers) -> int:
     """The median distance of samples (m, 3) from the first of their neighbours (m, k), at least 1."""
-    gaps = ((points[neighbours[:, 0]] - points) ** 2).sum(axis=1)
+    x, y, z = (points[neighbours[:, 0]] - points).T
+    gaps = x * x + y * y + z * z
     middle = len(gaps) // 2
     return max(math.isqrt(int(np.partition(gaps, middle)[middle])), 1)

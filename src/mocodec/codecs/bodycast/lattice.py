@@ -35,11 +35,11 @@ def nearest(points: Floats, step_m: float) -> Integers:
     scaled = points / step_m
     even = 2 * np.round(scaled / 2)
     odd = 2 * np.round((scaled - 1) / 2) + 1
-    is_odd = _squares(scaled - odd) < _squares(scaled - even)
+    is_odd = squares(scaled - odd) < squares(scaled - even)
     return np.where(is_odd[:, None], odd, even).astype(np.int64)
 
 
-def _squares(offsets: Floats) -> Floats:
+def squares(offsets: Floats) -> Floats:
     """Squared lengths (n,), column by column: a sum over the short axis takes three times as long."""
     x, y, z = offsets.T
     return x * x + y * y + z * z

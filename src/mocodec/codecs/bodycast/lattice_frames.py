@@ -36,7 +36,7 @@ class LatticeFrame(NamedTuple):
 
     def own_distances(self, decoded: Floats) -> Floats:
         """(m,): the distance of each original from its own decoded point, metres. decoded (n, 3): of the codes."""
-        return np.linalg.norm(self.originals - decoded[self.rows], axis=1)
+        return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
 
 
 @dataclass(frozen=True)

@@ -285,11 +285,14 @@ class _OctreeOfFrame:
         """
         points, table = self.grid.places(cells), self.scene.table
         bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
-        samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
         of_bodies = np.where(nearest < bodies, nearest, -1)
-        known = np.flatnonzero(of_bodies >= 0)
-        samples[known] = self.surface.rows[nearest[known]]
-        places[known] = table.canonical(self.surface, points[known], nearest[known])
+        if len(cells) and of_bodies.min() >= 0:
+            samples, places = self.surface.rows[nearest], table.canonical(self.surface, points, nearest)
+        else:
+            samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
+            known = np.flatnonzero(of_bodies >= 0)
+            samples[known] = self.surface.rows[nearest[known]]
+            places[known] = table.canonical(self.surface, points[known], nearest[known])
         self.scene.learn(self.surface, points, of_bodies)
         self.earlier.move(seen.reference.motion)
         self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
@@ -310,14 +313,14 @@ class _OctreeOfFrame:
     ) -> Floats:
         """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
         smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
+        moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
         if frame is not None:
-            moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
             away = frame.own_distances(moved)
             stays = np.zeros(len(cells), bool)
             stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
-        stays = point_smoothing.code_stays(coder, smoothed, stays)
-        shifts = np.where(stays[:, None], 0, smoothed.shifts)
-        return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
+        stays = np.flatnonzero(point_smoothing.code_stays(coder, smoothed, stays))
+        moved[stays] = self.grid.shifted_positions(cells[stays], 0 * cells[stays], point_smoothing.FINE_BITS)
+        return moved
 
 
 class ColoursOfChunk:
@@ -329,7 +332,9 @@ class ColoursOfChunk:
 
     def code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Bytes:
         """The decoded colours (n, 3) of a frame; wanted: YCoCg (n, 3), None in the decoder. Raises Corrupt."""
-        return self.code_repeated(coder, wanted, points, np.zeros(len(points.cells), np.int64))
+        colours = self._code(coder, wanted, points)
+        self._keep(colours)
+        return point_colours.rgb_from_ycocg(colours)
 
     def code_repeated(
         self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints, repeats: Integers
@@ -339,16 +344,31 @@ class ColoursOfChunk:
             np.repeat(values, repeats + 1, axis=0)
             for values in (points.samples, points.places, points.cells, points.nearest)
         )
-        known, referring = samples >= 0, nearest >= 0
-        expected = np.zeros((len(known), 3), np.int64)
-        expected[known] = self.memory.expected(samples[known], places[known])
-        if points.references is not None:
-            expected[referring] = points.references.expected(self.decoded, cells[referring], nearest[referring])
-        colours = self.lifting.code_frame(coder, wanted, cells, expected, known | referring)
-        self.memory.learn(samples[known], places[known], colours[known])
-        first = np.cumsum(repeats + 1) - repeats - 1
-        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours[first]]
+        every = points._replace(samples=samples, places=places, cells=cells, nearest=nearest)
+        colours = self._code(coder, wanted, every)
+        self._keep(colours[np.cumsum(repeats + 1) - repeats - 1])
         return point_colours.rgb_from_ycocg(colours)
+
+    def _code(self, coder: BitCoder, wanted: Integers | None, points: LocatedPoints) -> Integers:
+        samples, nearest = points.samples, points.nearest
+        known, referring = np.flatnonzero(samples >= 0), nearest >= 0
+        has_all = len(known) == len(samples)
+        rows, places = (samples, points.places) if has_all else (samples[known], points.places[known])
+        expected = self.memory.expected(rows, places)
+        if not has_all:
+            every = np.zeros((len(samples), 3), np.int64)
+            every[known] = expected
+            expected = every
+        if points.references is not None:
+            cells = points.cells[referring]
+            expected[referring] = points.references.expected(self.decoded, cells, nearest[referring])
+        colours = self.lifting.code_frame(coder, wanted, points.cells, expected, (samples >= 0) | referring)
+        self.memory.learn(rows, places, colours if has_all else colours[known])
+        return colours
+
+    def _keep(self, colours: Integers) -> None:
+        """For later frames that refer to this one."""
+        self.decoded = [*self.decoded[1 - reference_points.MAX_FRAMES :], colours]
 
 
 def _unlearned_colours(coder: BitDecoder, texture: Integers, samples: Integers, step: int) -> Bytes:

@@ -92,10 +92,11 @@ class Scene:
         neighbours = _joined(self.surfaces, self._starts.tolist())
         self.table = SampleTable(
             np.concatenate([np.zeros((0, 3), np.int64), *(s.points for s in self.surfaces)]),
-            neighbours[:, : SEARCHED_SAMPLES - 1],
+            np.ascontiguousarray(neighbours[:, : SEARCHED_SAMPLES - 1]),
             np.concatenate([np.zeros((0, 3), np.int64), *(texture.colours for texture in bodies.textures)]),
         )
         self._memory = PlaceMemory(self.table)
+        self._neighbours = dict[tuple[int, ...], Integers]()  # of the samples of these bodies
 
     def posed(self, k: int, values: Sequence[Floats], shifts: Sequence[int]) -> PosedSurface:
         """The samples in frame k. values, shifts: `pose_values` and rounding shift of each body in the frame."""
@@ -105,15 +106,18 @@ class Scene:
             places, normals, turns = posed_samples(surface, value, shift)
             rows = np.arange(self._starts[b], self._starts[b + 1])
             parts.append((rows, places, normals, turns[surface.links[:, 0]]))
+        if len(parts) == 1:
+            return PosedSurface(*parts[0])
         nothing = np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64)
         return PosedSurface(*map(np.concatenate, zip((*nothing, np.zeros((0, 3, 3), np.int64)), *parts, strict=True)))
 
     def hints(self, k: int, frame: PosedSurface, step_m: float, corner: Integers, depth: int) -> SurfaceHints | None:
         """What the octree of frame k sees of the samples; None without bodies. Raises Corrupt."""
-        present = [self.surfaces[b] for b in self.bodies.present(k)]
-        starts = np.cumsum([0, *(len(s.points) for s in present)]).tolist()
-        places = self._memory.corrected(frame) if self.learns else frame.places
-        neighbours = _joined(present, starts)
+        present = tuple(self.bodies.present(k))
+        if present not in self._neighbours:
+            surfaces = [self.surfaces[b] for b in present]
+            self._neighbours[present] = _joined(surfaces, np.cumsum([0, *(len(s.points) for s in surfaces)]).tolist())
+        places, neighbours = self._memory.corrected(frame) if self.learns else frame.places, self._neighbours[present]
         return integer_surface.hints_of_frame(places, frame.normals, neighbours, step_m, corner, depth, self.smooths)
 
     def learn(self, frame: PosedSurface, points: Integers, samples: Integers) -> None:

@@ -16,7 +16,10 @@ from .surface_hints import NORMAL_BITS, SUBUNIT_BITS
 TRIED_FRAMES = (1, 2, MAX_FRAMES)  # numbers of earlier frames
 TRIED_EVERY = 4  # frames in which all choices are tried; in the others the best of the last trial
 FIRST_TRIALS = 3  # first frames in which all choices are tried
-UNEXPLAINED_SHARE = 0.03  # of the points of a frame, above which the next one is tried without bodies
+REFERRED_SHARE, UNEXPLAINED_SHARE = 0.02, 0.03
+"""Shares of the points of a frame that no body explains, from which earlier frames are tried for the next one: beside
+the bodies, and without them.
+"""
 MATCHED_POINTS = 1500  # of the frame before
 ROUNDS = 6
 FARTHEST_MEDIANS = 3.0  # distance of a match over the median distance
@@ -35,8 +38,10 @@ class ReferenceChoice:
         if self._coded >= FIRST_TRIALS and self._coded % TRIED_EVERY:
             hides = self._last.hides_bodies
             return self._moved(earlier, cells, depth, has_bodies and not hides, hides, (self._last.frames,))
-        found = [NO_REFERENCE, *self._moved(earlier, cells, depth, has_bodies, False, TRIED_FRAMES)]
-        if has_bodies and (not self._coded or earlier.unexplained_share() >= UNEXPLAINED_SHARE):
+        found, share = [NO_REFERENCE], earlier.unexplained_share()
+        if share >= REFERRED_SHARE or not has_bodies:
+            found += self._moved(earlier, cells, depth, has_bodies, False, TRIED_FRAMES)
+        if has_bodies and (share >= UNEXPLAINED_SHARE or not self._coded):
             found += [Reference(hides_bodies=True), *self._moved(earlier, cells, depth, False, True, TRIED_FRAMES)]
         return found
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import native
 from ...entropy import varint
 from ...errors import Corrupt
 from ...typing import Booleans, Integers
@@ -86,6 +87,8 @@ class EarlierFrames:
 
     def move(self, motion: Sequence[int]) -> None:
         """Move all points on by a step, lattice units."""
+        if not any(motion):
+            return
         for frame in self._frames:
             frame.cells = frame.cells + np.asarray(motion, np.int64)
 
@@ -129,6 +132,8 @@ def explained_points(surface: PosedSurface, points: Integers, nearest: Integers)
     """(n,): whether a body explains the points (n, 3), 2^-16 m. nearest (n,): a body's sample near each,
     negative without one.
     """
+    if (kernel := native.kernel("explained_points")) is not None:
+        return np.asarray(kernel(surface.places, surface.normals, points, nearest)).view(bool)
     result = nearest >= 0
     rows = nearest[result]
     aside = ((points[result] - surface.places[rows]) ** 2).sum(axis=1)
