@@ -17,7 +17,7 @@ from . import articulation, pose_search, stock_body
 from .articulation import Body
 from .capsules import capsule_distances, surface_distances
 from .gauss_newton import cross, link_motions
-from .pose_search import TRUNCATION_M, PoseHypotheses, PoseSearch
+from .pose_search import CHAINS, TRUNCATION_M, PoseHypotheses, PoseSearch
 
 MAX_SKELETON_DISTANCE_M = 0.3
 """A skeleton is elsewhere if the median distance of its links from the points is more than this, metres."""
@@ -89,7 +89,8 @@ def first_pose(points: Floats, up: str = "y") -> FittedSkeleton:
     starts = [estimate_of(poses, row) for row in range(len(poses.cost))]
     coarse = sorted((fitter.refine(start, WIDTHS[::2]) for start in starts), key=cost_of)
     best = min((fitter.refine(fitter.resample_limbs(one), WIDTHS) for one in coarse[:FINALISTS]), key=cost_of)
-    best = min(best, fitter.refine(fitter.turned_around(best), WIDTHS), key=cost_of)
+    others = [fitter.turned_around(best), *fitter.limbs_exchanged(best)]
+    best = min([best, *(fitter.refine(other, WIDTHS) for other in others)], key=cost_of)
     figure = fitter.figure(best, turn)
     if figure.error_m > MAX_FIT_ERROR_M:
         raise CannotEncode(
@@ -192,22 +193,29 @@ class StockBodyFitter:
 
     def turned_around(self, estimate: BodyEstimate) -> BodyEstimate:
         """The body facing the other way, with its right limbs where the left ones were."""
-        body = self.body
+        still = np.tile(np.eye(3), (len(self.body), 1, 1))
+        still[0] = estimate.rotations[0] @ np.diag([-1.0, 1, -1])
+        return self._exchanged(estimate, still, sum(CHAINS, ()))
+
+    def limbs_exchanged(self, estimate: BodyEstimate) -> list[BodyEstimate]:
+        """The estimate with left and right arms exchanged, and with left and right legs exchanged."""
+        return [self._exchanged(estimate, estimate.rotations, chain) for chain in CHAINS]
+
+    def _exchanged(self, estimate: BodyEstimate, rotations: Floats, chain: tuple[str, ...]) -> BodyEstimate:
+        """The estimate with these rotations (links, 3, 3), but the long bones of some limbs, named without their side,
+        in the directions of the other side's.
+        """
+        body, result = self.body, rotations.copy()
         a = self._posed(estimate.rotations, estimate.root, estimate.build).a
-        half_turn = np.diag([-1.0, 1, -1])
         world = np.array(a)
         for link, (name, parent) in enumerate(zip(body.names, body.parents, strict=True)):
+            above = world[parent] if parent >= 0 else np.eye(3)
             other = pose_search.mirrored_name(name)
-            if parent < 0:
-                world[link] = a[link] @ half_turn
-            elif other != name and not name.endswith(("Shoulder", "Hand", "Foot")):
+            if other != name and name.endswith(chain) and not name.endswith(("Hand", "Foot")):
                 direction = a[body.names.index(other)] @ body.axes[body.names.index(other)]
-                now = world[parent] @ body.axes[link]
-                world[link] = articulation.rotation_between(now, direction) @ world[parent]
-            else:
-                world[link] = world[parent]
-        rotations = [world[link] if p < 0 else world[p].T @ world[link] for link, p in enumerate(body.parents)]
-        return estimate._replace(rotations=np.array(rotations))
+                result[link] = above.T @ articulation.rotation_between(above @ body.axes[link], direction) @ above
+            world[link] = above @ result[link]
+        return estimate._replace(rotations=result)
 
     def refine(self, estimate: BodyEstimate, widths: tuple[float, ...]) -> BodyEstimate:
         """The estimate after one Gauss–Newton step per width, with its cost."""
@@ -255,11 +263,13 @@ class StockBodyFitter:
         return BodyEstimate(rotations, estimate.root + step[:3], build, np.inf)
 
     def _correspondences(self, posed: PosedCapsules, width: float) -> Correspondences:
-        """The nearest capsule of each point; and the nearest point of each surface sample, within three widths."""
+        """The nearest capsule of each point; and the nearest point of each surface sample that is not hidden,
+        within three widths.
+        """
         capsule, share, normal = self._nearest_capsules(posed.ends, posed.radii)
         samples, outward = self.model.surface_samples(posed.a, posed.ends, posed.radii)
         distance, index = self.tree.query(samples)
-        near = np.flatnonzero(distance < 3 * width)
+        near = np.flatnonzero((distance < 3 * width) & ~self.field.is_hidden(samples))
         return Correspondences(
             np.concatenate([capsule, self.model.capsule[near]]),
             np.concatenate([share, self.model.shares[near]])[:, None],

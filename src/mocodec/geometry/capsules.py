@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..typing import Floats
+from ..typing import Booleans, Floats, Integers
+from . import single_view
+
+HIDDEN_M = 0.04
+"""Distance from the points at which a hidden place counts, at most, metres: a limb is rather seen than hidden."""
+MAX_HIDDEN_CELLS = 4_000_000
+"""Cells of a grid, above which none counts as hidden: more than a person takes."""
 
 
 def surface_distances(points: Floats, ends: Floats, radii: Floats, signed: bool = False) -> Floats:
@@ -35,7 +41,10 @@ def capsule_distances(points: Floats, ends: Floats, radii: Floats) -> tuple[Floa
 
 
 class DistanceField:
-    """Distances of places from the nearest of points (n, 3), metres: a grid of `cell` metres without interpolation."""
+    """Distances of places from the nearest of points (n, 3), metres: a grid of `cell` metres without interpolation.
+
+    Where a single camera has seen the points, the places behind them may be filled as well, and have distance 0.
+    """
 
     def __init__(self, points: Floats, cell: float = 0.03, margin: float = 0.25) -> None:
         from scipy.ndimage import distance_transform_edt
@@ -44,10 +53,31 @@ class DistanceField:
         self.shape = np.ceil((points.max(axis=0) + margin - self.low) / cell).astype(np.int64) + 1
         empty = np.ones(self.shape, bool)
         empty[tuple(((points - self.low) / cell).astype(np.int64).T)] = False
-        self.values = np.asarray(distance_transform_edt(empty), np.float32).ravel() * cell
+        values = np.asarray(distance_transform_edt(empty), np.float32) * cell
+        self.hidden = self._hidden_places(points)
+        if self.hidden is not None:
+            empty &= ~self.hidden.reshape(self.shape)
+            from_hidden = np.asarray(distance_transform_edt(empty), np.float32) * cell
+            values = np.minimum(values, from_hidden + np.float32(HIDDEN_M))
+        self.values = values.ravel()
 
     def __call__(self, places: Floats) -> Floats:
         """(…,): distances of places (…, 3), metres; places outside the grid count as at its edge."""
+        return np.asarray(self.values[self._rows(places)], np.float64)
+
+    def is_hidden(self, places: Floats) -> Booleans:
+        """(…,): whether places (…, 3), metres, are behind the points that a single camera has seen."""
+        return np.zeros(places.shape[:-1], bool) if self.hidden is None else self.hidden[self._rows(places)]
+
+    def _hidden_places(self, points: Floats) -> Booleans | None:
+        """(cells of the grid,): as `is_hidden`; None if more than one camera has seen the points."""
+        camera = single_view.camera_place(points)
+        if camera is None or self.shape.prod() > MAX_HIDDEN_CELLS:
+            return None
+        cells = np.stack(np.unravel_index(np.arange(int(self.shape.prod())), self.shape), axis=1)
+        return single_view.is_hidden(self.low + (cells + 0.5) * self.cell, points, camera)
+
+    def _rows(self, places: Floats) -> Integers:
+        """(…,): the cell of each place (…, 3)."""
         cell = np.clip(((places - self.low) / self.cell).astype(np.int64), 0, self.shape - 1)
-        row = (cell[..., 0] * self.shape[1] + cell[..., 1]) * self.shape[2] + cell[..., 2]
-        return np.asarray(self.values[row], np.float64)
+        return (cell[..., 0] * self.shape[1] + cell[..., 1]) * self.shape[2] + cell[..., 2]

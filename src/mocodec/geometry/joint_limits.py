@@ -9,6 +9,8 @@ c that is Rx(α) Ry(β) Rz(γ), with the axes permuted for another rotation orde
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +67,7 @@ def of_links(body: Body, motion: Motion) -> LinkLimits:
     fixed = (limits.ranges == 0).all(axis=(1, 2))
     carriers = _carriers(body, skeleton.parents, fixed, motion.source.get("format") == "amc")
     world = rigid.to_matrix(kinematics.world_rotations(skeleton, rotations[:1])[0])
-    limited = list[tuple[int, Floats, Floats, Floats, Floats]]()
+    limited = list[LimitedJoint]()
     for link, parent in enumerate(body.parents):
         joint, above = carriers[link], carriers[max(parent, 0)]
         if parent < 0 or joint is None or above is None:
@@ -76,13 +78,31 @@ def of_links(body: Body, motion: Motion) -> LinkLimits:
         if between != above:
             continue
         frame = _permuted_axes(limits, joint)
-        before, after = (world[above] @ frame).T, world[joint] @ frame
-        centre, half_width = _widened(_ranges(limits, joint), before @ after)
+        limited.append(LimitedJoint(link, world[above] @ frame, world[joint] @ frame, _ranges(limits, joint)))
+    return of_joints(limited)
+
+
+class LimitedJoint(NamedTuple):
+    """A link; the frames (3, 3) of its joint in the first pose, as its parent and as it carries them, equal where all
+    angles are 0; ranges (3, 2) of the angles of Rx Ry Rz in these frames, radians.
+    """
+
+    link: int
+    parent_frame: Floats
+    own_frame: Floats
+    ranges: Floats
+
+
+def of_joints(joints: Sequence[LimitedJoint]) -> LinkLimits:
+    """The limits of links by their joints, widened to contain the first pose."""
+    limited = list[tuple[int, Floats, Floats, Floats, Floats]]()
+    for link, parent_frame, own_frame, ranges in joints:
+        centre, half_width = _widened(ranges, parent_frame.T @ own_frame)
         if np.isfinite(half_width).any():
-            limited.append((link, before, after, centre, half_width))
+            limited.append((link, parent_frame.T, own_frame, centre, half_width))
     if not limited:
         return NO_LIMITS
-    links, *arrays = zip(*limited, strict=True)
+    links, *arrays = zip(*sorted(limited, key=itemgetter(0)), strict=True)
     return LinkLimits(np.array(links, np.int64), *(np.stack(array) for array in arrays))
 
 

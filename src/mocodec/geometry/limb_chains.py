@@ -19,6 +19,8 @@ from .skinning import Skin
 
 MIN_BONE = 0.12
 """Length of a limb's first bone, at least, as a share of the body's size."""
+MIN_FIRST_BONE = 0.6
+"""Length of a limb's first bone, at least, as a share of its second one's: a collarbone is shorter."""
 MIN_LENGTH = 0.25
 """Length of a whole limb, at least, as a share of the body's size."""
 MIN_ROWS, MAX_ROWS = 30, 60
@@ -43,28 +45,35 @@ class LimbChain:
         return np.concatenate([self.base, self.links])
 
 
-def find(body: Body, skin: Skin, sample: AnyInteger) -> list[LimbChain]:
-    """Arms and legs: chains of links without branches, of a quarter of the body's size or more, from their first long
-    bone on. sample: template points that search for data.
-    """
+def chains(body: Body) -> list[list[int]]:
+    """The links of each arm and leg: chains without branches, of MIN_LENGTH or more, from their first long bone on."""
     children = [[c for c, p in enumerate(body.parents) if p == link] for link in range(len(body))]
     size = float(np.ptp(np.concatenate([body.origins, body.tips]), axis=0).max())
-    limbs = list[LimbChain]()
+    found = list[list[int]]()
     for link in range(1, len(body)):
         chain = [link]
         while len(children[chain[-1]]) == 1:
             chain += children[chain[-1]]
         has_branch = bool(children[chain[-1]])
-        is_in_limb = any(link in limb.links for limb in limbs)
+        is_in_limb = any(link in limb for limb in found)
         is_short = body.lengths[link] < MIN_BONE * size or body.lengths[chain].sum() < MIN_LENGTH * size
-        if is_in_limb or has_branch or is_short:
-            continue
+        is_collar = len(chain) > 1 and body.lengths[link] < MIN_FIRST_BONE * body.lengths[chain[1]]
+        if not (is_in_limb or has_branch or is_short or is_collar):
+            found.append(chain)
+    return found
+
+
+def find(body: Body, skin: Skin, sample: AnyInteger) -> list[LimbChain]:
+    """Arms and legs with enough points of the template. sample: template points that search for data."""
+    limbs = list[LimbChain]()
+    for chain in chains(body):
         rows = np.flatnonzero(np.isin(skin.links[:, 0], chain))
         if len(rows) >= MIN_ROWS:
             owner = skin.links[sample, 0]
             whole, beyond = (np.flatnonzero(np.isin(owner, links)) for links in (chain, chain[1:]))
-            parent = body.parents[link]
-            base = np.array([parent] if parent > 0 and len(children[parent]) == 1 else [], np.int64)
+            parent = body.parents[chain[0]]
+            has_base = parent > 0 and body.parents.count(parent) == 1
+            base = np.array([parent] if has_base else [], np.int64)
             limbs.append(LimbChain(np.array(chain), rows[:: max(1, len(rows) // MAX_ROWS)], (whole, beyond), base))
     return limbs
 

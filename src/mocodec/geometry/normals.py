@@ -77,3 +77,12 @@ def smallest_eigenvectors(covariance: Floats) -> Floats:
     column = np.argmax(np.linalg.norm(adjugate, axis=1), axis=1)
     normal = np.take_along_axis(adjugate, column[:, None, None], axis=2)[:, :, 0]
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+
+
+def spacing(points: Floats) -> float:
+    """The median distance of one of points (n, 3) from its nearest neighbour, metres."""
+    from scipy.spatial import KDTree
+
+    if len(points) < 2:
+        return 0.0
+    return float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))

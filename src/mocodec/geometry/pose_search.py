@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..typing import Booleans, Floats
-from . import articulation, stock_body
+from . import articulation, normals, stock_body
 from .articulation import Body
 from .capsules import DistanceField, surface_distances
 
@@ -89,7 +89,7 @@ class PoseSearch:
         self.low, self.high = np.percentile(points, [0.5, 99.5], axis=0)
         self.centre = np.median(points, axis=0)
         is_sparse = len(points) < max_points
-        self.truncation = max(TRUNCATION_M, 2.5 * _spacing(self.points) if is_sparse else 0.0)
+        self.truncation = max(TRUNCATION_M, 2.5 * normals.spacing(self.points) if is_sparse else 0.0)
         self.limbs = [[self._link(side + name) for name in chain] for side in SIDES for chain in CHAINS]
 
     def best(self, count: int = 6, draws: int = 3000, rounds: int = 3) -> PoseHypotheses:
@@ -307,12 +307,3 @@ def hinge_penalty(body: Body, rotations: Floats) -> Floats:
     for link, hinge in hinges(body):
         cost += 0.002 * np.maximum(-articulation.log(rotations[:, link]) @ hinge - 0.1, 0) ** 2
     return cost
-
-
-def _spacing(points: Floats) -> float:
-    """The median distance of a point from its nearest neighbour, metres."""
-    from scipy.spatial import KDTree
-
-    if len(points) < 2:
-        return 0.0
-    return float(np.median(KDTree(points).query(points, k=2)[0][:, 1]))

@@ -237,6 +237,40 @@ def test_points_that_cannot_be_bounded_are_refused():
         Bodycast(max_error=-1.0).encode(things())
 
 
+@pytest.mark.parametrize(
+    "target", [{"max_error": 0.002}, {"mean_error": 0.001}, {"psnr": 30.0}, {"size": 5000}, {"residual": "exact"}]
+)
+def test_points_too_far_apart_are_refused_before_tracking(clouds, monkeypatch, target):
+    positions = [points.copy() for points in clouds.positions]
+    positions[1][7] = 1e6
+    far = replace(clouds, positions=positions)
+    monkeypatch.setattr(Bodycast, "_track", None)
+    with pytest.raises(CannotEncode, match="apart"):
+        Bodycast(**target).encode(far)
+
+
+def test_the_range_that_is_required_is_that_of_the_lattice():
+    step, size = lattice.step_of_bound(0.001), 1 << point_octree.MAX_DEPTH
+    for cells in (size - 20, size - 2, size - 1, size, size + 1, size + 20):
+        frames = [(np.array([[0.0, 0, 0], [0, cells * step, 0]]), None)]
+        outcomes = list[str]()
+        for check in (lattice_frames.require_range, lattice_frames.to_lattice):
+            try:
+                check(frames, 0.001, *([False] if check is lattice_frames.to_lattice else []))
+                outcomes.append("")
+            except CannotEncode as error:
+                outcomes.append(str(error))
+        assert outcomes[0] == outcomes[1]
+
+
+def test_no_body_is_searched_for_a_few_points(performance, monkeypatch):
+    few = sequences.record(performance, 240, seed=1)
+    monkeypatch.setattr(Bodycast, "_track", None)
+    encoded = Bodycast(max_error=0.005).encode(few[:3])
+    assert not encoded.shared
+    assert measures.errors(few[:3], Bodycast.decode(encoded)).max_error <= 0.005
+
+
 def test_exact_points_at_infinity_are_refused():
     points = np.array([[0.0, 0, 0], [np.inf, 1, 1]])
     with pytest.raises(CannotEncode, match="infinity"):

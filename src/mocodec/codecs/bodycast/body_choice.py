@@ -56,6 +56,13 @@ def bodies_pay(
     return share <= 1
 
 
+def bytes_alone(frames: Sequence[Cloud], spans: Sequence[slice], coloured: bool, target: PointTarget) -> int:
+    """Bytes of the points of all frames without bodies."""
+    nobody = [ChunkBodies.nobody(span.stop - span.start) for span in spans]
+    encoder = PointEncoder(frames, spans, nobody, coloured)
+    return sum(map(len, encoder.coded(encoder.bound(target))))
+
+
 def _both_ends(present: Integers) -> tuple[Integers, ...]:
     """Runs of RUN_FRAMES at both ends, or everything if that is no more."""
     if len(present) <= 2 * RUN_FRAMES:

@@ -27,8 +27,8 @@ from ...typing import Booleans, Bytes, Floats
 from .. import base
 from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable_points
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
-from . import residual_scale
-from .body_choice import absences, bodies_pay
+from . import exact_points, lattice_frames, residual_scale
+from .body_choice import absences, bodies_pay, bytes_alone
 from .body_model import MAX_POINTS, pack_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
@@ -47,6 +47,9 @@ MIN_OUTLIER_SHARE = 0.01  # of a single body's points, below which a frame has n
 EXACT = "exact"
 EXCLUSIVE = ("max_error", "mean_error", "size", "ratio")  # targets of which a file meets one
 MAX_EXTENT_M = 100  # of a frame without a body, unless an error is asked for: larger ones have a wrong unit
+ANYWHERE_M = float(np.finfo(np.float32).max)  # every point counts, however far away
+FEW_POINTS = 5000  # of a recording, up to which it may take fewer bytes than a body
+LEAST_BODY_BYTES, MOST_SAVED = 1100, 0.5  # of a model; share of the points' bytes that a body saves, at most
 FILE_BYTES, CHUNK_BYTES = 600, 48  # about what a container needs besides its chunks, and for each
 
 
@@ -102,21 +105,22 @@ class Bodycast:
             raise CannotEncode("residual exact cannot keep points at infinity: leave them out")
         frames = [usable_points(clouds, frame) for frame in range(len(clouds))]
         coloured = clouds.colours is not None
-        with progress.phase(0.0, 0.6):
-            bodies = self._bodies(frames, clouds.up, coloured)
         starts = range(0, len(frames), self.chunk_frames)
         spans = [slice(start, min(start + self.chunk_frames, len(frames))) for start in starts]
+        self._require_range(clouds, spans)
+        with progress.phase(0.0, 0.6):
+            is_tracked = not self._is_smaller_alone(frames, spans, coloured)
+            bodies = self._bodies(frames, clouds.up, coloured) if is_tracked else []
         shared = tuple(pack_model(body.model) for body in bodies)
         settings = self._stored_settings()
         if not self._has_target and self._codes_points(bodies):
             settings["max_error"] = self._bound_of_residual(bodies, frames, spans, coloured)
-        if self._codes_points(bodies) and bodies and self.skeleton is None:
-            target = PointTarget(settings.get("max_error"), self.mean_error)
-            if not bodies_pay(bodies, frames, spans, coloured, target):
-                bodies, shared = [], ()
+        target = PointTarget(settings.get("max_error"), self.mean_error)
+        may_leave_out = self._codes_points(bodies) and bodies and self.skeleton is None
+        if may_leave_out and not bodies_pay(bodies, frames, spans, coloured, target):
+            bodies, shared = [], ()
         if self._has_target or self._percent > SURFACE_PERCENT or self.residual == EXACT:
-            limit_m = float(np.finfo(np.float32).max)  # every point counts, however far away
-            frames = [usable_points(clouds, frame, limit_m) for frame in range(len(clouds))]
+            frames = [usable_points(clouds, frame, ANYWHERE_M) for frame in range(len(clouds))]
         with progress.phase(0.6, 1.0):
             if self._codes_points(bodies):
                 payloads = self._point_chunks(bodies, frames, spans, coloured, clouds.raw_bytes, settings)
@@ -213,6 +217,27 @@ class Bodycast:
         """Whether a target says how close the points are, not the residual."""
         is_given = any(getattr(self, name) is not None for name in EXCLUSIVE)
         return is_given or (self.psnr is not None and self._percent <= SURFACE_PERCENT)
+
+    def _require_range(self, clouds: PointClouds, spans: Sequence[slice]) -> None:
+        """Raises CannotEncode, before any body is tracked, for points too far apart for the target."""
+        if not (self._has_target or self.residual == EXACT):
+            return
+        target = PointTarget(self.max_error, self.mean_error, self.size or self.ratio, self.psnr)
+        for span in spans:
+            frames = [usable_points(clouds, frame, ANYWHERE_M) for frame in range(span.start, span.stop)]
+            if self.residual == EXACT:
+                exact_points.require_range(frames, self.precision)
+            else:
+                lattice_frames.require_range(frames, target.first_bound)
+
+    def _is_smaller_alone(self, frames: Sequence[Cloud], spans: Sequence[slice], coloured: bool) -> bool:
+        """Whether points within a bound are so few that no body can be worth its bytes: then none is searched."""
+        count = sum(len(points) for points, _ in frames)
+        is_bounded = self.max_error is not None or self.mean_error is not None
+        if self.skeleton is not None or not is_bounded or not 0 < count <= FEW_POINTS:
+            return False
+        alone = bytes_alone(frames, spans, coloured, PointTarget(self.max_error, self.mean_error))
+        return MOST_SAVED * alone < LEAST_BODY_BYTES
 
     def _codes_points(self, bodies: Sequence[BodyEncoder]) -> bool:
         return self._has_target or self._percent > SURFACE_PERCENT or (not bodies and self.residual != EXACT)

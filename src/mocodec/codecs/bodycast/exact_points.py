@@ -75,6 +75,17 @@ def common_grid_step(frames: Sequence[Cloud]) -> float:
 # --- frames ---------------------------------------------------------------------------------------------------------
 
 
+def require_range(frames: Sequence[Cloud], precision_m: float) -> None:
+    """Raises CannotEncode for a chunk that `pack_exact` cannot hold; takes little time for the points of a person."""
+    filled = [(points, colours) for points, colours in frames if len(points)]
+    far = max((float(np.abs(points).max()) for points, _ in filled), default=0.0)
+    if 2 * far < 2**octree.MAX_DEPTH * (precision_m or min(GRID_STEPS_M)):
+        return
+    step = precision_m or common_grid_step(filled)
+    grid = grid_of_step(step, searched=not precision_m)
+    extent([cells_and_bits(points, step, grid.exponent)[0] for points, _ in filled], step)
+
+
 def pack_exact(frames: Sequence[Cloud], precision_m: float, coloured: bool) -> bytes:
     """Frames of points. precision_m: step in metres; 0 keeps every bit of float32. Raises CannotEncode."""
     step = precision_m or common_grid_step(frames)

@@ -20,6 +20,7 @@ from .integer_surface import MAX_PLACE_M, PLACE_BITS
 
 MIN_STEP_M, MAX_STEP_M = 1e-7, 10.0
 MAX_CORNER = 1 << 40
+ROUNDING_CELLS = 8  # by which rounding to the lattice may extend a frame, at most
 
 
 class LatticeFrame(NamedTuple):
@@ -64,14 +65,39 @@ class LatticeGrid:
 
 def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple[LatticeGrid, list[LatticeFrame]]:
     """The frames of a chunk on the lattice of this bound. Raises CannotEncode for points too far apart."""
+    step = _step_of_bound(bound_m)
+    places = [lattice.nearest(points, step) for points, _ in frames]
+    grid = _grid([p for p in places if len(p)], step, bound_m)
+    pairs = zip(places, frames, strict=True)
+    return grid, [_lattice_frame(p - grid.corner, *frame, coloured) for p, frame in pairs]
+
+
+def require_range(frames: Sequence[Cloud], bound_m: float) -> None:
+    """Raises CannotEncode for a chunk that `to_lattice` cannot hold with this bound; takes little time if it can."""
+    step = _step_of_bound(bound_m)
+    filled = [points for points, _ in frames if len(points)]
+    if not filled:
+        return
+    low, high = (np.array([of(points, axis=0) for points in filled]) for of in (np.min, np.max))
+    size = (1 << point_octree.MAX_DEPTH) - ROUNDING_CELLS
+    is_near = np.abs([low, high]).max() < step * MAX_CORNER / 2
+    if not is_near or (high.max(axis=0) - low.min(axis=0)).max() >= step * size:
+        _grid([lattice.nearest(points, step) for points in filled], step, bound_m)
+
+
+def _step_of_bound(bound_m: float) -> float:
+    """The unit of the lattice of a bound, metres. Raises CannotEncode."""
     step = lattice.step_of_bound(bound_m)
     if not MIN_STEP_M <= step <= MAX_STEP_M:
         raise CannotEncode(
             f"bodycast cannot bound the error of points by {bound_m * 1000:g} mm; "
             "ask for 0.001 mm to 10 m, or keep every point with residual exact"
         )
-    places = [lattice.nearest(points, step) for points, _ in frames]
-    filled = [p for p in places if len(p)]
+    return step
+
+
+def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGrid:
+    """The grid of lattice points (n, 3) of frames with points. Raises CannotEncode for points too far apart."""
     corner = np.min([p.min(axis=0) for p in filled], axis=0) // 2 * 2 if filled else np.zeros(3, np.int64)
     depth = max((int((p.max(axis=0) - corner).max()).bit_length() for p in filled), default=0)
     if depth > point_octree.MAX_DEPTH or np.abs(corner).max() >= MAX_CORNER:
@@ -80,9 +106,7 @@ def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple
             f"points lie more than {limit_m:.3g} m apart, too far for an error of {bound_m * 1000:g} mm; "
             "ask for a larger error, or keep every point with residual exact"
         )
-    grid = LatticeGrid(step, corner, depth)
-    pairs = zip(places, frames, strict=True)
-    return grid, [_lattice_frame(p - corner, *frame, coloured) for p, frame in pairs]
+    return LatticeGrid(step, corner, depth)
 
 
 def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None, coloured: bool) -> LatticeFrame:

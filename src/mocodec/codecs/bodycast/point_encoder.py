@@ -39,6 +39,17 @@ class PointTarget(NamedTuple):
     psnr: float | None = None
     beside: float = 0.0
 
+    @property
+    def first_bound(self) -> float:
+        """The bound with which the points are coded first, metres."""
+        if self.max_error is not None:
+            return self.max_error
+        if self.mean_error is not None:
+            return self.mean_error / point_targets.MEAN_PER_BOUND
+        if self.size is not None:
+            return point_targets.COARSEST_BOUND_M
+        return point_targets.DEFAULT_BOUND_M if self.psnr is None else point_targets.COLOUR_BOUND_M
+
 
 class PointEncoder:
     """The points of all frames with what their coding depends on.
@@ -69,15 +80,13 @@ class PointEncoder:
 
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
-        if target.max_error is not None:
-            return target.max_error
         if target.mean_error is not None:
             return point_targets.bound_of_mean(target.mean_error, self._mean_error)
         if target.size is not None:
             return point_targets.finest_that_fits(
                 target.size, lambda bound: sum(map(len, self.coded(bound))), target.beside
             )
-        return point_targets.DEFAULT_BOUND_M if target.psnr is None else point_targets.COLOUR_BOUND_M
+        return target.first_bound
 
     def _mean_error(self, bound: float) -> float:
         """The mean error of the points that are decoded with this bound, metres."""

@@ -13,7 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import BadInput
-from ...geometry import articulated_icp, articulation, body_fit, body_tracking, joint_limits, skinning, smoothing
+from ...geometry import (
+    articulated_icp,
+    articulation,
+    body_fit,
+    body_tracking,
+    human_limits,
+    joint_limits,
+    skinning,
+    smoothing,
+)
 from ...geometry.articulation import Body, Pose
 from ...geometry.body_matching import FramePoints, Step
 from ...typing import AnyInteger, Bytes, Floats
@@ -32,6 +41,8 @@ MAX_LINK_COST_M = 0.08  # distance at which the cost of a link for a template po
 LINK_CANDIDATES = 5
 MIN_LINK_GAIN_M = 0.006  # root mean square distance by which another link must fit better
 REFINE_WIDTHS_M = (0.027, 0.02)  # of the robust weight
+SKELETON_LIMIT_RAD = 0.03  # standard deviation of a joint beyond the limits of its skeleton
+HUMAN_LIMIT_RAD = 0.15  # and beyond those of people in general, which some people and some clothes exceed
 SMALL_SHARE = 0.05  # of the surface: joints that move less are held near their first rotation in refined poses
 SMALL_SPREAD_RAD = 0.1  # standard deviation of that prior
 
@@ -61,6 +72,9 @@ def start_tracking(
         body = articulation.from_skeleton(motion.skeleton.names, motion.skeleton.parents, motion.positions[0])
         body_fit.require_near(body, points)
         limits = joint_limits.of_links(body, motion)
+    limit_spread = SKELETON_LIMIT_RAD
+    if not len(limits.links):
+        limits, limit_spread = human_limits.of_body(body), HUMAN_LIMIT_RAD
     rows = np.random.default_rng(0).permutation(len(points))[:MAX_FIRST_POINTS]
     rows = rows[articulated_icp.is_near(body, points[rows])][:MAX_NEAR_POINTS]
     if len(rows) < MIN_BODY_POINTS:
@@ -69,7 +83,7 @@ def start_tracking(
     surface = smoothing.project_to_surface(points[rows], points)
     body, model = articulated_icp.make_model(body, surface, template_colours, by_surface=True)
     body = round_body(body)
-    settings = body_tracking.TrackerSettings(max_points=tracked_points)
+    settings = body_tracking.TrackerSettings(max_points=tracked_points, limit=limit_spread)
     some = slice(0, settings.template_points)
     skin = skinning.skin(body, model.points[some], model.links[some])
     template_colours = None if model.colours is None else model.colours[some]
