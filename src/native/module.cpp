@@ -23,6 +23,7 @@
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
 //   splines.cpp     natural cubic splines and key frames, for stages/spline.py
+//   ppca.cpp        segmentation by probabilistic PCA, for stages/segment.py
 //   body_frames.cpp       poses to positions, for codecs/liu2006
 //   positions.cpp   one pass over positions, for codecs/tempo and metrics/motion.py
 //   varints.cpp     many varints at once, for fields/cursor.py
@@ -50,7 +51,7 @@ namespace nb = nanobind;
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours)         \
-    PART(reference_surface)
+    PART(reference_surface) PART(ppca)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

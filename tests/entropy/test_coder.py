@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.entropy import coder
 from mocodec.errors import Corrupt
 from mocodec.testing import corruption
@@ -190,3 +191,17 @@ def test_memory_is_bounded_by_the_shape():
             coder.unpack(head + b"\xff" * 100, (30, 30))
     assert tracemalloc.get_traced_memory()[1] < 8_000_000
     tracemalloc.stop()
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize("shape", [(1, 1), (40, 9), (3, 200), (3000, 2), (700, 20)])
+@pytest.mark.parametrize("with_contexts", [False, True])
+def test_the_compiled_module_packs_the_same_bytes(shape: tuple[int, int], with_contexts: bool):
+    random = np.random.default_rng(11)
+    for scale in (0.1, 3.0, 1e5, 1e15):
+        values = np.rint(random.laplace(size=shape) * scale * random.uniform(size=shape[1])).astype(np.int64)
+        contexts = np.abs(values + random.integers(-2, 3, shape)) if with_contexts else None
+        for v in (values, np.cumsum(values, axis=0)):
+            compiled = coder.pack(v, contexts)
+            with native.without():
+                assert coder.pack(v, contexts) == compiled

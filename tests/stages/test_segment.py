@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mocodec import native
 from mocodec.stages import segment
 
 
@@ -64,3 +65,18 @@ def test_tracked_directions_give_the_distances_of_the_exact_model(
     for a, b in zip(followed.curves, exact.curves, strict=True):
         assert a.distances == pytest.approx(b.distances, rel=0.3)
         assert np.median(np.abs(a.distances / b.distances - 1)) < 0.01
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize("dimensions", [3, 30, 61])
+@pytest.mark.parametrize("still", [0, 400])
+def test_the_compiled_search_cuts_at_the_same_frames(dimensions: int, still: int) -> None:
+    poses = np.pad(gaits(0, 1, 2, dimensions=dimensions), ((still, 0), (0, 0)))
+    compiled = segment.ppca(poses)
+    with native.without():
+        by_numpy = segment.ppca(poses)
+    assert compiled.segments == by_numpy.segments
+    for a, b in zip(compiled.curves, by_numpy.curves, strict=True):
+        assert np.array_equal(a.frames, b.frames)
+        assert a.distances == pytest.approx(b.distances, rel=1e-6)
+        assert a.cut == b.cut

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import native
 from ..typing import AnyInteger, Bytes, Floats, Integers
 from . import models
 from .models import PRECISION, Tables
@@ -73,7 +74,7 @@ def kept(extent: int, symbol: int) -> int:
 
 def kept_symbol(extent: int, needed: int) -> int:
     """The symbol of `kept` that codes the fewest rows, at least `needed`."""
-    exact = next(s for s in range(32) if kept(extent, s) >= needed)
+    exact = 32 * (needed - 1) // extent
     return 31 if kept(extent, exact) == extent else exact
 
 
@@ -117,25 +118,17 @@ def sample(token: AnyInteger, hints: AnyInteger | None) -> tuple[AnyInteger, Any
     return token[places], None if hints is None else hints[places]
 
 
-def choose(around: Neighbours, order: int, long_ladder: int, rows: int, columns: int) -> tuple[Parameters, float]:
+def choose(
+    token: Bytes, hints: Bytes | None, order: int, long_ladder: int, rows: int, columns: int
+) -> tuple[Parameters, float]:
     """The parameters that code these tokens shortest, and the bits a token then takes, without signs and mantissas.
 
-    order, long_ladder, rows, columns: parameters that are decided already.
+    token, hints (steps, lanes). order, long_ladder, rows, columns: parameters that are decided already.
     """
-    token = around.token
     most = int(token.max()) + 1
     laws = models.LAWS_LARGE if long_ladder else models.LAWS
-    mixtures = len(MIXTURES) if around.hints is not None else WITHOUT_HINTS
-    ladder = _rung_or_zero(laws)
-    means = rough_means(token, around.near[0])
-    some, share, inactive = _some(around, means)
-    near = tuple(a.ravel()[some] for a in around.near)
-    hints = None if around.hints is None else around.hints.ravel()[some]
-    few = Neighbours(token.ravel()[some], near, hints)
-    means = means.ravel()[some]
-    keys = np.stack([ladder.take(few.roughly_expected(m, means)) + m * (laws + 1) for m in range(mixtures)]) * most
-    keys += few.token
-    counts = np.bincount(keys.ravel(), minlength=mixtures * (laws + 1) * most).reshape(mixtures, laws + 1, most)
+    mixtures = len(MIXTURES) if hints is not None else WITHOUT_HINTS
+    counts, share, inactive = _counts(token, hints, laws, most)
     counts = counts * share
     counts[:, laws, 0] += inactive
 
@@ -153,6 +146,29 @@ def choose(around: Neighbours, order: int, long_ladder: int, rows: int, columns:
     zero_law, offset = int(zero_bits[mixture, shape].argmin()), int(expected[mixture, shape].argmin())
     fields = Parameters(mixture, shape, zero_law, offset, order, long_ladder, rows, columns)
     return fields, float(total[mixture, shape]) / token.size
+
+
+def _counts(token: Bytes, hints: Bytes | None, laws: int, most: int) -> tuple[Integers, float, int]:
+    """How often each token below `most` occurs in a sample under each rung that each mixture gives it, (mixtures,
+    laws + 1, most), and `_some` of the sample. The last of the rungs is where all neighbours are zero."""
+    mixtures = len(MIXTURES) if hints is not None else WITHOUT_HINTS
+    ladder = _rung_or_zero(laws)
+    if (kernel := native.kernel("entropy_counts")) is not None:
+        no_hints = np.zeros((0, 0), np.uint8)
+        counts, active, some, size = kernel(
+            token, no_hints if hints is None else hints, ladder, np.array(MIXTURES[:mixtures]), laws, most, COUNTED
+        )
+        return counts, active / max(1, some), size - active
+    around = Neighbours.of(token, hints)
+    means = rough_means(token, around.near[0])
+    some, share, inactive = _some(around, means)
+    near = tuple(a.ravel()[some] for a in around.near)
+    few = Neighbours(token.ravel()[some], near, None if around.hints is None else around.hints.ravel()[some])
+    means = means.ravel()[some]
+    keys = np.stack([ladder.take(few.roughly_expected(m, means)) + m * (laws + 1) for m in range(mixtures)]) * most
+    keys += few.token
+    counts = np.bincount(keys.ravel(), minlength=mixtures * (laws + 1) * most).reshape(mixtures, laws + 1, most)
+    return counts, share, inactive
 
 
 def _some(around: Neighbours, means: AnyInteger) -> tuple[AnyInteger, float, int]:

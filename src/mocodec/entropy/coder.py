@@ -116,18 +116,23 @@ def _pack_dense(v: Integers, contexts: AnyInteger | None) -> bytes:
     token = models.tokens(np.abs(d))
     known = order, int(token.max() > SHORT_LADDER_TOKEN), rows, columns
     if not _suits_one_state(d):
-        around = Neighbours.of(*choice.sample(token, hints))
-        parameters, bits = choice.choose(around, *known)
+        parameters, bits = choice.choose(*choice.sample(token, hints), *known)
         return _pack_bulk_head(parameters) + bulk.pack(token, d, *_of_bulk(parameters), hints, bits * token.size)
-    around = Neighbours.of(token, hints)
-    parameters, _ = choice.choose(around, *known)
-    return _pack_one(d, token, around, parameters)
+    parameters, _ = choice.choose(token, hints, *known)
+    return _pack_one(d, token, hints, parameters)
 
 
-def _pack_one(d: Integers, token: AnyInteger, around: Neighbours, parameters: Parameters) -> bytes:
-    encoder, family = StateEncoder(), parameters.family
-    encoder.put(choice.parameter_tables(), np.arange(len(parameters)), np.array(parameters))
-    law = parameters.ladder.take(around.expected(parameters.mixture))
+def _pack_one(d: Integers, token: Bytes, hints: Bytes | None, parameters: Parameters) -> bytes:
+    family, heads, ladder = parameters.family, choice.parameter_tables(), parameters.ladder
+    if (kernel := native.kernel("entropy_pack_one")) is not None:
+        return kernel(
+            d, token, np.zeros((0, 0), np.uint8) if hints is None else hints, np.array(MIXTURES[parameters.mixture]),
+            ladder, family.frequency, family.start, family.sizes,
+            np.arange(len(parameters)) * heads.width + np.array(parameters), heads.frequency, heads.start,
+        )  # fmt: skip
+    encoder = StateEncoder()
+    encoder.put(heads, np.arange(len(parameters)), np.array(parameters))
+    law = ladder.take(Neighbours.of(token, hints).expected(parameters.mixture))
     last = family.sizes.take(law) - 1
     symbol = np.minimum(token, last)
     escaped = symbol == last

@@ -45,6 +45,9 @@ class StateEncoder:
 
     def finish(self) -> bytes:
         """The bytes."""
+        if (kernel := native.kernel("entropy_encode")) is not None:
+            groups = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *self._groups]
+            return kernel(*(np.concatenate(each) for each in zip(*groups, strict=True)), self._raw)
         frequency = np.concatenate([[TOTAL - MANY], *(f for f, _ in self._groups)])[::-1]
         start = np.concatenate([[MANY], *(c for _, c in self._groups)])[::-1]
         state, words = 1, list[int]()
@@ -55,10 +58,6 @@ class StateEncoder:
                 words.append(state & LOW - 1)
                 state >>= WORD_BITS
             state = state << bits | byte
-        if (kernel := native.kernel("entropy_encode")) is not None:
-            state, more = kernel(frequency, start, state)
-            head = state.to_bytes((state.bit_length() + 7) // 8, "little")
-            return head + more[::-1].astype("<u2").tobytes() + np.array(words[::-1], "<u2").tobytes()
         limits, rest = frequency << STATE_BITS - PRECISION, TOTAL - frequency
         for f, c, limit, r in zip(frequency.tolist(), start.tolist(), limits.tolist(), rest.tolist(), strict=True):
             if state >= limit:

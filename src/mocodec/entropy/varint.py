@@ -29,9 +29,14 @@ def write(numbers: Iterable[int]) -> bytes:
 def read(data: bytes, count: int, at: int = 0) -> tuple[list[int], int]:
     """`count` numbers of the bytes from `at` on, and the position after them. Raises Corrupt."""
     numbers: list[int] = []
+    end = len(data)
     for _ in range(count):
+        if at < end and data[at] < 128:
+            numbers.append(data[at])
+            at += 1
+            continue
         try:
-            number, at = read_one(data, at, len(data))
+            number, at = read_one(data, at, end)
         except Truncated:
             raise Corrupt("a number in a header runs past its end") from None
         numbers.append(number)

@@ -191,7 +191,9 @@ def _sum_differences(values: Integers, alike: Integers, leading: int) -> None:
 
 def _signed(vectors: Floats) -> Floats:
     """With the largest entry of each column positive."""
-    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0, keepdims=True), axis=0)
+    if not vectors.size:
+        return vectors
+    largest = vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])]
     return vectors * np.where(largest < 0, -1.0, 1.0)
 
 

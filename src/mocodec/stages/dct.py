@@ -48,6 +48,17 @@ def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> F
     return out.reshape(count, *samples.shape[1:])
 
 
+def low(samples: Floats, first: int, last: int) -> Floats:
+    """The coefficients of few low frequencies, (runs, frames, columns) → (runs, last − first, columns)."""
+    return _low_matrix(samples.shape[1], first, last) @ samples
+
+
+@lru_cache(maxsize=32)
+def _low_matrix(frames: int, first: int, last: int) -> Floats:
+    """The cosines of some low frequencies, (last − first, frames)."""
+    return np.ascontiguousarray(_cosines(frames, first, last).T)
+
+
 def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
     """The samples of the lowest frequencies along an axis: (frequencies ≤ frames, …) → (frames, …)."""
     if axis:
@@ -88,20 +99,45 @@ def inverse_panels(spectra: Floats, out: Floats) -> None:
     """
     _, known, columns = spectra.shape
     frames = out.shape[1]
-    if frames > MATRIX_FRAMES and known > frames // 2:
+    if not is_by_matrix(frames, known):
         out[..., :columns] = inverse(spectra, frames, axis=1)
         return
-    places = np.where(spectra != 0, np.arange(1, known + 1)[:, None], 0)
-    reach = places.max(axis=(0, 1), initial=0)
-    even, odd = _half_matrices(frames) if frames <= MATRIX_FRAMES else _low_half_matrices(frames, -(-known // 64) * 64)
-    half = len(even)
-    for first in range(0, columns, PANEL):
-        panel = slice(first, min(first + PANEL, columns))
-        count = int(reach[panel].max())
-        symmetric = even[:, : (count + 1) // 2] @ spectra[:, :count:2, panel]
-        antisymmetric = odd[:, : count // 2] @ spectra[:, 1:count:2, panel]
-        np.subtract(symmetric, antisymmetric, out=out[:, : -half - 1 : -1, panel])
-        np.add(symmetric, antisymmetric, out=out[:, :half, panel])
+    even, odd = _half_matrices_of(frames, known)
+    for panel, count in panels(spectra):
+        _invert_by_matrix(even, odd, spectra[:, :count, panel], out[..., panel])
+
+
+def panels(spectra: Floats) -> list[tuple[slice, int]]:
+    """The panels of columns of spectra (runs, frequencies, columns), and how many frequencies each has."""
+    columns = spectra.shape[2]
+    used = (spectra != 0).any(axis=0)
+    starts = range(0, columns, PANEL)
+    reach = [np.flatnonzero(used[:, first : first + PANEL].any(axis=1)).max(initial=-1) + 1 for first in starts]
+    return [(slice(first, min(first + PANEL, columns)), int(count)) for first, count in zip(starts, reach, strict=True)]
+
+
+def is_by_matrix(frames: int, known: int) -> bool:
+    """Whether a product with the matrix inverts the lowest `known` frequencies of runs of `frames`, not an FFT."""
+    return frames <= MATRIX_FRAMES or known <= frames // 2
+
+
+def inverse_runs(spectra: Floats, out: Floats) -> None:
+    """`inverse` of runs (runs, frequencies, columns) into out (runs, frames, columns), by the matrix."""
+    _invert_by_matrix(*_half_matrices_of(out.shape[1], spectra.shape[1]), spectra, out)
+
+
+def _half_matrices_of(frames: int, known: int) -> tuple[Floats, Floats]:
+    """`_half_matrices` of at least the lowest `known` frequencies."""
+    return _half_matrices(frames) if frames <= MATRIX_FRAMES else _low_half_matrices(frames, -(-known // 64) * 64)
+
+
+def _invert_by_matrix(even: Floats, odd: Floats, spectra: Floats, out: Floats) -> None:
+    known, half = spectra.shape[1], len(even)
+    for one, to in zip(spectra, out, strict=True):
+        symmetric = even[:, : (known + 1) // 2] @ one[::2]
+        antisymmetric = odd[:, : known // 2] @ one[1::2]
+        np.subtract(symmetric, antisymmetric, out=to[: -half - 1 : -1])
+        np.add(symmetric, antisymmetric, out=to[:half])
 
 
 def _inverse_by_fft(coefficients: Floats, frames: int) -> Floats:
@@ -131,14 +167,23 @@ def _turns(frames: int) -> NDArray[np.complex128]:
     return turns
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _low_half_matrices(frames: int, frequencies: int) -> tuple[Floats, Floats]:
     """`_half_matrices` of the lowest frequencies of a long run, from one table of cosines."""
-    turns = np.cos(np.pi / (2 * frames) * np.arange(4 * frames)) * np.sqrt(2 / frames)
-    places = (2 * np.arange((frames + 1) // 2)[:, None] + 1) * np.arange(min(frequencies, frames)) % (4 * frames)
-    cosines = turns[places]
-    cosines[:, :1] /= np.sqrt(2)  # there is none where all runs are zero
+    cosines = _cosines(frames, 0, min(frequencies, frames))[: (frames + 1) // 2]
     return np.ascontiguousarray(cosines[:, ::2]), np.ascontiguousarray(cosines[:, 1::2])
+
+
+def _cosines(frames: int, first: int, last: int) -> Floats:
+    """Some frequencies of the orthonormal DCT, (frames, last − first), as cosines of sums: the tables are small."""
+    at = (np.arange(frames)[:, None] + 0.5) * (np.pi / frames)
+    coarse, fine = at * np.arange(first, last, 16), at * np.arange(16)
+    cosines = (np.cos(coarse) * np.sqrt(2 / frames))[:, :, None] * np.cos(fine)[:, None]
+    cosines -= (np.sin(coarse) * np.sqrt(2 / frames))[:, :, None] * np.sin(fine)[:, None]
+    cosines = cosines.reshape(frames, -1)[:, : last - first]
+    if first == 0:
+        cosines[:, :1] /= np.sqrt(2)  # there is none where all runs are zero
+    return cosines
 
 
 @lru_cache(maxsize=16)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .. import native
 from ..entropy import coder, varint
 from ..errors import Corrupt
 from ..typing import Booleans, Floats, Integers
@@ -64,13 +65,16 @@ class Split:
         """(frames, points): missing or frozen."""
         return self.missing | self.frozen
 
-    @property
+    @cached_property
     def moving(self) -> Floats:
-        """The positions (frames, points, 3) with NaN at missing and frozen samples."""
+        """The positions (frames, points, 3) with NaN at missing and frozen samples; not to be written to."""
         return gaps.apply(self.positions, self.frozen)
 
     def mean_error(self, decoded: Floats) -> float:
         """Mean distance of all samples, metres, from positions (frames, points, 3) before `restore`, if none holds."""
+        if (kernel := native.kernel("compare_positions")) is not None:
+            _, samples, total, _ = kernel(self.moving, decoded)
+            return (total + self.rounding_error) / (samples + int((self.frozen & ~self.missing).sum()))
         off = self.positions - decoded
         off *= off
         error = np.where(self.apart, 0.0, np.sqrt(off[..., 0] + off[..., 1] + off[..., 2]))
@@ -135,30 +139,51 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     missing = np.isnan(positions[..., 0])
     nothing = np.zeros(missing.shape, bool)
     same = _equal(positions[1:], positions[:-1]) & ~missing[1:]
-    others_move = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
-    if not (same.any(axis=1) & others_move).any():  # whole frames that repeat are no frozen samples
+    moves = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
+    if not (same.any(axis=1) & moves).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
-    frozen, constant = _find(positions, missing, same, bones)
+    changes = np.append(0, np.cumsum(moves))
+    frozen, constant = _find(positions, missing, same, changes, bones)
     if (frozen | missing).all():
         frozen = constant = nothing
     return Split(positions, missing, frozen, constant, tolerance, holds)
 
 
-def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> tuple[Booleans, Booleans]:
-    """Masks (frames, points) of frozen samples and of those with a constant. same: equal to the frame before."""
+def _find(
+    positions: Floats, missing: Booleans, same: Booleans, changes: Integers, bones: bool
+) -> tuple[Booleans, Booleans]:
+    """Masks (frames, points) of frozen samples and of those with a constant.
+
+    same (frames − 1, points): equal to the frame before. changes (frames,): frames so far where any point moves. Points
+    that never repeat a sample have frozen samples only at values where others are parked, and are left out at first.
+    """
+    repeating = np.flatnonzero(same.any(axis=0))
+    found, parked = _find_among(positions[:, repeating], missing[:, repeating], same[:, repeating], changes, bones)
+    if parked:
+        found, _ = _find_among(positions, missing, same, changes, bones)
+        return found[0], found[1]
+    frozen, constant = np.zeros(missing.shape, bool), np.zeros(missing.shape, bool)
+    frozen[:, repeating], constant[:, repeating] = found
+    return frozen, constant
+
+
+def _find_among(
+    positions: Floats, missing: Booleans, same: Booleans, changes: Integers, bones: bool
+) -> tuple[Booleans, bool]:
+    """The masks of `_find`, (2, frames, points), and whether points are parked at any value."""
     runs = _runs_of(~missing, positions, same)
     values = positions[runs.first, runs.point]
     into, out = _steps(runs, values)
     typical = _typical_steps(runs, into, same)[runs.point]
     jump_in, jump_out = into > JUMP * typical, out > JUMP * typical
-    changes = np.append(0, np.cumsum((~same & ~(missing[1:] | missing[:-1])).any(axis=1)))
     others_move = changes[runs.first + runs.length - 1] - changes[runs.first] >= SHORTEST_RUN - 1
     is_jump = (jump_in & np.isfinite(typical)) | (jump_out & ~np.isnan(out))
     is_jump &= ~(np.isnan(into) & np.isnan(out))
     at_edge = (np.isnan(into) | np.isnan(out)) & (runs.length >= SHORTEST_EDGE_RUN) & (not bones)
     found = others_move & (runs.length >= SHORTEST_RUN) & (is_jump | at_edge)
     constant = np.isnan(into) | jump_in
-    of_constant = _with_values(values, _parking_values(runs, values, found & constant, jump_in & jump_out))
+    parking = _parking_values(runs, values, found & constant, jump_in & jump_out)
+    of_constant = _with_values(values, parking)
     found |= of_constant
     constant |= of_constant
     masks = np.zeros((2, *missing.shape), bool)
@@ -167,7 +192,7 @@ def _find(positions: Floats, missing: Booleans, same: Booleans, bones: bool) -> 
     for mask, chosen in zip(masks, (found, found & constant), strict=True):
         frame = np.repeat(first[chosen], length[chosen]) + _within(length[chosen])
         mask[frame, np.repeat(runs.point[chosen], length[chosen])] = True
-    return masks[0], masks[1]
+    return masks, bool(len(parking))
 
 
 def _parking_values(runs: _Runs, values: Floats, constant: Booleans, between_jumps: Booleans) -> Integers:

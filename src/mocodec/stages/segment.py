@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .. import native
 from ..typing import Floats, Integers
 
 LEADING = 24
@@ -88,6 +89,19 @@ def _search(poses: Floats, start: int, lengths: tuple[int, int, int], kept: floa
     """Grow one model from `start` until a peak of H follows a valley, or the frames end."""
     initial, ahead, step = lengths
     ends = np.arange(start + initial, len(poses) - ahead + 1, step)
+    if (kernel := native.kernel("ppca_search")) is not None and poses.shape[1]:
+        found, last = kernel(
+            poses[start:],
+            initial,
+            ahead,
+            step,
+            kept,
+            rise,
+            LEADING,
+            STILL_M,
+            lambda covariance: _leading(covariance, None),
+        )
+        return Curve(ends[: len(found)], found, None if last < 0 else int(ends[last]))
     distances: list[float] = []
     valley = np.inf
     total, squares = np.zeros(poses.shape[1]), np.zeros((poses.shape[1],) * 2)

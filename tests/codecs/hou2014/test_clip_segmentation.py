@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocodec import metrics
-from mocodec.codecs.hou2014 import Hou2014
+from mocodec import metrics, native
+from mocodec.codecs.hou2014 import Hou2014, clip_segmentation, stream
+from mocodec.codecs.liu2006 import Liu2006
 from mocodec.errors import Corrupt
 from mocodec.motion import Motion
 
@@ -61,3 +62,25 @@ def test_masking_moves_error_to_fast_clips(walk: Motion):
         errors = metrics.distances(motion.positions, decoded.positions).mean(axis=1)
         ratios.append(errors[450:].mean() / errors[:450].mean())
     assert ratios[1] > 1.2 * ratios[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 3.0])
+def test_equal_length_with_the_fewest_bits_is_found_by_low_frequencies(noise: float):
+    random = np.random.default_rng(5)
+    t = np.arange(1700)[:, None] / 40
+    curves = np.concatenate([20 * np.sin(t + 0.1 * t**1.5), 7 * np.cos(3 * t), 1e-3 * t], axis=1)
+    curves += noise * random.normal(size=curves.shape)
+    lengths = [-(-len(curves) // max(1, round(len(curves) / one))) for one in clip_segmentation.CANDIDATE_LENGTHS]
+    bits = {
+        one: clip_segmentation.estimate_bits(curves, stream.equal_lengths(len(curves), one), 1.0) for one in lengths
+    }
+    assert clip_segmentation.best_equal_length(curves, 1.0, 5000) == min(sorted(bits), key=lambda one: bits[one])
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+@pytest.mark.parametrize("codec", [Hou2014(mean_error=0.002), Liu2006(mean_error=0.002)])
+def test_the_compiled_module_gives_the_same_bytes(walk: Motion, codec: Hou2014 | Liu2006):
+    compiled = codec.encode(walk)
+    with native.without():
+        by_numpy = codec.encode(walk)
+    assert [chunk.payload for chunk in compiled.chunks] == [chunk.payload for chunk in by_numpy.chunks]

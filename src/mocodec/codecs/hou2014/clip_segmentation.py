@@ -6,7 +6,9 @@ adaptive    cut where the distribution of poses changes (PPCA): a given number o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +26,9 @@ INITIAL_CUTS = {"initial": 60, "ahead": 40, "rise": 30.0}
 
 BITS_PER_CLIP = 24.0
 """Estimated bits of a clip in addition to its coefficients."""
+
+SHARES_OF_BAND = (1 / 16, 1 / 8, 1 / 3)
+"""Lengths are compared by these shares of their frequencies first, as long as they are not clear."""
 
 TERMS, LARGEST_TERM = 16, 2.0**60
 """Terms of a product, which must not overflow."""
@@ -74,7 +79,77 @@ def best_equal_length(curves: Floats, step: float, longest: int) -> int:
     frames = len(curves)
     lengths = {-(-frames // max(1, round(frames / length))) for length in CANDIDATE_LENGTHS}
     allowed = sorted(length for length in lengths if length <= longest) or [-(-frames // -(-frames // longest))]
-    return min(allowed, key=lambda length: estimate_bits(curves, stream.equal_lengths(frames, length), step))
+    curves_in_steps = curves / step
+    energies = np.concatenate([np.zeros((1, curves.shape[1])), np.cumsum(curves_in_steps**2, axis=0)])
+    left = [_BoundedBits.of(curves_in_steps, energies, length) for length in allowed]
+    for share in SHARES_OF_BAND:
+        if len(left) == 1:
+            break
+        for one in left:
+            one.extend(share)
+        most = min(one.high for one in left)
+        left = [one for one in left if one.low <= most]
+    lengths_left = [one.length for one in left]
+    if len(left) == 1:
+        return lengths_left[0]
+    return min(lengths_left, key=lambda length: estimate_bits(curves, stream.equal_lengths(frames, length), step))
+
+
+@dataclass(eq=False)
+class _BoundedBits:
+    """Limits of `estimate_bits` of clips of one length, from their low frequencies alone.
+
+    runs: curves in steps (clips, frames, k) of each run of equal lengths. rests: the energy (clips, k) of the
+    frequencies above `share` of all. bits: of the others. The bits of the frequencies above are fewest where one of
+    them has all the energy, most where all of them have the same.
+    """
+
+    length: int
+    runs: list[Floats]
+    rests: list[Floats]
+    share: float = 0.0
+    bits: float = 0.0
+
+    @classmethod
+    def of(cls, curves: Floats, energies: Floats, length: int) -> _BoundedBits:
+        """curves (frames, k): in steps. energies (frames + 1, k): of all frames before each."""
+        runs, rests, start = list[Floats](), list[Floats](), 0
+        for frames, run in stream.equal_length_runs(stream.equal_lengths(len(curves), length)):
+            stop = start + frames * (run.stop - run.start)
+            runs.append(curves[start:stop].reshape(run.stop - run.start, frames, curves.shape[1]))
+            rests.append(np.diff(energies[start : stop + 1 : frames], axis=0))
+            start = stop
+        return cls(length, runs, rests)
+
+    def extend(self, share: float) -> None:
+        """Take up the frequencies from the former share to this one."""
+        for curves, rest in zip(self.runs, self.rests, strict=True):
+            known, wanted = (math.ceil(one * curves.shape[1]) for one in (self.share, share))
+            spectrum = dct.low(curves, known, wanted)
+            self.bits += 0.5 * _sum_of_logs(spectrum)
+            rest -= np.einsum("nfk,nfk->nk", spectrum, spectrum)
+            np.maximum(rest, 0.0, out=rest)
+        self.share = share
+
+    @property
+    def clips(self) -> int:
+        """Their number."""
+        return sum(map(len, self.runs))
+
+    @property
+    def low(self) -> float:
+        """A millionth less than the fewest bits, for rounding."""
+        least = sum(0.5 * float(np.log2(1 + rest).sum()) for rest in self.rests)
+        return (BITS_PER_CLIP * self.clips + self.bits + least) * (1 - 1e-6)
+
+    @property
+    def high(self) -> float:
+        """The most bits."""
+        most = BITS_PER_CLIP * self.clips + self.bits
+        for curves, rest in zip(self.runs, self.rests, strict=True):
+            others = max(curves.shape[1] - math.ceil(self.share * curves.shape[1]), 1)
+            most += 0.5 * others * float(np.log2(1 + rest / others).sum())
+        return most
 
 
 def estimate_bits(curves: Floats, lengths: Integers, step: float) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 from ...encoded import Encoded
 from ...errors import CannotEncode
 from ...motion import Motion
-from ...stages import gaps
+from ...stages import frozen, gaps
 from ...typing import Floats
 from .. import base, rescue
 from . import decoding
@@ -45,18 +45,19 @@ class Hou2014(Settings):
         if not base.has_samples(motion):
             self.check(motion)
             return base.encode_gaps(self, motion, base.settings(replace(self, transforms=())))
-        moving = self.split(motion).moving
+        apart = self.split(motion)
+        moving = apart.moving
         base.require_usual_lengths(self, moving)
         filled = gaps.fill(moving)[0]
         if self.mean_error is None:
-            return self.prepared(motion, filled, by_engine=True).to_target()
-        return self._encode_to_mean(motion, filled, self.mean_error)
+            return self.prepared(motion, filled, by_engine=True, apart=apart).to_target()
+        return self._encode_to_mean(motion, filled, apart, self.mean_error)
 
-    def _encode_to_mean(self, motion: Motion, filled: Floats, target: float) -> Encoded[Motion]:
+    def _encode_to_mean(self, motion: Motion, filled: Floats, apart: frozen.Split, target: float) -> Encoded[Motion]:
         """At a mean error, or under this error as a bound where that is smaller, or the only way."""
-        encoder, encoded, failure = self.prepared(motion, filled), None, None
+        encoder, encoded, failure = self.prepared(motion, filled, apart=apart), None, None
         bounded = replace(self, mean_error=None, max_error=target)
-        by_bound = cache(lambda: bounded.prepared(motion, filled))
+        by_bound = cache(lambda: bounded.prepared(motion, filled, apart=replace(apart, holds=True)))
         promising = True
         try:
             rung = encoder.rung_for_mean_error(target)
@@ -79,15 +80,18 @@ class Hou2014(Settings):
         rescue.require_kept(motion, {"mean_error": target}, encoded, Hou2014.decode)
         return encoded
 
-    def prepared(self, motion: Motion, smooth: Floats, by_engine: bool = False) -> MotionEncoder:
+    def prepared(
+        self, motion: Motion, smooth: Floats, by_engine: bool = False, apart: frozen.Split | None = None
+    ) -> MotionEncoder:
         """For encoding by a transform that codes `smooth` in place of the motion's positions. Raises as `encode`.
 
         smooth (frames, points, 3): the positions with gaps filled. With `max_error`, outliers of single frames may be
-        smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections.
+        smoothed too, since corrections restore them. by_engine: the lattice engine may code corrections. apart: `split`
+        of the motion, if it is known.
         """
         base.require_frames(motion)
         self.check(motion)
-        return MotionEncoder(self, motion, smooth, by_engine)
+        return MotionEncoder(self, motion, smooth, self.split(motion) if apart is None else apart, by_engine)
 
     @staticmethod
     def decode(encoded: Encoded[Motion], frames: slice | None = None) -> Motion:

@@ -18,7 +18,7 @@ from ... import metrics, progress
 from ...encoded import Chunk, Encoded, most_chunk_frames
 from ...errors import BadInput, CannotEncode, Corrupt
 from ...motion import Motion
-from ...stages import bounded, lattice, quantise, search
+from ...stages import bounded, frozen, lattice, quantise, search
 from ...typing import Floats, Integers
 from .. import base
 from . import clip_segmentation, decoding, left_transform, parameters, quantised_motion, stream
@@ -46,8 +46,10 @@ class MotionEncoder:
     quantised(rung), encoded(rung): the motion at this step; cached.
     """
 
-    def __init__(self, codec: Settings, motion: Motion, filled: Floats, by_engine: bool = False) -> None:
-        self.codec, self.motion, self.apart = codec, motion, codec.split(motion)
+    def __init__(
+        self, codec: Settings, motion: Motion, filled: Floats, apart: frozen.Split, by_engine: bool = False
+    ) -> None:
+        self.codec, self.motion, self.apart = codec, motion, apart
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
@@ -135,8 +137,7 @@ class MotionEncoder:
     def bits_over(self, rung: int, other: int) -> float:
         """How many times the bits of the coefficients at one step those at another are, estimated."""
         unit, step = self.codec.unit, quantise.step
-        curves = quantised_motion.component_curves(self.prepared, unit * step(max(rung, other)))
-        spectra = clip_segmentation.spectra_of_clips(curves, self.prepared.lengths)
+        spectra = quantised_motion.component_spectra(self.prepared, unit * step(max(rung, other)))
         bits = [clip_segmentation.bits_of_spectra(spectra, unit * step(one)) for one in (rung, other)]
         return bits[0] / max(bits[1], 1.0)
 

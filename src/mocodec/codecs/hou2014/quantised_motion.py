@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,9 @@ BITS_PER_PUBLISHED_ENTRY = 16
 
 SMOOTHED_FREQUENCIES = 2
 """How far beyond a frequency magnitudes count for its rounding."""
+
+ALMOST_HALF = 0.49
+"""Coefficients of this many steps round to zero, also where a stored basis is not quite orthonormal."""
 
 MIN_GEOMETRIC_RATIO = 1e-4
 """Lower limit of E / (1 + E), the ratio of the geometric distribution with mean magnitude E."""
@@ -58,10 +62,39 @@ class PreparedMotion:
     fitted: LeftTransform | None = None
     learned: tuple[LeftTransform, ...] = ()
 
-    @property
-    def row_weights(self) -> Floats:
-        """Factor of each row of M, (3 points,)."""
-        return stream.row_weights(self.weight_rungs, self.points)
+    def weighted(self, rows: Floats) -> Floats:
+        """Rows of Mᵀ (…, 3 points) times the weights of the points."""
+        return rows if self.weight_rungs is None else rows * stream.row_weights(self.weight_rungs, self.points)
+
+    @cached_property
+    def mean(self) -> Floats:
+        """The mean pose, (3 points,), metres."""
+        return self.rows.mean(axis=0)
+
+    @cached_property
+    def spectra(self) -> tuple[ClipSpectra, ...]:
+        """The spectra that all steps quantise, run after run."""
+        rows = self.weighted(self.rows - self.mean)
+        spectra: list[ClipSpectra] = []
+        for length, run, frames in _clip_runs(self.lengths):
+            count = None if self.frequencies is None else int(self.frequencies[run.start])
+            spectrum = dct.forward(rows[frames].reshape(-1, length, rows.shape[1]), count, axis=1)
+            spectra.append(ClipSpectra(length, run, spectrum, np.sqrt(np.einsum("nfk,nfk->nf", spectrum, spectrum))))
+        return tuple(spectra)
+
+
+@dataclass(frozen=True, eq=False)
+class ClipSpectra:
+    """(M_i D̃)ᵀ of a run of clips of equal length, about the mean pose, with row weights.
+
+    length: L. run: the clips. spectrum (clips, l, 3 points), metres. magnitudes (clips, l): Euclidean norms across
+    points, which no coefficient of an orthonormal basis exceeds.
+    """
+
+    length: int
+    run: slice
+    spectrum: Floats
+    magnitudes: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +109,7 @@ def with_fitted_transform(motion: PreparedMotion) -> PreparedMotion:
     """With B fitted to C = Σ M_i D̃ D̃ᵀ M_iᵀ: equation (5) and Theorem 1. Unchanged if transforms are learned."""
     if motion.learned:
         return motion
-    mean = motion.rows.mean(axis=0) if motion.centre else 0.0
-    rows = (motion.rows - mean) * motion.row_weights
+    rows = motion.weighted(motion.rows - motion.mean if motion.centre else motion.rows)
     if motion.frequencies is None:
         return replace(motion, fitted=left_transform.fit_rows(rows))
     spectra: list[Floats] = []
@@ -104,20 +136,37 @@ def quantise_motion(motion: PreparedMotion, rung: int) -> QuantisedMotion:
         clip_steps=bool(motion.rung_offsets.any()),
         shared_transforms=bool(motion.learned),
     )
-    rows = motion.rows
     if motion.centre:
-        header = _with_mean_pose(header, rows)
-        rows = rows - header.mean_pose
-    rows = rows * motion.row_weights if motion.weight_rungs is not None else rows
-    transform_index = _best_transforms(rows, motion.lengths, transforms)
+        header = _with_mean_pose(header, motion)
+    rest = motion.weighted(motion.mean - header.mean_pose)  # of the mean pose, which the clips code
+    transform_index = _best_transforms(motion, header.mean_pose, transforms)
     spectra: list[Integers] = []
-    for length, run, frames in _clip_runs(motion.lengths):
-        curves = _project(rows[frames], length, transforms, transform_index[run])
-        count = None if motion.frequencies is None else int(motion.frequencies[run.start])
-        scaled = dct.forward(curves, count, axis=1)
-        scaled /= header.steps_m(motion.rung_offsets[run])[:, None, None]
+    for clips in motion.spectra:
+        steps = header.steps_m(motion.rung_offsets[clips.run])
+        scaled = _project(clips, rest, steps, transforms, transform_index[clips.run])
         spectra.extend(_quantised(scaled, motion.economy))
     return _without_zero_components(header, motion, spectra, transform_index)
+
+
+def _project(
+    clips: ClipSpectra, rest: Floats, steps: Floats, transforms: tuple[LeftTransform, ...], transform_index: Integers
+) -> Floats:
+    """B_jᵀ M_i D̃ of a run of clips, transposed, in steps: (clips, l, k), up to the last frequency that matters.
+
+    rest (3 points,): added to every frame. steps (clips,), metres.
+    """
+    large = (clips.magnitudes >= ALMOST_HALF * steps[:, None]).any(axis=0)
+    reach = int(np.flatnonzero(large).max(initial=0)) + 1 + SMOOTHED_FREQUENCIES
+    constant = rest * clips.length**0.5
+    if len(transforms) == 1:
+        scaled = clips.spectrum[:, :reach] @ transforms[0].matrix
+        scaled[:, :1] += constant @ transforms[0].matrix
+    else:
+        matrices = [transforms[j].matrix for j in transform_index.tolist()]
+        scaled = np.stack([one[:reach] @ matrix for one, matrix in zip(clips.spectrum, matrices, strict=True)])
+        scaled[:, :1] += np.stack([constant @ matrix for matrix in matrices])[:, None]
+    scaled /= steps[:, None, None]
+    return scaled
 
 
 def _quantised(scaled: Floats, economy: float) -> Integers:
@@ -132,7 +181,13 @@ def _quantised(scaled: Floats, economy: float) -> Integers:
 def component_curves(motion: PreparedMotion, step: float) -> Floats:
     """Bᵀ M, transposed: (frames, k), the input of the DCT along time, before segmentation into clips."""
     transform = motion.learned[0] if motion.fitted is None else _worthwhile_components(motion, motion.fitted, step)
-    return (motion.rows - motion.rows.mean(axis=0)) * motion.row_weights @ transform.matrix
+    return motion.weighted(motion.rows - motion.mean) @ transform.matrix
+
+
+def component_spectra(motion: PreparedMotion, step: float) -> list[Floats]:
+    """The coefficients of `component_curves`, (clips, l, k) of each run of clips of equal length."""
+    transform = motion.learned[0] if motion.fitted is None else _worthwhile_components(motion, motion.fitted, step)
+    return [clips.spectrum @ transform.matrix for clips in motion.spectra]
 
 
 def _worthwhile_components(motion: PreparedMotion, fitted: LeftTransform, step: float) -> LeftTransform:
@@ -160,28 +215,22 @@ def _rounded_transforms(motion: PreparedMotion, step: float) -> tuple[LeftTransf
     return (fitted.rounded(step) if motion.compress_basis else fitted.rounded_to_16_bits(),)
 
 
-def _with_mean_pose(header: SharedHeader, rows: Floats) -> SharedHeader:
+def _with_mean_pose(header: SharedHeader, motion: PreparedMotion) -> SharedHeader:
     """With the mean pose, rounded to multiples of step / √frames, since its error is the same in every frame."""
-    rung = round(header.rung - quantise.LADDER * 0.5 * math.log2(len(rows)))
+    rung = round(header.rung - quantise.LADDER * 0.5 * math.log2(len(motion.rows)))
     step = header.unit * quantise.step(rung)
-    return replace(header, mean_numbers=quantise.forward(rows.mean(axis=0), step), mean_rung=rung)
+    return replace(header, mean_numbers=quantise.forward(motion.mean, step), mean_rung=rung)
 
 
-def _best_transforms(rows: Floats, lengths: Integers, transforms: tuple[LeftTransform, ...]) -> Integers:
+def _best_transforms(motion: PreparedMotion, mean_pose: Floats, transforms: tuple[LeftTransform, ...]) -> Integers:
     """Index of the left transform that keeps the most energy of each clip, (N,)."""
+    lengths = motion.lengths
     if len(transforms) == 1:
         return np.zeros(len(lengths), np.int64)
+    rows = motion.weighted(motion.rows - mean_pose)
     starts = np.cumsum(lengths) - lengths
     energies = [np.add.reduceat(np.einsum("fk,fk->f", c := rows @ one.matrix, c), starts) for one in transforms]
     return np.argmax(energies, axis=0)
-
-
-def _project(rows: Floats, length: int, transforms: tuple[LeftTransform, ...], transform_index: Integers) -> Floats:
-    """B_jᵀ M_i of clips of equal length, transposed: (clips, length, k)."""
-    if len(transforms) == 1:
-        return (rows @ transforms[0].matrix).reshape(len(transform_index), length, len(transforms[0]))
-    clips = rows.reshape(-1, length, rows.shape[1])
-    return np.stack([clip @ transforms[j].matrix for clip, j in zip(clips, transform_index, strict=True)])
 
 
 def _rdo_rounding(scaled: Floats, economy: float) -> Floats:
@@ -200,14 +249,15 @@ def _rdo_rounding(scaled: Floats, economy: float) -> Floats:
 
 def _smooth_magnitudes(magnitudes: Floats) -> Floats:
     """Weighted means over five frequencies and three components, (l, k)."""
+    if not magnitudes.size:
+        return magnitudes
     for axis, kernel in ((0, (1, 3, 4, 3, 1)), (1, (1, 2, 1))):
-        reach = len(kernel) // 2
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (reach, reach)
-        padded = np.pad(magnitudes, pad, mode="edge") if magnitudes.size else magnitudes
-        count = magnitudes.shape[axis]
-        shifted = (padded.take(range(i, i + count), axis) * w for i, w in enumerate(kernel))
-        magnitudes = sum(shifted, np.zeros_like(magnitudes)) / sum(kernel) if magnitudes.size else magnitudes
+        values, reach = np.moveaxis(magnitudes, axis, 0), len(kernel) // 2
+        padded = np.concatenate([values[:1].repeat(reach, 0), values, values[-1:].repeat(reach, 0)])
+        smooth = np.zeros_like(values)
+        for i, weight in enumerate(kernel):
+            smooth += weight * padded[i : i + len(values)]
+        magnitudes = np.moveaxis(smooth / sum(kernel), 0, axis)
     return magnitudes
 
 

@@ -296,16 +296,31 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
         at += n * l
         if header.clip_steps:
             spectra *= header.steps_m(clips.rung_offsets[run])[:, None, None]
-        curves = np.ones((n, length, header.components + 1))  # the last column stands for the mean pose
-        dct.inverse_panels(spectra, curves)
         out = rows[frame : frame + n * length]
         frame += n * length
+        if len(matrices) == 1 and dct.is_by_matrix(length, l) and _is_basis_first_faster(spectra, rows.shape[1]):
+            of_points = spectra @ matrices[0][:-1]
+            of_points[:, 0] += matrices[0][-1] * length**0.5
+            dct.inverse_runs(of_points, out.reshape(n, length, -1))
+            continue
+        curves = np.ones((n, length, header.components + 1))  # the last column stands for the mean pose
+        dct.inverse_panels(spectra, curves)
         if len(matrices) == 1:
             np.matmul(curves.reshape(n * length, -1), matrices[0], out=out)
         else:
             for i, j in enumerate(clips.transform_index[run].tolist()):
                 np.matmul(curves[i], matrices[j], out=out[i * length : (i + 1) * length])
     return rows.reshape(-1, header.points, 3)
+
+
+def _is_basis_first_faster(spectra: Floats, columns: int) -> bool:
+    """Whether B, of `columns` rows, comes before the inverse DCT: by the multiplications for a frame of a long clip.
+
+    spectra (clips, l, k).
+    """
+    _, known, components = spectra.shape
+    of_panels = sum(count * (panel.stop - panel.start) for panel, count in dct.panels(spectra))
+    return 0 < known * columns < of_panels + 2 * components * columns
 
 
 def _products(header: SharedHeader) -> list[Floats]:

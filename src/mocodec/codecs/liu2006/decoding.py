@@ -90,18 +90,20 @@ def blended_poses(
     """
     poses = models[i].poses(group, start, stop)
     half = blend_frames // 2
-    frames = np.arange(start, stop)
-    window_start = np.maximum(frames - half, models[0].start)
-    window_stop = np.minimum(frames + half + 1, models[-1].stop)
+    blends: list[tuple[slice, Floats]] = []
     for neighbour in (*models[max(i - 1, 0) : i], *models[i + 1 : i + 2]):
         first = max(start, neighbour.start - neighbour.before)
         last = min(stop, neighbour.stop + neighbour.after)
         if first >= last:
             continue
-        overlap = slice(first - start, last - start)
+        frames, overlap = np.arange(first, last), slice(first - start, last - start)
+        window_start = np.maximum(frames - half, models[0].start)
+        window_stop = np.minimum(frames + half + 1, models[-1].stop)
         r = np.minimum(window_stop, neighbour.stop) - np.maximum(window_start, neighbour.start)
-        weight = (np.maximum(r, 0) / (window_stop - window_start))[overlap, None]
-        poses[overlap] += weight * (neighbour.poses(group, first, last) - models[i].poses(group, first, last))
+        weight = (np.maximum(r, 0) / (window_stop - window_start))[:, None]
+        blends.append((overlap, weight * (neighbour.poses(group, first, last) - poses[overlap])))
+    for overlap, change in blends:
+        poses[overlap] += change
     return poses
 
 

@@ -7,8 +7,11 @@ KeyframeTrack of the normalisation markers, a PcaModel for each group = SegmentM
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -47,8 +50,13 @@ class KeyframeTrack:
 
     def at(self, start: int, stop: int) -> Floats:
         """The trajectories at frames [start, stop), counted from the track's first frame: (frames, k)."""
+        return spline.interpolate(*self._by_frame, np.arange(start, stop))
+
+    @cached_property
+    def _by_frame(self) -> tuple[Integers, Floats]:
+        """The key frames, ascending, and their values."""
         order = self.keys.order
-        return spline.interpolate(self.keys.by_level[order], self.values[order], np.arange(start, stop))
+        return self.keys.by_level[order], self.values[order]
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,10 +286,10 @@ def _precision_drops(precision: Integers) -> list[int]:
 
 def _precision_from_drops(drops: list[int]) -> Integers:
     """The inverse of `_precision_drops`. Raises Corrupt."""
-    precision = np.cumsum([*drops[:1], *(-d for d in drops[1:])], dtype=np.int64)
-    if len(precision) and not (precision.min() >= 0 and precision.max() <= basis.FINEST):
+    precision = list(accumulate(drops, operator.sub))
+    if precision and not (precision[-1] >= 0 and precision[0] <= basis.FINEST):  # they never rise
         raise Corrupt(f"liu2006: a basis has a precision outside 0 to {basis.FINEST}")
-    return precision
+    return np.array(precision, np.int64)
 
 
 def _read_rung(stored: int) -> int:
