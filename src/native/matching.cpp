@@ -26,7 +26,7 @@ constexpr size_t REFRESH_STEPS = 3;
 constexpr double CANDIDATE_MARGIN_M = 0.08;
 constexpr double MAX_COLOUR_M = 0.04;
 
-constexpr float SPHERE_SLACK_M = 1e-4f;  // more than the error of single precision, within some metres
+constexpr float CAPSULE_SLACK_M = 1e-4f;  // more than the error of single precision, within some metres
 
 // The links whose templates are nearest to one data point, nearest first.
 struct NearestLinks {
@@ -92,6 +92,7 @@ class BodyMatcher {
         const Doubles start = body.rotations, start_root = body.root;
         candidates.clear();
         std::vector<int64_t> nearest(sample.shape(0), -1);
+        const std::vector<SearchingRow> searching = own_sample(sample);
         Doubles limited_axes(3 * limited.shape(0));
         size_t since_refresh = 0;           // steps since all candidates were found anew
         double converged_at = INFINITE;     // the width of the last step, if it moved little
@@ -105,7 +106,7 @@ class BodyMatcher {
             find_candidates(data, candidates.size() / CANDIDATES, points, allowed.data());
             equations.begin();
             add_data_to_template(data, points, width, noise);
-            add_template_to_data(data, sample.data(), rows, nearest, search_widths * width, width, noise);
+            add_template_to_data(data, searching, rows, nearest, search_widths * width, width, noise);
             equations.linearise(tangential);
             equations.add_priors(start, start_root.data(), rest.data(), strengths.data(), root_strength);
             for (size_t k = 0; k < limited.shape(0); ++k)
@@ -130,30 +131,31 @@ class BodyMatcher {
         require(rotations, root, allowed, sample);
         require(data);
         body.set_pose(rotations.data(), root.data());
-        if (!is_solved || candidates.size() != data.count * CANDIDATES) {
-            candidates.clear();
-            find_candidates(data, 0, data.count, allowed.data());
-        }
         const size_t n = data.count, k = sample.shape(0);
+        if (!is_solved || candidates.size() != n * CANDIDATES) {
+            candidates.clear();
+            find_candidates(data, 0, n, allowed.data());
+        }
         Fresh<int64_t> row(n), link(n);
         Fresh<double> residual(n), gap(k);
         double data_cost = 0, template_cost = 0;
         for (size_t i = 0; i < n; ++i) {
             double y[3] = {0, 0, 0};
-            row.data[i] = match(data, i, &candidates[i * CANDIDATES], link.data[i]);
-            if (row.data[i] >= 0) body.pose_point(row.data[i], y);
+            const int64_t here = match(data, i, &candidates[i * CANDIDATES], link.data[i]);
+            row.data[i] = here < 0 ? -1 : int64_t(body.given_rows[size_t(here)]);
+            if (here >= 0) body.pose_point(here, y);
             const double *x = data.point(i);
             double square = squared_distance(x, y);
             residual.data[i] = std::sqrt(square);
-            if (data.coloured && row.data[i] >= 0)
-                for (int d = 0; d < 3; ++d) square += squared(x[3 + d] - body.colours[3 * row.data[i] + d]);
+            if (data.coloured && here >= 0)
+                for (int d = 0; d < 3; ++d) square += squared(x[3 + d] - body.colours[3 * here + d]);
             data_cost += std::min(square, truncation * truncation);
         }
-        for (size_t i = 0; i < k; ++i) {
+        for (const auto &[searching, number] : own_sample(sample)) {
             double query[6], square = squared(limit);
-            body.query_of(data, sample.data()[i], query);
+            body.query_of(data, searching, query);
             const int64_t found = data.nearest(query, square);
-            gap.data[i] = found < 0 ? limit : std::sqrt(squared_distance(data.point(size_t(found)), query));
+            gap.data[number] = found < 0 ? limit : std::sqrt(squared_distance(data.point(size_t(found)), query));
             template_cost += std::min(square, truncation * truncation);
         }
         const double cost = data_cost / double(std::max<size_t>(n, 1)) + template_cost / double(std::max<size_t>(k, 1));
@@ -186,7 +188,9 @@ class BodyMatcher {
             limits.shape(1) != LIMIT_COLUMNS)
             throw std::invalid_argument("BodyMatcher.search_limb: shapes differ");
         body.set_pose(rotations.data(), root.data());
-        LimbTask task{copy(links), copy(sample), first, std::vector<const double *>(n, nullptr), unexplained.data(),
+        std::vector<int64_t> scoring;
+        for (size_t k = 0; k < sample.shape(0); ++k) scoring.push_back(body.own_rows[size_t(sample.data()[k])]);
+        LimbTask task{copy(links), std::move(scoring), first, std::vector<const double *>(n, nullptr), unexplained.data(),
                       unexplained.shape(0), axes.data(), end.data(), factors.data()[2]};
         for (size_t k = 0; k < n; ++k)
             for (size_t l = 0; l < limited.shape(0); ++l)
@@ -234,14 +238,30 @@ class BodyMatcher {
         }
     }
 
-    // Correspondences of the first rows of `sample`. nearest: the data point of each in the step before, updated.
-    void add_template_to_data(const KdTree &data, const int64_t *sample, size_t rows, std::vector<int64_t> &nearest,
-                              double reach, double width, double noise) {
-        for (size_t k = 0; k < rows; ++k) {
+    // A template row that searches for data, and its number in the sample.
+    struct SearchingRow {
+        int64_t row;
+        size_t number;
+        bool operator<(const SearchingRow &other) const { return row < other.row; }
+    };
+
+    // The rows of a sample in spatial order.
+    std::vector<SearchingRow> own_sample(const Input<int64_t, 1> &sample) const {
+        std::vector<SearchingRow> result;
+        for (size_t k = 0; k < sample.shape(0); ++k) result.push_back({body.own_rows[size_t(sample.data()[k])], k});
+        std::sort(result.begin(), result.end());
+        return result;
+    }
+
+    // Correspondences of the first rows of a sample. nearest: the data point of each in the step before, updated.
+    void add_template_to_data(const KdTree &data, const std::vector<SearchingRow> &sample, size_t rows,
+                              std::vector<int64_t> &nearest, double reach, double width, double noise) {
+        for (const auto &[row, k] : sample) {
+            if (k >= rows) continue;
             double query[6], limit = squared(reach);
-            body.query_of(data, sample[k], query);
+            body.query_of(data, row, query);
             nearest[k] = data.nearest_from(nearest[k], query, limit);
-            if (nearest[k] >= 0) equations.add_correspondence(sample[k], data.point(nearest[k]), width, noise);
+            if (nearest[k] >= 0) equations.add_correspondence(row, data.point(size_t(nearest[k])), width, noise);
         }
     }
 
@@ -279,13 +299,22 @@ class BodyMatcher {
         std::vector<int64_t> usable;
         for (size_t link = 0; link < body.count; ++link)
             if (body.has_points[link] && allowed[link]) usable.push_back(int64_t(link));
-        const size_t count = usable.size();
-        std::vector<float> spheres(4 * count), away(count);  // centres by axes, then radii; squared distances of centres
+        const size_t count = usable.size(), lanes = (count + 3) / 4 * 4;
+        // capsules by axes: ends, segments, one over their squared lengths, radii; and squared distances from segments
+        std::vector<float> capsules(8 * lanes, 0.0f), away(lanes);
         for (size_t u = 0; u < count; ++u) {
-            for (int d = 0; d < 3; ++d) spheres[d * count + u] = float(body.world_centres[3 * usable[u] + d]);
-            spheres[3 * count + u] = float(body.radii[usable[u]]) + SPHERE_SLACK_M;
+            const double *end = &body.world_ends[6 * usable[u]];
+            double square = 0;
+            for (int d = 0; d < 3; ++d) {
+                capsules[d * lanes + u] = float(end[d]);
+                capsules[(3 + d) * lanes + u] = float(end[3 + d] - end[d]);
+                square += squared(end[3 + d] - end[d]);
+            }
+            capsules[6 * lanes + u] = float(1 / std::max(square, 1e-12));
+            capsules[7 * lanes + u] = float(body.radii[usable[u]]) + CAPSULE_SLACK_M;
         }
-        const float *mx = &spheres[0], *my = mx + count, *mz = my + count, *radius = mz + count;
+        const float *ox = &capsules[0], *oy = ox + lanes, *oz = oy + lanes, *dx = oz + lanes, *dy = dx + lanes,
+                    *dz = dy + lanes, *inverse = dz + lanes, *radius = inverse + lanes;
         std::vector<char> considered(body.count, 0);
         std::array<int64_t, CANDIDATES> last;  // those of the point before, a neighbour in space
         last.fill(-1);
@@ -299,8 +328,14 @@ class BodyMatcher {
             for (int64_t link : likely)
                 if (link >= 0 && allowed[link]) nearest.consider(link), considered[link] = 1;
             const float px = float(x[0]), py = float(x[1]), pz = float(x[2]);
-            for (size_t u = 0; u < count; ++u)
-                away[u] = (px - mx[u]) * (px - mx[u]) + (py - my[u]) * (py - my[u]) + (pz - mz[u]) * (pz - mz[u]);
+            for (size_t u = 0; u < lanes; ++u) {
+                const float x0 = px - ox[u], y0 = py - oy[u], z0 = pz - oz[u];
+                float share = (x0 * dx[u] + y0 * dy[u] + z0 * dz[u]) * inverse[u];
+                share = share > 0.0f ? share : 0.0f;
+                share = share < 1.0f ? share : 1.0f;
+                const float x1 = x0 - share * dx[u], y1 = y0 - share * dy[u], z1 = z0 - share * dz[u];
+                away[u] = x1 * x1 + y1 * y1 + z1 * z1;
+            }
             for (size_t u = 0; u < count; ++u) {
                 const float most = radius[u] + float(nearest.reach);
                 if (away[u] < most * most && !considered[usable[u]]) nearest.consider(usable[u]);
@@ -343,9 +378,30 @@ class BodyMatcher {
     std::vector<int64_t> candidates;  // CANDIDATES links of each data point
 };
 
+// current · exp(share · log(previousᵀ current)) of rotations (n, 3, 3): where they are after a share of the same turn.
+Output<double> extrapolated_rotations(Input<double, 3> previous, Input<double, 3> current, double share) {
+    const size_t n = current.shape(0);
+    if (previous.shape(0) != n || previous.shape(1) != 3 || previous.shape(2) != 3 || current.shape(1) != 3 ||
+        current.shape(2) != 3)
+        throw std::invalid_argument("extrapolated_rotations: shapes differ");
+    Fresh<double> out(9 * n);
+    for (size_t i = 0; i < n; ++i) {
+        const double *from = previous.data() + 9 * i, *to = current.data() + 9 * i;
+        const double back[9] = {from[0], from[3], from[6], from[1], from[4], from[7], from[2], from[5], from[8]};
+        double step[9], vector[3];
+        multiply(back, to, step);
+        logarithm(step, vector);
+        for (double &x : vector) x *= share;
+        exponential(vector, step);
+        multiply(to, step, &out.data[9 * i]);
+    }
+    return out.give({n, 3, 3});
+}
+
 }  // namespace
 
 void bind_matching(nb::module_ &m) {
+    m.def("extrapolated_rotations", &extrapolated_rotations);
     nb::class_<KdTree>(m, "KdTree")
         .def(nb::init<Input<double, 2>, Input<double, 2>>())
         .def("grid", &KdTree::grid)

@@ -24,6 +24,7 @@ class NormalEquations {
             if (numbers[key] < 0) numbers[key] = int64_t(pairs.size()), pairs.push_back(key);
             pair_of_row[row] = numbers[key];
         }
+        plan_blocks();
     }
 
     void begin() {
@@ -47,7 +48,7 @@ class NormalEquations {
         sums.assign(pairs.size(), PairSums{});
         for (int64_t row : touched)
             if (targets[row].weight > 0) add_to_pair(row, targets[row], tangential);
-        expand_pairs();
+        expand_pairs(tangential);
         sum_subtrees();
         project_to_joints();
     }
@@ -129,11 +130,20 @@ class NormalEquations {
     const double *solution() const { return g.data(); }
 
   private:
-    // Symmetric sums over the template points that follow one pair of links: the upper triangle of f fᵀ, weighted by
-    // first², first · second and second² of the skinning weights; and f times the residual, weighted by each.
+    static constexpr size_t SYMMETRIC = 21;  // numbers of the upper triangle of a 6 × 6 matrix, row by row
+
+    // Sums over the template points that follow one pair of links, each weighted by first², first · second and second²
+    // of the skinning weights: the upper triangle of f fᵀ; of the points y, the sum of weights, of y, and the upper
+    // triangle of y yᵀ. And f times the residual, weighted by first and by second.
     struct PairSums {
-        double square[3][21];
+        double square[3][SYMMETRIC];
+        double moments[3][10];
         double right[2][6];
+    };
+
+    // One block of a matrix added to another.
+    struct Addition {
+        size_t to, from;
     };
 
     // The correspondences of one template row: where it is posed, the sum of their weights, and of weighted gaps.
@@ -142,17 +152,44 @@ class NormalEquations {
         bool is_posed = false;
     };
 
+    // The blocks that are not zero for any correspondences, and the additions that turn those of links into sums over
+    // subtrees: a joint moves all links of its subtree alike.
+    void plan_blocks() {
+        const size_t count = body.count;
+        number_of_block.assign(count * count, -1);
+        for (int64_t pair : pairs) {
+            const size_t l0 = size_t(pair) / count, l1 = size_t(pair) % count;
+            for (size_t key : {l0 * count + l0, l0 * count + l1, l1 * count + l0, l1 * count + l1}) block_at(key);
+        }
+        for (size_t link = count; link-- > 1;)  // rows, then columns, up the tree
+            for (size_t column = 0; body.parents[link] >= 0 && column < count; ++column)
+                add_block(size_t(body.parents[link]) * count + column, link * count + column);
+        for (size_t row = 0; row < count; ++row)
+            for (size_t link = count; link-- > 1;)
+                if (body.parents[link] >= 0) add_block(row * count + size_t(body.parents[link]), row * count + link);
+    }
+
+    size_t block_at(size_t key) {
+        if (number_of_block[key] < 0) number_of_block[key] = int64_t(block_count++);
+        return size_t(number_of_block[key]);
+    }
+
+    void add_block(size_t to, size_t from) {
+        if (number_of_block[from] >= 0) additions.push_back({block_at(to), size_t(number_of_block[from])});
+    }
+
     void add_to_pair(int64_t row, const Target &target, double tangential) {
         double n[3], f[6];
         const double *y = target.at, *gap = target.gap;
         transform(&body.a[9 * body.links[2 * row]], &body.normals[3 * row], n);
         std::copy_n(n, 3, f);
         cross(y, n, f + 3);
-        double outer[21], right[6], moment[3];
+        double outer[SYMMETRIC], right[6], moment[3];
         int at = 0;
         for (int i = 0; i < 6; ++i)
             for (int j = i; j < 6; ++j) outer[at++] = f[i] * f[j];
-        add_tangential(y, tangential, outer);
+        const double moments[10] = {1, y[0], y[1], y[2], y[0] * y[0], y[0] * y[1], y[0] * y[2], y[1] * y[1], y[1] * y[2],
+                                    y[2] * y[2]};
         cross(y, gap, moment);
         const double across = dot(n, gap);
         for (int d = 0; d < 3; ++d) {
@@ -160,122 +197,123 @@ class NormalEquations {
             right[3 + d] = f[3 + d] * across + tangential * moment[d];
         }
         PairSums &sum = sums[pair_of_row[row]];
-        const double first = body.weights[row], second = 1 - first;
-        const double weight = target.weight;
+        const double first = body.weights[row], second = 1 - first, weight = target.weight;
         const double shares[3] = {weight * first * first, weight * first * second, weight * second * second};
-        if (second == 0) {
-            for (int i = 0; i < 21; ++i) sum.square[0][i] += shares[0] * outer[i];
-            for (int i = 0; i < 6; ++i) sum.right[0][i] += right[i];
-            return;
+        for (int s = 0; s < (second == 0 ? 1 : 3); ++s) {
+            for (size_t i = 0; i < SYMMETRIC; ++i) sum.square[s][i] += shares[s] * outer[i];
+            for (int i = 0; i < 10; ++i) sum.moments[s][i] += shares[s] * moments[i];
         }
-        for (int s = 0; s < 3; ++s)
-            for (int i = 0; i < 21; ++i) sum.square[s][i] += shares[s] * outer[i];
         for (int i = 0; i < 6; ++i) {
             sum.right[0][i] += first * right[i];
             sum.right[1][i] += second * right[i];
         }
     }
 
-    // The upper triangle of t (I, −[y]×)ᵀ (I, −[y]×): point-to-point distances, weakly.
-    static void add_tangential(const double *y, double t, double *outer) {
-        const double square = dot(y, y);
-        outer[0] += t;
-        outer[6] += t;
-        outer[11] += t;
+    // Adds to an upper triangle t times the sum of (I, −[y]×)ᵀ (I, −[y]×), point-to-point distances, weakly. m: the sum
+    // of weights, of y, and of the upper triangle of y yᵀ.
+    static void add_tangential(const double *m, double t, double *outer) {
+        const double *y = m + 1, *yy = m + 4;
+        outer[0] += t * m[0];
+        outer[6] += t * m[0];
+        outer[11] += t * m[0];
         outer[4] += t * y[2];
         outer[5] -= t * y[1];
         outer[8] -= t * y[2];
         outer[10] += t * y[0];
         outer[12] += t * y[1];
         outer[13] -= t * y[0];
-        outer[15] += t * (square - y[0] * y[0]);
-        outer[18] += t * (square - y[1] * y[1]);
-        outer[20] += t * (square - y[2] * y[2]);
-        outer[16] -= t * y[0] * y[1];
-        outer[17] -= t * y[0] * y[2];
-        outer[19] -= t * y[1] * y[2];
+        outer[15] += t * (yy[3] + yy[5]);
+        outer[18] += t * (yy[0] + yy[5]);
+        outer[20] += t * (yy[0] + yy[3]);
+        outer[16] -= t * yy[1];
+        outer[17] -= t * yy[2];
+        outer[19] -= t * yy[4];
     }
 
-    // Sums by pairs of links into 6 × 6 blocks of the links' normal equations, and vectors of 6.
-    void expand_pairs() {
+    // Sums by pairs of links into blocks of the links' normal equations, and vectors of 6.
+    void expand_pairs(double tangential) {
         const size_t count = body.count;
-        blocks.assign(count * count * 36, 0.0);
+        blocks.assign(block_count * SYMMETRIC, 0.0);
         vectors.assign(count * 6, 0.0);
         for (size_t p = 0; p < pairs.size(); ++p) {
             const size_t l0 = size_t(pairs[p]) / count, l1 = size_t(pairs[p]) % count;
-            const size_t where[4][2] = {{l0, l0}, {l0, l1}, {l1, l0}, {l1, l1}};
+            const size_t where[4] = {l0 * count + l0, l0 * count + l1, l1 * count + l0, l1 * count + l1};
             const int which[4] = {0, 1, 1, 2};
+            for (int k = 0; k < 3; ++k) add_tangential(sums[p].moments[k], tangential, sums[p].square[k]);
             for (int k = 0; k < 4; ++k) {
-                double *block = &blocks[(where[k][0] * count + where[k][1]) * 36];
-                int at = 0;
-                for (int i = 0; i < 6; ++i)
-                    for (int j = i; j < 6; ++j, ++at) {
-                        block[6 * i + j] += sums[p].square[which[k]][at];
-                        if (i != j) block[6 * j + i] += sums[p].square[which[k]][at];
-                    }
+                double *block = &blocks[size_t(number_of_block[where[k]]) * SYMMETRIC];
+                for (size_t i = 0; i < SYMMETRIC; ++i) block[i] += sums[p].square[which[k]][i];
             }
             for (int i = 0; i < 6; ++i) vectors[6 * l0 + i] += sums[p].right[0][i];
             for (int i = 0; i < 6; ++i) vectors[6 * l1 + i] += sums[p].right[1][i];
         }
     }
 
-    // A joint moves all links of its subtree alike: blocks and vectors become sums over subtrees.
+    // Blocks and vectors become sums over subtrees.
     void sum_subtrees() {
-        const size_t count = body.count;
-        for (size_t link = count; link-- > 1;) {  // rows, then columns, up the tree
-            const int64_t parent = body.parents[link];
-            if (parent < 0) continue;
-            for (size_t i = 0; i < count * 36; ++i) blocks[parent * count * 36 + i] += blocks[link * count * 36 + i];
-            for (int i = 0; i < 6; ++i) vectors[6 * parent + i] += vectors[6 * link + i];
+        for (const Addition &addition : additions) {
+            const double *from = &blocks[addition.from * SYMMETRIC];
+            double *to = &blocks[addition.to * SYMMETRIC];
+            for (size_t i = 0; i < SYMMETRIC; ++i) to[i] += from[i];
         }
-        for (size_t row = 0; row < count; ++row)
-            for (size_t link = count; link-- > 1;) {
-                const int64_t parent = body.parents[link];
-                if (parent < 0) continue;
-                for (int i = 0; i < 36; ++i)
-                    blocks[(row * count + parent) * 36 + i] += blocks[(row * count + link) * 36 + i];
-            }
+        for (size_t link = body.count; link-- > 1;)
+            for (int i = 0; body.parents[link] >= 0 && i < 6; ++i)
+                vectors[6 * body.parents[link] + i] += vectors[6 * link + i];
     }
 
-    // h and g of the unknowns from the sums over subtrees.
+    // h and g of the unknowns from the sums over subtrees. A subtree's motion (v, ω) by the rotation of its joint at p is
+    // [p]× above I, by the root's translation I above 0.
     void project_to_joints() {
         const size_t count = body.count;
         h.assign(unknowns * unknowns, 0.0);
         g.assign(unknowns, 0.0);
-        // Jacobians (6, 3) of the motion (v, ω) of a subtree: by the rotation of its joint at p, [p]× above I; by the
-        // root's translation, I above 0
-        Doubles jacobian(18 * (count + 1), 0.0);
-        std::vector<size_t> subtree(count + 1, 0);
-        for (int d = 0; d < 3; ++d) jacobian[3 * d + d] = 1;
-        for (size_t link = 0; link < count; ++link) {
-            double p[3];
-            transform(&body.a[9 * link], &body.origins[3 * link], p);
-            for (int d = 0; d < 3; ++d) p[d] += body.b[3 * link + d];
-            double *m = &jacobian[18 * (link + 1)];
-            m[1] = -p[2], m[2] = p[1], m[3] = p[2], m[5] = -p[0], m[6] = -p[1], m[7] = p[0];
-            m[9] = m[13] = m[17] = 1;
-            subtree[link + 1] = link;
+        joints.resize(3 * count);
+        for (size_t link = 0; link < count; ++link) body.place(link, &body.origins[3 * link], &joints[3 * link]);
+        for (size_t i = 0; i < count; ++i)
+            for (size_t j = i; j < count; ++j)
+                if (number_of_block[i * count + j] >= 0)
+                    project_block(i, j, &blocks[size_t(number_of_block[i * count + j]) * SYMMETRIC]);
+        std::copy_n(vectors.begin(), 3, g.begin());
+        for (size_t i = 0; i < count; ++i) {
+            const double *v = &vectors[6 * i];
+            double moment[3];
+            cross(&joints[3 * i], v, moment);
+            for (int d = 0; d < 3; ++d) g[3 + 3 * i + d] = v[3 + d] - moment[d];
         }
-        for (size_t i = 0; i <= count; ++i) {
-            const double *left = &jacobian[18 * i];
-            for (size_t j = i; j <= count; ++j) {
-                const double *block = &blocks[(subtree[i] * count + subtree[j]) * 36], *right = &jacobian[18 * j];
-                if (std::all_of(block, block + 36, [](double x) { return x == 0; })) continue;
-                double half[18] = {};
-                for (int r = 0; r < 6; ++r)
-                    for (int k = 0; k < 6; ++k)
-                        for (int c = 0; c < 3; ++c) half[3 * r + c] += block[6 * r + k] * right[3 * k + c];
-                for (int r = 0; r < 3; ++r)
-                    for (int c = 0; c < 3; ++c) {
-                        double sum = 0;
-                        for (int k = 0; k < 6; ++k) sum += left[3 * k + r] * half[3 * k + c];
-                        h[(3 * i + r) * unknowns + 3 * j + c] = sum;
-                        h[(3 * j + c) * unknowns + 3 * i + r] = sum;
-                    }
+    }
+
+    // h of the joints of links i ≤ j from their block (V C; Cᵀ W), and of the root's translation from those of link 0.
+    void project_block(size_t i, size_t j, const double *block) {
+        const double v[9] = {block[0], block[1], block[2], block[1], block[6], block[7], block[2], block[7], block[11]};
+        const double c[9] = {block[3],  block[4],  block[5],  block[8], block[9],
+                             block[10], block[12], block[13], block[14]};
+        const double w[9] = {block[15], block[16], block[17], block[16], block[18],
+                             block[19], block[17], block[19], block[20]};
+        double above[9], below[9], moment[3];  // V [p]× + C and Cᵀ [p]× + W, of the joint of link j at p
+        const double *p = &joints[3 * j], *q = &joints[3 * i];
+        for (int r = 0; r < 3; ++r) {
+            const double column[3] = {c[r], c[3 + r], c[6 + r]};
+            cross(v + 3 * r, p, moment);
+            for (int d = 0; d < 3; ++d) above[3 * r + d] = moment[d] + c[3 * r + d];
+            cross(column, p, moment);
+            for (int d = 0; d < 3; ++d) below[3 * r + d] = moment[d] + w[3 * r + d];
+        }
+        for (int d = 0; d < 3; ++d) {  // [q]×ᵀ above + below
+            const double column[3] = {above[d], above[3 + d], above[6 + d]};
+            cross(q, column, moment);
+            for (int r = 0; r < 3; ++r) set_symmetric(3 + 3 * i + r, 3 + 3 * j + d, below[3 * r + d] - moment[r]);
+        }
+        if (i) return;
+        for (int r = 0; r < 3; ++r)
+            for (int d = 0; d < 3; ++d) {
+                set_symmetric(r, 3 + 3 * j + d, above[3 * r + d]);
+                if (!j) h[r * unknowns + d] = v[3 * r + d];
             }
-            for (int r = 0; r < 3; ++r)
-                for (int k = 0; k < 6; ++k) g[3 * i + r] += left[3 * k + r] * vectors[6 * subtree[i] + k];
-        }
+    }
+
+    void set_symmetric(size_t row, size_t column, double value) {
+        h[row * unknowns + column] = value;
+        h[column * unknowns + row] = value;
     }
 
     const SkinnedBody &body;
@@ -283,6 +321,9 @@ class NormalEquations {
     std::vector<int64_t> pair_of_row, pairs;  // pairs of links that share template points: first · links + second
     std::vector<Target> targets;
     std::vector<int64_t> touched;  // template rows that have correspondences
+    std::vector<int64_t> number_of_block;  // (links, links): −1 for those that stay zero
+    std::vector<Addition> additions;
+    size_t block_count = 0;
     std::vector<PairSums> sums;
-    Doubles blocks, vectors, h, g;
+    Doubles blocks, vectors, joints, h, g;
 };

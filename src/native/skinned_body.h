@@ -2,7 +2,9 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <type_traits>
 #include <vector>
@@ -30,10 +32,10 @@ class SkinnedBody {
                 Input<int64_t, 2> links, Input<double, 1> weights, Input<double, 2> normals, Input<double, 2> colours,
                 Input<int32_t, 1> nearest, Input<double, 2> low, Input<int32_t, 2> size, Input<int64_t, 1> start,
                 double cell, double margin)
-        : count(parents.shape(0)), rows(points.shape(0)), coloured(colours.shape(0) > 0), cell(cell), margin(margin),
-          parents(copy(parents)), origins(copy(origins)), lengths(copy(lengths)), points(copy(points)),
-          links(copy(links)), weights(copy(weights)), normals(copy(normals)), colours(copy(colours)),
-          nearest(narrowed(nearest, rows)), low(copy(low)), size(copy(size)), start(copy(start)) {
+        : count(parents.shape(0)), rows(points.shape(0)), coloured(colours.shape(0) > 0), cell_size(cell), margin(margin),
+          parents(copy(parents)), origins(copy(origins)), lengths(copy(lengths)), given_rows(spatial_order(points)),
+          points(ordered(points)), links(ordered(links)), weights(ordered(weights)), normals(ordered(normals)),
+          colours(ordered(colours)), low(copy(low)), size(copy(size)) {
         const bool same = origins.shape(0) == count && lengths.shape(0) == count && links.shape(0) == rows &&
                           links.shape(1) == 2 && weights.shape(0) == rows && normals.shape(0) == rows &&
                           low.shape(0) == count && size.shape(0) == count && start.shape(0) == count &&
@@ -41,16 +43,20 @@ class SkinnedBody {
         const bool three = origins.shape(1) == 3 && points.shape(1) == 3 && normals.shape(1) == 3 &&
                            low.shape(1) == 3 && size.shape(1) == 3 && (!coloured || colours.shape(1) == 3);
         if (!same || !three || !count || !rows) throw std::invalid_argument("BodyMatcher: shapes differ");
+        own_rows.resize(rows);
+        for (size_t row = 0; row < rows; ++row) own_rows[given_rows[row]] = int64_t(row);
         for (size_t l = 0; l < count; ++l) {
             const int32_t *s = &this->size[3 * l];
             if (this->parents[l] >= int64_t(l))
                 throw std::invalid_argument("BodyMatcher: a link stands before its parent");
-            if (s[0] < 1 || s[1] < 1 || s[2] < 1 || this->start[l] < 0 ||
-                uint64_t(this->start[l]) + uint64_t(s[0]) * s[1] * s[2] > this->nearest.size())
+            const int64_t first = start.data()[l];
+            if (s[0] < 1 || s[1] < 1 || s[2] < 1 || first < 0 ||
+                uint64_t(first) + uint64_t(s[0]) * s[1] * s[2] > nearest.size())
                 throw std::invalid_argument("BodyMatcher: a grid is beyond the end of its array");
-            has_points.push_back(this->nearest[this->start[l]] != NO_ROW);
+            has_points.push_back(nearest.data()[first] >= 0);
+            add_grid(l, nearest.data() + first);
+            add_capsule(l);
         }
-        for (size_t l = 0; l < count; ++l) add_bounding_sphere(l);
         for (int64_t link : this->links)
             if (link < 0 || link >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link beyond the body");
     }
@@ -61,14 +67,14 @@ class SkinnedBody {
         update_transforms();
     }
 
-    // A and b of every link, and the centres of their bounding spheres, from `rotations` and `root`.
+    // A and b of every link, and the ends of their capsules, from `rotations` and `root`.
     void update_transforms() {
         a.resize(9 * count);
         b.resize(3 * count);
-        world_centres.resize(3 * count);
+        world_ends.resize(6 * count);
         for (size_t link = 0; link < count; ++link) {
             update_transform(int64_t(link));
-            place(link, &centres[3 * link], &world_centres[3 * link]);
+            for (size_t end = 2 * link; end < 2 * link + 2; ++end) place(link, &ends[3 * end], &world_ends[3 * end]);
         }
     }
 
@@ -128,18 +134,18 @@ class SkinnedBody {
 
     // The template point nearest to a place in a link's canonical coordinates, from the link's grid.
     int32_t look_up(int64_t link, const double *local) const {
-        int64_t index = 0;
+        size_t cell[3];
         for (int d = 0; d < 3; ++d) {
             const int32_t most = size[3 * link + d] - 1;
-            const double x = (local[d] - low[3 * link + d]) * (1 / cell);
-            index = index * (most + 1) + (x <= 0 ? 0 : x >= most ? most : int32_t(x));
+            const double x = (local[d] - low[3 * link + d]) * (1 / cell_size);
+            cell[d] = size_t(x <= 0 ? 0 : x >= most ? most : int32_t(x));
         }
-        return nearest[start[link] + index];
+        return nearest[bricks[link] + brick_of(link, cell)].rows[row_in_brick(cell)];
     }
 
-    // Whether no template point of a link is nearer to a place of the world than `reach`, by its bounding sphere.
+    // Whether no template point of a link is nearer to a place of the world than `reach`, by its capsule.
     bool is_beyond(int64_t link, const double *place, double reach) const {
-        return squared_distance(place, &world_centres[3 * link]) >= squared(radii[link] + reach);
+        return squared_distance_from_segment(place, &world_ends[6 * link]) >= squared(radii[link] + reach);
     }
 
     // Squared distance of a place in a link's coordinates from the bounding box of the link's template points: a lower
@@ -148,7 +154,7 @@ class SkinnedBody {
         double sum = 0;
         for (int d = 0; d < 3; ++d) {
             const double from = low[3 * link + d] + margin;
-            const double to = low[3 * link + d] + cell * size[3 * link + d] - margin;
+            const double to = low[3 * link + d] + cell_size * size[3 * link + d] - margin;
             sum += squared(std::max(0.0, std::max(from - local[d], local[d] - to)));
         }
         return sum;
@@ -156,45 +162,122 @@ class SkinnedBody {
 
     const size_t count, rows;  // of links, of template points
     const bool coloured;
-    const double cell, margin;
+    const double cell_size, margin;
     const std::vector<int64_t> parents;
-    const Doubles origins, lengths, points;
+    const Doubles origins, lengths;
+    const std::vector<size_t> given_rows;  // the template's rows, in the order in which they stand here: neighbours in
+                                           // space are neighbours in memory
+    std::vector<int64_t> own_rows;         // where each of the template's rows stands here
+    const Doubles points;
     const std::vector<int64_t> links;
     const Doubles weights, normals, colours;
     std::vector<char> has_points;
-    Doubles centres, radii;                   // bounding spheres of the links' template points, canonical
+    Doubles ends, radii;                      // capsules that hold the links' template points: (links, 2, 3) canonical
     Doubles rotations, root;                  // the current pose
-    Doubles a, b, world_centres;              // what follows from it
+    Doubles a, b, world_ends;                 // what follows from it
 
   private:
-    static constexpr uint16_t NO_ROW = 0xffff;
+    static std::vector<size_t> spatial_order(Input<double, 2> points) {
+        KdNodes<double> tree;
+        if (points.shape(1) == 3)
+            tree.build(points.shape(0), 3, 1, [&](size_t row, int axis) { return points.data()[3 * row + size_t(axis)]; });
+        return tree.order;
+    }
 
-    // Template rows in 16 bits: a link's grid then stays in the cache.
-    static std::vector<uint16_t> narrowed(Input<int32_t, 1> nearest, size_t rows) {
-        std::vector<uint16_t> result(nearest.size());
-        for (size_t i = 0; i < nearest.size(); ++i) {
-            const int32_t row = nearest.data()[i];
-            if (row < -1 || row >= int64_t(rows) || row >= NO_ROW)
-                throw std::invalid_argument("BodyMatcher: a row beyond the template");
-            result[i] = row < 0 ? NO_ROW : uint16_t(row);
-        }
+    // The rows of an array in the order of `given_rows`; nothing if it has not so many rows.
+    template <class Array>
+    std::vector<std::remove_const_t<typename Array::Scalar>> ordered(const Array &array) const {
+        std::vector<std::remove_const_t<typename Array::Scalar>> result;
+        if (array.shape(0) != given_rows.size()) return result;
+        const size_t columns = array.size() / std::max<size_t>(array.shape(0), 1);
+        for (size_t row : given_rows)
+            result.insert(result.end(), array.data() + row * columns, array.data() + (row + 1) * columns);
         return result;
     }
 
-    // The smallest sphere about the centre of a link's grid that holds all its template points.
-    void add_bounding_sphere(size_t link) {
+    static constexpr uint16_t NO_ROW = 0xffff;
+    static constexpr int CAPSULE_CUTS = 8;
+
+    // 4 × 4 × 2 neighbouring cells of a grid in 16 bits each: a line of the cache.
+    struct alignas(64) Brick {
+        uint16_t rows[32];
+    };
+
+    size_t brick_of(size_t link, const size_t *cell) const {
         const int32_t *s = &size[3 * link];
-        for (int d = 0; d < 3; ++d) centres.push_back(low[3 * link + d] + cell * s[d] / 2);
-        radii.push_back(0);
-        if (!has_points[link]) return;
-        for (int64_t at = start[link], end = at + int64_t(s[0]) * s[1] * s[2]; at < end; ++at) {
-            const double away = squared_distance(&points[3 * nearest[at]], &centres[3 * link]);
-            radii[link] = std::max(radii[link], std::sqrt(away));
-        }
+        return ((cell[0] / 4) * ((size_t(s[1]) + 3) / 4) + cell[1] / 4) * ((size_t(s[2]) + 1) / 2) + cell[2] / 2;
     }
 
-    const std::vector<uint16_t> nearest;
+    static size_t row_in_brick(const size_t *cell) { return cell[0] % 4 * 8 + cell[1] % 4 * 2 + cell[2] % 2; }
+
+    // A link's grid, given cell by cell, the last axis fastest.
+    void add_grid(size_t link, const int32_t *given) {
+        const int32_t *s = &size[3 * link];
+        bricks.push_back(nearest.size());
+        const size_t last[3] = {size_t(s[0]) - 1, size_t(s[1]) - 1, size_t(s[2]) - 1};
+        Brick empty;
+        std::fill_n(empty.rows, 32, NO_ROW);
+        nearest.resize(nearest.size() + brick_of(link, last) + 1, empty);
+        size_t cell[3];
+        for (cell[0] = 0; cell[0] <= last[0]; ++cell[0])
+            for (cell[1] = 0; cell[1] <= last[1]; ++cell[1])
+                for (cell[2] = 0; cell[2] <= last[2]; ++cell[2]) {
+                    const int32_t row = *given++;
+                    if (row < -1 || row >= int64_t(rows) || row >= NO_ROW)
+                        throw std::invalid_argument("BodyMatcher: a row beyond the template");
+                    const size_t at = bricks[link] + brick_of(link, cell);
+                    nearest[at].rows[row_in_brick(cell)] = row < 0 ? NO_ROW : uint16_t(own_rows[size_t(row)]);
+                }
+    }
+
+    // Squared distance of a place from the segment between two ends (2, 3).
+    static double squared_distance_from_segment(const double *place, const double *ends) {
+        double along[3], from[3];
+        for (int d = 0; d < 3; ++d) along[d] = ends[3 + d] - ends[d], from[d] = place[d] - ends[d];
+        const double share = std::clamp(dot(from, along) / std::max(dot(along, along), 1e-12), 0.0, 1.0);
+        for (int d = 0; d < 3; ++d) from[d] -= share * along[d];
+        return dot(from, from);
+    }
+
+    // A capsule, a segment and a radius, that holds all template points of a link. The segment lies between two points
+    // far from each other, shortened as much as makes the capsule smallest.
+    void add_capsule(size_t link) {
+        std::vector<char> is_own(rows, 0);
+        for (size_t brick = bricks[link]; has_points[link] && brick < nearest.size(); ++brick)
+            for (uint16_t row : nearest[brick].rows)
+                if (row < rows) is_own[row] = 1;
+        std::vector<const double *> own;
+        for (size_t row = 0; row < rows; ++row)
+            if (is_own[row]) own.push_back(&points[3 * row]);
+        std::array<double, 6> best{};
+        double best_radius = 0, least = std::numeric_limits<double>::infinity();
+        if (!own.empty()) {
+            const auto farthest = [&](const double *from) {
+                return *std::max_element(own.begin(), own.end(), [&](const double *p, const double *q) {
+                    return squared_distance(p, from) < squared_distance(q, from);
+                });
+            };
+            const double *one = farthest(own[0]), *other = farthest(one);
+            for (int cut = 0; cut <= CAPSULE_CUTS; ++cut) {
+                const double share = 0.5 * cut / CAPSULE_CUTS;
+                std::array<double, 6> segment;
+                for (int d = 0; d < 3; ++d) {
+                    segment[d] = one[d] + share * (other[d] - one[d]);
+                    segment[3 + d] = other[d] - share * (other[d] - one[d]);
+                }
+                double square = 0;
+                for (const double *p : own) square = std::max(square, squared_distance_from_segment(p, segment.data()));
+                const double radius = std::sqrt(square), length = std::sqrt(squared_distance(&segment[0], &segment[3]));
+                const double volume = square * (length + 4.0 / 3.0 * radius);
+                if (volume < least) least = volume, best = segment, best_radius = radius;
+            }
+        }
+        ends.insert(ends.end(), best.begin(), best.end());
+        radii.push_back(best_radius);
+    }
+
     const Doubles low;
     const std::vector<int32_t> size;
-    const std::vector<int64_t> start;
+    std::vector<Brick> nearest;    // of all links
+    std::vector<size_t> bricks;    // the first of each link
 };

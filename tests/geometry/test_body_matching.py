@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulation, link_grids
+from mocodec.geometry import articulation, body_tracking, link_grids
 from mocodec.geometry.body_matching import FramePoints, Matcher, Step
 from mocodec.geometry.gauss_newton import PosePrior
 
@@ -103,6 +103,35 @@ def test_compiled_grids_and_queries_equal_numpy(scene):
         found, expected = data.nearest(points, shades, within), numpy_data.nearest(points, shades, within)
         np.testing.assert_allclose(found[0], expected[0], atol=1e-12)
         assert (found[1] == expected[1]).all()
+
+
+@compiled
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e20])
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+def test_the_nearest_point_is_exact_at_every_scale(scale, offset):
+    rng = np.random.default_rng(3)
+    points = scale * (offset + rng.normal(size=(700, 3)))
+    points[300:340] = points[7]  # more points at one place than a leaf has
+    queries = scale * (offset + 2 * rng.normal(size=(200, 3)))
+    fast = FramePoints.build(points)
+    with native.without():
+        expected = FramePoints.build(points).nearest(queries, None, np.inf)
+    found = fast.nearest(queries, None, np.inf)
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
+    np.testing.assert_array_equal(points[found[1]], points[expected[1]])
+
+
+@compiled
+def test_compiled_prediction_equals_numpy(scene):
+    _, body, model, skin = scene
+    found = []
+    for is_compiled in (True, False):
+        with native.without() if not is_compiled else pytest.MonkeyPatch.context():
+            tracker = body_tracking.BodyTracker(body, skin, model.normals)
+            tracker.pose = pose_near_canonical(body)
+            found.append(tracker.predict())
+    np.testing.assert_allclose(found[0].rotations, found[1].rotations, atol=1e-12)
+    np.testing.assert_array_equal(found[0].root, found[1].root)
 
 
 @compiled

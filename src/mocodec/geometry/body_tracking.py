@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .. import native
 from ..typing import AnyInteger, Bytes, Floats
 from . import limb_chains, normals, reacquisition, skinning, smoothing
 from .articulation import Body, Pose, exp, log, transforms
@@ -41,6 +42,8 @@ UNEXPLAINED_SHARE = 0.006
 PROMISING_COARSE, PROMISING_LIMB, PROMISING_FEW = 1.3, 1.03, 1.1
 """Multiples of the best cost below which a hypothesis is solved in full: one solved coarsely, one of a limb; and below
 which a limb's is assessed in full, by costs on few points."""
+PROMISING_SWAP = 1.3
+"""Multiple of the best cost, on few points, below which swapped limbs are solved coarsely."""
 BETTER = 0.97
 """Share of a cost below which another fit is clearly better."""
 TURNED_SOLVED = 10
@@ -95,8 +98,10 @@ class BodyTracker(PoseSolver):
     def predict(self) -> Pose:
         """The pose that constant velocity predicts."""
         share = self.settings.velocity
-        step = log(self.previous_pose.rotations.transpose(0, 2, 1) @ self.pose.rotations) * share
         root = self.pose.root + share * (self.pose.root - self.previous_pose.root)
+        if (kernel := native.kernel("extrapolated_rotations")) is not None:
+            return Pose(kernel(self.previous_pose.rotations, self.pose.rotations, share), root)
+        step = log(self.previous_pose.rotations.transpose(0, 2, 1) @ self.pose.rotations) * share
         return Pose(self.pose.rotations @ exp(step), root)
 
     def fit(self, points: Floats, colours: Bytes | None = None, seed: int = 0) -> Fit:
@@ -218,6 +223,8 @@ class BodyTracker(PoseSolver):
             share = min(self._share_without_data(self.limbs[number], best) for number in pair)
             if share >= PAIR_LOST_SHARE or is_costly:
                 pose = limb_chains.swapped(self.body, best.pose, *(self.limbs[i] for i in pair))
+                if self.assess(few, pose).cost > PROMISING_SWAP * self.assess(few, best.pose).cost:
+                    continue
                 if self.coarse_solve(few, pose).cost < PROMISING_COARSE * best.cost:
                     best = _clearly_better(best, self.solve(data, pose, self.settings.widths[-6:]))
         return best
@@ -226,8 +233,8 @@ class BodyTracker(PoseSolver):
         """The share of a limb's template without data near it: of the whole limb, or of the part beyond its first bone,
         whichever is larger.
         """
-        parts = (fit.gaps[rows] > UNEXPLAINED_M for rows in limb.samples)
-        return max((float(part.mean()) for part in parts if len(part)), default=0.0)
+        lacks = fit.gaps > UNEXPLAINED_M
+        return max(np.count_nonzero(lacks[rows]) / max(len(rows), 1) for rows in limb.samples)
 
     def _grow_template(self, fit: Fit) -> None:
         """Grow a sparse template with inlier points, brought into the canonical pose.
