@@ -108,6 +108,8 @@ def read(folder: Path) -> tuple[list[PointResult], list[ResidualResult], str]:
     content = read_json(folder / "cloud_points.json")
     points = [PointResult(**record) for record in content["records"]]
     measured = f"{measured_on(content['machine'])} The load of the machine was {content['load']:.0f}."
+    if content.get("thorough"):
+        measured += " Points were chosen by their bytes and errors (`thorough`)."
     return points, [ResidualResult(**record) for record in content["residuals"]], measured
 
 

@@ -3,6 +3,7 @@
 
     with parallel.threads(None):           as many as there are processors
         parallel.over(function, items)     the results, in the order of the items
+        parallel.over(function, blocks(n)) the same of slices of n frames
 
 Without `threads` around it, `over` works in the calling thread. MOCODEC_THREADS in the environment sets another number
 for None; processes that were started as workers of another count one, since their siblings have the other processors.
@@ -52,6 +53,11 @@ def usual() -> int:
     if hasattr(os, "sched_getaffinity"):
         return max(1, len(os.sched_getaffinity(0)))
     return os.cpu_count() or 1
+
+
+def blocks(length: int, most: int = 4096) -> list[slice]:
+    """Consecutive slices of up to `most` items, for work on frames side by side."""
+    return [slice(first, min(first + most, length)) for first in range(0, length, most)]
 
 
 def over(function: Callable[[Item], Result], items: Iterable[Item], least: int = 2) -> Iterator[Result]:

@@ -62,12 +62,23 @@ private:
         return off * off;
     }
 
+    static constexpr size_t EIGHT = 8;
+
+    // Whether none of eight magnitudes exceeds a limit.
+    static bool none_beyond(const double *of, double limit) {
+        unsigned beyond = 0;
+        for (size_t i = 0; i < EIGHT; ++i) beyond |= unsigned(std::fabs(of[i]) > limit);
+        return !beyond;
+    }
+
     // Coefficients whose nearest integer is not zero, and `frequencies_` up to the last of them.
     void find_choices(const double *spectrum, const Quantisation &in) {
         choices_.clear();
         for (size_t f = 0; f < of_.frames; ++f)
             for (size_t r = 0; r < rows_; ++r) {
                 // most are far smaller than a step: divisions are slow
+                while (r && r + EIGHT <= rows_ && none_beyond(spectrum + f * rows_ + r, 0.4999 * in.size)) r += EIGHT;
+                if (r == rows_) break;
                 if (!(std::fabs(spectrum[f * rows_ + r]) > 0.4999 * (r ? in.size : in.heading_size))) continue;
                 const double scaled = spectrum[f * rows_ + r] / (r ? in.size : in.heading_size), size = std::fabs(scaled);
                 if (!(size > 0.5)) continue;
@@ -88,7 +99,7 @@ private:
     // The highest threshold whose coded zone includes the first frequency of some row.
     int64_t highest_threshold(int64_t step) const {
         int64_t top = INT64_MIN;
-        for (size_t r = 0; r < rows_; ++r) top = std::max(top, (of_.highest_by_frequency_[r] - (r ? step : 0)) >> 4);
+        for (size_t r = 0; r < rows_; ++r) top = std::max(top, (of_.highest_[r] - (r ? step : 0)) >> 4);
         return top;
     }
 
@@ -133,7 +144,7 @@ private:
     void threshold(const Quantisation &in, int64_t top, Quantised &out) {
         const size_t count = frequencies_ * rows_;
         heights_.resize(count);
-        const int32_t *highest_from = of_.highest_by_frequency_.data(), step = int32_t(in.step);
+        const int32_t *highest_from = of_.highest_.data(), step = int32_t(in.step);
         for (size_t at = 0; at < count; ++at) heights_[at] = (highest_from[at] - step) >> 4;
         for (size_t at = 0; at < count; at += rows_) heights_[at] = highest_from[at] >> 4;  // the heading's own step
         int64_t highest = top;

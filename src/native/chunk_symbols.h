@@ -81,14 +81,13 @@ public:
     // expected (frames, rows): Model.expected with a step of 0.
     Expectations(std::shared_ptr<const Tables> tables, const int64_t *expected, size_t frames, size_t rows, size_t points)
         : frames(frames), rows(rows), points(points), tables_(std::move(tables)), expected_(frames * rows),
-          highest_(frames * rows), highest_by_frequency_(frames * rows), starts_() {
+          highest_(frames * rows), starts_() {
         for (size_t i = 0; i < frames * rows; ++i)
             expected_[i] = int32_t(std::clamp<int64_t>(expected[i], -1000000, 1000000));
         for (size_t f = frames; f-- > 0;)
             for (size_t r = 0; r < rows; ++r) {
-                const int32_t after = f + 1 < frames ? highest_[r * frames + f + 1] : INT32_MIN;
-                highest_[r * frames + f] = std::max(expected_[f * rows + r], after);
-                highest_by_frequency_[f * rows + r] = highest_[r * frames + f];
+                const int32_t after = f + 1 < frames ? highest_[(f + 1) * rows + r] : INT32_MIN;
+                highest_[f * rows + r] = std::max(expected_[f * rows + r], after);
             }
         for (size_t i = 0; i < 4; ++i) {
             const int64_t end = i < 3 ? std::min<int64_t>(GROUPS[i + 1][0], int64_t(frames)) : int64_t(frames);
@@ -155,9 +154,14 @@ private:
     std::vector<size_t> zone(int64_t step, int64_t threshold) const {
         std::vector<size_t> reach(rows);
         for (size_t r = 0; r < rows; ++r) {
-            const int32_t *of_row = highest_.data() + r * frames;
             const int64_t least = threshold + (r ? step : 0);  // the heading has a step of its own
-            reach[r] = size_t(std::partition_point(of_row, of_row + frames, [=](int32_t v) { return v >= least; }) - of_row);
+            size_t first = 0, behind = frames;
+            while (first < behind) {
+                const size_t middle = (first + behind) / 2;
+                if (highest_[middle * rows + r] >= least) first = middle + 1;
+                else behind = middle;
+            }
+            reach[r] = first;
         }
         return reach;
     }
@@ -343,8 +347,7 @@ private:
     }
 
     std::shared_ptr<const Tables> tables_;
-    std::vector<int32_t> expected_, highest_;    // (frames, rows), and (rows, frames): the highest from a frequency on
-    std::vector<int32_t> highest_by_frequency_;  // the same, (frames, rows)
+    std::vector<int32_t> expected_, highest_;  // (frames, rows): expected, and the highest from a frequency on
     std::vector<size_t> starts_;               // of the groups, and the number of frames
     mutable std::mutex lock_;
     mutable std::map<int64_t, std::shared_ptr<const Base>> bases_;

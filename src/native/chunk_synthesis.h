@@ -98,6 +98,7 @@ inline bool corrections_of(const std::vector<int64_t> &lists, size_t frames, siz
 }
 
 struct Scratch {
+    std::vector<size_t> numbers[2];  // of even and of odd frequencies with coefficients: half of the frequency
     std::vector<double> panels, curves, row, frames, directions, pose;  // the last three: four doubles each
 
     static NEVER_INLINE Scratch &of_thread() {  // its address is looked up once
@@ -121,13 +122,20 @@ public:
 
     // sums[i][…] = Σ cosines[f][i] · panel[f][…]
     ALWAYS_INLINE static void tile(const double *cosines, const double *panel, size_t count, Four (&sums)[TILE][2]) {
+        tile(cosines, [](size_t f) { return f; }, panel, count, sums);
+    }
+
+    // sums[i][…] = Σ cosines[number(f)][i] · panel[f][…]
+    template <class Number>
+    ALWAYS_INLINE static void tile(const double *cosines, Number number, const double *panel, size_t count,
+                                   Four (&sums)[TILE][2]) {
         const Four zero = Four{} * 0.0;
         Four a0 = zero, a1 = zero, b0 = zero, b1 = zero, c0 = zero, c1 = zero, d0 = zero, d1 = zero;
         for (size_t f = 0; f < count; ++f) {
             Four left, right;
             load(left, panel + f * PANEL);
             load(right, panel + f * PANEL + 4);
-            const double *c = cosines + f * TILE;
+            const double *c = cosines + number(f) * TILE;
             a0 += left * c[0], a1 += right * c[0];
             b0 += left * c[1], b1 += right * c[1];
             c0 += left * c[2], c1 += right * c[2];
@@ -138,10 +146,12 @@ public:
     }
 
 private:
-    // The spectrum of the columns, in panels of PANEL columns: first even frequencies, then odd ones.
+    // The spectrum of the columns, in panels of PANEL columns: first even frequencies, then odd ones; those with
+    // coefficients only.
     ALWAYS_INLINE void spectrum(const Integers &integers, size_t known, Scratch &scratch) const {
         const size_t columns = of_.columns, even = Cosines::frequencies(known, 0);
-        scratch.panels.assign(columns * known + PANEL, 0.0);
+        scratch.panels.resize(columns * known + PANEL);
+        scratch.numbers[0].clear(), scratch.numbers[1].clear();
         scratch.row.resize(columns);
         double *row = scratch.row.data();
         const Coefficient *at = integers.coefficients.data(), *end = at + integers.coefficients.size();
@@ -157,9 +167,11 @@ private:
             while (next != end && next->frequency == frequency) ++next;
             for (; next - at >= 4; at += 4) add<4>(row, basis, at);
             for (; at != next; ++at) add<1>(row, basis, at);
-            const size_t skipped = frequency % 2 ? even : 0;
+            std::vector<size_t> &numbers = scratch.numbers[frequency % 2];
+            const size_t place = (frequency % 2 ? even : 0) + numbers.size();
+            numbers.push_back(frequency / 2);
             for (size_t panel = 0; panel < columns / PANEL; ++panel)
-                std::memcpy(scratch.panels.data() + (panel * known + skipped + frequency / 2) * PANEL, row + panel * PANEL,
+                std::memcpy(scratch.panels.data() + (panel * known + place) * PANEL, row + panel * PANEL,
                             PANEL * sizeof(double));
         }
     }
@@ -198,10 +210,11 @@ private:
             const double *even = cosines_.block(block, 0), *odd = cosines_.block(block, 1);
             for (size_t panel = 0; panel < columns / PANEL; ++panel) {
                 const double *of_panel = scratch.panels.data() + panel * known * PANEL;
-                const size_t evens = Cosines::frequencies(known, 0), odds = known - evens;
+                const size_t *evens = scratch.numbers[0].data(), *odds = scratch.numbers[1].data();
                 Four symmetric[TILE][2], antisymmetric[TILE][2];
-                tile(even, of_panel, evens, symmetric);
-                tile(odd, of_panel + evens * PANEL, odds, antisymmetric);
+                tile(even, [evens](size_t f) { return evens[f]; }, of_panel, scratch.numbers[0].size(), symmetric);
+                tile(odd, [odds](size_t f) { return odds[f]; }, of_panel + Cosines::frequencies(known, 0) * PANEL,
+                     scratch.numbers[1].size(), antisymmetric);
                 for (size_t i = 0; i < TILE && block * TILE + i < half; ++i) {
                     const size_t t = block * TILE + i;
                     double *head = scratch.curves.data() + t * columns + panel * PANEL;

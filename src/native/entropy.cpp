@@ -11,6 +11,7 @@
 
 namespace {
 
+using tokens::decode_tokens;
 using tokens::mean_shift;
 
 using Table = Input<int64_t, 1>;
@@ -243,8 +244,7 @@ nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols
     if (mixture.shape(0) != 7 || (hinted && (hints.shape(0) != steps || hints.shape(1) != lanes)))
         throw std::invalid_argument("entropy_decode: shapes differ");
     const size_t end = words.shape(0), tables = symbols.shape(0) >> FINE_PRECISION;
-    const int64_t *w = mixture.data();
-    auto next = [&](size_t table) {
+    auto symbol_of = [&](size_t table) {
         const size_t slot = x & (FINE_TOTAL - 1);
         if (table >= tables) throw std::invalid_argument("entropy_decode: no such law");
         const size_t symbol = symbols.data()[(table << FINE_PRECISION) + slot], place = table * width + symbol;
@@ -252,29 +252,15 @@ nb::tuple entropy_decode(Table frequency, Table start, Input<uint8_t, 1> symbols
         if (x < LOWEST && at < end) x = x << 16 | words.data()[at++];
         return symbol;
     };
+    auto next = [&](size_t law) {
+        const size_t found = symbol_of(law);
+        const bool escapes = int64_t(found) == sizes.data()[law] - 1;
+        return int64_t(escapes ? std::min<size_t>(found + symbol_of(excess), 255) : found);
+    };
     Fresh<uint8_t> out(steps * lanes);
-    std::vector<int64_t> mean(lanes, 0), row(lanes + 3, 0), up(lanes + 3, 0), up2(lanes + 3, 0);
-    for (size_t step = 0; step < steps; ++step) {
-        std::fill(row.begin(), row.end(), 0);
-        row[0] = row[1] = up[1] = up[2];
-        for (size_t lane = 0; lane < lanes; ++lane) {
-            if (step == 0) mean[lane] = up[lane + 2] << 8;
-            int64_t mixed = w[0] * up[lane + 2] + w[1] * up2[lane + 2] + w[2] * row[lane + 1] + w[3] * row[lane] +
-                            w[4] * up[lane + 1] + (w[5] * mean[lane] >> 8);
-            if (hinted) mixed += w[6] * hints.data()[step * lanes + lane];
-            if (mixed < 0 || size_t(mixed) >= ladder.shape(0)) throw std::invalid_argument("entropy_decode: no such law");
-            const size_t law = ladder.data()[mixed];
-            size_t token = next(law);
-            if (int64_t(token) == sizes.data()[law] - 1) token = std::min<size_t>(token + next(excess), 255);
-            row[lane + 2] = int64_t(token);
-            if (lane == 0) row[1] = int64_t(token);
-            if (step == 0) up[lane + 3] = up2[lane + 3] = int64_t(token);  // the nearest value inside the array
-            mean[lane] += ((int64_t(token) << 8) - mean[lane]) >> mean_shift(int64_t(step));
-            out.data[step * lanes + lane] = uint8_t(token);
-        }
-        std::swap(up2, up);
-        std::swap(up, row);
-    }
+    const uint8_t *of_hints = hinted ? hints.data() : nullptr;
+    if (!decode_tokens(mixture.data(), ladder.data(), ladder.shape(0), of_hints, steps, lanes, next, out.data.get()))
+        throw std::invalid_argument("entropy_decode: no such law");
     return nb::make_tuple(out.give({steps, lanes}), x, at);
 }
 

@@ -82,10 +82,13 @@ public:
         for (size_t k = 0; k < around_; ++k) add(of, sample, size_t(neighbours_[sample * around_ + k]));
     }
 
-    Move move(size_t point) {
-        const int64_t *place = cells_ + 3 * point;
-        if (is_near_ || all_are_near(place)) return near_move(double(place[0]), double(place[1]), double(place[2]), int32_t(point));
-        return distant_move(point);
+    Move move(size_t point) { return move_at(cells_ + 3 * point, int32_t(point), is_near_); }
+
+    // The move of a point at a place. skipped: a reference that does not count, nor do those at the place itself. is_near:
+    // whether the place is known to be near all references.
+    Move move_at(const int64_t *place, int32_t skipped, bool is_near = false) {
+        if (is_near || all_are_near(place)) return near_move(double(place[0]), double(place[1]), double(place[2]), skipped);
+        return distant_move(place, skipped);
     }
 
 private:
@@ -116,7 +119,7 @@ private:
     }
 
     // Sums are of integers below 2^53, the same in any order.
-    Move near_move(double px, double py, double pz, int32_t point) {
+    Move near_move(double px, double py, double pz, int32_t skipped) {
         const double unit = double(square_ << WEIGHT_BITS), least = double(square_ / 4 + 1);
         const double *x = x_.data(), *y = y_.data(), *z = z_.data(), *u = u_.data(), *v = v_.data(), *w = w_.data();
         double *weights = weights_.data(), *distances = distances_.data();
@@ -128,7 +131,7 @@ private:
             distances[k] = double(int32_t(along + OFFSET)) - OFFSET;
         }
         for (size_t k = 0; k < size_; ++k)
-            if (rows_[k] == point) weights[k] = 0;
+            if (rows_[k] == skipped || (x[k] == px && y[k] == py && z[k] == pz)) weights[k] = 0;
         const size_t end = (size_ + LANES - 1) / LANES * LANES;
         for (size_t k = size_; k < end; ++k) weights[k] = 0;
         double total[LANES] = {}, largest[LANES] = {}, sum[LANES] = {};
@@ -149,13 +152,13 @@ private:
     }
 
     // The same in integers, for points far apart.
-    Move distant_move(size_t point) {
+    Move distant_move(const int64_t *place, int32_t skipped) {
         std::vector<int64_t> weights, distances;
         int64_t total = 0, largest = 0, sum = 0;
         for (size_t k = 0; k < size_; ++k) {
-            if (size_t(rows_[k]) == point) continue;
-            const int64_t *a = cells_ + 3 * size_t(rows_[k]), *b = cells_ + 3 * point;
-            const int64_t apart[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+            const int64_t *a = cells_ + 3 * size_t(rows_[k]);
+            const int64_t apart[3] = {a[0] - place[0], a[1] - place[1], a[2] - place[2]};
+            if (rows_[k] == skipped || !(apart[0] || apart[1] || apart[2])) continue;
             const int64_t both[3] = {int64_t(u_[k]), int64_t(v_[k]), int64_t(w_[k])};
             const int64_t away = (dot(apart, apart) << 2 * SUBUNIT_BITS) + square_ / 4 + 1;
             weights.push_back((square_ << WEIGHT_BITS) / away);
@@ -180,6 +183,10 @@ private:
     std::vector<double> x_, y_, z_, u_, v_, w_;  // places of the references; sums of normals
     std::vector<double> weights_, distances_;
 };
+
+void require(bool good) {
+    if (!good) throw std::invalid_argument("moves_of_candidates: shapes differ, or a row lies beyond the samples");
+}
 
 void require_shapes(const Numbers &cells, const Input<int64_t, 1> &samples, const Numbers &normals,
                     const Numbers &neighbours, int64_t spacing) {
@@ -218,6 +225,32 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
     return nb::make_tuple(shifts.give({n, 3}), moves.give({n}), deviations.give({n}));
 }
 
+// (k): the moves of candidates at places (k, 3) with a sample each, beside points at cells (n, 3). skipped (k): a point that
+// does not count, −1 for none.
+Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samples, Input<int64_t, 1> skipped, Numbers cells,
+                                    Input<int64_t, 1> samples, Numbers normals, Numbers neighbours, int64_t spacing) {
+    require_shapes(cells, samples, normals, neighbours, spacing);
+    require_shapes(places, place_samples, normals, neighbours, spacing);
+    const size_t k = place_samples.shape(0), m = normals.shape(0);
+    require(skipped.shape(0) == k);
+    Fresh<int64_t> moves(k);
+    std::fill_n(moves.data.get(), k, 0);
+    const PointsOfSamples points(samples.data(), samples.shape(0), m), candidates(place_samples.data(), k, m);
+    Neighbourhood around(cells, normals, neighbours, spacing);
+    for (size_t s = 0; s < m; ++s) {
+        if (!candidates.size(s)) continue;
+        around.gather(points, s);
+        for (int32_t at = candidates.first[s]; at < candidates.first[s + 1]; ++at) {
+            const size_t i = size_t(candidates.points[size_t(at)]);
+            moves.data[i] = around.move_at(places.data() + 3 * i, int32_t(skipped.data()[i])).length;
+        }
+    }
+    return moves.give({k});
+}
+
 }  // namespace
 
-void bind_point_smoothing(nb::module_ &m) { m.def("smooth_points", &smooth_points); }
+void bind_point_smoothing(nb::module_ &m) {
+    m.def("smooth_points", &smooth_points);
+    m.def("moves_of_candidates", &moves_of_candidates);
+}

@@ -16,7 +16,7 @@ namespace {
 
 using tokens::DIRECT;
 using tokens::mantissa_bits;
-using tokens::mean_shift;
+using tokens::decode_tokens;
 using tokens::token_floor;
 
 constexpr int PRECISION = 14;
@@ -141,40 +141,19 @@ private:
         ladder[0] = uint8_t(zero_law);
         if (zero_law + 1 >= laws.count) return false;
         std::vector<uint8_t> token(n * m);
-        if (!read_tokens(state, laws, ladder, mixtures_[mixture], n, m, token.data())) return false;
+        auto next = [&](size_t law) {
+            const size_t found = laws.next(state, law);
+            const bool escapes = int64_t(found) == laws.sizes[law] - 1;
+            return int64_t(escapes ? std::min<size_t>(found + laws.next(state, laws.count - 1), 255) : found);
+        };
+        const int64_t *weights = mixtures_[mixture];
+        if (!decode_tokens(weights, ladder.data(), ladder.size(), nullptr, n, m, next, token.data())) return false;
         std::vector<int64_t> coded(n * m);
         if (!read_values(state, token, coded.data())) return false;
         std::fill_n(out, steps * lanes, 0);
         for (size_t step = 0; step < n; ++step) std::copy_n(coded.data() + step * m, m, out + step * lanes);
         for (size_t again = 0; again < order; ++again)
             for (size_t i = lanes; i < steps * lanes; ++i) out[i] = int64_t(uint64_t(out[i]) + uint64_t(out[i - lanes]));
-        return true;
-    }
-
-    // coder._decode_tokens
-    static bool read_tokens(State &state, const Laws &laws, const std::vector<uint8_t> &ladder, const int64_t *w, size_t steps,
-                            size_t lanes, uint8_t *out) {
-        std::vector<int64_t> mean(lanes, 0), row(lanes + 3, 0), up(lanes + 3, 0), up2(lanes + 3, 0);
-        for (size_t step = 0; step < steps; ++step) {
-            row[0] = row[1] = up[1] = up[2];
-            const int shift = mean_shift(int64_t(step));
-            for (size_t lane = 0; lane < lanes; ++lane) {
-                if (step == 0) mean[lane] = up[lane + 2] << 8;
-                const int64_t expected = w[0] * up[lane + 2] + w[1] * up2[lane + 2] + w[2] * row[lane + 1] + w[3] * row[lane] +
-                                         w[4] * up[lane + 1] + (w[5] * mean[lane] >> 8);
-                if (size_t(expected) >= ladder.size()) return false;
-                const size_t law = ladder[size_t(expected)];
-                size_t token = laws.next(state, law);
-                if (int64_t(token) == laws.sizes[law] - 1) token = std::min<size_t>(token + laws.next(state, laws.count - 1), 255);
-                row[lane + 2] = int64_t(token);
-                if (lane == 0) row[1] = int64_t(token);
-                if (step == 0) up[lane + 3] = up2[lane + 3] = int64_t(token);  // the nearest value inside the array
-                mean[lane] += ((int64_t(token) << 8) - mean[lane]) >> shift;
-                out[step * lanes + lane] = uint8_t(token);
-            }
-            std::swap(up2, up);
-            std::swap(up, row);
-        }
         return true;
     }
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
+from .. import parallel
 from ..encoded import Chunk, Encoded, Recording, RecordingT, about, restore
 from ..errors import CannotEncode, Corrupt
 from ..motion import Motion
@@ -86,7 +87,12 @@ def has_samples(motion: Motion) -> bool:
 
 def require_usual_lengths(codec: Codec[Motion], positions: Floats) -> None:
     """Raises CannotEncode for positions that are too far away for coding in steps: a wrong unit, or damaged numbers."""
-    largest = max(float(np.nanmax(positions)), -float(np.nanmin(positions)))
+
+    def reach(some: slice) -> tuple[float, float]:
+        block = positions[some]
+        return np.fmax.reduce(block, axis=None), -np.fmin.reduce(block, axis=None)
+
+    largest = float(np.fmax.reduce(list(parallel.over(reach, parallel.blocks(len(positions)))), axis=None))
     if largest > LARGEST_M:
         raise CannotEncode(
             f"{codec.name} codes positions up to {LARGEST_M:g} m, and there are some at {largest:.3g} m; "

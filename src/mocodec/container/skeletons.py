@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,11 +81,9 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
         _put_parents(bits, skeleton.parents)
     if exact:
         return bytes([flags]) + head + bits.bytes() + arrays.pack(skeleton.offsets)
-    steps = np.rint(skeleton.offsets / STEP_M).astype(np.int64)
-    axis, chained = _cheapest_prediction(steps, skeleton.names, tree)
-    offsets: list[Vector] = [(int(x), int(y), int(z)) for x, y, z in steps]
-    _put_offsets(bits, offsets, _predictors(skeleton.names, tree, axis), bool(chained))
-    return bytes([flags | chained | axis << MIRROR]) + head + bits.bytes()
+    found = _cheapest_prediction(np.rint(skeleton.offsets / STEP_M).astype(np.int64), skeleton.names, tree)
+    _put_offsets(bits, found)
+    return bytes([flags | found.chained | found.axis << MIRROR]) + head + bits.bytes()
 
 
 def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
@@ -204,30 +203,27 @@ def _ratio(offset: Sequence[int], vector: Vector) -> tuple[int, int]:
     return (offset[main], vector[main]) if offset[main] * vector[main] > 0 else (1, 1)
 
 
-def _residuals(
-    offsets: Sequence[Vector], predictors: Sequence[Predictor], chained: bool
-) -> tuple[list[int], list[int]]:
-    """Residuals of each joint's main coordinate, and of its two other coordinates."""
-    mains: list[int] = []
-    others: list[int] = []
-    ratio = (1, 1)
-    for offset, predictor in zip(offsets, predictors, strict=True):
-        unscaled = _predict(predictor, offsets)
-        vector = _times(unscaled, ratio)
-        ratio = _ratio(offset, unscaled) if chained else ratio
-        main = _main(vector)
-        mains.append(zigzag(offset[main] - vector[main]))
-        scaled = _scaled(vector, main, offset[main])
-        others.extend(zigzag(offset[axis] - scaled[axis]) for axis in range(3) if axis != main)
-    return mains, others
+class Predicted(NamedTuple):
+    """axis: 0 without mirroring, else 1 + the mirror axis. chained: CHAINED or 0.
+
+    mains (joints,), others (joints · 2,): residuals of each joint's main coordinate, and of its two other coordinates.
+    orders: of their exponential Golomb codes.
+    """
+
+    axis: int
+    chained: int
+    mains: Integers
+    others: Integers
+    orders: tuple[int, int]
 
 
-def _cheapest_prediction(steps: Integers, joint_names: tuple[str, ...], tree: int) -> tuple[int, int]:
-    """The axis (0 without mirroring, else 1 + the mirror axis) and flag (CHAINED or 0) of the fewest bits."""
+def _cheapest_prediction(steps: Integers, joint_names: tuple[str, ...], tree: int) -> Predicted:
+    """The prediction of offsets (joints, 3) whose residuals take the fewest bytes."""
     # Products of large offsets exceed 64 bits: Python's integers do not.
     offsets = steps if np.abs(steps).max(initial=0) < LARGEST_FAST else steps.astype(object)
     choices = list(product(range(4), (0, CHAINED)))
-    unscaled = np.stack([_predicted(offsets, _predictors(joint_names, tree, axis)) for axis, _ in choices])
+    of_axis = [_predicted(offsets, _predictors(joint_names, tree, axis)) for axis in range(4)]
+    unscaled = np.stack([of_axis[axis] for axis, _ in choices])
     predicted = np.take_along_axis(unscaled, (main := _main_axis(unscaled)), 2)
     actual = np.take_along_axis(np.broadcast_to(offsets, unscaled.shape), main, 2)
     scales = (actual * predicted > 0) & (np.array([c for _, c in choices]) > 0)[:, None, None]
@@ -239,10 +235,12 @@ def _cheapest_prediction(steps: Integers, joint_names: tuple[str, ...], tree: in
     divisor, value = (np.take_along_axis(np.broadcast_to(each, vector.shape), main, 2) for each in (vector, offsets))
     scaled = np.where(divisor != 0, (2 * vector * value + divisor) // np.where(divisor != 0, 2 * divisor, 1), vector)
     residual = offsets - scaled
-    of_main = (value - divisor)[..., 0]
+    mains = (value - divisor)[..., 0]
     others = residual[np.arange(3) != main].reshape(len(choices), -1)
-    bits = [_least_bits(of_main[i]) + _least_bits(others[i]) for i in range(len(choices))]
-    return choices[int(np.argmin(-(-(np.array(bits) + 8) // 8)))]
+    bits = np.stack([_golomb_bits(mains), _golomb_bits(others)])
+    best = int(np.argmin(-(-(bits.min(axis=2).sum(axis=0) + 8) // 8)))
+    main_order, other_order = bits[:, best].argmin(axis=1).tolist()
+    return Predicted(*choices[best], mains[best], others[best], (main_order, other_order))
 
 
 LARGEST_FAST = 1 << 20
@@ -266,24 +264,23 @@ def _main_axis(vectors: Integers) -> Integers:
     return np.abs(vectors).argmax(axis=-1)[..., None]
 
 
-def _least_bits(residuals: Integers) -> int:
-    """Bits of residuals (n,) in exponential Golomb code of the best order."""
+def _golomb_bits(residuals: Integers) -> Integers:
+    """Bits of residuals (choices, n) in exponential Golomb codes of the orders 0 to 15, (choices, 16)."""
     folded = np.abs(2 * residuals.astype(np.float64)) - (residuals < 0)
-    below = (folded - 1)[:, None] + 2.0 ** np.arange(16)
-    cost = np.where(folded[:, None] == 0, 1, 2 * np.frexp(below)[1] - np.arange(16))
-    return int(cost.sum(axis=0).min())
+    below = (folded - 1)[..., None] + 2.0 ** np.arange(16)
+    cost = np.where(folded[..., None] == 0, 1, 2 * np.frexp(below)[1] - np.arange(16))
+    return cost.sum(axis=1)
 
 
-def _put_offsets(bits: BitWriter, offsets: Sequence[Vector], predictors: Sequence[Predictor], chained: bool) -> None:
+def _put_offsets(bits: BitWriter, found: Predicted) -> None:
     """Two Golomb orders of 4 bits, then three residuals a joint: a bit "not zero", then exponential Golomb."""
-    mains, others = _residuals(offsets, predictors, chained)
-    orders = [min(range(16), key=lambda k, v=values: _cost(v, k)) for values in (mains, others)]
-    for order in orders:
+    for order in found.orders:
         bits.put(order, 4)
-    for joint, value in enumerate(mains):
-        _put_residual(bits, value, orders[0])
-        for other in others[2 * joint : 2 * joint + 2]:
-            _put_residual(bits, other, orders[1])
+    mains, others = map(zigzag, found.mains.tolist()), map(zigzag, found.others.tolist())
+    for value in mains:
+        _put_residual(bits, value, found.orders[0])
+        for other in (next(others), next(others)):
+            _put_residual(bits, other, found.orders[1])
 
 
 def _get_offsets(bits: BitReader, predictors: Sequence[Predictor], chained: bool) -> list[Vector]:
@@ -313,8 +310,3 @@ def _put_residual(bits: BitWriter, value: int, order: int) -> None:
 
 def _get_residual(bits: BitReader, order: int) -> int:
     return unzigzag(bits.golomb(order) + 1) if bits.get(1) else 0
-
-
-def _cost(values: Sequence[int], k: int) -> int:
-    """Bits of the values in exponential Golomb code of order k."""
-    return sum(1 if v == 0 else 2 * (v - 1 + (1 << k)).bit_length() - k for v in values)

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import zlib
 
-import numpy as np
-
 from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..entropy.varint import unsigned as unzigzag
@@ -28,29 +26,41 @@ def checksum(*parts: bytes | memoryview) -> bytes:
     return crc.to_bytes(4, "little")
 
 
-READ_AHEAD_BYTES = 16
-"""Bytes that a BitReader takes at a time, since each shift of an integer costs the same up to this size."""
+READ_AHEAD_BYTES, HELD_BITS = 16, 128
+"""Bytes that a BitReader takes at a time, and bits that a BitWriter holds at most: shifts of integers up to this size
+cost the same."""
 
 
 class BitWriter:
     """Bits, first bit lowest."""
 
     def __init__(self) -> None:
-        self.bits: list[int] = []
+        self.held = 0
+        self.width = 0
+        self.written = bytearray()
 
     def put(self, value: int, width: int) -> None:
-        self.bits.extend(value >> i & 1 for i in range(width))
+        self.held |= (value & ((1 << width) - 1)) << self.width
+        self.width += width
+        if self.width >= HELD_BITS:
+            self._flush(self.width // 8)
 
     def golomb(self, value: int, k: int) -> None:
         """Exponential Golomb of order k: value ≥ 0; small values short."""
         value += 1 << k
         extra = value.bit_length() - 1 - k
-        self.put(0, extra)
-        self.put(1, 1)
-        self.put(value & ((1 << (extra + k)) - 1), extra + k)
+        self.put(1 << extra | value << (extra + 1), 2 * extra + k + 1)  # the leading one of the value is cut off
 
     def bytes(self) -> bytes:
-        return np.packbits(np.array(self.bits, np.uint8), bitorder="little").tobytes()
+        self._flush((self.width + 7) // 8)
+        return bytes(self.written)
+
+    def _flush(self, count: int) -> None:
+        """Move this many bytes out of the bits held."""
+        whole = self.held & ((1 << 8 * count) - 1)
+        self.written += whole.to_bytes(count, "little")
+        self.held >>= 8 * count
+        self.width = max(0, self.width - 8 * count)
 
 
 class BitReader:

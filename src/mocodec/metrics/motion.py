@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from .. import native
+from .. import native, parallel
 from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats
@@ -39,7 +39,12 @@ class Errors(NamedTuple):
 def errors(original: Floats, decoded: Floats) -> Errors:
     """Of positions (frames, points, 3) twice, NaN at gaps."""
     if (kernel := native.kernel("compare_positions")) is not None:
-        return Errors(*kernel(original, decoded))
+        if original.shape != decoded.shape:
+            raise ValueError(f"positions of shapes {original.shape} and {decoded.shape}")
+        blocks = parallel.blocks(max(1, len(original)))
+        parts = [Errors(*part) for part in parallel.over(lambda some: kernel(original[some], decoded[some]), blocks)]
+        same_gaps, samples, sums, largest = zip(*parts, strict=True)
+        return Errors(all(same_gaps), sum(samples), sum(sums), float(np.max(largest)))
     gaps = np.isnan(original[..., 0])
     off = distances(original, decoded)[~gaps]
     same_gaps = bool((np.isnan(decoded[..., 0]) == gaps).all())

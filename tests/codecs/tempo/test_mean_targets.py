@@ -87,7 +87,7 @@ def test_longer_recordings_are_not_tried_at_other_targets() -> None:
     encoded = Tempo(mean_error=0.005).encode_chunks(motion)
     tried = []
 
-    def encode(target: str, wanted: float) -> Encoded[Motion]:
+    def encode(target: str, wanted: float, kinds: mean_targets.Kinds | None) -> Encoded[Motion]:
         tried.append((target, wanted))
         return encoded
 

@@ -104,7 +104,7 @@ def _pack(
     if max((int(own.repeats.max()) for own in cells if own is not None), default=0) > MAX_REPEATS:
         return None
     distinct = [_lattice_frame(own) for own in cells]
-    coded = point_layer.pack_places(lattice, distinct, bodies, smooths=False)
+    coded = point_layer.pack_places(lattice, distinct, bodies, bound_m=None)
     filled = [own for own in cells if own is not None]
     encoder = BitEncoder()
     for own in filled:

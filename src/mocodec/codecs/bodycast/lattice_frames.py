@@ -27,17 +27,22 @@ class LatticeFrame(NamedTuple):
     """A frame on the lattice.
 
     codes (n,): sorted distinct Morton codes. colours (n, 3): mean colours, or None. originals (m, 3): the points of the
-    frame, metres. rows (m,): which of the codes is that of each.
+    frame, metres. rows (m,): which of the codes is that of each. own_colours (m, 3): of the originals, or None.
     """
 
     codes: Integers
     colours: Bytes | None
     originals: Floats
     rows: Integers
+    own_colours: Bytes | None = None
 
     def own_distances(self, decoded: Floats) -> Floats:
         """(m,): the distance of each original from its own decoded point, metres. decoded (n, 3): of the codes."""
         return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
+
+    def with_cells(self, cells: Integers) -> LatticeFrame:
+        """The same points in other cells (m, 3)."""
+        return _lattice_frame(cells, self.originals, self.own_colours)
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,9 @@ def to_lattice(frames: Sequence[Cloud], bound_m: float, coloured: bool) -> tuple
     places = [lattice.nearest(points, step) for points, _ in frames]
     grid = _grid([p for p in places if len(p)], step, bound_m)
     pairs = zip(places, frames, strict=True)
-    return grid, [_lattice_frame(p - grid.corner, *frame, coloured) for p, frame in pairs]
+    return grid, [
+        _lattice_frame(place - grid.corner, points, colours if coloured else None) for place, (points, colours) in pairs
+    ]
 
 
 def require_range(frames: Sequence[Cloud], bound_m: float) -> None:
@@ -109,20 +116,20 @@ def _grid(filled: Sequence[Integers], step: float, bound_m: float) -> LatticeGri
     return LatticeGrid(step, corner, depth)
 
 
-def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None, coloured: bool) -> LatticeFrame:
+def _lattice_frame(coordinates: Integers, points: Floats, colours: Bytes | None) -> LatticeFrame:
     """Points of one cell become one, with their mean colour."""
     if not len(points):
-        return LatticeFrame(np.zeros(0, np.int64), colours if coloured else None, points, np.zeros(0, np.int64))
+        return LatticeFrame(np.zeros(0, np.int64), colours, points, np.zeros(0, np.int64), colours)
     codes, order = _sorted_with_order(octree.morton_codes(coordinates))
     is_first = np.diff(codes, prepend=-1) > 0
     starts = np.flatnonzero(is_first)
     rows = np.empty(len(codes), np.int64)
     rows[order] = np.cumsum(is_first) - 1
-    if not coloured or colours is None:
+    if colours is None:
         return LatticeFrame(codes[starts], None, points, rows)
     count = np.diff(starts, append=len(codes))
     sums = np.add.reduceat(colours[order].astype(np.float64), starts, axis=0)
-    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8), points, rows)
+    return LatticeFrame(codes[starts], np.round(sums / count[:, None]).astype(np.uint8), points, rows, colours)
 
 
 def _sorted_with_order(codes: Integers) -> tuple[Integers, Integers]:

@@ -19,9 +19,9 @@ from ...errors import CannotEncode
 from ...metrics import point_clouds
 from ...typing import Bytes, Floats
 from ..clouds.raw_frames import Cloud
-from . import point_targets
+from . import point_choice, point_targets
 from .colour_lifting import ColourSteps
-from .lattice_frames import LatticeFrame, LatticeGrid, to_lattice
+from .lattice_frames import LatticeFrame, to_lattice
 from .point_layer import CodedPlaces, LocatedPoints, join, pack_colours, pack_places, unpack_points
 from .point_scene import ChunkBodies
 
@@ -54,7 +54,7 @@ class PointTarget(NamedTuple):
 class PointEncoder:
     """The points of all frames with what their coding depends on.
 
-    spans: frames of each chunk. bodies: of each chunk.
+    spans: frames of each chunk. bodies: of each chunk. thorough: choose the lattice points of bodies by `point_choice`.
     """
 
     def __init__(
@@ -63,8 +63,10 @@ class PointEncoder:
         spans: Sequence[slice],
         bodies: Sequence[ChunkBodies],
         coloured: bool,
+        thorough: bool = False,
     ) -> None:
         self.frames, self.spans, self.bodies, self.coloured = frames, spans, bodies, coloured
+        self.thorough = thorough
         self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
@@ -112,9 +114,10 @@ class PointEncoder:
             return self._last[1]
         chunks = list[_CodedChunk]()
         for span, bodies in zip(self.spans, self.bodies, strict=True):
-            grid, frames = to_lattice(self.frames[span], bound, self.coloured)
-            places = pack_places(grid, frames, bodies, smooths=True)
-            chunks.append(_CodedChunk(grid, frames, places))
+            chooses = self.thorough and bool(bodies.textures)
+            radius = bound / point_choice.FREEDOM if chooses else bound
+            grid, frames = to_lattice(self.frames[span], radius, self.coloured)
+            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound, chooses)))
         self._last = bound, chunks
         return chunks
 
@@ -165,18 +168,16 @@ class PointEncoder:
 class _CodedChunk(NamedTuple):
     """A chunk on its lattice. places: coded, without colours."""
 
-    grid: LatticeGrid
-    frames: list[LatticeFrame]
     places: CodedPlaces
 
     def pairs(self) -> list[tuple[LatticeFrame, LocatedPoints]]:
         """The frames with points, and what is decoded of them."""
-        return list(zip((f for f in self.frames if len(f.codes)), self.places.frames, strict=True))
+        return list(zip((f for f in self.places.sources if len(f.codes)), self.places.frames, strict=True))
 
     def with_colours(self, steps: ColourSteps | None) -> tuple[bytes, list[Bytes]]:
         """The part of the chunk, and the decoded colours of each frame with points; steps: None without colours."""
         if steps is None:
             return join(self.places, None, b""), []
-        wanted = [frame.colours for frame in self.frames if len(frame.codes) and frame.colours is not None]
+        wanted = [frame.colours for frame in self.places.sources if len(frame.codes) and frame.colours is not None]
         data, decoded = pack_colours(self.places, wanted, steps)
         return join(self.places, steps, data), decoded

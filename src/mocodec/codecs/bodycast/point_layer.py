@@ -20,7 +20,16 @@ from ...entropy.bit_arrays import BitCoder, BitDecoder, BitEncoder
 from ...errors import Corrupt
 from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
-from . import integer_surface, lattice, octree, point_colours, point_octree, point_smoothing, reference_points
+from . import (
+    integer_surface,
+    lattice,
+    octree,
+    point_choice,
+    point_colours,
+    point_octree,
+    point_smoothing,
+    reference_points,
+)
 from .colour_lifting import ColourLifting, ColourSteps
 from .integer_surface import rounding_shift
 from .lattice_frames import MAX_CORNER, MAX_STEP_M, MIN_STEP_M, LatticeFrame, LatticeGrid
@@ -58,8 +67,8 @@ class LocatedPoints(NamedTuple):
 
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
-    colours. ends: bytes of the octrees after each frame with points, about. references: of each frame. smooths: whether
-    points move from the lattice to the surface.
+    colours. ends: bytes of the octrees after each frame with points, about. references: of each frame. sources: the
+    lattice points of all frames, as they were chosen. smooths: whether points move from the lattice to the surface.
     """
 
     depth: int
@@ -69,6 +78,7 @@ class CodedPlaces(NamedTuple):
     frames: list[LocatedPoints]
     table: SampleTable
     references: list[Reference]
+    sources: list[LatticeFrame]
     smooths: bool
 
 
@@ -119,26 +129,32 @@ def pack_places(
     grid: LatticeGrid,
     frames: Sequence[LatticeFrame],
     bodies: ChunkBodies,
-    smooths: bool,
+    bound_m: float | None,
+    chooses: bool = False,
 ) -> CodedPlaces:
-    """smooths: whether points move from the lattice to the surface where that keeps the bound."""
+    """bound_m: within which points may move from the lattice to the surface; None: they stay. chooses: whether points
+    take other cells within the bound, as `point_choice` says.
+    """
+    smooths = bound_m is not None
     shifts = [texture.shift for texture in bodies.textures]
     values = [bodies.pose_values(k) for k in range(len(frames))]
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
-    head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
-    head += varint.write([*(len(f.codes) for f in frames), *shifts, *(s for row in pose_shifts for s in row)])
     coder, located, ends = BitEncoder(), list[LocatedPoints](), list[int]()
     scene = Scene(bodies, shifts, learns=True, smooths=smooths)
-    earlier, choice, references = EarlierFrames(), ReferenceChoice(), list[Reference]()
+    earlier, choice, references, sources = EarlierFrames(), ReferenceChoice(), list[Reference](), list[LatticeFrame]()
     for k, frame in enumerate(frames):
-        reference = NO_REFERENCE
+        reference, source = NO_REFERENCE, frame
         if len(frame.codes):
             octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
-            coder, reference, points = octree_of_frame.encode(coder, frame, choice)
+            source = octree_of_frame.chosen(frame, bound_m) if chooses and bound_m is not None else frame
+            coder, reference, points = octree_of_frame.encode(coder, source, bound_m, choice)
             located.append(points)
             ends.append(coder.size)
         references.append(reference)
-    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, smooths)
+        sources.append(source)
+    head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
+    head += varint.write([*(len(f.codes) for f in sources), *shifts, *(s for row in pose_shifts for s in row)])
+    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, sources, smooths)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
@@ -242,8 +258,14 @@ class _OctreeOfFrame:
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
+    def chosen(self, frame: LatticeFrame, bound_m: float) -> LatticeFrame:
+        """The frame with cells that take fewer bits within the bound, if a body shows the surface."""
+        if self.hints is None:
+            return frame
+        return point_choice.chosen_cells(frame, self.grid, self.hints, bound_m)
+
     def encode(
-        self, coder: BitEncoder, frame: LatticeFrame, choice: ReferenceChoice
+        self, coder: BitEncoder, frame: LatticeFrame, bound_m: float | None, choice: ReferenceChoice
     ) -> tuple[BitEncoder, Reference, LocatedPoints]:
         """Code the points with the shortest choice of references. The coder to go on with."""
         cells, has_bodies, depth = octree.cells_of_codes(frame.codes), self.hints is not None, self.grid.depth
@@ -255,13 +277,13 @@ class _OctreeOfFrame:
             tried.append((trial, seen, nearest))
         best, seen, nearest = min(tried, key=lambda one: one[0].size)
         choice.keep(seen.reference)
-        return best, seen.reference, self._keep(best, frame, cells, nearest, seen)
+        return best, seen.reference, self._keep(best, frame, bound_m, cells, nearest, seen)
 
     def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
         """The points (count,). Raises Corrupt."""
         seen = self._seen(reference)
         codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, seen.hints)
-        return self._keep(coder, None, octree.cells_of_codes(codes), nearest, seen)
+        return self._keep(coder, None, None, octree.cells_of_codes(codes), nearest, seen)
 
     def _seen(self, reference: Reference) -> _Seen:
         """The points of a reference, and what the octree sees of them and of the bodies."""
@@ -276,12 +298,13 @@ class _OctreeOfFrame:
         self,
         coder: BitEncoder | BitDecoder,
         frame: LatticeFrame | None,
+        bound_m: float | None,
         cells: Integers,
         nearest: Integers,
         seen: _Seen,
     ) -> LocatedPoints:
-        """What the next frames and the colours need. frame: None in the decoder. nearest (n,): the sample near each
-        point. Raises Corrupt.
+        """What the next frames and the colours need. frame, bound_m: None in the decoder. nearest (n,): the sample near
+        each point. Raises Corrupt.
         """
         points, table = self.grid.places(cells), self.scene.table
         bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
@@ -297,7 +320,7 @@ class _OctreeOfFrame:
         self.earlier.move(seen.reference.motion)
         self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
         if self.scene.smooths:
-            positions = self._moved(coder, frame, cells, nearest, seen.hints)
+            positions = self._moved(coder, frame, bound_m, cells, nearest, seen.hints)
         else:
             positions = self.grid.positions(cells)
         others = np.where(nearest < bodies, -1, nearest - bodies)
@@ -307,6 +330,7 @@ class _OctreeOfFrame:
         self,
         coder: BitEncoder | BitDecoder,
         frame: LatticeFrame | None,
+        bound_m: float | None,
         cells: Integers,
         nearest: Integers,
         hints: SurfaceHints | None,
@@ -314,10 +338,10 @@ class _OctreeOfFrame:
         """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
         smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
         moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
-        if frame is not None:
+        if frame is not None and bound_m is not None:
             away = frame.own_distances(moved)
             stays = np.zeros(len(cells), bool)
-            stays[frame.rows[away > lattice.bound_of_step(self.grid.step_m) * (1 - lattice.ROUNDING)]] = True
+            stays[frame.rows[away > bound_m * (1 - lattice.ROUNDING)]] = True
         stays = np.flatnonzero(point_smoothing.code_stays(coder, smoothed, stays))
         moved[stays] = self.grid.shifted_positions(cells[stays], 0 * cells[stays], point_smoothing.FINE_BITS)
         return moved

@@ -44,19 +44,35 @@ def smooth(cells: Integers, samples: Integers, hints: SurfaceHints | None) -> Sm
     count = len(cells)
     if hints is None or not len(hints.points):
         return SmoothedPoints(np.zeros((count, 3), np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64))
-    spacing = min(hints.spacing, MAX_SPACING)
     if (kernel := native.kernel("smooth_points")) is not None:
+        spacing = min(hints.spacing, MAX_SPACING)
         return SmoothedPoints(*map(np.asarray, kernel(cells, samples, hints.normals, hints.neighbours, spacing)))
-    table = _references(samples, len(hints.points))
-    around = np.concatenate([np.arange(len(hints.points))[:, None], hints.neighbours], axis=1)
-    moves, deviations = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    known = np.flatnonzero(samples >= 0)
-    for start in range(0, len(known), BATCH_POINTS):
-        rows = known[start : start + BATCH_POINTS]
-        moves[rows], deviations[rows] = _moves(rows, cells, samples, hints.normals, around, table, spacing)
+    moves, deviations = _moves(Candidates(cells, samples, np.arange(count)), cells, samples, hints)
+    return SmoothedPoints(shifts_of_moves(moves, samples, hints), moves, deviations)
+
+
+def shifts_of_moves(moves: Integers, samples: Integers, hints: SurfaceHints) -> Integers:
+    """(n, 3): moves (n,) along the normals of samples (n,), 2^-FINE_BITS units; 0 without a sample."""
     normals = np.where((samples >= 0)[:, None], hints.normals[samples], 0)
-    shifts = normals * moves[:, None] + (1 << NORMAL_BITS - 1) >> NORMAL_BITS
-    return SmoothedPoints(shifts, moves, deviations)
+    return normals * moves[:, None] + (1 << NORMAL_BITS - 1) >> NORMAL_BITS
+
+
+class Candidates(NamedTuple):
+    """Where points might lie. places (k, 3): lattice coordinates. samples (k,): near each, −1 without one. skipped
+    (k,): the row of a point that a candidate is not compared with, −1 for none.
+    """
+
+    places: Integers
+    samples: Integers
+    skipped: Integers
+
+
+def candidate_moves(candidates: Candidates, cells: Integers, samples: Integers, hints: SurfaceHints) -> Integers:
+    """(k,): the moves of candidates among points at cells (n, 3). samples (n,): as in `smooth`."""
+    if (kernel := native.kernel("moves_of_candidates")) is not None:
+        spacing = min(hints.spacing, MAX_SPACING)
+        return np.asarray(kernel(*candidates, cells, samples, hints.normals, hints.neighbours, spacing))
+    return _moves(candidates, cells, samples, hints)[0]
 
 
 def _references(samples: Integers, count: int) -> Integers:
@@ -72,22 +88,33 @@ def _references(samples: Integers, count: int) -> Integers:
 
 
 def _moves(
-    rows: Integers,
-    cells: Integers,
-    samples: Integers,
-    normals: Integers,
-    around: Integers,
-    table: Integers,
-    spacing: int,
+    candidates: Candidates, cells: Integers, samples: Integers, hints: SurfaceHints
 ) -> tuple[Integers, Integers]:
-    """(n,) each: the moves of points `rows` along their normals, and the deviations."""
-    own = normals[samples[rows]][:, None]
-    others = table[around[samples[rows]]].reshape(len(rows), -1)
+    """(k,) each: the moves of candidates along their normals, and the deviations. A point at the very place of a
+    candidate does not count.
+    """
+    table = _references(samples, len(hints.points))
+    around = np.concatenate([np.arange(len(hints.points))[:, None], hints.neighbours], axis=1)
+    moves, deviations = np.zeros(len(candidates.places), np.int64), np.zeros(len(candidates.places), np.int64)
+    known = np.flatnonzero(candidates.samples >= 0)
+    for start in range(0, len(known), BATCH_POINTS):
+        rows = known[start : start + BATCH_POINTS]
+        batch = Candidates(*(values[rows] for values in candidates))
+        moves[rows], deviations[rows] = _moves_of_batch(batch, cells, samples, hints, around, table)
+    return moves, deviations
+
+
+def _moves_of_batch(
+    candidates: Candidates, cells: Integers, samples: Integers, hints: SurfaceHints, around: Integers, table: Integers
+) -> tuple[Integers, Integers]:
+    spacing, normals = min(hints.spacing, MAX_SPACING), hints.normals
+    own = normals[candidates.samples][:, None]
+    others = table[around[candidates.samples]].reshape(len(candidates.places), -1)
     other = normals[samples[others]]
     faces_alike = (own * other).sum(axis=2) >= LEAST_COSINE << NORMAL_BITS
-    valid = (others >= 0) & (others != rows[:, None]) & faces_alike
-    apart = cells[others] - cells[rows][:, None]
+    apart = cells[others] - candidates.places[:, None]
     square = (apart**2).sum(axis=2) << 2 * SUBUNIT_BITS
+    valid = (others >= 0) & (others != candidates.skipped[:, None]) & (square > 0) & faces_alike
     weight = np.where(valid, (spacing * spacing << WEIGHT_BITS) // (square + spacing * spacing // 4 + 1), 0)
     distance = (apart * (own + other)).sum(axis=2) << FINE_BITS >> NORMAL_BITS + 1
     total, largest = weight.sum(axis=1), weight.max(axis=1)

@@ -123,13 +123,13 @@ class SurfaceHints:
         distance = self.distance(centres, nearest[rows])
         own = nearest[rows]
         if size <= self.largest_corrected:
-            result[rows] = self._mean_around(distance, own, 0, PRIOR_COUNT)[own]
+            result[rows] = self.mean_around(distance, own, 0, PRIOR_COUNT)[own]
         deviation = np.abs(distance - result[rows])
         usual = int(deviation.sum()) // len(rows)
-        spread[rows] = self._mean_around(deviation, own, usual * PRIOR_COUNT, PRIOR_COUNT)[own]
+        spread[rows] = self.mean_around(deviation, own, usual * PRIOR_COUNT, PRIOR_COUNT)[own]
         return result, spread
 
-    def _mean_around(self, values: Integers, rows: Integers, prior: int, prior_count: int) -> Integers:
+    def mean_around(self, values: Integers, rows: Integers, prior: int, prior_count: int) -> Integers:
         """(m,): the mean of the values (n,) at samples `rows` (n,) over each sample and its neighbours."""
         total = np.bincount(rows, values, len(self.points)).astype(np.int64)
         count = np.bincount(rows, minlength=len(self.points))

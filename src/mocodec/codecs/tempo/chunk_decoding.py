@@ -6,6 +6,7 @@ payload ─► gaps, numbers ─engine─► positions with y up ─► gaps and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -76,9 +77,15 @@ def _decode_compiled(model: Model, chunk: Chunk, out: Floats, start: int, up: st
             _put(chunk, heading.from_y_up(frozen.restore(whole, payload.gaps), up), out, start)
         return done
     a, b = max(start, chunk.start), min(start + len(out), chunk.stop)
-    axes = tuple(int(axis) for axis in heading.to_y_up(np.arange(3.0), up))
+    axes = _axes(up)
     here, first = out[a - start : b - start], a - chunk.start
     return compiled_chunks.decode(model, chunk.frames, payload.numbers, step_m, here, first, axes)
+
+
+@cache
+def _axes(up: str) -> tuple[int, ...]:
+    """The axes of a motion that x, y and z of positions with y up are."""
+    return tuple(int(axis) for axis in heading.to_y_up(np.arange(3.0), up))
 
 
 def _put(chunk: Chunk, decoded: Floats, out: Floats, start: int) -> None:

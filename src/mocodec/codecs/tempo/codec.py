@@ -32,6 +32,7 @@ from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
 from .engine_choice import LatticePlan
 from .equal_slopes import to_mean
 from .header import StreamHeader, pack_weights, with_weights
+from .mean_targets import FALLBACK_MODEL, LATTICE_MODEL, Kinds
 from .models import MODELS, WITH_STORED_BASIS, Recording
 from .models.model import Model
 from .preparation import Prepared, chunk_bounds, prepare
@@ -41,8 +42,6 @@ from .rotation_layer.encoder import Encoder as RotationEncoder
 
 DEFAULT_MAX_ERROR = 0.005
 TARGETS = ("max_error", "mean_error", "ratio", "size")
-FALLBACK_MODEL = "hou2014"
-LATTICE_MODEL = "lattice"
 MODEL_NAMES = (model_choice.AUTO, model_choice.TRANSFORM, *MODELS, model_choice.DIRECT, LATTICE_MODEL, FALLBACK_MODEL)
 MOST_CHUNK_SECONDS, LATTICE_CHUNKS = 10.0, 1.5
 """Chunks are longer by this where the lattice engine codes all: its predictions have to be learned in each."""
@@ -177,39 +176,40 @@ class Tempo:
         if self.mean_error is None:
             return encoded
 
-        def encode(target: str, wanted: float) -> Encoded[Motion]:
-            found = replace(self, **{"mean_error": None, target: wanted})._with_or_without_repeats(motion)
+        def encode(target: str, wanted: float, kinds: Kinds | None) -> Encoded[Motion]:
+            found = replace(self, **{"mean_error": None, target: wanted})._with_or_without_repeats(motion, kinds)
             return replace(found, settings=self._stored_settings())
 
         return mean_targets.smallest(encoded, motion, self.mean_error, encode, decoded_mean_error)
 
-    def _with_or_without_repeats(self, motion: Motion) -> Encoded[Motion]:
+    def _with_or_without_repeats(self, motion: Motion, kinds: Kinds | None = None) -> Encoded[Motion]:
         if (distinct := repeats.distinct_frames(motion, self.chunk_seconds)) is None:
-            return self.encode_without_repeats(motion)
+            return self.encode_without_repeats(motion, kinds)
         with progress.attempt(0):
-            encoded = self._encode_distinct(motion, distinct)
+            encoded, mean = self._encode_distinct(motion, distinct)
         longest = max(chunk.frames for chunk in encoded.chunks)
-        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion):
+        if longest <= most_chunk_frames(motion.points) and self._meets_target(encoded, motion, mean):
             return encoded
         with progress.attempt(1):
             return self.encode_without_repeats(motion)
 
-    def encode_without_repeats(self, motion: Motion) -> Encoded[Motion]:
-        """All frames coded, whether they repeat or not."""
+    def encode_without_repeats(self, motion: Motion, kinds: Kinds | None = None) -> Encoded[Motion]:
+        """All frames coded, whether they repeat or not. kinds: the only ones that "auto" tries, None for all."""
         if self.model == FALLBACK_MODEL:
             return fallback.encode(motion, self._stored_settings(), self._wanted_bytes(motion), self.chunk_seconds)
         if self.weights or self.model != model_choice.AUTO:
             return self.encode_chunks(motion)
-        source, plan = self._prepare(motion)
+        source, plan = self._prepare(motion, kinds)
         with progress.phase(0.0, CHUNKS_SHARE):
-            encoded, sample = self._encode_prepared(motion, source, plan)
+            encoded, sample = self._encode_prepared(motion, source, plan, kinds)
         if plan is not None and plan.certain:
             return encoded
         with progress.phase(CHUNKS_SHARE, FALLBACK_SHARE):
-            if self._has_size or sample is None or fallback.is_promising(sample, self.first_step(motion)):
+            promising = self._has_size or sample is None or fallback.is_promising(sample, self.first_step(motion))
+            if promising and (kinds is None or FALLBACK_MODEL in kinds):
                 encoded = self._or_fallback(encoded, motion, source)
         with progress.phase(FALLBACK_SHARE, 1.0):
-            return self._or_lattice(encoded, motion)
+            return self._or_lattice(encoded, motion) if kinds is None or LATTICE_MODEL in kinds else encoded
 
     def _or_lattice(self, encoded: Encoded[Motion], motion: Motion) -> Encoded[Motion]:
         if self.mean_error is None or not lattice.is_fast():
@@ -233,14 +233,16 @@ class Tempo:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
         return self._encode_prepared(motion, *self._prepare(motion)).encoded
 
-    def _prepare(self, motion: Motion) -> tuple[Prepared, LatticePlan | None]:
+    def _prepare(self, motion: Motion, kinds: Kinds | None = None) -> tuple[Prepared, LatticePlan | None]:
         bones = motion.skeleton is not None
         source = prepare(motion.positions, motion.up, self._frozen_tolerance, bones, self.mean_error is None)
         require_usual_lengths(self, source.positions)
-        return source, self._lattice_plan(motion, source)
+        return source, self._lattice_plan(motion, source, kinds)
 
-    def _encode_prepared(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
-        coded = self._encode_planned(motion, source, plan)
+    def _encode_prepared(
+        self, motion: Motion, source: Prepared, plan: LatticePlan | None, kinds: Kinds | None = None
+    ) -> _Coded:
+        coded = self._encode_planned(motion, source, plan, kinds)
         if plan is None or plan.alone:
             return coded
         bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
@@ -250,7 +252,9 @@ class Tempo:
         alone = self._encode_planned(motion, source, replace(plan, alone=True))
         return min(coded, alone, key=lambda c: c.encoded.payload_bytes)
 
-    def _encode_planned(self, motion: Motion, source: Prepared, plan: LatticePlan | None) -> _Coded:
+    def _encode_planned(
+        self, motion: Motion, source: Prepared, plan: LatticePlan | None, kinds: Kinds | None = None
+    ) -> _Coded:
         """By the chosen model, by the lattice engine, or each chunk by the smaller."""
         if plan is not None and plan.alone:
             bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion, LATTICE_CHUNKS))
@@ -259,7 +263,7 @@ class Tempo:
             cuts = source.discontinuities(motion.rate)
             bounds = chunk_bounds(len(motion), motion.rate, self._seconds(motion), cuts)
             with progress.phase(0.0, CHOICE_SHARE):
-                choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds])
+                choice = self._choose_model(motion, [source.smooth[a:b] for a, b in bounds], kinds)
         header, model = choice.header, choice.model
         if self.weights:
             weights = pack_weights(motion.names, self.weights)
@@ -328,36 +332,44 @@ class Tempo:
         """The bytes that `size` or `ratio` asks for."""
         return self.size or int(motion.raw_bytes / (self.ratio or 1))
 
-    def _encode_distinct(self, motion: Motion, distinct: Booleans) -> Encoded[Motion]:
+    def _encode_distinct(self, motion: Motion, distinct: Booleans) -> tuple[Encoded[Motion], float | None]:
+        """With the mean error, metres, where that is the target."""
+        mean = None
         if self.mean_error is not None:
 
             def encode(mean_error: float, part: Motion) -> Encoded[Motion]:
                 return replace(self, mean_error=mean_error).encode_without_repeats(part)
 
-            encoded = repeats.encode_to_mean(motion, distinct, self.mean_error, encode, decoded_mean_error)
+            encoded, mean = repeats.encode_to_mean(motion, distinct, self.mean_error, encode, decoded_mean_error)
         elif self._has_size:
             size = max(1, self._wanted_bytes(motion) - repeats.bytes_of_runs(motion, self.chunk_seconds))
             encoded = repeats.encode(motion, distinct, replace(self, ratio=None, size=size).encode_without_repeats)
         else:
             encoded = repeats.encode(motion, distinct, self.encode_without_repeats)
-        return replace(encoded, settings=self._stored_settings())
+        return replace(encoded, settings=self._stored_settings()), mean
 
-    def _meets_target(self, encoded: Encoded[Motion], motion: Motion) -> bool:
-        """Whether an encoding by other means has the mean error, or the size, that was asked for."""
+    def _meets_target(self, encoded: Encoded[Motion], motion: Motion, mean: float | None = None) -> bool:
+        """Whether an encoding by other means has the mean error, or the size, that was asked for.
+
+        mean: its mean error, metres, where it is known.
+        """
         if self.mean_error is not None:
-            return MEAN_SHARE <= decoded_mean_error(encoded, motion) / self.mean_error <= 1
+            mean = decoded_mean_error(encoded, motion) if mean is None else mean
+            return MEAN_SHARE <= mean / self.mean_error <= 1
         return not self._has_size or encoded.payload_bytes <= self._wanted_bytes(motion)
 
-    def _choose_model(self, motion: Motion, chunks: list[Floats]) -> model_choice.Choice:
+    def _choose_model(self, motion: Motion, chunks: list[Floats], kinds: Kinds | None) -> model_choice.Choice:
         recording = Recording(chunks, motion, self.first_step(motion))
         if self._has_size:
             return model_choice.choose_for_size(recording, self.model, self._wanted_bytes(motion))
-        return model_choice.choose(recording, self.model, self.mean_error)
+        return model_choice.choose(recording, self.model, self.mean_error, kinds)
 
-    def _lattice_plan(self, motion: Motion, source: Prepared) -> LatticePlan | None:
+    def _lattice_plan(self, motion: Motion, source: Prepared, kinds: Kinds | None) -> LatticePlan | None:
         """How the lattice engine is used; None where it is not: without a hard bound, or for other models."""
         asked = self.model == LATTICE_MODEL
         if self._has_size or self.mean_error is not None or not (asked or self.model == model_choice.AUTO):
+            return None
+        if kinds is not None and LATTICE_MODEL not in kinds:
             return None
         if not (asked or lattice.is_fast()):
             return None
@@ -365,9 +377,9 @@ class Tempo:
         if self.weights:
             without_rows = Model.without_rows(motion.names, motion.rate)
             weights = with_weights(without_rows, pack_weights(motion.names, self.weights)).weights
+        alone = asked or (kinds is not None and not kinds & MODELS.keys())
         step, named = self.first_step(motion), model_choice.known_by_name(Recording([], motion, 0))
-        found = engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named)
-        return replace(found, alone=True) if asked else found
+        return engine_choice.plan(motion, source, self.max_error or DEFAULT_MAX_ERROR, step, weights, named, alone)
 
     def _seconds(self, motion: Motion, times: float = 1.0) -> float:
         """Length of chunks: times longer than asked for, LEAST_CHUNK_FRAMES or more, within the limit of the format."""

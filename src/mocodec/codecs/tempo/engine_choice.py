@@ -88,10 +88,13 @@ class LatticePlan:
         return UNLIKELY if self.least_bits else UNLIKELY_OF_POINTS
 
 
-def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool) -> LatticePlan:
+def plan(
+    motion: Motion, source: Prepared, bound: float, step: int, weights: Floats | None, named: bool, alone: bool = False
+) -> LatticePlan:
     """How to use the lattice engine within a bound (metres).
 
     step: of the transform, log₂ in 1/32 octave; named: the prior knows the points, so that its models are cheap to fit.
+    alone: no other engine is asked for.
     The sample does not decide for these, nor for points that may be joints of a body: models of directions, or the
     prior's, may be far smaller than the sample's basis.
     """
@@ -106,6 +109,8 @@ def plan(motion: Motion, source: Prepared, bound: float, step: int, weights: Flo
         size = grid_size(grid_step(lattice.half_step(bound)))
         return found, *lattice.best_stride([positions / size], [source.apart.apart[some]], found)
 
+    if alone:
+        return LatticePlan(lambda: chosen()[:2], alone=True)
     if named or weights is not None or motion.skeleton is not None:
         return LatticePlan(lambda: chosen()[:2], least_bits=LEAST_BITS if weights is None else 0.0)
     if directions.form_a_tree(source.smooth[some], step + WIDER):

@@ -4,6 +4,9 @@
     every other chunk ─near the one searched before it───┴─► drafts ─pack─► transform ──┐
     chunks that take the transform many bits ────────────────────────────► lattice ─────┴─► the smaller
 
+Where the compiled module codes a chunk, and the lattice engine is not tried for it, the chunk is drafted, packed,
+compared with the direct engine and checked in one piece of work.
+
 A coarser step leaves more samples beyond the bound, which take corrections. Where the transform needs few bits the best
 step is coarse: offset = `BEST_OFFSET` + `BEST_SLOPE` · log₂ of the bits of a coordinate, fitted to joints and markers
 under bounds from 0.5 to 20 mm. What a search finds beside this holds for its neighbours too, so most chunks are coded
@@ -50,6 +53,18 @@ class Searched:
     beside: float
 
 
+@dataclass(frozen=True)
+class Packed:
+    """A chunk's draft by the transform, and the payload of the smaller of the transform and the direct engine.
+
+    is_measured: whether the payload is known to be within the bound.
+    """
+
+    draft: Draft
+    payload: bytes
+    is_measured: bool
+
+
 def to_bound(
     encoders: Sequence[ChunkEncoder], bound: float, plan: LatticePlan | None = None, model_bytes: int = 0
 ) -> list[bytes]:
@@ -67,17 +82,33 @@ def to_bound(
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
 
-        def draft(number: int) -> Draft:
-            before = searched[number // every]
-            return before.draft if number % every == 0 else _near(encoders[number], bound, before)
+        def drafted(number: int) -> Draft | Packed:
+            before, encoder = searched[number // every], encoders[number]
+            draft = before.draft if number % every == 0 else _near(encoder, bound, before)
+            alone = plan is None or _takes_few_bits(encoder, draft, plan)
+            if draft.numbers is None or not alone or not compiled_chunks.decodes(encoder.model, encoder.frames):
+                return draft
+            return _packed(encoder, draft, chunk.pack([encoder], [draft])[0], bound)
 
-        drafts: list[Draft | None] = [None] * len(batch)
-        for number, found in enumerate(parallel.over(draft, range(first, first + len(batch)) if has_transform else ())):
-            drafts[number] = found
+        found: list[Draft | Packed | None] = [None] * len(batch)
+        numbers = range(first, first + len(batch)) if has_transform else ()
+        for number, one in enumerate(parallel.over(drafted, numbers)):
+            found[number] = one
             progress.report((first + number) / len(encoders))
-        payloads += _smallest(batch, drafts, bound, on_lattice)
+        payloads += _smallest(batch, found, bound, on_lattice)
         progress.report((first + len(batch)) / len(encoders))
     return payloads
+
+
+def _packed(encoder: ChunkEncoder, draft: Draft, payload: bytes, bound: float) -> Packed:
+    """payload: of the transform."""
+    smaller = encoder.smaller_of_engines(payload, bound)
+    return Packed(draft, smaller, _is_measured(encoder, smaller, bound))
+
+
+def _takes_few_bits(encoder: ChunkEncoder, draft: Draft, plan: LatticePlan) -> bool:
+    """Whether the lattice engine is not tried for a chunk, whatever other chunks show."""
+    return draft.bits < plan.least_bits * encoder.positions.size
 
 
 def _predicted(encoder: ChunkEncoder, bits: float) -> float:
@@ -150,8 +181,7 @@ class _LatticeTrials:
         number, self._number = self._number, self._number + 1
         if draft is None or draft.numbers is None:
             return True
-        few = draft.bits < self._plan.least_bits * encoder.positions.size
-        if few or not self._trials.tries_lattice(number):
+        if _takes_few_bits(encoder, draft, self._plan) or not self._trials.tries_lattice(number):
             return False
         estimate = encoder.estimate_on_lattice(self._bound, self._plan.stride)
         return estimate <= self._plan.unlikely * (draft.bits / 8 + self.share)
@@ -190,35 +220,40 @@ def _on_lattice(
 
 
 def _smallest(
-    batch: Sequence[ChunkEncoder], drafts: list[Draft | None], bound: float, trials: _LatticeTrials | None
+    batch: Sequence[ChunkEncoder],
+    found: Sequence[Draft | Packed | None],
+    bound: float,
+    trials: _LatticeTrials | None,
 ) -> list[bytes]:
-    """Payloads of the smaller engine, checked."""
+    """Payloads of the smaller engine, checked. found: by the transform, None without one."""
+    drafts = [one.draft if isinstance(one, Packed) else one for one in found]
     on_lattice: dict[int, OnLattice] = {}
-    for i, found in enumerate(_on_lattice(batch, drafts, trials)):
-        if found is not None:
-            on_lattice[i] = found
+    for i, one in enumerate(_on_lattice(batch, drafts, trials)):
+        if one is not None:
+            on_lattice[i] = one
         elif drafts[i] is None:
             drafts[i] = batch[i].within_bound(bound, FIRST_OFFSET)
-    drafted = {i: draft for i, draft in enumerate(drafts) if draft is not None}
-    by_transform = dict(zip(drafted, chunk.pack([batch[i] for i in drafted], list(drafted.values())), strict=True))
-    for i in list(by_transform):
+    by_transform = {i: one for i, one in enumerate(found) if isinstance(one, Packed)}
+    rest = {i: draft for i, draft in enumerate(drafts) if draft is not None and i not in by_transform}
+    payloads = dict(zip(rest, chunk.pack([batch[i] for i in rest], list(rest.values())), strict=True))
+    for i in list(payloads):
         if i in on_lattice and trials is not None:
-            worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(by_transform[i]) + trials.share)
-            (by_transform if worth else on_lattice).pop(i)
-    compared = parallel.over(lambda i: batch[i].smaller_of_engines(by_transform[i], bound), by_transform)
-    by_transform = dict(zip(by_transform, compared, strict=True))
+            worth = len(on_lattice[i].payload) <= (1 - LEAST_SAVING) * (len(payloads[i]) + trials.share)
+            (payloads if worth else on_lattice).pop(i)
+    packed = parallel.over(lambda i: _packed(batch[i], rest[i], payloads[i], bound), payloads)
+    by_transform |= dict(zip(payloads, packed, strict=True))
     return _checked(batch, by_transform, on_lattice, bound)
 
 
 def _checked(
-    batch: Sequence[ChunkEncoder], by_transform: dict[int, bytes], on_lattice: dict[int, OnLattice], bound: float
+    batch: Sequence[ChunkEncoder], by_transform: dict[int, Packed], on_lattice: dict[int, OnLattice], bound: float
 ) -> list[bytes]:
     """Payloads of a batch, by number: those given, or the direct engine's where one exceeds the bound (metres).
 
     The lattice engine's encoder has decoded what it codes, and so has the compiled trial of a step.
     """
-    payloads = by_transform | {i: found.payload for i, found in on_lattice.items()}
-    unsure = [i for i in by_transform if not _is_measured(batch[i], by_transform[i], bound)]
+    payloads = {i: found.payload for i, found in (by_transform | on_lattice).items()}
+    unsure = [i for i, found in by_transform.items() if not found.is_measured]
     decoded = dict(zip(unsure, _decoded([batch[i] for i in unsure], [payloads[i] for i in unsure]), strict=True))
     decoded |= {i: found.positions for i, found in on_lattice.items()}
     for i, positions in decoded.items():
@@ -230,7 +265,8 @@ def _checked(
 def _is_measured(encoder: ChunkEncoder, payload: bytes, bound: float) -> bool:
     """Whether the trial of a step says that the payload is within the bound: rounding does not matter to it."""
     compiled = Payload.unpack(payload).engine == TRANSFORM and compiled_chunks.decodes(encoder.model, encoder.frames)
-    return compiled and not encoder.gap_mask.any() and bool(np.abs(encoder.positions).max() <= EXACT_TO * bound)
+    positions = encoder.positions
+    return compiled and not encoder.gap_mask.any() and bool(max(positions.max(), -positions.min()) <= EXACT_TO * bound)
 
 
 def _decoded(batch: Sequence[ChunkEncoder], payloads: Sequence[bytes]) -> list[Floats | None]:

@@ -197,8 +197,7 @@ class PieceEncoder:
         if self._rotations is not None and not asked:
             return None  # errors of a lattice are uniform up to a bound: rotations would break theirs too often
         named = model_choice.known_by_name(Recording([], sample, 0))
-        found = engine_choice.plan(sample, source, self._bound, step, None, named)
-        return replace(found, alone=True) if asked else found
+        return engine_choice.plan(sample, source, self._bound, step, None, named, asked)
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

@@ -30,8 +30,8 @@ FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
 """A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
 
 SHORT_FRAMES, SHORT_SAMPLES = 16, 2048
-"""Recordings up to so long are tried at other targets too: most of their bytes are a model, whose choice depends on the
-target, and few settings come near the mean error."""
+"""Recordings up to so long are tried at other targets too: few settings come near the mean error. Other targets try the
+kinds of model and engine alone that were smallest at the mean error and under it as a bound."""
 BOUND_RATIO, WIDEST_BOUND = 2**0.5, 8.0
 """Bounds that are tried: each this many times the one before, up to so many times the mean error asked for."""
 SMALLER_MEANS = (0.5, 0.25)
@@ -40,8 +40,11 @@ SMALLER_MEANS = (0.5, 0.25)
 Encode = Callable[[Motion, float], Encoded[Motion]]
 """All of a motion by the lattice engine, under a bound (metres)."""
 Decode = Callable[[Encoded[Motion]], Motion]
-EncodeAt = Callable[[str, float], Encoded[Motion]]
-"""All of a motion at "mean_error" or "max_error", metres."""
+FALLBACK_MODEL, LATTICE_MODEL = "hou2014", "lattice"
+Kinds = frozenset[str]
+"""Types of model (`models.MODELS`), FALLBACK_MODEL, LATTICE_MODEL: what a stream consists of."""
+EncodeAt = Callable[[str, float, Kinds | None], Encoded[Motion]]
+"""All of a motion at "mean_error" or "max_error", metres, by these kinds alone, or by any (None)."""
 MeanError = Callable[[Encoded[Motion], Motion], float]
 """Of an encoding, against the motion: metres."""
 
@@ -94,21 +97,30 @@ def smallest(
     is_short = len(motion) <= SHORT_FRAMES and len(motion) * motion.points <= SHORT_SAMPLES
     if not is_short and not may_exceed_bounded(encoded):
         return encoded
-    found = [encoded, encode("max_error", mean_error)]
+    found = [encoded, encode("max_error", mean_error, None)]
     if is_short:
-        found += _at_other_targets(motion, mean_error, encode, measure)
+        kinds = _kinds(found[0]) | _kinds(found[1])
+        found += _at_other_targets(motion, mean_error, kinds, encode, measure)
     return min(found, key=lambda each: each.payload_bytes)
 
 
+def _kinds(encoded: Encoded[Motion]) -> Kinds:
+    header = StreamHeader.unpack(encoded.shared, encoded.about.points)
+    beside = {FALLBACK_MODEL: header.fallback, LATTICE_MODEL: header.neighbours}
+    return Kinds(
+        {name for name, part in beside.items() if part is not None} | ({header.model} if header.model else set())
+    )
+
+
 def _at_other_targets(
-    motion: Motion, mean_error: float, encode: EncodeAt, measure: MeanError
+    motion: Motion, mean_error: float, kinds: Kinds, encode: EncodeAt, measure: MeanError
 ) -> Iterator[Encoded[Motion]]:
-    """Encodings whose mean error is at most the one asked for (metres)."""
+    """Encodings by these kinds whose mean error is at most the one asked for (metres)."""
     for share in SMALLER_MEANS:
-        yield encode("mean_error", share * mean_error)
+        yield encode("mean_error", share * mean_error, kinds)
     bound = BOUND_RATIO
     while bound <= WIDEST_BOUND:
-        wider = encode("max_error", bound * mean_error)
+        wider = encode("max_error", bound * mean_error, kinds)
         if not measure(wider, motion) <= mean_error:
             break
         yield wider

@@ -5,7 +5,7 @@ recording ─fit─► models of each type ─price on a few chunks─► the ch
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -52,18 +52,20 @@ class Choice:
     spectra: Mapping[int, Floats] = field(default_factory=dict)
 
 
-def choose(recording: Recording, model: str = AUTO, mean_error: float | None = None) -> Choice:
+def choose(
+    recording: Recording, model: str = AUTO, mean_error: float | None = None, types: Collection[str] | None = None
+) -> Choice:
     """The model that makes the recording smallest in about its step, among those of the given type, or of all.
 
-    mean_error: metres; the recording's step is then only a first guess. Raises CannotEncode where no model of the type
-    fits.
+    mean_error: metres; the recording's step is then only a first guess. types: the only ones of all that are tried.
+    Raises CannotEncode where no model of the type fits.
     """
-    if model == DIRECT:
+    if model == DIRECT or (types is not None and not any(name in types for name in MODELS)):
         return without_model(recording.like)
     stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
     if model in (AUTO, TRANSFORM) and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
-    if (found := _cheapest(recording, model)) is not None:
+    if (found := _cheapest(recording, model, types)) is not None:
         return found
     if model not in (AUTO, TRANSFORM):
         raise CannotEncode(f"the model {model!r} does not fit this motion; model='auto' takes one that does")
@@ -85,7 +87,7 @@ def known_by_name(recording: Recording) -> bool:
     return prior.for_points().joints.columns(recording.like.names) is not None
 
 
-def _cheapest(recording: Recording, model: str) -> Choice | None:
+def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -> Choice | None:
     """The cheapest of the models tried, None where none fits. Of a stream that has not begun, the first that fits.
 
     Models of directions are tried first, and markers on the prior's bones last: fitting these takes longest, and they
@@ -93,6 +95,7 @@ def _cheapest(recording: Recording, model: str) -> Choice | None:
     """
     named, every = known_by_name(recording), model in (AUTO, TRANSFORM)
     names = [model] if not every else KNOWN_NAME_MODELS if named else list(MODELS)
+    names = [name for name in names if types is None or name in types]
     chunks = len(recording.chunks)
     numbers = range(0, chunks, max(1, -(-chunks // PRICED_CHUNKS)))
     if named and every and chunks > 1 and (found := _clearly_cheapest(recording, _in_order_tried(names), chunks // 2)):

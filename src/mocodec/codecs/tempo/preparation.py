@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ... import native
+from ... import native, parallel
 from ...stages import frozen, gaps
 from ...typing import Booleans, Floats
 from .pose import heading, leaps
@@ -37,7 +37,14 @@ def prepare(
     """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
     missing = repeats = spike = leap = True
     if (kernel := native.kernel("screen_positions")) is not None:
-        missing, repeats, spike, leap = kernel(positions, leaps.SMALLEST_LEAP_M, leaps.LEAP_FACTOR)
+
+        def screen(some: slice) -> tuple[bool, bool, bool, bool]:
+            # with the frames before and after, to which they are compared
+            beside = positions[max(0, some.start - 1) : some.stop + 1]
+            return kernel(beside, leaps.SMALLEST_LEAP_M, leaps.LEAP_FACTOR)
+
+        screened = list(parallel.over(screen, parallel.blocks(len(positions))))
+        missing, repeats, spike, leap = map(any, zip(*screened, strict=True))
     turned = heading.to_y_up(positions, up)
     if missing or repeats:
         apart = frozen.split(turned, tolerance, bones, holds)

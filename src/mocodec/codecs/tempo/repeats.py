@@ -79,20 +79,20 @@ def encode_to_mean(
     target: float,
     encode_distinct: Callable[[float, Motion], Encoded[Motion]],
     mean_error: Callable[[Encoded[Motion], Motion], float],
-) -> Encoded[Motion]:
-    """`encode` to a mean error over all frames, metres: distinct frames have another mean than all frames.
+) -> tuple[Encoded[Motion], float]:
+    """`encode` to a mean error over all frames, metres, and that mean: distinct frames have another than all frames.
 
     encode_distinct: codes a motion to a mean error. mean_error: that of an encoded motion.
     """
-    wanted = target
-    encoded = encode(motion, distinct, partial(encode_distinct, wanted))
+    encoded = encode(motion, distinct, partial(encode_distinct, target))
+    mean, wanted = mean_error(encoded, motion), target
     for _ in range(TRIES):
-        mean = mean_error(encoded, motion)
         if mean <= target:
             break
         wanted *= target / mean
         encoded = encode(motion, distinct, partial(encode_distinct, wanted))
-    return encoded
+        mean = mean_error(encoded, motion)
+    return encoded, mean
 
 
 def decode(

@@ -1,0 +1,229 @@
+"""Which lattice points stand for the points of a frame: a rate–distortion choice within the bound. Encoder only.
+
+    points ─► lattice points within the bound, as candidates
+    samples of the surface ─► distance of each candidate from it ─► bits of a lattice point there
+    lattice points chosen so far ─► where smoothing moves each candidate ─► squared error
+    Σ squared errors + λ Σ bits of the lattice points that are used ─► smaller, point by point and cell by cell
+
+Points that share a lattice point take its bits once. A lattice finer than the bound asks for gives every point several
+candidates.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ... import native
+from ...typing import Integers
+from . import octree, point_smoothing
+from .lattice_frames import LatticeFrame, LatticeGrid
+from .point_smoothing import FINE_BITS, Candidates
+from .surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
+
+FREEDOM = 1.2  # bound over the largest distance of any place from the lattice
+LAMBDA = 0.15  # squared lattice units for a bit
+SHARED_BITS = 1.6  # of a lattice point, besides those of its place on the surface
+ITERATIONS = 2  # choices; each with the moves that follow from the one before
+ROUNDS = 3  # over all points and cells in a choice
+NEAR_SPACINGS = 2  # distance of a point from its sample, in spacings of samples, at most
+UNIT = 1 << FINE_BITS
+SUBUNIT = UNIT >> SUBUNIT_BITS
+CLASSES, CLASSES_PER_DEVIATION = 64, 8  # of distances from the surface, up to eight mean deviations
+SMOOTHED_CLASSES = 2  # on either side, over which frequencies are averaged
+FAR = CLASSES  # class of a candidate without a sample
+SAMPLE_SHARE = 1.0  # of the squared spacing: the area of a sample
+PRIOR_COUNT = 2  # points that an offset of zero counts for
+CORNERS = np.array([[corner >> axis & 1 for axis in range(3)] for corner in range(8)])
+BEYOND = 1 << 40  # squared error of a candidate beyond the bound
+
+
+class _Choices(NamedTuple):
+    """The candidates of all points of a frame.
+
+    starts (n + 1,): of the candidates of each point. point (k,): of each candidate. cells (k, 3): lattice coordinates.
+    squares (k,): squared distances from the point, in 2^-2 FINE_BITS units. cell_of (k,): number of the cell among the
+    distinct ones. first (c,): the first candidate of each cell.
+    """
+
+    starts: Integers
+    point: Integers
+    cells: Integers
+    squares: Integers
+    cell_of: Integers
+    first: Integers
+
+
+def chosen_cells(frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float) -> LatticeFrame:
+    """The frame with other cells for its points, all within the bound."""
+    points = np.rint((frame.originals / grid.step_m - grid.corner) * UNIT).astype(np.int64)
+    reach = int(bound_m / grid.step_m * UNIT) - 1  # rounding of points takes less than a unit
+    choices = _candidates(points, reach, grid.depth)
+    if not np.diff(choices.starts).all():
+        return frame
+    samples = _near_samples(points, hints)
+    of_candidates = samples[choices.point]
+    classes, bits_of_area = _classes(points, samples, choices, hints)
+    order = np.lexsort((choices.squares, choices.point))
+    chosen = order[choices.starts[:-1]]
+    for _ in range(ITERATIONS):
+        used, own = np.unique(choices.cell_of[chosen], return_inverse=True)
+        costs = _costs(classes[choices.first], used, bits_of_area)
+        sample_of_used = np.zeros(len(used), np.int64)
+        sample_of_used[own] = samples
+        candidates = Candidates(choices.cells, of_candidates, own[choices.point])
+        cells = choices.cells[choices.first[used]]
+        moves = point_smoothing.candidate_moves(candidates, cells, sample_of_used, hints)
+        errors = _errors(points, choices, point_smoothing.shifts_of_moves(moves, of_candidates, hints), reach)
+        chosen = _choose(choices.starts, choices.cell_of, errors, costs, chosen)
+    return frame.with_cells(choices.cells[chosen])
+
+
+def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
+    """The lattice points within reach of points (n, 3), both in 2^-FINE_BITS units, and within the octree."""
+    squares, bases, sides = list[Integers](), list[Integers](), list[Integers]()
+    for parity in (0, 1):
+        base = 2 * ((points - parity * UNIT + UNIT) >> FINE_BITS + 1) + parity
+        away = points - base * UNIT  # at most a unit: the next point along an axis lies on this side
+        per_axis = np.stack([away**2, (2 * UNIT - np.abs(away)) ** 2])
+        x, y, z = (per_axis[CORNERS[:, axis], :, axis] for axis in range(3))
+        squares.append(x + y + z)
+        bases.append(base)
+        sides.append(np.where(away < 0, -2, 2))
+    square = np.concatenate(squares).T  # (n, 16)
+    point, number = np.nonzero(square <= reach**2)
+    parity, corner = number >> 3, number & 7
+    cells = np.stack(bases)[parity, point] + CORNERS[corner] * np.stack(sides)[parity, point]
+    is_inside = ((cells >= 0) & (cells < 1 << depth)).all(axis=1)
+    point, number, cells = point[is_inside], number[is_inside], cells[is_inside]
+    _, first, cell_of = np.unique(octree.morton_codes(cells), return_index=True, return_inverse=True)
+    starts = np.searchsorted(point, np.arange(len(points) + 1))
+    return _Choices(starts, point, cells, square[point, number], cell_of.reshape(-1), first)
+
+
+def _near_samples(points: Integers, hints: SurfaceHints) -> Integers:
+    """(n,): the sample nearest to points (n, 3), −1 without one near."""
+    from scipy.spatial import KDTree
+
+    reach = NEAR_SPACINGS * hints.spacing * SUBUNIT
+    distance, row = map(np.asarray, KDTree(hints.points * SUBUNIT).query(points, distance_upper_bound=reach))
+    return np.where(np.isfinite(distance), row, -1)
+
+
+def _distances(places: Integers, samples: Integers, hints: SurfaceHints) -> Integers:
+    """(n,): the distances of places (n, 3) from the tangent planes of samples (n,), 2^-FINE_BITS units."""
+    return ((places - hints.points[samples] * SUBUNIT) * hints.normals[samples]).sum(axis=1) >> NORMAL_BITS
+
+
+def _classes(points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints) -> tuple[Integers, float]:
+    """(k,): the class of each candidate's distance from the surface that the points around it show; and the bits that
+    tell which class-wide part of the surface's area a lattice point lies in.
+    """
+    known = np.flatnonzero(samples >= 0)
+    if not len(known):
+        return np.full(len(choices.point), FAR), 0.0
+    distance, rows = _distances(points[known], samples[known], hints), samples[known]
+    offsets = hints.mean_around(distance, rows, 0, PRIOR_COUNT)
+    width = max(int(np.abs(distance - offsets[rows]).mean()) // CLASSES_PER_DEVIATION, 1)
+    of_candidates = samples[choices.point]
+    away = np.abs(_distances(choices.cells * UNIT, of_candidates, hints) - offsets[of_candidates])
+    classes = np.where(of_candidates >= 0, np.minimum(away // width, CLASSES - 1), FAR)
+    area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
+    return classes, float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
+
+
+def _costs(classes: Integers, used: Integers, bits_of_area: float) -> Integers:
+    """(c,): λ · bits of a lattice point in each cell, from the frequencies of the classes (c,) of those that are used,
+    in squared 2^-FINE_BITS units.
+    """
+    count = np.bincount(classes[used], minlength=CLASSES + 1)[:CLASSES] + 1.0
+    width = 2 * SMOOTHED_CLASSES + 1
+    smooth = np.convolve(np.pad(count, SMOOTHED_CLASSES, mode="edge"), np.ones(width) / width, "valid")
+    bits = np.maximum(SHARED_BITS + bits_of_area - np.log2(smooth), 1.0)
+    bits = np.append(bits, bits.max())
+    return np.rint(LAMBDA * UNIT**2 * bits).astype(np.int64)[classes]
+
+
+def _errors(points: Integers, choices: _Choices, shifts: Integers, reach: int) -> Integers:
+    """(k,): squared distances of points (n, 3) from their candidates as they are decoded: moved by shifts (k, 3) where
+    that keeps the bound.
+    """
+    moved = ((choices.cells * UNIT + shifts - points[choices.point]) ** 2).sum(axis=1)
+    return np.where(moved <= reach**2, moved, choices.squares)
+
+
+def _choose(starts: Integers, cell_of: Integers, errors: Integers, costs: Integers, chosen: Integers) -> Integers:
+    """(n,): the candidates of all points that cost less together. chosen (n,): those that they have.
+
+    In a round each point takes the candidate that costs least while the others stay; then each cell takes all points
+    that gain by it, if together they gain more than it costs.
+    """
+    if (kernel := native.kernel("choose_candidates")) is not None:
+        return np.asarray(kernel(starts, cell_of, errors, costs, chosen, ROUNDS))
+    return _PointsAndCells(starts, cell_of, errors, costs, chosen).choose()
+
+
+class _PointsAndCells:
+    """`_choose` point by point."""
+
+    def __init__(
+        self, starts: Integers, cell_of: Integers, errors: Integers, costs: Integers, chosen: Integers
+    ) -> None:
+        self._starts, self._cell_of, self._errors = starts.tolist(), cell_of.tolist(), errors.tolist()
+        self._costs, self._chosen = costs.tolist(), chosen.tolist()
+        self._users = np.bincount(cell_of[chosen], minlength=len(costs)).tolist()
+        self._point_of = np.repeat(np.arange(len(chosen)), np.diff(starts)).tolist()
+        members = np.argsort(cell_of, kind="stable")
+        self._members = [part.tolist() for part in np.split(members, np.cumsum(np.bincount(cell_of))[:-1])]
+
+    def choose(self) -> Integers:
+        for _ in range(ROUNDS):
+            has_moved = self._change_points()
+            if not self._open_cells() and not has_moved:
+                break
+        return np.array(self._chosen, np.int64)
+
+    def _change_points(self) -> bool:
+        changed = False
+        for i, own in enumerate(self._chosen):
+            cell, best = self._cell_of[own], own
+            least = self._errors[own] + (self._costs[cell] if self._users[cell] == 1 else 0)
+            for k in range(self._starts[i], self._starts[i + 1]):
+                other = self._cell_of[k]
+                total = self._errors[k] + (0 if self._users[other] else self._costs[other])
+                if other != cell and total < least:
+                    least, best = total, k
+            if best != own:
+                self._move(i, best)
+                changed = True
+        return changed
+
+    def _open_cells(self) -> bool:
+        changed = False
+        for cell, members in enumerate(self._members):
+            if len(members) < 2:
+                continue
+            gain, taken = 0 if self._users[cell] else -self._costs[cell], list[int]()
+            for k in members:
+                own = self._chosen[self._point_of[k]]
+                if own == k:
+                    continue
+                left = self._cell_of[own]
+                saved = self._errors[own] - self._errors[k] + (self._costs[left] if self._users[left] == 1 else 0)
+                if saved > 0:
+                    gain += saved
+                    self._users[left] -= 1  # so that the last point that leaves a cell closes it
+                    taken.append(k)
+            for k in taken:
+                self._users[self._cell_of[self._chosen[self._point_of[k]]]] += 1
+            if gain > 0 and taken:
+                for k in taken:
+                    self._move(self._point_of[k], k)
+                changed = True
+        return changed
+
+    def _move(self, point: int, candidate: int) -> None:
+        self._users[self._cell_of[self._chosen[point]]] -= 1
+        self._chosen[point] = candidate
+        self._users[self._cell_of[candidate]] += 1

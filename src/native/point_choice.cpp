@@ -1,0 +1,119 @@
+// Which lattice points stand for the points of a frame, for codecs/bodycast/point_choice.py, which defines the results.
+//
+//     candidates of each point, errors, costs of cells ─► points change their cell ─► cells open for several ─► choices
+
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "arrays.h"
+
+namespace {
+
+using Rows = Input<int64_t, 1>;
+
+class Choice {
+public:
+    // starts (n + 1): the candidates of point i are starts[i] … starts[i + 1] − 1. cell_of, errors (k): of candidates.
+    Choice(const Rows &starts, const Rows &cell_of, const Rows &errors, const Rows &costs, const Rows &chosen)
+        : starts_(starts.data()), cell_of_(cell_of.data()), errors_(errors.data()), costs_(costs.data()),
+          points_(chosen.shape(0)), cells_(costs.shape(0)), chosen_(chosen.data(), chosen.data() + points_),
+          users_(cells_, 0), first_(cells_ + 1, 0), members_(cell_of.shape(0)), point_of_(cell_of.shape(0)) {
+        for (size_t i = 0; i < points_; ++i) {
+            ++users_[cell(i)];
+            for (int64_t k = starts_[i]; k < starts_[i + 1]; ++k) point_of_[size_t(k)] = int32_t(i);
+        }
+        const size_t candidates = members_.size();
+        for (size_t k = 0; k < candidates; ++k) ++first_[size_t(cell_of_[k]) + 1];
+        for (size_t c = 0; c < cells_; ++c) first_[c + 1] += first_[c];
+        std::vector<int32_t> next(first_.begin(), first_.end() - 1);
+        for (size_t k = 0; k < candidates; ++k) members_[size_t(next[size_t(cell_of_[k])]++)] = int32_t(k);
+    }
+
+    // Each point takes the candidate that costs least while the others stay. Returns whether any changed.
+    bool change_points() {
+        bool changed = false;
+        for (size_t i = 0; i < points_; ++i) {
+            const int64_t own = chosen_[i];
+            const int64_t own_cell = cell_of_[own];
+            int64_t best = own, least = errors_[own] + (users_[size_t(own_cell)] == 1 ? costs_[own_cell] : 0);
+            for (int64_t k = starts_[i]; k < starts_[i + 1]; ++k) {
+                const int64_t other = cell_of_[k];
+                if (other == own_cell) continue;
+                const int64_t total = errors_[k] + (users_[size_t(other)] ? 0 : costs_[other]);
+                if (total < least) least = total, best = k;
+            }
+            if (best == own) continue;
+            move(i, best);
+            changed = true;
+        }
+        return changed;
+    }
+
+    // Each cell takes all points that gain by it, if together they gain more than it costs. Returns whether any changed.
+    bool open_cells() {
+        bool changed = false;
+        std::vector<int32_t> taken;
+        for (size_t c = 0; c < cells_; ++c) {
+            if (first_[c + 1] - first_[c] < 2) continue;
+            int64_t gain = users_[c] ? 0 : -costs_[c];
+            taken.clear();
+            for (int32_t at = first_[c]; at < first_[c + 1]; ++at) {
+                const int32_t k = members_[size_t(at)];
+                const int64_t own = chosen_[size_t(point_of_[size_t(k)])];
+                if (own == k) continue;
+                const size_t own_cell = size_t(cell_of_[own]);
+                const int64_t saved = errors_[own] - errors_[k] + (users_[own_cell] == 1 ? costs_[own_cell] : 0);
+                if (saved <= 0) continue;
+                gain += saved;
+                --users_[own_cell];  // so that the last point that leaves a cell closes it
+                taken.push_back(k);
+            }
+            for (int32_t k : taken) ++users_[size_t(cell_of_[chosen_[size_t(point_of_[size_t(k)])]])];
+            if (gain <= 0 || taken.empty()) continue;
+            for (int32_t k : taken) move(size_t(point_of_[size_t(k)]), k);
+            changed = true;
+        }
+        return changed;
+    }
+
+    const std::vector<int64_t> &chosen() const { return chosen_; }
+
+private:
+    size_t cell(size_t point) const { return size_t(cell_of_[chosen_[point]]); }
+
+    void move(size_t point, int64_t candidate) {
+        --users_[cell(point)];
+        chosen_[point] = candidate;
+        ++users_[cell(point)];
+    }
+
+    const int64_t *starts_, *cell_of_, *errors_, *costs_;
+    const size_t points_, cells_;
+    std::vector<int64_t> chosen_;
+    std::vector<int32_t> users_, first_, members_, point_of_;
+};
+
+// (n): the candidates that the points take after some rounds. chosen (n): those that they have.
+Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows costs, Rows chosen, int rounds) {
+    const size_t n = chosen.shape(0), k = cell_of.shape(0);
+    bool good = starts.shape(0) == n + 1 && errors.shape(0) == k && k < size_t(std::numeric_limits<int32_t>::max());
+    for (size_t i = 0; good && i < n; ++i)
+        good = starts.data()[i] >= 0 && starts.data()[i] <= chosen.data()[i] && chosen.data()[i] < starts.data()[i + 1] &&
+               starts.data()[i + 1] <= int64_t(k);
+    for (size_t i = 0; good && i < k; ++i) good = cell_of.data()[i] >= 0 && size_t(cell_of.data()[i]) < costs.shape(0);
+    if (!good) throw std::invalid_argument("choose_candidates: shapes differ, or a candidate is not there");
+    Choice choice(starts, cell_of, errors, costs, chosen);
+    for (int round = 0; round < rounds; ++round) {
+        const bool moved = choice.change_points();
+        if (!choice.open_cells() && !moved) break;
+    }
+    Fresh<int64_t> result(n);
+    for (size_t i = 0; i < n; ++i) result.data[i] = choice.chosen()[i];
+    return result.give({n});
+}
+
+}  // namespace
+
+void bind_point_choice(nb::module_ &m) { m.def("choose_candidates", &choose_candidates); }
