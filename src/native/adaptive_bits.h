@@ -142,7 +142,6 @@ public:
     }
 
     size_t size() const { return out_.size(); }
-    const std::vector<uint8_t> &bytes() const { return out_; }
 
     // Ends with as few bytes as decode right when zeros follow.
     std::vector<uint8_t> finish() {
@@ -170,16 +169,8 @@ private:
 class Decoder {
 public:
     Decoder(const uint8_t *data, size_t size) : data_(data), size_(size) {
-        for (int i = 0; i < HELD; ++i) code_ = code_ << 8 | next();
+        for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
     }
-
-    // Goes on in a longer copy of its bytes.
-    void extend(const uint8_t *data, size_t size) { data_ = data, size_ = size; }
-
-    // Whether a bit can be decoded before more bytes are known.
-    bool has_bytes() const { return at_ + HELD <= size_; }
-
-    static constexpr int HELD = 4;  // bytes that a decoder holds, and reads for one bit at most
 
     int bit(int32_t p) {
         const uint32_t range = high_ - low_;

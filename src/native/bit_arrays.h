@@ -6,7 +6,6 @@
 
 #include "adaptive_bits.h"
 #include "arrays.h"
-#include "bit_follower.h"
 
 namespace bit_arrays {
 
@@ -41,8 +40,7 @@ public:
 
     // A copy with all that was learned and coded.
     BitArrayEncoder(const BitArrayEncoder &other)
-        : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_),
-          follower_(other.follower_) {}
+        : tables_(other.tables_), mixer_(other.mixer_, tables_.pointers()), encoder_(other.encoder_) {}
 
     // Whole bytes so far.
     size_t size() const { return encoder_.size(); }
@@ -60,13 +58,7 @@ public:
     // Codes one bit with these counters, as bits::Mixer::counters_of, and this weight set; returns it.
     int code_with(const uint32_t *counters, uint32_t set, int bit) {
         bits::Mixed mixed;
-        const int32_t p = mixer_.mix_with(mixed, counters, set);
-        encoder_.bit(bit, p);
-        follower_.expect(bit, p);
-        if (follower_.waiting() >= followed_from_) {
-            follower_.follow(encoder_.bytes(), false);
-            followed_from_ = follower_.waiting() + FOLLOWED_BITS;
-        }
+        encoder_.bit(bit, mixer_.mix_with(mixed, counters, set));
         mixer_.learn(mixed, bit);
         return bit;
     }
@@ -78,21 +70,15 @@ public:
         return code_with(counters, set, bit);
     }
 
-    // The bytes, and whether they decode to the bits.
-    nb::tuple finish() {
+    nb::bytes finish() {
         const std::vector<uint8_t> out = encoder_.finish();
-        follower_.follow(out, true);
-        return nb::make_tuple(nb::bytes(reinterpret_cast<const char *>(out.data()), out.size()), follower_.has_found_all());
+        return nb::bytes(reinterpret_cast<const char *>(out.data()), out.size());
     }
 
 private:
-    static constexpr size_t FOLLOWED_BITS = 1 << 13;  // that are decoded together
-
     OwnTables tables_;
     bits::Mixer mixer_;
     bits::Encoder encoder_;
-    bits::Follower follower_;
-    size_t followed_from_ = FOLLOWED_BITS;
 };
 
 class BitArrayDecoder {

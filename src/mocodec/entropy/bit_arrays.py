@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .. import native
-from ..errors import CannotEncode, Corrupt
+from ..errors import Corrupt
 from ..typing import AnyInteger, Booleans
 from .adaptive_bits import INPUTS, Decoder, Encoder, Mixer, tables
 
@@ -78,15 +78,8 @@ class BitEncoder:
         return int(self._kernel.size()) if self._encoder is None else self._encoder.size
 
     def finish(self) -> bytes:
-        """The bytes of all arrays. The compiled encoder has decoded them: with the probabilities that it had itself,
-        which a decoder has as well as long as it finds the same bits. Raises CannotEncode if they are others.
-        """
-        if self._encoder is not None:
-            return self._encoder.finish()
-        data, has_found_all = self._kernel.finish()
-        if not has_found_all:
-            raise CannotEncode("the bits that adaptive bits decode to are not those that were coded")
-        return bytes(data)
+        """The bytes of all arrays."""
+        return bytes(self._kernel.finish()) if self._encoder is None else self._encoder.finish()
 
 
 class BitDecoder:

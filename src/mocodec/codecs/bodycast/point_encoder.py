@@ -1,20 +1,16 @@
 """All points of a recording on lattices, coded to a target and decoded again to check it.
 
 target ─► bound of the lattice, colour step ─► chunks ─► decoded ─► the points of the lattice? colours good enough?
-
-The compiled coder decodes every bit as it writes it. So of each chunk only the first frames are decoded from the
-bytes alone; the others would take the same steps from the same bits once more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from ... import native, progress
+from ... import progress
 from ...errors import CannotEncode
 from ...metrics import point_clouds
 from ...typing import Bytes, Floats
@@ -24,8 +20,6 @@ from .colour_lifting import ColourSteps
 from .lattice_frames import LatticeFrame, to_lattice
 from .point_layer import CodedPlaces, LocatedPoints, join, pack_colours, pack_places, unpack_points
 from .point_scene import ChunkBodies
-
-DECODED_FRAMES = 2  # first frames of a chunk that are decoded from its bytes alone, if the coder decodes every bit
 
 
 class PointTarget(NamedTuple):
@@ -148,16 +142,14 @@ class PointEncoder:
         chunks: Sequence[_CodedChunk],
         bound: float,
     ) -> None:
-        """Decodes chunks, compares them, and measures all points. Raises CannotEncode."""
+        """Decodes all chunks, compares them, and measures all points. Raises CannotEncode."""
         rows = list(zip(parts, colours, chunks, self.spans, self.bodies, strict=True))
-        checks_bits = native.kernel("BitArrayEncoder") is not None
         for part, expected, chunk, span, bodies in progress.over(rows):
             pairs = chunk.pairs()
             decoded = unpack_points(part, span.stop - span.start, bodies, self.coloured)
             filled = (cloud for cloud in decoded if len(cloud[0]))
             wanted = zip(pairs, expected if self.coloured else [None] * len(pairs), strict=True)
-            wanted = islice(wanted, DECODED_FRAMES if checks_bits else len(pairs))
-            for ((_, located), colour), (points, own) in zip(wanted, filled, strict=not checks_bits):
+            for ((_, located), colour), (points, own) in zip(wanted, filled, strict=True):
                 same = np.array_equal(points, located.positions)
                 if not same or (colour is not None and not np.array_equal(colour, np.asarray(own))):
                     raise CannotEncode("bodycast: the decoded points are not those that were coded")
