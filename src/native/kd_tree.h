@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <stdexcept>
 #include <vector>
@@ -26,7 +25,9 @@ class KdTree {
             }
         const auto value = [this](size_t row, int axis) { return values[row * size_t(dimensions) + size_t(axis)]; };
         tree.build(count, dimensions, LEAF, value);
-        fill_leaves();
+        sorted.resize(count * dimensions);
+        for (size_t i = 0; i < count; ++i)
+            std::copy_n(&values[tree.order[i] * dimensions], dimensions, &sorted[i * dimensions]);
     }
 
     const double *point(size_t row) const { return &values[row * dimensions]; }
@@ -39,10 +40,7 @@ class KdTree {
     int64_t nearest(const double *query, double &limit) const {
         int64_t found = -1;
         double offsets[6] = {0, 0, 0, 0, 0, 0};
-        if (!count) return found;
-        float place[6];
-        for (int d = 0; d < dimensions; ++d) place[d] = float(query[d] - centre[d]);
-        visit(0, query, place, limit, found, 0.0, offsets);
+        if (count) visit(0, query, limit, found, 0.0, offsets);
         return found;
     }
 
@@ -105,90 +103,32 @@ class KdTree {
     const int dimensions;
 
   private:
-    static constexpr size_t LEAF = 12;  // points of a leaf, at most, if they differ
+    static constexpr size_t LEAF = 12;  // points of a leaf, at most
 
-    // Coordinates of the leaves' points in single precision, against the centre, by axes: LEAF of each, filled up with
-    // points that are nowhere.
-    void fill_leaves() {
-        double size = 0;
-        for (int d = 0; d < dimensions; ++d) {
-            double least = std::numeric_limits<double>::infinity(), most = -least;
-            for (size_t i = 0; i < count; ++i) {
-                least = std::min(least, values[i * dimensions + d]);
-                most = std::max(most, values[i * dimensions + d]);
-            }
-            if (count) centre[d] = (least + most) / 2, size = std::max(size, most - least);
-        }
-        slack = float(squared(ROUNDING * size) * MULTIPLE);
-        leaf_of_node.assign(tree.nodes.size(), 0);
-        for (size_t at = 0; at < tree.nodes.size(); ++at) {
-            const auto &node = tree.nodes[at];
-            if (node.axis >= 0) continue;
-            leaf_of_node[at] = leaves.size();
-            for (size_t first = node.first; first < node.last; first += LEAF)
-                for (int d = 0; d < dimensions; ++d)
-                    for (size_t i = first; i < first + LEAF; ++i)
-                        leaves.push_back(i < node.last ? float(values[tree.order[i] * dimensions + d] - centre[d])
-                                                       : std::numeric_limits<float>::infinity());
-        }
-    }
-
-    // box_distance: squared distance of the query from the node's box; offsets: its distance along each axis; place: the
-    // query against the centre.
-    void visit(size_t at, const double *query, const float *place, double &limit, int64_t &found, double box_distance,
-               double *offsets) const {
+    // box_distance: squared distance of the query from the node's box; offsets: its distance along each axis.
+    void visit(size_t at, const double *query, double &limit, int64_t &found, double box_distance, double *offsets) const {
         const KdNode<double> &node = tree.nodes[at];
         if (node.axis < 0) {
-            const float *leaf = &leaves[leaf_of_node[at]];
-            for (size_t first = node.first; first < node.last; first += LEAF, leaf += LEAF * size_t(dimensions))
-                search_leaf(leaf, first, std::min(LEAF, node.last - first), query, place, limit, found);
+            for (size_t i = node.first; i < node.last; ++i) {
+                const double *other = &sorted[i * dimensions];
+                double sum = squared_distance(query, other);
+                if (sum >= limit) continue;
+                for (int d = 3; d < dimensions; ++d) sum += squared(query[d] - other[d]);
+                if (sum < limit) limit = sum, found = int64_t(tree.order[i]);
+            }
             return;
         }
         const double x = query[node.axis];
         const bool first_is_nearer = x - node.low < node.high - x;
-        visit(first_is_nearer ? at + 1 : node.second, query, place, limit, found, box_distance, offsets);
+        visit(first_is_nearer ? at + 1 : node.second, query, limit, found, box_distance, offsets);
         const double away = std::max(0.0, first_is_nearer ? node.high - x : x - node.low), before = offsets[node.axis];
         const double beyond = box_distance - squared(before) + squared(std::max(away, before));
         if (beyond >= limit) return;
         offsets[node.axis] = std::max(away, before);
-        visit(first_is_nearer ? node.second : at + 1, query, place, limit, found, beyond, offsets);
+        visit(first_is_nearer ? node.second : at + 1, query, limit, found, beyond, offsets);
         offsets[node.axis] = before;
     }
 
-    // Distances of all points of a leaf in single precision, and exact ones of those that may be near enough.
-    void search_leaf(const float *leaf, size_t first, size_t points, const double *query, const float *place,
-                     double &limit, int64_t &found) const {
-        float square[LEAF];
-        for (size_t i = 0; i < LEAF; ++i) square[i] = square_of(place[0] - leaf[i]);
-        for (int d = 1; d < dimensions; ++d)
-            for (size_t i = 0; i < LEAF; ++i) square[i] += square_of(place[d] - leaf[LEAF * size_t(d) + i]);
-        float most = float(limit) * MORE + slack;
-        int32_t differences[LEAF], any = 0;  // whose sign bits are set if a point is near enough
-        float below[LEAF];
-        for (size_t i = 0; i < LEAF; ++i) below[i] = square[i] - most;
-        std::memcpy(differences, below, sizeof below);
-        for (size_t i = 0; i < LEAF; ++i) any |= differences[i];
-        if (any >= 0 && most < std::numeric_limits<float>::infinity()) return;
-        for (size_t i = 0; i < points; ++i) {
-            if (square[i] > most) continue;
-            const double *other = &values[tree.order[first + i] * size_t(dimensions)];
-            double sum = squared_distance(query, other);
-            for (int d = 3; d < dimensions; ++d) sum += squared(query[d] - other[d]);
-            if (sum < limit) limit = sum, found = int64_t(tree.order[first + i]), most = float(limit) * MORE + slack;
-        }
-    }
-
-    static float square_of(float x) { return x * x; }
-
-    // Single precision errs by less than ROUNDING times the size of the tree in a distance d. Where the exact square is
-    // below a limit, the inexact one is below MORE · limit + slack, since 2 d e ≤ d² / 1000 + 1000 e².
-    static constexpr double ROUNDING = 1e-6, MULTIPLE = 1001;
-    static constexpr float MORE = 1.0011f;
-
-    std::vector<double> values;  // coordinates by rows
-    std::vector<float> leaves;   // see fill_leaves
-    std::vector<size_t> leaf_of_node;
-    double centre[6] = {0, 0, 0, 0, 0, 0};
-    float slack = 0;
+    std::vector<double> values, sorted;  // coordinates by rows, and in the order of the leaves
     KdNodes<double> tree;
 };
