@@ -204,6 +204,13 @@ def test_a_csv_in_pieces_has_all_that_it_has_at_once(
     np.testing.assert_array_equal(np.concatenate([m.positions for m in parts]), whole.positions)
 
 
+def test_a_csv_of_one_row_is_read_in_pieces(tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text("A.x,A.y,A.z\n1,2,3\n")
+    (block,) = mc.read_blocks(path, rate=100)
+    np.testing.assert_array_equal(block.positions, [[[1, 2, 3]]])
+
+
 @needs_shared
 @pytest.mark.parametrize("path", sorted(SHARED.glob("**/*.c3d")), ids=lambda path: path.name)
 def test_real_c3d_files_in_pieces_have_all_that_they_have_at_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

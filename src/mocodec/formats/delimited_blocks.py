@@ -95,7 +95,7 @@ def _values(path: Path, rows: Iterable[list[str]], width: int) -> Floats:
     for block in _runs(rows):
         values.add(delimited.cells(block, width))
         widths = [last, *map(len, block)] if count else list(map(len, block))
-        narrowest, last = min(narrowest, *widths[:-1]), widths[-1]
+        narrowest, last = min([narrowest, *widths[:-1]]), widths[-1]
         count += len(block)
     if count > 1 and last < narrowest:
         raise BadInput(delimited.CUT_OFF.partition(";")[0])

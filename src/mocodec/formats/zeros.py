@@ -47,7 +47,8 @@ def parked_at_origin(positions: Floats, gap: Booleans, is_part: bool = False) ->
 
 def is_near_origin(positions: Floats) -> Booleans:
     """Whether positions (…, 3) are so near the origin that zeros beside them belong to a trajectory; not for NaN."""
-    return np.linalg.norm(positions, axis=-1) < NEAR_ORIGIN_M
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(positions, axis=-1) < NEAR_ORIGIN_M
 
 
 def parked_point(zero: Booleans, known: Booleans, near: Booleans) -> Booleans:
