@@ -155,7 +155,7 @@ def _write(
 ) -> Written:
     header = io.BytesIO()
     writer = container.Writer(header, about=about, codec=Tempo.name, settings=encoder.settings, shared=encoder.shared)
-    extras = container.extras_and_signal_bytes(about)
+    extras = (writer.extras_bytes, writer.signal_bytes)
     if frames and (codec.size or codec.ratio):
         raw = frames * about.points * 12
         wanted = codec.size if codec.size else int(raw / (codec.ratio or 1)) + sum(extras)

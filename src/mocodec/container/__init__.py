@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from .reader import Reader
-from .writer import Writer, extras_and_signal_bytes, extras_bytes, pack
+from .writer import Writer, extras_bytes, pack
 
-__all__ = ["Reader", "Writer", "extras_and_signal_bytes", "extras_bytes", "pack"]
+__all__ = ["Reader", "Writer", "extras_bytes", "pack"]

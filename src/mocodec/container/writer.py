@@ -34,21 +34,19 @@ def pack(encoded: Encoded[Any]) -> bytes:
 
 def extras_bytes(about: Motion | PointClouds) -> int:
     """Bytes that the extras of a recording take in a `.mocz`. Raises CannotEncode for extras that it cannot hold."""
-    return sum(extras_and_signal_bytes(about))
+    return sum(_bytes_of(values.pack_extras(about.extras) if about.extras else None))
 
 
-def extras_and_signal_bytes(about: Motion | PointClouds) -> tuple[int, int]:
-    """The same in its two parts: the section of extras, and the signals behind it. Raises CannotEncode."""
-    if not about.extras:
-        return 0, 0
-    extras = values.pack_extras(about.extras)
-    return len(extras.section) + records.CHECKSUM_BYTES, extras.signal_bytes
+def _bytes_of(extras: values.Extras | None) -> tuple[int, int]:
+    """Bytes in the file of the section of extras, and of the signals behind it."""
+    return (0, 0) if extras is None else (len(extras.section) + records.CHECKSUM_BYTES, extras.signal_bytes)
 
 
 class Writer:
     """Writes a `.mocz` to a file object that need not seek: the header now, each chunk in `add`, the index in `close`.
 
-    about, codec, settings, margin, shared: as in `Encoded`. A file without its index can be salvaged.
+    about, codec, settings, margin, shared: as in `Encoded`. extras_bytes, signal_bytes: of the file, for the section of
+    extras and for the signals behind it. A file without its index can be salvaged.
     Raises CannotEncode for data that the format cannot hold.
     """
 
@@ -68,6 +66,7 @@ class Writer:
         self.frames: list[int] = []
         self.lengths: list[int] = []
         header, extras = header_record(about, codec, settings or {}, margin, shared)
+        self.extras_bytes, self.signal_bytes = _bytes_of(extras)
         body = HEADER.pack(header)
         if len(body) > records.MAX_HEADER_BYTES:
             raise CannotEncode(f"a header of {len(body)} bytes; at most {records.MAX_HEADER_BYTES} are allowed")
