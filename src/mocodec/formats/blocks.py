@@ -10,11 +10,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from ..errors import BadInput
 from ..motion import Motion
 
 BLOCK_SAMPLES = 1 << 18
@@ -52,6 +55,17 @@ class Blocks:
         rotations = np.concatenate(turned) if len(turned) == len(found) else None
         whole = replace(first, positions=positions, rotations=rotations)
         return whole, [each * k for k in range(1, parts)]
+
+
+@contextmanager
+def named_errors(path: Path) -> Generator[None, None, None]:
+    """Raises BadInput with the file for what goes wrong while it is opened, also in temporary files."""
+    try:
+        yield
+    except BadInput as error:
+        raise BadInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be taken apart into temporary files: {error}") from error
 
 
 def block_frames(points: int) -> int:

@@ -15,7 +15,7 @@ from ..errors import BadInput
 from ..motion import Motion
 from ..typing import Floats
 from . import columns, delimited, text_lines, zeros
-from .blocks import Blocks, block_frames, of_ranges
+from .blocks import Blocks, block_frames, named_errors, of_ranges
 from .scratch import Columns
 
 
@@ -28,14 +28,11 @@ def read_blocks(
 ) -> Blocks:
     """As `delimited.read`, in pieces. Raises BadInput, also for files of several sections."""
     path = Path(path)
-    try:
-        return _blocks(path, up, unit, rate, zeros.zeros_are_gaps(gaps))
-    except BadInput as error:
-        raise BadInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    except csv.Error as error:
-        raise BadInput(f"{path}: cannot be read as a CSV ({error})") from None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be put into a temporary file: {error}") from error
+    with named_errors(path):
+        try:
+            return _blocks(path, up, unit, rate, zeros.zeros_are_gaps(gaps))
+        except csv.Error as error:
+            raise BadInput(f"cannot be read as a CSV ({error})") from None
 
 
 def _blocks(path: Path, up: str | None, unit: str | float | None, rate: float | None, zeros_are_gaps: bool) -> Blocks:

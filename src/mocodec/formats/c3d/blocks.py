@@ -18,7 +18,7 @@ from ...errors import BadInput
 from ...motion import Motion, Signal
 from ...typing import Floats
 from .. import zeros
-from ..blocks import Blocks, block_frames, of_ranges
+from ..blocks import Blocks, block_frames, named_errors, of_ranges
 from ..scratch import Array, Columns
 from . import reading
 from .analog import analog_signal, is_unsigned, smallest
@@ -57,14 +57,9 @@ def read_blocks(
 ) -> Blocks:
     """As `reading.read`, in pieces. Which points are model outputs is decided by the first frames. Raises BadInput."""
     path = Path(path)
-    try:
-        return _blocks(
-            FileBytes(path), reading.Options(residuals, unit, rate, zeros.zeros_are_gaps(gaps), salvage=False)
-        )
-    except BadInput as error:
-        raise BadInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be taken apart into temporary files: {error}") from error
+    with named_errors(path):
+        options = reading.Options(residuals, unit, rate, zeros.zeros_are_gaps(gaps), salvage=False)
+        return _blocks(FileBytes(path), options)
 
 
 def _blocks(data: FileBytes, options: reading.Options) -> Blocks:
@@ -75,7 +70,7 @@ def _blocks(data: FileBytes, options: reading.Options) -> Blocks:
     each = block_frames(max(file.layout.points, file.layout.width // 4))
     first = file.columns(file.table(data, 0, min(each, file.frames)))
     labels, outputs, markers = reading.split(file, first)
-    beside = _Beside(data, file, options, each, outputs, markers).found
+    beside = _beside(data, file, options, each, outputs, markers)
 
     def positions(begin: int, end: int) -> Floats:
         found, _, gap = file.samples(file.columns(file.table(data, begin, end))[:, markers])
@@ -90,49 +85,46 @@ def _blocks(data: FileBytes, options: reading.Options) -> Blocks:
     return of_ranges(about, file.frames, between, each)
 
 
-class _Beside:
-    """What a file has beside positions, `found` by one pass over its blocks of `each` frames."""
-
-    def __init__(
-        self,
-        data: FileBytes,
-        file: reading.Opened,
-        options: reading.Options,
-        each: int,
-        outputs: Mapping[str, Sequence[int]],
-        markers: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
-    ) -> None:
-        layout, frames = file.layout, file.frames
-        number = np.float32 if layout.item == 4 else np.int16
-        analog = Columns(frames * layout.samples_per_frame, (layout.channels,), number)
-        values = {kind: Columns(frames, (len(columns), 3), np.float32) for kind, columns in outputs.items()}
-        listed = [*chain.from_iterable(outputs.values())]
-        output_words = Columns(frames, (len(listed),), number)
-        words = Columns(frames, (len(markers),), number)
-        places = Columns(frames, (len(markers),), np.uint8)
-        other_gaps = False
-        for begin in range(0, frames, each):
-            table = file.table(data, begin, min(frames, begin + each))
-            columns = file.columns(table)
-            positions, word, gap = file.samples(columns[:, markers])
-            analog.add(table[:, 4 * layout.points :].reshape(len(table) * layout.samples_per_frame, layout.channels))
-            for kind, of_kind in outputs.items():
-                values[kind].add(output_values(columns, of_kind, file.scale))
-            output_words.add(columns[:, listed, 3])
-            other_gaps |= bool(gap.any())
-            if options.residuals is not False:
-                words.add(np.where(gap, -1, word))
-            if options.zeros_are_gaps:
-                places.add(zeros.places(positions, gap))
-        self.found = reading.Beside(
-            analog_signal(_analog(analog, file), file.rate, layout, file.parameters) if layout.channels else None,
-            {kind: columns.values for kind, columns in values.items()},
-            _smallest(output_words),
-            None if options.residuals is False else _smallest(words),
-            zeros.parked_columns(places) if options.zeros_are_gaps else None,
-            other_gaps,
-            _rotations(data, file, each),
-        )
+def _beside(
+    data: FileBytes,
+    file: reading.Opened,
+    options: reading.Options,
+    each: int,
+    outputs: Mapping[str, Sequence[int]],
+    markers: np.ndarray[tuple[int, ...], np.dtype[np.intp]],
+) -> reading.Beside:
+    """What a file has beside positions, by one pass over its blocks of `each` frames."""
+    layout, frames = file.layout, file.frames
+    number = np.float32 if layout.item == 4 else np.int16
+    analog = Columns(frames * layout.samples_per_frame, (layout.channels,), number)
+    values = {kind: Columns(frames, (len(columns), 3), np.float32) for kind, columns in outputs.items()}
+    listed = [*chain.from_iterable(outputs.values())]
+    output_words = Columns(frames, (len(listed),), number)
+    words = Columns(frames, (len(markers),), number)
+    places = Columns(frames, (len(markers),), np.uint8)
+    other_gaps = False
+    for begin in range(0, frames, each):
+        table = file.table(data, begin, min(frames, begin + each))
+        columns = file.columns(table)
+        positions, word, gap = file.samples(columns[:, markers])
+        analog.add(table[:, 4 * layout.points :].reshape(len(table) * layout.samples_per_frame, layout.channels))
+        for kind, of_kind in outputs.items():
+            values[kind].add(output_values(columns, of_kind, file.scale))
+        output_words.add(columns[:, listed, 3])
+        other_gaps |= bool(gap.any())
+        if options.residuals is not False:
+            words.add(np.where(gap, -1, word))
+        if options.zeros_are_gaps:
+            places.add(zeros.places(positions, gap))
+    return reading.Beside(
+        analog_signal(_analog(analog, file), file.rate, layout, file.parameters) if layout.channels else None,
+        {kind: columns.values for kind, columns in values.items()},
+        _smallest(output_words),
+        None if options.residuals is False else _smallest(words),
+        zeros.parked_columns(places) if options.zeros_are_gaps else None,
+        other_gaps,
+        _rotations(data, file, each),
+    )
 
 
 def _analog(columns: Columns, file: reading.Opened) -> Array:

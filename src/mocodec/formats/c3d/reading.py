@@ -295,7 +295,7 @@ def _keep_residuals(
     """Store the fourth words of the samples (frames, points), −1 in gaps: camera mask in the high byte, residual in the
     low byte.
     """
-    known = [(column[column >= 0]) for column in words.T]
+    known = [column[column >= 0] for column in words.T]
     first = next((column[0] for column in known if column.size), 0)
     if all((column == first).all() for column in known):
         source.update({"residual_word": float(first)} if first else {})
