@@ -1,6 +1,10 @@
 // Bits of clips of each of some lengths, for codecs/hou2014/clip_segmentation.py: best_equal_length, to rounding.
 
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <vector>
 
@@ -13,7 +17,8 @@ using cosine_series::PANEL;
 using cosine_series::Series;
 
 constexpr size_t TERMS = 16;  // of a product
-constexpr double LARGEST_TERM = 1152921504606846976.0;  // 2^60: a product of TERMS must not overflow
+constexpr size_t LONGEST = 1 << 20;  // curve, frames
+constexpr double LARGEST = 1e6;  // curve, in steps: products of TERMS squares of coefficients must not overflow
 
 // Σ log₂ of products of columns.
 class Logarithms {
@@ -24,7 +29,6 @@ public:
             load(value, row + 4 * i);
             value *= scale;
             value *= value;
-            for (size_t j = 0; j < 4; ++j) value[j] = value[j] < LARGEST_TERM ? value[j] : LARGEST_TERM;
             products_[i] *= value + 1.0;
         }
         if (++terms_ == TERMS) take();
@@ -51,18 +55,7 @@ private:
 ALWAYS_INLINE double logarithms(const Series &series, const double *curves, size_t columns, double *from, double *other) {
     Logarithms found;
     for (size_t column = 0; column < columns; column += PANEL) {
-        const size_t width = std::min(PANEL, columns - column);
-        const double *at = curves + column, *spectrum;
-        if (width == PANEL)
-            spectrum = series.transposed(from, other, [&](size_t t, Four(&row)[2]) {
-                load(row[0], at + t * columns), load(row[1], at + t * columns + 4);
-            });
-        else
-            spectrum = series.transposed(from, other, [&](size_t t, Four(&row)[2]) {
-                double whole[PANEL] = {};
-                std::copy_n(at + t * columns, width, whole);
-                load(row[0], whole), load(row[1], whole + 4);
-            });
+        const double *spectrum = series.transposed(from, other, curves + column, columns, std::min(PANEL, columns - column));
         for (size_t k = 0; k < series.known(); ++k) found.add(spectrum + k * PANEL, series.scale(k));
     }
     return found.sum();
@@ -78,14 +71,17 @@ WITH_AVX2 double logarithms_with_avx2(const Series &series, const double *curves
 }
 #endif
 
-// clip_segmentation.bits_of_spectra of clips of `length` frames, the last one shorter, of curves in steps (frames, columns).
-double bits_of_length(Input<double, 2> curves, size_t length) {
+// clip_segmentation.bits_of_spectra of clips of `length` frames, the last one shorter, of curves in steps (frames, columns); none
+// for curves that are too large.
+std::optional<double> bits_of_length(Input<double, 2> curves, size_t length) {
     const size_t frames = curves.shape(0), columns = curves.shape(1);
     if (!length || !frames) throw std::invalid_argument("bits_of_length: no frames");
     nb::gil_scoped_release release;
+    const double *end = curves.data() + frames * columns;
+    if (frames > LONGEST || !std::all_of(curves.data(), end, [](double value) { return std::abs(value) < LARGEST; })) return std::nullopt;
     double sum = 0;
     for (size_t start = 0; start < frames;) {
-        const Series series(std::min(length, frames - start), std::min(length, frames - start));
+        const Series series(std::min(length, frames - start), std::min(length, frames - start), true);
         cosine_series::Rows from, other;
         double *first = from.of(series.buffer()), *second = other.of(series.buffer());
         for (; start + series.frames() <= frames; start += series.frames()) {

@@ -105,18 +105,8 @@ ALWAYS_INLINE void synthesise(const Sparse &sparse, const Matrices &matrices, si
         else if (count == 2) multiply<2>(sparse, matrix, components, series, to, size);
         else multiply<1>(sparse, matrix, components, series, to, size);
         for (size_t panel = 0; panel < count; ++panel) {
-            const size_t column = (first + panel) * PANEL, width = std::min(PANEL, columns - column);
-            double *of_column = out + column;
-            if (width == PANEL)
-                series.run(spectra + panel * size, other, [&](size_t t, const Four(&row)[2]) {
-                    store(row[0], of_column + t * columns), store(row[1], of_column + t * columns + 4);
-                });
-            else
-                series.run(spectra + panel * size, other, [&](size_t t, const Four(&row)[2]) {
-                    double whole[PANEL];
-                    store(row[0], whole), store(row[1], whole + 4);
-                    std::copy_n(whole, width, of_column + t * columns);
-                });
+            const size_t column = (first + panel) * PANEL;
+            series.run(spectra + panel * size, other, out + column, columns, std::min(PANEL, columns - column));
         }
     }
 }

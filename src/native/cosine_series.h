@@ -17,6 +17,12 @@
 
 #include "vectors.h"
 
+#if defined(__GNUC__)
+#define ALWAYS_INLINE_LAMBDA __attribute__((always_inline))
+#else
+#define ALWAYS_INLINE_LAMBDA
+#endif
+
 namespace cosine_series {
 
 constexpr size_t PANEL = 8, TILE = 4;  // columns and samples that are computed at a time
@@ -239,7 +245,8 @@ private:
 // The orthonormal inverse DCT of the lowest `known` frequencies of `frames` frames.
 class Series {
 public:
-    Series(size_t frames, size_t known) : frames_(frames), scales_(known) {
+    // forward: for `transposed` too.
+    Series(size_t frames, size_t known, bool forward = false) : frames_(frames), scales_(known) {
         size_t levels = 0;
         double least = Halving::cost(0, known);
         for (size_t level = 1; frames % (size_t(1) << level) == 0 && known >> level; ++level)
@@ -253,15 +260,41 @@ public:
         for (size_t k = 0; k < known; ++k) scales_[k] = std::sqrt((k ? 2.0 : 1.0) / double(frames));
         halving_ = Halving(grid ? grid : frames, levels, known);
         if (grid) interpolate(grid);
+        if (grid && forward) turn_weights(grid);
     }
 
     size_t frames() const { return frames_; }
     size_t known() const { return scales_.size(); }
     double scale(size_t k) const { return scales_[k]; }  // of the coefficients that `run` takes
-    size_t buffer() const { return (halving_.rows() + 2 * MARGIN) * PANEL; }  // doubles; best where a row is a line of the cache
+    // Doubles; best where a row of PANEL is a line of the cache.
+    size_t buffer() const { return (std::max(halving_.rows(), firsts_.empty() ? 0 : frames_) + 2 * MARGIN) * PANEL; }
 
-    // Samples of PANEL columns of coefficients times `scale`, (known, PANEL) behind the first MARGIN rows of `from`: calls
-    // put(frame, two fours). from, other: `buffer()` doubles each.
+    // Samples of PANEL columns of coefficients times `scale`, (known, PANEL) behind the first MARGIN rows of `from`, into the
+    // first `width` columns of rows, `pitch` doubles from each to the next. from, other: `buffer()` doubles each.
+    ALWAYS_INLINE void run(double *from, double *other, double *out, size_t pitch, size_t width) const {
+        if (width == PANEL) run(from, other, [=](size_t t, const Four(&row)[2]) ALWAYS_INLINE_LAMBDA { store(row, out + t * pitch); });
+        else
+            run(from, other, [=](size_t t, const Four(&row)[2]) ALWAYS_INLINE_LAMBDA {
+                double whole[PANEL];
+                store(row, whole);
+                std::copy_n(whole, width, out + t * pitch);
+            });
+    }
+
+    // The transpose of `run`: coefficients (known, PANEL) before `scale`, of samples (frames, width).
+    ALWAYS_INLINE const double *transposed(double *from, double *other, const double *in, size_t pitch, size_t width) const {
+        if (width == PANEL)
+            return transposed(from, other, [=](size_t t, Four(&row)[2]) ALWAYS_INLINE_LAMBDA { load(row, in + t * pitch); });
+        return transposed(from, other, [=](size_t t, Four(&row)[2]) ALWAYS_INLINE_LAMBDA {
+            double whole[PANEL] = {};
+            std::copy_n(in + t * pitch, width, whole);
+            load(row, whole);
+        });
+    }
+
+    static constexpr size_t MARGIN = TAPS / 2;
+
+private:
     template <class Put>
     ALWAYS_INLINE void run(double *from, double *other, Put put) const {
         double *samples = halving_.run(from + MARGIN * PANEL, other + MARGIN * PANEL);
@@ -280,20 +313,18 @@ public:
         }
         for (size_t t = 0; t < frames_; ++t) {
             const double *weight = weights_.data() + t * TAPS, *at = samples + (ptrdiff_t(starts_[t]) - ptrdiff_t(MARGIN)) * ptrdiff_t(PANEL);
-            Four a[2], b[2], c[2], d[2];
-            tap(a, at, weight), tap(b, at + PANEL, weight + 1), tap(c, at + 2 * PANEL, weight + 2), tap(d, at + 3 * PANEL, weight + 3);
-            for (size_t i = 4; i < TAPS; i += 4) {
-                Four e[2], f[2], g[2], h[2];
-                tap(e, at + i * PANEL, weight + i), tap(f, at + (i + 1) * PANEL, weight + i + 1);
-                tap(g, at + (i + 2) * PANEL, weight + i + 2), tap(h, at + (i + 3) * PANEL, weight + i + 3);
-                a[0] += e[0], a[1] += e[1], b[0] += f[0], b[1] += f[1], c[0] += g[0], c[1] += g[1], d[0] += h[0], d[1] += h[1];
+            Four a[2], b[2];
+            tap(a, at, weight), tap(b, at + PANEL, weight + 1);
+            for (size_t i = 2; i < TAPS; i += 2) {
+                Four c[2], d[2];
+                tap(c, at + i * PANEL, weight + i), tap(d, at + (i + 1) * PANEL, weight + i + 1);
+                a[0] += c[0], a[1] += c[1], b[0] += d[0], b[1] += d[1];
             }
-            const Four row[2] = {(a[0] + b[0]) + (c[0] + d[0]), (a[1] + b[1]) + (c[1] + d[1])};
+            const Four row[2] = {a[0] + b[0], a[1] + b[1]};
             put(t, row);
         }
     }
 
-    // The transpose of `run`: coefficients (known, PANEL) before `scale`, of the samples get(frame, two fours).
     template <class Get>
     ALWAYS_INLINE const double *transposed(double *from, double *other, Get get) const {
         double *samples = from + MARGIN * PANEL;
@@ -302,18 +333,21 @@ public:
             for (size_t t = 0; t < frames_; ++t) get(t, row), store(row, samples + t * PANEL);
             return halving_.transposed(samples, other + MARGIN * PANEL);
         }
+        for (size_t t = 0; t < frames_; ++t) get(t, row), store(row, other + t * PANEL);
         const size_t grid = halving_.samples();
-        std::fill_n(from, (grid + 2 * MARGIN) * PANEL, 0.0);
-        for (size_t t = 0; t < frames_; ++t) {
-            const double *weight = weights_.data() + t * TAPS;
-            double *at = from + size_t(starts_[t]) * PANEL;
-            get(t, row);
-            for (size_t i = 0; i < TAPS; ++i) {
-                Four sum[2];
-                load(sum, at + i * PANEL);
-                sum[0] += row[0] * weight[i], sum[1] += row[1] * weight[i];
-                store(sum, at + i * PANEL);
+        const double *weight = turned_.data();
+        for (size_t i = 0; i < grid + 2 * MARGIN; ++i) {
+            const double *at = other + size_t(firsts_[i]) * PANEL;
+            Four a[2] = {Four{} * 0.0, Four{} * 0.0}, b[2] = {a[0], a[1]};
+            size_t left = counts_[i];
+            for (; left > 1; left -= 2, at += 2 * PANEL, weight += 2) {
+                Four c[2], d[2];
+                tap(c, at, weight), tap(d, at + PANEL, weight + 1);
+                a[0] += c[0], a[1] += c[1], b[0] += d[0], b[1] += d[1];
             }
+            if (left) tap(row, at, weight++), a[0] += row[0], a[1] += row[1];
+            const Four sum[2] = {a[0] + b[0], a[1] + b[1]};
+            store(sum, from + i * PANEL);
         }
         for (size_t i = 0; i < MARGIN; ++i) {
             add(samples - (i + 1) * PANEL, samples + i * PANEL);
@@ -322,9 +356,6 @@ public:
         return halving_.transposed(samples, other + MARGIN * PANEL);
     }
 
-    static constexpr size_t MARGIN = TAPS / 2;
-
-private:
     ALWAYS_INLINE static void add(const double *from, double *to) {
         Four a[2], b[2];
         load(a, from), load(b, to);
@@ -356,6 +387,19 @@ private:
         }
     }
 
+    // The weights of the frames around each sample of the grid and its margins.
+    void turn_weights(size_t grid) {
+        firsts_.assign(grid + 2 * MARGIN, 0), counts_.assign(grid + 2 * MARGIN, 0);
+        turned_.clear();
+        size_t first = 0;
+        for (size_t i = 0; i < firsts_.size(); ++i) {  // starts ascend
+            while (first < frames_ && starts_[first] + TAPS <= i) ++first;
+            firsts_[i] = uint32_t(first);
+            for (size_t t = first; t < frames_ && starts_[t] <= i; ++t, ++counts_[i])
+                turned_.push_back(weights_[t * TAPS + i - starts_[t]]);
+        }
+    }
+
     // I₁(x) / x, by its series.
     static double bessel_i1_over(double x) {
         const double square = x * x / 4;
@@ -372,6 +416,8 @@ private:
     Halving halving_;
     std::vector<uint32_t> starts_;  // of each frame's taps in the samples with their margin
     std::vector<double> weights_;   // (frames, TAPS)
+    std::vector<uint32_t> firsts_, counts_;  // of the frames whose taps are at each sample with its margin
+    std::vector<double> turned_;             // weights of these frames
 };
 
 }  // namespace cosine_series

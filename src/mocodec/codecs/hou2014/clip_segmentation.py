@@ -82,7 +82,9 @@ def best_equal_length(curves: Floats, step: float, longest: int) -> int:
     allowed = sorted(length for length in lengths if length <= longest) or [-(-frames // -(-frames // longest))]
     curves_in_steps = curves / step
     if (kernel := native.kernel("bits_of_length")) is not None:
-        return min(allowed, key=lambda length: BITS_PER_CLIP * -(-frames // length) + kernel(curves_in_steps, length))
+        bits = {length: kernel(curves_in_steps, length) for length in allowed}
+        if None not in bits.values():
+            return min(allowed, key=lambda length: BITS_PER_CLIP * -(-frames // length) + bits[length])
     energies = np.concatenate([np.zeros((1, curves.shape[1])), np.cumsum(curves_in_steps**2, axis=0)])
     left = [_BoundedBits.of(curves_in_steps, energies, length) for length in allowed]
     for share in SHARES_OF_BAND:
