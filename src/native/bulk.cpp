@@ -2,6 +2,7 @@
 
 #include <nanobind/stl/optional.h>
 
+#include <cstring>
 #include <optional>
 #include <stdexcept>
 
@@ -100,24 +101,34 @@ bool laws_of(const Tables &tables, const Contexts &contexts, int64_t i, int64_t 
     return true;
 }
 
+// Of a law and a slot: the symbol at law << PRECISION | slot, its frequency and start at law << 8 | symbol (bulk.Laws). Small
+// enough for a fast cache.
+struct Symbols {
+    const uint8_t *of_slot;
+    const uint32_t *code;
+};
+
 // bulk._pop: false where there are too few words. law(j): of symbol j; put(j, symbol).
 template <class Law, class Put>
-bool pop(std::vector<uint32_t> &states, int64_t count, const uint32_t *slots, const uint8_t *words, size_t known, size_t &used,
+bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, const uint8_t *words, size_t known, size_t &used,
          Law law, Put put) {
     const int64_t n = int64_t(states.size());
     for (int64_t turn = 0; turn < count; turn += n) {
         const int64_t here = std::min(n, count - turn);
         uint32_t *state = states.data();
         auto next = [&](int64_t j) {
-            const uint32_t x = state[j], found = slots[(size_t(law(turn + j)) << PRECISION) + (x & MASK)];
-            put(turn + j, uint16_t(found & 255));
-            return (x >> PRECISION) * (found >> 20) + ((found >> 8) & MASK);
+            const uint32_t x = state[j], slot = x & MASK;
+            const size_t own = size_t(law(turn + j));
+            const uint8_t symbol = symbols.of_slot[own << PRECISION | slot];
+            const uint32_t code = symbols.code[own << 8 | symbol] & (ESCAPE_FLAG - 1);
+            put(turn + j, symbol);
+            return (x >> PRECISION) * (code >> PRECISION) + slot - (code & MASK);
         };
         if (known - used >= size_t(here)) {  // without branches that depend on the data
             const uint8_t *word = words + 2 * used;
             for (int64_t j = 0; j < here; ++j) {
                 const uint32_t x = next(j), low = x < LOWEST;
-                state[j] = low ? x << 16 | word[0] | uint32_t(word[1]) << 8 : x;
+                state[j] = x << (16 * low) | ((word[0] | uint32_t(word[1]) << 8) & (0 - low));
                 word += 2 * low;
             }
             used = size_t(word - words) / 2;
@@ -137,7 +148,7 @@ bool pop(std::vector<uint32_t> &states, int64_t count, const uint32_t *slots, co
 }
 
 // bulk._tokens_by_numpy: fills `flat` and leaves the last states in `states`.
-bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *slots, Contexts &contexts, uint16_t *flat,
+bool decode_tokens(const Layout &layout, const Tables &tables, const Symbols &symbols, Contexts &contexts, uint16_t *flat,
                    std::vector<uint32_t> &states, const uint8_t *words, size_t known, size_t &used) {
     std::vector<uint16_t> law(size_t(layout.lanes * layout.segments));
     std::vector<int64_t> escaped;
@@ -154,8 +165,8 @@ bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *s
             const int64_t j = escaped[size_t(e)];
             flat[begin + j] = uint16_t(std::min<int64_t>(tables.last[law[size_t(j)]] + symbol, 255));
         };
-        if (!pop(states, end - begin, slots, words, known, used, [&](int64_t j) { return law[size_t(j)]; }, put) ||
-            !pop(states, int64_t(escaped.size()), slots, words, known, used, [&](int64_t) { return tables.laws; }, beyond))
+        if (!pop(states, end - begin, symbols, words, known, used, [&](int64_t j) { return law[size_t(j)]; }, put) ||
+            !pop(states, int64_t(escaped.size()), symbols, words, known, used, [&](int64_t) { return tables.laws; }, beyond))
             return false;
         contexts.update(i, begin, end);
     }
@@ -184,6 +195,11 @@ bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states
     Bits sign(raw.data(), bytes), magnitude(raw.data(), bytes);
     magnitude.at = signs;
     for (size_t i = 0; i < n; ++i) {  // most tokens are less than DIRECT: without branches for zeros and signs
+        if (uint64_t zeros; n - i >= 8 && (std::memcpy(&zeros, &tokens[i], 8), !zeros)) {
+            std::fill_n(out + i, 8, int64_t(0));
+            i += 7;
+            continue;
+        }
         const unsigned token = tokens[i];
         const int64_t value = token < DIRECT ? token : token_floor(token) | int64_t(magnitude.take(mantissa_bits(token)));
         const int64_t negative = sign.next() & uint32_t(token > 0);
@@ -195,10 +211,11 @@ bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states
 
 // bulk.unpack: integers (steps, lanes); none for bytes that no encoder writes. hints: flat, or none.
 std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_t lanes, Input<uint16_t, 1> weights,
-                                           Input<uint8_t, 1> ladder, Input<uint32_t, 1> slots, Input<int64_t, 1> last,
+                                           Input<uint8_t, 1> ladder, Input<uint8_t, 1> symbols, Input<uint32_t, 1> code, Input<int64_t, 1> last,
                                            Input<uint16_t, 1> hints) {
     const Tables tables(ladder, last);
-    if (steps < 1 || lanes < 1 || weights.shape(0) != 7 || slots.shape(0) != last.shape(0) << PRECISION)
+    if (steps < 1 || lanes < 1 || weights.shape(0) != 7 || symbols.shape(0) != last.shape(0) << PRECISION ||
+        code.shape(0) != 256 * last.shape(0))
         throw std::invalid_argument("bulk_unpack: shapes differ");
     const Layout layout(steps, lanes);
     if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_unpack: another layout");
@@ -217,7 +234,7 @@ std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_
         if (unpack_states(bytes + 1, size - 1, states, at)) {
             const uint8_t *words = bytes + 1 + at;
             const size_t left = size - 1 - at;
-            if (decode_tokens(layout, tables, slots.data(), contexts, flat.data(), states, words, left / 2, used)) {
+            if (decode_tokens(layout, tables, {symbols.data(), code.data()}, contexts, flat.data(), states, words, left / 2, used)) {
                 layout.each([&](int64_t place, int64_t to) { tokens[size_t(to)] = uint8_t(flat[size_t(place)]); });
                 whole = values_of(tokens, states, words + 2 * used, left - 2 * used, out.data.get());
             }

@@ -294,7 +294,9 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
     kernel, series_of = native.kernel("reconstruct_clips"), native.kernel("CosineSeries")
     if kernel is None or series_of is None or not clips.bandwidth or clips.lengths.max() > LONGEST_SERIES:
         return reconstruct_by_numpy(clips, header)
-    series = [_series(series_of, *of_clip) for of_clip in zip(clips.lengths.tolist(), clips.frequencies.tolist(), strict=True)]
+    series = [
+        _series(series_of, *of_clip) for of_clip in zip(clips.lengths.tolist(), clips.frequencies.tolist(), strict=True)
+    ]
     steps = header.steps_m(clips.rung_offsets) if header.clip_steps else np.ones(len(series))
     rows = np.empty((int(clips.lengths.sum()), 3 * header.points))
     kernel(clips.coefficients, series, clips.transform_index, steps, np.stack(_products(header)), rows)
