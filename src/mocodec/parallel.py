@@ -65,8 +65,8 @@ def blocks(length: int, most: int = 4096) -> list[slice]:
 def over(function: Callable[[Item], Result], items: Iterable[Item], least: int = 2) -> Iterator[Result]:
     """The results of items in their order; in one thread if there are fewer than `least` items.
 
-    The calling thread works too, and every thread takes the next item when it is free: futures of a pool, one for each
-    item, took as long as a chunk of little motion.
+    The calling thread works too, and every thread takes the next item when it is free: with a future for each item, the
+    calling thread would wake for each.
     """
     listed = list(items)
     number = min(_threads.get(), len(listed))
