@@ -1,4 +1,4 @@
-"""Internal errors of codecs fail tests, where a user would get a larger file and a note; worker processes start quickly."""
+"""Internal errors of codecs fail tests, where users would get a larger file and a note. Workers start quickly."""
 
 from __future__ import annotations
 

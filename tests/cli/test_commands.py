@@ -62,7 +62,10 @@ def test_size_and_ratio_are_kept_by_the_whole_file(
     assert result.code == 0, result.err
     assert Path("x.mocz").stat().st_size <= (walk.raw_bytes / 30 if "ratio" in target else 900)
     assert command("verify", "x.mocz", "--against", "walk.npz").code == 0
-    assert command("encode", "walk.npz", "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
+
+
+def test_a_size_that_is_too_small_is_refused(command: Command, walk_trc: Path) -> None:
+    assert command("encode", walk_trc, "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
 
 
 def test_encoding_twice_gives_the_same_file(command: Command, walk_trc: Path) -> None:

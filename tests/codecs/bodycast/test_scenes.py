@@ -67,7 +67,7 @@ SCENES = [two_people_and_a_chair, a_seated_person, a_person_on_a_chair, a_newcom
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.__name__)
 def test_every_scene_as_a_surface_and_within_a_bound(scene, monkeypatch):
-    """Decoded points are near all points, a bound holds, and bodies never cost much. Bodies are tracked once for both."""
+    """Decoded points are near all points, a bound holds, and bodies never cost much. Tracked once for both."""
     clouds, tracked, track = scene(), list[list[BodyEncoder]](), Bodycast._track
 
     def track_once(*arguments):
