@@ -227,6 +227,15 @@ def test_cut_to_a_format(command: Command, walk_mocz: Path, walk_trc: Path) -> N
     assert len(mc.read("part.trc")) == 10
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "says"),
+    [("9s", "10s", "--from is frame 1080, the recording has 240 frames (2 s)"), ("1s", "0.5s", "range is empty")],
+)
+def test_cut_of_nothing(command: Command, walk_trc: Path, begin: str, end: str, says: str) -> None:
+    result = command("cut", walk_trc, "--from", begin, "--to", end, "-o", "part.trc")
+    assert (result.code, says in result.err) == (2, True), result.err
+
+
 def test_cut_to_a_mocz_keeps_a_promise_that_is_true(
     command: Command, walk_mocz: Path, walk_trc: Path, walk: mc.Motion
 ) -> None:

@@ -89,8 +89,10 @@ def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple
         return math.ceil(seconds * rate - 1e-6) if seconds is not None else index or 0
 
     start, stop = frame_at(begin), min(count, frame_at(end)) if end else count
+    if start >= count:
+        raise click.UsageError(f"--from is frame {start}, the recording has {count} frames ({count / rate:.6g} s)")
     if start >= stop:
-        raise click.UsageError(f"the time range is empty: frames {start} to {stop} of {count} ({count / rate:g} s)")
+        raise click.UsageError(f"the time range is empty: --from is frame {start}, --to is frame {stop}")
     return start, stop
 
 

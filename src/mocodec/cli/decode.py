@@ -35,7 +35,8 @@ from . import output as output_options
 @click.option("--json", "as_json", is_flag=True, help="Of many files, print the summary as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no notes, and of many files no summary.")
 @output_options.options
-@many.options
+@many.jobs_option
+@many.again_option
 def command(
     sources: tuple[str, ...],
     output: str,

@@ -23,9 +23,9 @@ MAX_ITEMS = 60
 @click.command("info")
 @click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
-@many.options
+@many.jobs_option
 @files.reader_options
-def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
+def command(sources: tuple[str, ...], as_json: bool, jobs: int, **options: Any) -> int | None:
     """Show the contents of FILE. Of a .mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") only header and index
     are read; with rotations, also the chunks of a path, for the bytes of positions and of rotations.
 
@@ -33,7 +33,7 @@ def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **o
     """
     if many.is_many(sources):
         found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
-        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, again, as_json))
+        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, as_json=as_json))
     facts = facts_of_source(sources[0], **options)
     if as_json:
         files.echo(json.dumps(facts, indent=2))
@@ -50,7 +50,7 @@ def one(source: str, _: str | None, may_replace: bool = True, **options: Any) ->
     record |= {"duration": facts["seconds"], "raw_bytes": facts.get("raw_bytes_float32")}
     if "bytes" in facts:
         record |= {"bytes": facts["bytes"], "ratio": facts["ratio"]}
-    return {**record, "facts": facts}
+    return {**record, "notes": facts.get("notes", []), "facts": facts}
 
 
 def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
