@@ -48,7 +48,8 @@ def command(
     again: bool,
     **options: Any,
 ) -> int | None:
-    """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
+    """Decode IN.mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") into OUT: .c3d .trc .npz … by suffix, a
+    folder for point clouds.
 
     For point clouds, OUT.bvh is the motion of the tracked body, OUT.glb the same with the surface of the body.
 

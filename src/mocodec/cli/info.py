@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import click
@@ -55,12 +54,11 @@ def one(source: str, _: str | None, may_replace: bool = True, **options: Any) ->
 
 def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
     """The facts of a file, a URL or standard input."""
-    if source != "-" and not files.is_url(source) and not Path(source).exists():
-        from ..archive import in_archive, open_archive
+    if (within := files.in_archive(source)) is not None:
+        from ..archive import open_archive
 
-        if (within := in_archive(source)) is not None:
-            with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
-                return with_motion(opened.info)
+        with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
+            return with_motion(opened.info)
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
