@@ -95,7 +95,8 @@ public:
     int64_t distances[8] = {}, narrow[8] = {}, wide[8] = {};  // of the children of the last cube
 
     Passage(const Surface &surface, const Cubes &cubes, int level, size_t points, const int32_t *bell)
-        : surface_(surface), cubes_(cubes), bell_(bell), side_(surface.child_size(level)), side_bits_(surface.child_bits(level)),
+        : surface_(surface), cubes_(cubes), bell_(bell), side_(surface.child_size(level)),
+          side_bits_(surface.child_bits(level)),
           spacing_(std::min(surface.spacing(), LARGEST_SPACING)), centres_(cubes.size()),
           noise_(cubes.size(), 4 * side_ * side_), far_(cubes.size(), 0), samples_(cubes.size()), held_(surface.size()) {
         for (int q = 0; q < CLASSES; ++q)
@@ -113,7 +114,8 @@ public:
         if (known) {
             usual_ = sum / known;
             const int64_t across = side_ * 256 / spacing_;
-            density_ = std::min(int64_t(points) * DENSITY * across * across / (int64_t(surface.size()) * 16), LARGEST_DENSITY);
+            const int64_t samples = int64_t(surface.size());
+            density_ = std::min(int64_t(points) * DENSITY * across * across / (samples * 16), LARGEST_DENSITY);
             find_cubes_of_samples();
         }
         if (2 * side_ > surface.spacing()) count_samples(level);
@@ -176,8 +178,10 @@ private:
         for (size_t s = 0; s < surface_.size(); ++s) {
             const int32_t count = first[s + 1] - first[s];
             held_[s].count = std::min(count, CUBES_OF_SAMPLE);
-            for (int32_t k = 0; k < held_[s].count; ++k)
-                held_[s].rows[size_t(k)] = rows[size_t(first[s] + (count > CUBES_OF_SAMPLE ? int64_t(k) * count / CUBES_OF_SAMPLE : k))];
+            for (int32_t k = 0; k < held_[s].count; ++k) {
+                const int64_t number = int64_t(k) * count / held_[s].count;
+                held_[s].rows[size_t(k)] = rows[size_t(first[s] + number)];
+            }
         }
     }
 

@@ -22,7 +22,7 @@ from ...entropy.bit_arrays import BitCoder
 from ...typing import Booleans, Integers
 from . import octree, point_octree
 from .point_octree import DISTANCE_STEPS, FAR, NO_HINT, POSTERIORS, LevelOfCubes
-from .surface_hints import SUBUNIT_BITS, SurfaceHints
+from .surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 
 CUBES_OF_SAMPLE = 4  # of each sample that tell where the surface is
 HALF_UNIT = 1 << SUBUNIT_BITS - 1  # lattice points lie at the corners of unit cubes
@@ -146,8 +146,8 @@ class _Passage:
         first = [
             v * self.size + self.side // 2 - HALF_UNIT - p for v, p in zip(self.cells[i], self.points[own], strict=True)
         ]
-        distance = (sum(a * m for a, m in zip(first, self.normals[own], strict=True)) >> 10) - offset
-        steps = [m * self.side >> 10 for m in self.normals[own]]
+        distance = (sum(a * m for a, m in zip(first, self.normals[own], strict=True)) >> NORMAL_BITS) - offset
+        steps = [m * self.side >> NORMAL_BITS for m in self.normals[own]]
         for octant in octants:
             self.distances[octant] = distance + sum(steps[axis] for axis in range(3) if octant >> axis & 1)
         for expected, deviation in ((self.narrow, variance + cut), (self.wide, 3 * variance + cut)):
@@ -158,7 +158,9 @@ class _Passage:
                 expected[octant] = (most * weight >> 12) + 1
 
     def _surface(self, i: int) -> tuple[int, int]:
-        """The distance of the surface from that of the sample of cube i, and its variance."""
+        """The distance of the surface from that of the sample of cube i, and its variance. The constants are those that
+        took the fewest bytes on recordings of several people, at several bounds.
+        """
         own, (x, y, z), square = self.nearest[i], self.centres[i], self.spacing**2
         far, (p, q, r) = self.far[i], self.normals[own]
         weights, distances = list[int](), list[int]()
@@ -169,7 +171,7 @@ class _Passage:
                 a, b, c = a - x, b - y, c - z
                 away = 13 * (a * a + b * b + c * c) + 10 * square + 64 * self.noise[j] + 1
                 weights.append((square << 16) // away)
-                distances.append(far + (a * (p + m) + b * (q + n) + c * (r + o) >> 11))
+                distances.append(far + (a * (p + m) + b * (q + n) + c * (r + o) >> NORMAL_BITS + 1))
         total = sum(weights)
         offset = sum(w * d for w, d in zip(weights, distances, strict=True)) // (total + SAMPLE_WEIGHT)
         spread = sum(w * abs(d - offset) for w, d in zip(weights, distances, strict=True)) + USUAL_WEIGHT * self.usual
