@@ -58,7 +58,7 @@ public:
             throw std::invalid_argument("ChunkCodec: tables of other sizes");
         for (size_t table = 0; table < frequencies.shape(0); ++table) {
             int64_t start = 0;
-            for (size_t s = 0; s <= of.symbols; ++s) {
+            for (size_t s = 0; s < SLOTS; ++s) {
                 of.starts.push_back(uint16_t(start));
                 if (s < of.symbols) start += frequencies.data()[table * of.symbols + s];
             }
@@ -273,7 +273,8 @@ public:
         Sums sums;
         {
             nb::gil_scoped_release release;
-            quantise(spectrum.data(), step, size, slope, free, decoded.data.get(), found);
+            quantise(spectrum.data(), step, size, slope, free, found);
+            positions(found.integers, {decoded.data.get(), 0, frames, {0, 1, 2}});
             sums = sums_of(samples(wanted, apart, decoded.data.get()));
         }
         return nb::make_tuple(values_of(found), found.threshold, found.bits, sums.distance, sums.squared,
@@ -282,9 +283,10 @@ public:
 
     // The same with corrections, in steps of `correction_step` metres, that bring all samples within the bound (metres).
     // None for errors too large to correct, or values, threshold, bits with those of the corrections, and the corrections'
-    // numbers (FIELDS, n).
+    // numbers (FIELDS, n). Where the coefficients alone take `most_bits` or more, corrections are not looked for.
     nb::object within_bound(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
-                            double size, double slope, size_t free, double bound, double correction_step) const {
+                            double size, double slope, size_t free, double bound, double correction_step,
+                            double most_bits) const {
         require_fits(spectrum, wanted, apart);
         static thread_local std::vector<double> decoded;
         Quantised found;
@@ -293,11 +295,14 @@ public:
         bool fits = true;
         {
             nb::gil_scoped_release release;
-            decoded.resize(wanted.size());
-            quantise(spectrum.data(), step, size, slope, free, decoded.data(), found);
-            fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
-            lists = numbers_of(corrections);
-            found.bits += list_coding(encoding_->costs.data(), lists.data(), lists.size() / FIELDS).bits;
+            quantise(spectrum.data(), step, size, slope, free, found);
+            if (found.bits < most_bits) {
+                decoded.resize(wanted.size());
+                positions(found.integers, {decoded.data(), 0, cosines_.frames, {0, 1, 2}});
+                fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
+                lists = numbers_of(corrections);
+                found.bits += list_coding(encoding_->costs.data(), lists.data(), lists.size() / FIELDS).bits;
+            }
         }
         if (!fits) return nb::none();
         Fresh<int64_t> listed(lists.size());
@@ -327,12 +332,9 @@ private:
             throw std::invalid_argument("ChunksOfLength: shapes differ");
     }
 
-    // Integers of coefficients, and the positions that they decode to.
-    void quantise(const double *spectrum, int64_t step, double size, double slope, size_t free, double *decoded,
-                  Quantised &found) const {
+    void quantise(const double *spectrum, int64_t step, double size, double slope, size_t free, Quantised &found) const {
         const Quantisation asked{step, heading_step_, size, slope, INWARD, encoding_->prices.data(), free};
         Quantiser(expectations_).run(spectrum, asked, found);
-        positions(found.integers, {decoded, 0, cosines_.frames, {0, 1, 2}});
     }
 
     Samples samples(const Input<double, 3> &wanted, const Input<uint8_t, 2> &apart, const double *decoded) const {

@@ -10,7 +10,7 @@ import pytest
 
 from mocodec import native, parallel
 from mocodec.codecs.tempo import Tempo, chunk_decoding, compiled_chunks
-from mocodec.codecs.tempo.chunk import TRANSFORM, Payload, grid_size
+from mocodec.codecs.tempo.chunk import TRANSFORM, ChunkEncoder, Payload, grid_size
 from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.codecs.tempo.models.model import Model
 from mocodec.encoded import Chunk, Encoded
@@ -78,6 +78,39 @@ def test_numpy_encodes_to_the_same_bytes(encoded: dict[str, Encoded[Motion]]):
             expected = codec.encode(motion)
         assert expected.shared == encoded[name].shared, name
         assert [c.payload for c in expected.chunks] == [c.payload for c in encoded[name].chunks], name
+
+
+def test_a_trial_that_takes_too_many_bits_ends_without_corrections() -> None:
+    motion = markers("y")
+    with native.without():
+        model = model_of(Tempo(max_error=0.003, model="points-stored").encode(motion))
+        encoder = ChunkEncoder(model, motion.positions)
+        whole = encoder.within_bound(0.003, 44)
+        bits = encoder.within_bound(0.003, 44, 0.0).bits
+    for most, has_corrections in ((bits, False), (np.nextafter(bits, np.inf), True)):
+        compiled = ChunkEncoder(model, motion.positions).within_bound(0.003, 44, most)
+        with native.without():
+            found = encoder.within_bound(0.003, 44, most)
+        assert (found.bits, found.grid) == (compiled.bits, compiled.grid)
+        assert found.bits == (whole.bits if has_corrections else bits)
+        assert bits < whole.bits
+        assert (found.grid is None) is not has_corrections
+
+
+def test_many_points_are_those_of_numpy() -> None:
+    """Few components have most of the frequencies: their curves are made before their product with the basis."""
+    walk = synthetic.markers(frames=150, seed=6)
+    random = np.random.default_rng(6)
+    positions = np.tile(walk.positions, (1, 3, 1))[:, :100] + random.normal(0, 0.03, (1, 100, 3))
+    positions += random.normal(0, 0.0002, positions.shape)
+    motion = Motion(positions, walk.rate, tuple(f"p{i}" for i in range(100)), walk.up)
+    stream = Tempo(max_error=0.002, model="points-stored").encode(motion)
+    found = Tempo.decode(stream).positions
+    with native.without():
+        np.testing.assert_allclose(found, Tempo.decode(stream).positions, rtol=0, atol=1e-9)
+        assert Tempo(max_error=0.002, model="points-stored").encode(motion).chunks == stream.chunks
+    for start, stop in ((0, 1), (37, 90), (147, 150)):
+        np.testing.assert_array_equal(Tempo.decode(stream, slice(start, stop)).positions, found[start:stop])
 
 
 def test_threads_decode_the_same(encoded: dict[str, Encoded[Motion]]):

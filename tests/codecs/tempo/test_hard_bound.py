@@ -15,9 +15,9 @@ from .motions import error, named_points, smooth
 def test_most_chunks_are_tried_once_or_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, within = [0], chunk.ChunkEncoder.within_bound
 
-    def counted(encoder: chunk.ChunkEncoder, bound: float, offset: int) -> chunk.Draft:
+    def counted(encoder: chunk.ChunkEncoder, bound: float, offset: int, most_bits: float = np.inf) -> chunk.Draft:
         tried[0] += 1
-        return within(encoder, bound, offset)
+        return within(encoder, bound, offset, most_bits)
 
     monkeypatch.setattr(chunk.ChunkEncoder, "within_bound", counted)
     motion = named_points(3000)

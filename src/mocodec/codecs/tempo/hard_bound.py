@@ -122,14 +122,19 @@ def _search(encoder: ChunkEncoder, bound: float) -> Searched:
     tried: dict[int, Draft] = {}
 
     def cost(offset: int) -> float:
-        if offset not in tried:
-            tried[offset] = encoder.within_bound(bound, offset)
         return np.inf if tried[offset].numbers is None else tried[offset].bits
 
+    def is_cheaper(offset: int, than: int) -> bool:
+        if offset not in tried:
+            tried[offset] = encoder.within_bound(bound, offset, cost(than))
+        return cost(offset) < cost(than)
+
     at = FIRST_OFFSET
+    tried[at] = encoder.within_bound(bound, at)
     if np.isfinite(cost(at)):
-        at = min(at, round(_predicted(encoder, cost(at))), key=cost)
-        at = next((other for other in (at + STRIDE, at - STRIDE) if cost(other) < cost(at)), at)
+        predicted = round(_predicted(encoder, cost(at)))
+        at = predicted if is_cheaper(predicted, at) else at
+        at = next((other for other in (at + STRIDE, at - STRIDE) if is_cheaper(other, at)), at)
     return Searched(tried[at], at, at - _predicted(encoder, tried[at].bits))
 
 
@@ -139,7 +144,7 @@ def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
     offset = round(_predicted(encoder, draft.bits) + before.beside)
     if draft.numbers is None or abs(offset - before.offset) <= NEAR:
         return draft
-    other = encoder.within_bound(bound, offset)
+    other = encoder.within_bound(bound, offset, draft.bits)
     return other if other.numbers is not None and other.bits < draft.bits else draft
 
 
