@@ -282,8 +282,8 @@ public:
     }
 
     // The same with corrections, in steps of `correction_step` metres, that bring all samples within the bound (metres).
-    // None for errors too large to correct, or values, threshold, bits with those of the corrections, and the corrections'
-    // numbers (FIELDS, n). Where the coefficients alone take `most_bits` or more, corrections are not looked for.
+    // None for errors too large to correct; or values, threshold, bits with those of the corrections, and the corrections'
+    // numbers (FIELDS, n); without values where the coefficients alone take `most_bits` or more.
     nb::object within_bound(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
                             double size, double slope, size_t free, double bound, double correction_step,
                             double most_bits) const {
@@ -292,11 +292,12 @@ public:
         Quantised found;
         Found corrections;
         std::vector<int64_t> lists;
-        bool fits = true;
+        bool few = true, fits = true;
         {
             nb::gil_scoped_release release;
             quantise(spectrum.data(), step, size, slope, free, found);
-            if (found.bits < most_bits) {
+            few = found.bits < most_bits;
+            if (few) {
                 decoded.resize(wanted.size());
                 positions(found.integers, {decoded.data(), 0, cosines_.frames, {0, 1, 2}});
                 fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
@@ -305,6 +306,7 @@ public:
             }
         }
         if (!fits) return nb::none();
+        if (!few) return nb::make_tuple(nb::none(), found.threshold, found.bits, nb::none());
         Fresh<int64_t> listed(lists.size());
         std::copy(lists.begin(), lists.end(), listed.data.get());
         return nb::make_tuple(values_of(found), found.threshold, found.bits, listed.give({FIELDS, lists.size() / FIELDS}));

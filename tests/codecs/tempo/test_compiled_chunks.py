@@ -10,7 +10,7 @@ import pytest
 
 from mocodec import native, parallel
 from mocodec.codecs.tempo import Tempo, chunk_decoding, compiled_chunks
-from mocodec.codecs.tempo.chunk import TRANSFORM, ChunkEncoder, Payload, grid_size
+from mocodec.codecs.tempo.chunk import TRANSFORM, Payload, grid_size
 from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.codecs.tempo.models.model import Model
 from mocodec.encoded import Chunk, Encoded
@@ -78,23 +78,6 @@ def test_numpy_encodes_to_the_same_bytes(encoded: dict[str, Encoded[Motion]]):
             expected = codec.encode(motion)
         assert expected.shared == encoded[name].shared, name
         assert [c.payload for c in expected.chunks] == [c.payload for c in encoded[name].chunks], name
-
-
-def test_a_trial_that_takes_too_many_bits_ends_without_corrections() -> None:
-    motion = markers("y")
-    with native.without():
-        model = model_of(Tempo(max_error=0.003, model="points-stored").encode(motion))
-        encoder = ChunkEncoder(model, motion.positions)
-        whole = encoder.within_bound(0.003, 44)
-        bits = encoder.within_bound(0.003, 44, 0.0).bits
-    for most, has_corrections in ((bits, False), (np.nextafter(bits, np.inf), True)):
-        compiled = ChunkEncoder(model, motion.positions).within_bound(0.003, 44, most)
-        with native.without():
-            found = encoder.within_bound(0.003, 44, most)
-        assert (found.bits, found.grid) == (compiled.bits, compiled.grid)
-        assert found.bits == (whole.bits if has_corrections else bits)
-        assert bits < whole.bits
-        assert (found.grid is None) is not has_corrections
 
 
 def test_many_points_are_those_of_numpy() -> None:

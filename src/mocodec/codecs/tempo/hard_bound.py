@@ -119,22 +119,19 @@ def _predicted(encoder: ChunkEncoder, bits: float) -> float:
 
 def _search(encoder: ChunkEncoder, bound: float) -> Searched:
     """The cheapest of the first offset, the one that its bits predict, and one to either side."""
-    tried: dict[int, Draft] = {}
+    tried = {FIRST_OFFSET: encoder.within_bound(bound, FIRST_OFFSET)}
 
-    def cost(offset: int) -> float:
-        return np.inf if tried[offset].numbers is None else tried[offset].bits
-
-    def is_cheaper(offset: int, than: int) -> bool:
-        if offset not in tried:
-            tried[offset] = encoder.within_bound(bound, offset, cost(than))
-        return cost(offset) < cost(than)
+    def cheaper(at: int, other: int) -> int:
+        if other not in tried:
+            tried[other] = encoder.within_bound(bound, other, tried[at].bits)
+        return other if tried[other].numbers is not None and tried[other].bits < tried[at].bits else at
 
     at = FIRST_OFFSET
-    tried[at] = encoder.within_bound(bound, at)
-    if np.isfinite(cost(at)):
-        predicted = round(_predicted(encoder, cost(at)))
-        at = predicted if is_cheaper(predicted, at) else at
-        at = next((other for other in (at + STRIDE, at - STRIDE) if is_cheaper(other, at)), at)
+    if tried[at].numbers is not None:
+        at = cheaper(at, round(_predicted(encoder, tried[at].bits)))
+        begin = at
+        at = cheaper(begin, begin + STRIDE)
+        at = cheaper(begin, begin - STRIDE) if at == begin else at
     return Searched(tried[at], at, at - _predicted(encoder, tried[at].bits))
 
 

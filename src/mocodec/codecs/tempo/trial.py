@@ -70,19 +70,19 @@ def within_bound(
     bound: float,
     grid: float,
     most_bits: float = np.inf,
-) -> Bounded:
+) -> Bounded | None:
     """The trial of a step, with the corrections in steps of `grid` metres that bring all samples within the bound.
 
-    most_bits: where the coefficients alone take as many, corrections are not looked for. The rest as in `of_step`.
-    Raises CannotEncode for errors too large to correct.
+    None where the coefficients alone take `most_bits` or more: they are not decoded. The rest as in `of_step`. Raises
+    CannotEncode for errors too large to correct.
     """
-    compiled = compiled_chunks.within_bound(model, spectrum, wanted, apart, step, slope, bound, grid, most_bits)
-    if compiled is not None:
+    asked = (step, slope, bound, grid, most_bits)
+    if (compiled := compiled_chunks.within_bound(model, spectrum, wanted, apart, *asked)) is not None:
         values, threshold, bits, moved = compiled
-        return Bounded(quantise.Quantised(values, threshold, bits), moved)
+        return None if values is None else Bounded(quantise.Quantised(values, threshold, bits), moved)
     found, sizes = _quantised(model, spectrum, step, slope)
     if found.bits >= most_bits:
-        return Bounded(found, compiled_chunks.NO_LISTS)
+        return None
     error = wanted - model.synthesise(quantise.dequantise(found.values, sizes), len(spectrum))
     error[apart] = 0.0
     if model.weights is not None:
@@ -92,7 +92,7 @@ def within_bound(
 
 
 def _quantised(model: Model, spectrum: Floats, step: int, slope: float) -> tuple[quantise.Quantised, Floats]:
-    """Integers, and the steps (rows,) of their rows."""
+    """Integers in the coded zone, and the steps (frames, rows), metres."""
     sizes, frames = rows.sizes(model.rows, len(spectrum), step), len(spectrum)
     found = quantise.quantise(model, spectrum / sizes, step, slope)
     known = coefficients.plan(model, frames, step, found.threshold, 0).frequencies
