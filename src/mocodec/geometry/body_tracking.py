@@ -33,6 +33,8 @@ THRESHOLD_RISE, THRESHOLD_DECAY = 1.1, 0.9
 """After a failed search the retry threshold becomes this multiple of the cost; its decay per frame."""
 LIMB_LOST_SHARE = 0.12
 """Share of a limb's template without data, above which the limb counts as lost; the lowest value of its threshold."""
+MIN_TURN_SHARE = 0.02
+"""Share of a limb's template without data, below which the limb is not searched for at a high cost either."""
 LIMB_RISE, LIMB_DECAY = 1.2, 0.85
 """After a failed search for a limb its threshold becomes this multiple of the share; its decay per frame."""
 PAIR_LOST_SHARE = 0.05
@@ -187,13 +189,13 @@ class BodyTracker(PoseSolver):
             share = self._share_without_data(limb, best)
             self.limb_thresholds[number] = max(LIMB_DECAY * self.limb_thresholds[number], LIMB_LOST_SHARE)
             is_turn = is_costly and (is_suspicious or (seed + number) % 2)  # otherwise every other limb, alternating
-            if share < self.limb_thresholds[number] and not is_turn:
+            if share < self.limb_thresholds[number] and not (is_turn and share >= MIN_TURN_SHARE):
                 continue
             before = best
             best = self._best_of_limb_poses(data, few, best, limb, seed)
             if best is before:  # the missing part is hidden, or not in the template
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
-        best = self._swap_confused_limbs(data, few, best, is_costly)
+        best = self._swap_confused_limbs(data, few, best, is_costly and is_suspicious)
         has_failed = is_costly and best is first
         raised = THRESHOLD_RISE * first.cost / self.typical_cost
         self.retry_threshold = (
@@ -217,11 +219,13 @@ class BodyTracker(PoseSolver):
                     best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
         return best
 
-    def _swap_confused_limbs(self, data: FramePoints, few: FramePoints, best: Fit, is_costly: bool) -> Fit:
-        """Swaps the limbs of a pair, left and right, if that fits clearly better. few: some of the data."""
+    def _swap_confused_limbs(self, data: FramePoints, few: FramePoints, best: Fit, is_suspicious: bool) -> Fit:
+        """Swaps the limbs of a pair, left and right, if that fits clearly better. few: some of the data; is_suspicious:
+        whether pairs are tried that have data.
+        """
         for pair in self.limb_pairs:
             share = min(self._share_without_data(self.limbs[number], best) for number in pair)
-            if share >= PAIR_LOST_SHARE or is_costly:
+            if share >= PAIR_LOST_SHARE or is_suspicious:
                 pose = limb_chains.swapped(self.body, best.pose, *(self.limbs[i] for i in pair))
                 if self.assess(few, pose).cost > PROMISING_SWAP * self.assess(few, best.pose).cost:
                     continue
