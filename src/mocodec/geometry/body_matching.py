@@ -31,7 +31,7 @@ CANDIDATE_MARGIN_M = 0.08
 """A link farther from a point than its nearest link by more than this is no candidate, metres."""
 SEARCH_WIDTHS = 3.0
 """How far a template point searches for data, as a multiple of the robust weight's width."""
-CONVERGED_M = 0.02
+CONVERGED_M = 0.01
 """A step that moves no link farther than this has converged, metres."""
 SKIP_RATIO = 0.6
 """After a converged step, steps wider than this share of its width are skipped."""

@@ -33,8 +33,6 @@ THRESHOLD_RISE, THRESHOLD_DECAY = 1.1, 0.9
 """After a failed search the retry threshold becomes this multiple of the cost; its decay per frame."""
 LIMB_LOST_SHARE = 0.12
 """Share of a limb's template without data, above which the limb counts as lost; the lowest value of its threshold."""
-MIN_TURN_SHARE = 0.02
-"""Share of a limb's template without data, below which the limb is not searched for at a high cost either."""
 LIMB_RISE, LIMB_DECAY = 1.2, 0.85
 """After a failed search for a limb its threshold becomes this multiple of the share; its decay per frame."""
 PAIR_LOST_SHARE = 0.05
@@ -189,7 +187,7 @@ class BodyTracker(PoseSolver):
             share = self._share_without_data(limb, best)
             self.limb_thresholds[number] = max(LIMB_DECAY * self.limb_thresholds[number], LIMB_LOST_SHARE)
             is_turn = is_costly and (is_suspicious or (seed + number) % 2)  # otherwise every other limb, alternating
-            if share < self.limb_thresholds[number] and not (is_turn and share >= MIN_TURN_SHARE):
+            if share < self.limb_thresholds[number] and not is_turn:
                 continue
             before = best
             best = self._best_of_limb_poses(data, few, best, limb, seed)
