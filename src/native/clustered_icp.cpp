@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "clustered_points.h"
+#include "neighbour_cells.h"
 
 namespace {
 
@@ -149,61 +150,10 @@ public:
         }
     }
 
-    // normals.estimate: unit normals (n, 3), the direction of least variance of the `neighbours` points nearest to each
-    // place (n, 3).
-    Output<double> normals(Input<double, 2> places, size_t neighbours) const {
-        const size_t n = places.shape(0);
-        if (places.shape(1) != 3 || neighbours < 1) throw std::invalid_argument("ClusteredPoints.normals: shapes differ");
-        neighbours = std::min(neighbours, tree_.count());
-        Fresh<double> out(3 * n);
-        PointTree::Nearest nearest;
-        const double *before = nullptr;
-        for (size_t i : in_order_of_space(places)) {
-            const double *place = places.data() + 3 * i;
-            const double limit =
-                before ? PointTree::limit_from(nearest, std::sqrt(squared_distance(place, before))) : PointTree::INFINITE;
-            tree_.search(place, PointTree::ALL, neighbours, limit, nearest);
-            before = place;
-            double mean[3] = {0, 0, 0};
-            for (const auto &[square, number] : nearest)
-                for (size_t d = 0; d < 3; ++d) mean[d] += (tree_.at(number)[d] - place[d]) / double(neighbours);
-            double sums[9] = {};
-            for (const auto &[square, number] : nearest) {
-                double off[3];
-                for (size_t d = 0; d < 3; ++d) off[d] = tree_.at(number)[d] - place[d] - mean[d];
-                for (int j = 0; j < 3; ++j)
-                    for (int k = 0; k < 3; ++k) sums[3 * j + k] += off[j] * off[k];
-            }
-            smallest_eigenvector(sums, &out.data[3 * i]);
-        }
-        return out.give({n, 3});
-    }
-
 private:
     static void posed(const InPlace<double, 3> &a, const InPlace<double, 2> &b, size_t link, const double *point, double *out) {
         transform(a.data() + 9 * link, point, out);
         for (size_t d = 0; d < 3; ++d) out[d] += b.data()[3 * link + d];
-    }
-
-    // Numbers of places so that most are near the one before: the order of the tree if they are its points.
-    std::vector<size_t> in_order_of_space(const Input<double, 2> &places) const {
-        const size_t n = places.shape(0);
-        std::vector<size_t> order(n);
-        bool same = n == tree_.count();
-        for (size_t i = 0; i < n && same; ++i) {
-            order[i] = tree_.row(i);
-            same = std::equal(tree_.at(int32_t(i)), tree_.at(int32_t(i)) + 3, places.data() + 3 * order[i]);
-        }
-        if (same) return order;
-        PointTree::Nearest nearest;
-        std::vector<int32_t> leaf(n);
-        for (size_t i = 0; i < n; ++i) {
-            tree_.search(places.data() + 3 * i, PointTree::ALL, 1, PointTree::INFINITE, nearest);
-            leaf[i] = nearest[0].second;
-        }
-        std::iota(order.begin(), order.end(), size_t(0));
-        std::sort(order.begin(), order.end(), [&](size_t i, size_t j) { return std::pair(leaf[i], i) < std::pair(leaf[j], j); });
-        return order;
     }
 
     // The points that a model point may be matched with: the nearest ones to the place from which they were searched.
@@ -299,6 +249,51 @@ private:
     const PointTree tree_;
 };
 
+// out (3) = the normal of a surface at a place: the direction of least variance of the points around it.
+template <class Point>
+void normal_at(const double *place, size_t count, const Point &point, double *out) {
+    double mean[3] = {0, 0, 0}, sums[9] = {};
+    for (size_t i = 0; i < count; ++i)
+        for (size_t d = 0; d < 3; ++d) mean[d] += (point(i)[d] - place[d]) / double(count);
+    for (size_t i = 0; i < count; ++i) {
+        double off[3];
+        for (size_t d = 0; d < 3; ++d) off[d] = point(i)[d] - place[d] - mean[d];
+        for (int j = 0; j < 3; ++j)
+            for (int k = 0; k < 3; ++k) sums[3 * j + k] += off[j] * off[k];
+    }
+    smallest_eigenvector(sums, out);
+}
+
+// normals.estimate: unit normals (n, 3) at places (n, 3), from the `neighbours` points nearest to each of points (m, 3).
+Output<double> surface_normals(Input<double, 2> places, Input<double, 2> points, size_t neighbours) {
+    const size_t n = places.shape(0), m = points.shape(0);
+    if (places.shape(1) != 3 || points.shape(1) != 3 || !m || neighbours < 1)
+        throw std::invalid_argument("surface_normals: shapes differ");
+    neighbours = std::min(neighbours, m);
+    for (const auto *array : {&places, &points})
+        for (size_t i = 0; i < array->size(); ++i)
+            if (!std::isfinite(array->data()[i])) throw std::invalid_argument("surface_normals: a coordinate is not finite");
+    Fresh<double> out(3 * n);
+    const NeighbourCells cells(points.data(), m);
+    if (cells.is_fast()) {
+        NeighbourCells::Nearest nearest;
+        for (size_t i = 0; i < n; ++i) {
+            const double *place = places.data() + 3 * i;
+            cells.find(place, neighbours, nearest);
+            normal_at(place, neighbours, [&](size_t k) { return nearest[k].second.data(); }, &out.data[3 * i]);
+        }
+        return out.give({n, 3});
+    }
+    const PointTree tree(points.data(), m);
+    PointTree::Nearest nearest;
+    for (size_t i = 0; i < n; ++i) {
+        const double *place = places.data() + 3 * i;
+        tree.search(place, PointTree::ALL, neighbours, PointTree::INFINITE, nearest);
+        normal_at(place, neighbours, [&](size_t k) { return tree.at(nearest[k].second); }, &out.data[3 * i]);
+    }
+    return out.give({n, 3});
+}
+
 }  // namespace
 
 void bind_clustered_icp(nb::module_ &m) {
@@ -306,6 +301,6 @@ void bind_clustered_icp(nb::module_ &m) {
         .def(nb::init<Input<double, 2>, Input<uint8_t, 1>>())
         .def("icp", &ClusteredPoints::icp)
         .def("fit_links", &ClusteredPoints::fit_links, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(), nb::arg(),
-             nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg())
-        .def("normals", &ClusteredPoints::normals);
+             nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg());
+    m.def("surface_normals", &surface_normals);
 }

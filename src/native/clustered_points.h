@@ -27,23 +27,17 @@ public:
     PointTree(Input<double, 2> points, Input<uint8_t, 1> clusters) {
         const size_t n = points.shape(0);
         if (points.shape(1) != 3 || clusters.shape(0) != n || !n) throw std::invalid_argument("ClusteredPoints: shapes differ");
-        std::vector<Point> all(n);
-        for (size_t i = 0; i < n; ++i) {
-            std::copy_n(points.data() + 3 * i, 3, all[i].at.begin());
-            for (double value : all[i].at)
-                if (!std::isfinite(value)) throw std::invalid_argument("ClusteredPoints: a coordinate is not finite");
+        for (size_t i = 0; i < 3 * n; ++i)
+            if (!std::isfinite(points.data()[i])) throw std::invalid_argument("ClusteredPoints: a coordinate is not finite");
+        for (size_t i = 0; i < n; ++i)
             if (clusters.data()[i] >= 64) throw std::invalid_argument("ClusteredPoints: a cluster beyond 63");
-            all[i].cluster = uint64_t(1) << clusters.data()[i];
-            all[i].row = i;
-        }
-        nodes_.reserve(4 * (n / LEAF + 1));
-        points_ = std::move(all);
-        build(0, n);
+        build(points.data(), n, clusters.data());
     }
 
-    size_t count() const { return points_.size(); }
+    // points (n, 3), finite, of one cluster.
+    PointTree(const double *points, size_t n) { build(points, n, nullptr); }
+
     const double *at(int32_t number) const { return points_[size_t(number)].at.data(); }
-    size_t row(size_t number) const { return points_[number].row; }
 
     // Up to `wanted` allowed points nearest to a place, below a squared distance of `limit`; the others at ∞.
     void search(const double *place, uint64_t allowed, size_t wanted, double limit, Nearest &nearest) const {
@@ -79,19 +73,12 @@ public:
             if (number < 0) square = INFINITE;
     }
 
-    // A limit for `search` around a place from what was found around another: as many points are within it.
-    static double limit_from(const Nearest &nearest, double moved) {
-        const double reach = std::sqrt(nearest.back().first) + moved;
-        return squared(reach * (1 + 1e-9)) + std::numeric_limits<double>::min();  // above 0, also for points at one place
-    }
-
 private:
     static constexpr size_t LEAF = 14;  // points of a leaf, at most
 
     struct Point {
         std::array<double, 3> at;
         uint64_t cluster;
-        size_t row;
     };
 
     struct Node {
@@ -101,7 +88,17 @@ private:
         int32_t left = -1, right = -1;
     };
 
-    int32_t build(size_t first, size_t last) {
+    void build(const double *points, size_t n, const uint8_t *clusters) {
+        points_.resize(n);
+        for (size_t i = 0; i < n; ++i) {
+            std::copy_n(points + 3 * i, 3, points_[i].at.begin());
+            points_[i].cluster = uint64_t(1) << (clusters ? clusters[i] : 0);
+        }
+        nodes_.reserve(4 * (n / LEAF + 1));
+        split(0, n);
+    }
+
+    int32_t split(size_t first, size_t last) {
         const int32_t own = int32_t(nodes_.size());
         nodes_.emplace_back();
         Node node;
@@ -121,8 +118,8 @@ private:
             const size_t middle = (first + last) / 2;
             std::nth_element(points_.begin() + long(first), points_.begin() + long(middle), points_.begin() + long(last),
                              [axis](const Point &a, const Point &b) { return a.at[axis] < b.at[axis]; });
-            node.left = build(first, middle);
-            node.right = build(middle, last);
+            node.left = split(first, middle);
+            node.right = split(middle, last);
         }
         nodes_[size_t(own)] = node;
         return own;

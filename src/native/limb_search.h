@@ -203,7 +203,10 @@ class LimbSearch {
     }
 
     // out = a template point that follows its first link alone.
-    void pose(int64_t row, double *out) const { body.place(size_t(body.links[2 * row]), &body.points[3 * row], out); }
+    void pose(int64_t row, double *out) const {
+        const TemplatePoint &point = body.points[size_t(row)];
+        body.place(size_t(point.first), point.at, out);
+    }
 
     SkinnedBody &body;
     const KdTree &data;

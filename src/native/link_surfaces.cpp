@@ -8,6 +8,7 @@
 
 #include "algebra3.h"
 #include "arrays.h"
+#include "capsules.h"
 
 namespace {
 
@@ -132,6 +133,7 @@ Output<double> third_moments(Input<double, 2> points, Input<int64_t, 1> links, s
 }  // namespace
 
 void bind_link_surfaces(nb::module_ &m) {
+    m.def("capsule_surfaces", &capsule_surfaces);
     m.def("closest_links", &closest_links);
     m.def("turned_outward", &turned_outward);
     m.def("third_moments", &third_moments);

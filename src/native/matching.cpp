@@ -13,6 +13,7 @@
 #include "joint_limits.h"
 #include "kd_tree.h"
 #include "limb_search.h"
+#include "nearest_links.h"
 #include "normal_equations.h"
 #include "skinned_body.h"
 
@@ -21,44 +22,8 @@ namespace {
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
 // As the constants of the same names in geometry/body_matching.py.
-constexpr size_t CANDIDATES = 3;
 constexpr size_t REFRESH_STEPS = 3;
-constexpr double CANDIDATE_MARGIN_M = 0.08;
 constexpr double MAX_COLOUR_M = 0.04;
-
-constexpr float CAPSULE_SLACK_M = 1e-4f;  // more than the error of single precision, within some metres
-
-// The links whose templates are nearest to one data point, nearest first.
-struct NearestLinks {
-    const SkinnedBody &body;
-    const double *point;
-    int64_t *links;  // CANDIDATES of them, −1 for none
-    double best[CANDIDATES];
-    double reach = INFINITE;  // a link farther than this is no candidate
-
-    NearestLinks(const SkinnedBody &body, const double *point, int64_t *links) : body(body), point(point), links(links) {
-        std::fill_n(best, CANDIDATES, INFINITE);
-    }
-
-    void consider(int64_t link) {
-        double local[3];
-        body.to_local(link, point, local);
-        if (body.box_distance(link, local) >= squared(reach)) return;
-        const double distance = squared_distance(local, &body.points[3 * body.look_up(link, local)]);
-        size_t at = CANDIDATES;
-        while (at > 0 && distance < best[at - 1]) --at;
-        if (at == CANDIDATES) return;
-        for (size_t k = CANDIDATES - 1; k > at; --k) best[k] = best[k - 1], links[k] = links[k - 1];
-        best[at] = distance;
-        links[at] = link;
-        reach = std::min(std::sqrt(best[CANDIDATES - 1]), std::sqrt(best[0]) + CANDIDATE_MARGIN_M);
-    }
-
-    void drop_far() {
-        for (size_t k = 1; k < CANDIDATES; ++k)
-            if (best[k] > squared(std::sqrt(best[0]) + CANDIDATE_MARGIN_M)) links[k] = -1;
-    }
-};
 
 class BodyMatcher {
   public:
@@ -102,8 +67,8 @@ class BodyMatcher {
             const size_t points = std::min(data.count, size_t(steps.data()[3 * step + 1]));
             const size_t rows = std::min(sample.shape(0), size_t(steps.data()[3 * step + 2]));
             if (++since_refresh > REFRESH_STEPS && std::isinf(converged_at))
-                find_candidates(data, 0, points, allowed.data()), since_refresh = 1;
-            find_candidates(data, candidates.size() / CANDIDATES, points, allowed.data());
+                candidates.find(body, data, 0, points, allowed.data()), since_refresh = 1;
+            candidates.find(body, data, candidates.count(), points, allowed.data());
             equations.begin();
             add_data_to_template(data, points, width, noise);
             add_template_to_data(data, searching, rows, nearest, search_widths * width, width, noise);
@@ -132,16 +97,16 @@ class BodyMatcher {
         require(data);
         body.set_pose(rotations.data(), root.data());
         const size_t n = data.count, k = sample.shape(0);
-        if (!is_solved || candidates.size() != n * CANDIDATES) {
+        if (!is_solved || candidates.count() != n) {
             candidates.clear();
-            find_candidates(data, 0, n, allowed.data());
+            candidates.find(body, data, 0, n, allowed.data());
         }
         Fresh<int64_t> row(n), link(n);
         Fresh<double> residual(n), gap(k);
         double data_cost = 0, template_cost = 0;
-        for (size_t i = 0; i < n; ++i) {
+        match_all(data, n, [&](size_t i, int64_t here, int64_t its_link) {
             double y[3] = {0, 0, 0};
-            const int64_t here = match(data, i, &candidates[i * CANDIDATES], link.data[i]);
+            link.data[i] = its_link;
             row.data[i] = here < 0 ? -1 : int64_t(body.given_rows[size_t(here)]);
             if (here >= 0) body.pose_point(here, y);
             const double *x = data.point(i);
@@ -150,7 +115,7 @@ class BodyMatcher {
             if (data.coloured && here >= 0)
                 for (int d = 0; d < 3; ++d) square += squared(x[3 + d] - body.colours[3 * here + d]);
             data_cost += std::min(square, truncation * truncation);
-        }
+        });
         for (const auto &[searching, number] : own_sample(sample)) {
             double query[6], square = squared(limit);
             body.query_of(data, searching, query);
@@ -209,6 +174,7 @@ class BodyMatcher {
     }
 
   private:
+    static constexpr size_t TOGETHER = 16;   // data points that are looked up together
     static constexpr double MAX_TURN = 0.7;  // radians that a joint turns in one step, at most
 
     template <class Links>
@@ -228,14 +194,38 @@ class BodyMatcher {
             throw std::invalid_argument("BodyMatcher: the data have colours and the template has none");
     }
 
-    // Correspondences of the first data points, in spatial order so that memory accesses are near each other.
+    // Correspondences of the first data points.
     void add_data_to_template(const KdTree &data, size_t points, double width, double noise) {
+        match_all(data, points, [&](size_t i, int64_t row, int64_t) {
+            if (row >= 0) equations.add_correspondence(row, data.point(i), width, noise);
+        });
+    }
+
+    // Calls use(point, row, link) for each of the first data points, in spatial order so that memory accesses are near each
+    // other: with the template row that is nearest in place and colour among its candidate links, and the row's link; −1 if
+    // it has none.
+    template <class Use>
+    void match_all(const KdTree &data, size_t points, const Use &use) const {
+        std::array<size_t, TOGETHER> batch;
+        std::array<SkinnedBody::LookUp, TOGETHER> first;  // in the nearest link
+        size_t count = 0;
+        const auto flush = [&] {
+            for (size_t p = 0; p < count; ++p)
+                if (candidates.of(batch[p])[0] >= 0) first[p].follow(body);
+            for (size_t p = 0; p < count; ++p) {
+                int64_t row = -1, link = -1;
+                if (candidates.of(batch[p])[0] >= 0) row = match(data, batch[p], candidates.of(batch[p]), first[p], link);
+                use(batch[p], row, link);
+            }
+            count = 0;
+        };
         for (size_t i : data.spatial_order()) {
             if (i >= points) continue;
-            int64_t link;
-            const int64_t row = match(data, i, &candidates[i * CANDIDATES], link);
-            if (row >= 0) equations.add_correspondence(row, data.point(i), width, noise);
+            if (const int64_t link = candidates.of(i)[0]; link >= 0) first[count].start(body, link, data.point(i));
+            batch[count++] = i;
+            if (count == TOGETHER) flush();
         }
+        flush();
     }
 
     // A template row that searches for data, and its number in the sample.
@@ -265,86 +255,27 @@ class BodyMatcher {
         }
     }
 
-    // The template row nearest to data point i in place and colour among its candidate links; −1 if it has none.
-    int64_t match(const KdTree &data, size_t i, const int64_t *links, int64_t &link) const {
+    // The template row nearest to data point i in place and colour among its candidate links, of which the first has been
+    // looked up; and its link.
+    int64_t match(const KdTree &data, size_t i, const int64_t *links, SkinnedBody::LookUp &nearest, int64_t &link) const {
         const double *x = data.point(i);
         int64_t row = -1;
-        link = -1;
         double distance = INFINITE, reach = distance;
         for (size_t k = 0; k < CANDIDATES && links[k] >= 0; ++k) {
             if (k && body.is_beyond(links[k], x, reach)) continue;
-            double local[3];
-            body.to_local(links[k], x, local);
-            if (k && body.box_distance(links[k], local) >= distance) continue;
-            const int32_t here = body.look_up(links[k], local);
-            double sum = squared_distance(local, &body.points[3 * here]);
+            if (k) nearest.start(body, links[k], x);
+            if (k && body.box_distance(links[k], nearest.local) >= distance) continue;
+            if (k) nearest.follow(body);
+            nearest.finish();
+            double sum = nearest.square;
             if (body.coloured && data.coloured) {
                 double colour = 0;
-                for (int d = 0; d < 3; ++d) colour += squared(x[3 + d] - body.colours[3 * here + d]);
+                for (int d = 0; d < 3; ++d) colour += squared(x[3 + d] - body.colours[3 * nearest.row + d]);
                 sum += std::min(colour, MAX_COLOUR_M * MAX_COLOUR_M);
             }
-            if (sum < distance) distance = sum, reach = std::sqrt(sum), row = here, link = links[k];
+            if (sum < distance) distance = sum, reach = std::sqrt(sum), row = nearest.row, link = links[k];
         }
         return row;
-    }
-
-    // Candidate links of data points [from, to), nearest first; none is farther than the nearest by more than
-    // CANDIDATE_MARGIN_M. A point's former candidates, or its neighbour's, are considered first: they bound the distance,
-    // so that few other links have to be looked up.
-    void find_candidates(const KdTree &data, size_t from, size_t to, const bool *allowed) {
-        if (from >= to) return;
-        const std::vector<int64_t> before(candidates.begin() + from * CANDIDATES, candidates.end());
-        candidates.resize(from * CANDIDATES);
-        candidates.resize(to * CANDIDATES, -1);
-        std::vector<int64_t> usable;
-        for (size_t link = 0; link < body.count; ++link)
-            if (body.has_points[link] && allowed[link]) usable.push_back(int64_t(link));
-        const size_t count = usable.size(), lanes = (count + 3) / 4 * 4;
-        // capsules by axes: ends, segments, one over their squared lengths, radii; and squared distances from segments
-        std::vector<float> capsules(8 * lanes, 0.0f), away(lanes);
-        for (size_t u = 0; u < count; ++u) {
-            const double *end = &body.world_ends[6 * usable[u]];
-            double square = 0;
-            for (int d = 0; d < 3; ++d) {
-                capsules[d * lanes + u] = float(end[d]);
-                capsules[(3 + d) * lanes + u] = float(end[3 + d] - end[d]);
-                square += squared(end[3 + d] - end[d]);
-            }
-            capsules[6 * lanes + u] = float(1 / std::max(square, 1e-12));
-            capsules[7 * lanes + u] = float(body.radii[usable[u]]) + CAPSULE_SLACK_M;
-        }
-        const float *ox = &capsules[0], *oy = ox + lanes, *oz = oy + lanes, *dx = oz + lanes, *dy = dx + lanes,
-                    *dz = dy + lanes, *inverse = dz + lanes, *radius = inverse + lanes;
-        std::vector<char> considered(body.count, 0);
-        std::array<int64_t, CANDIDATES> last;  // those of the point before, a neighbour in space
-        last.fill(-1);
-        for (size_t i : data.spatial_order()) {
-            if (i < from || i >= to) continue;
-            const double *x = data.point(i);
-            NearestLinks nearest(body, x, &candidates[i * CANDIDATES]);
-            std::array<int64_t, CANDIDATES> likely = last;
-            if ((i - from + 1) * CANDIDATES <= before.size())
-                std::copy_n(&before[(i - from) * CANDIDATES], CANDIDATES, likely.begin());
-            for (int64_t link : likely)
-                if (link >= 0 && allowed[link]) nearest.consider(link), considered[link] = 1;
-            const float px = float(x[0]), py = float(x[1]), pz = float(x[2]);
-            for (size_t u = 0; u < lanes; ++u) {
-                const float x0 = px - ox[u], y0 = py - oy[u], z0 = pz - oz[u];
-                float share = (x0 * dx[u] + y0 * dy[u] + z0 * dz[u]) * inverse[u];
-                share = share > 0.0f ? share : 0.0f;
-                share = share < 1.0f ? share : 1.0f;
-                const float x1 = x0 - share * dx[u], y1 = y0 - share * dy[u], z1 = z0 - share * dz[u];
-                away[u] = x1 * x1 + y1 * y1 + z1 * z1;
-            }
-            for (size_t u = 0; u < count; ++u) {
-                const float most = radius[u] + float(nearest.reach);
-                if (away[u] < most * most && !considered[usable[u]]) nearest.consider(usable[u]);
-            }
-            for (int64_t link : likely)
-                if (link >= 0) considered[link] = 0;
-            nearest.drop_far();
-            std::copy_n(nearest.links, CANDIDATES, last.begin());
-        }
     }
 
     // Applies a step to the pose; returns how far it moves the root, or the far end of a link by its own rotation, at
@@ -375,7 +306,7 @@ class BodyMatcher {
 
     SkinnedBody body;
     NormalEquations equations;
-    std::vector<int64_t> candidates;  // CANDIDATES links of each data point
+    LinkCandidates candidates;
 };
 
 // current · exp(share · log(previousᵀ current)) of rotations (n, 3, 3): where they are after a share of the same turn.

@@ -14,8 +14,10 @@
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h
-//   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py; clustered_points.h is the tree
-//   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py
+//   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py (clustered_points.h is the tree), and normals,
+//                   for geometry/normals.py (neighbour_cells.h)
+//   link_surfaces.cpp     points beside the cylinders of links, for geometry/articulated_icp.py; capsules.h: distances from
+//                   capsules, for geometry/capsules.py
 //   lattice.cpp     the lattice engine, for stages/lattice.py; its parts are lattice.h, lattice_points.h and adaptive_bits.h
 //   lattice_neighbours.cpp  which points are neighbours, for stages/lattice.py
 //   joint_rotations.cpp   rotations of joints from positions, for codecs/tempo/rotation_layer and geometry/kinematics.py
@@ -36,7 +38,7 @@
 //                   chunk_quantiser.h (to integers) and chunk_packer.h (to bytes); contexts.h is for coefficients.cpp too,
 //                   bone_coordinates.h for bone_coordinates.cpp
 //   matching.cpp    registration of a body to points, for geometry/body_matching.py and limb_search.py; its parts are kd_tree.h (nearest
-//                   points), skinned_body.h (template and pose), normal_equations.h (Gauss–Newton step), joint_limits.cpp
+//                   points), skinned_body.h (template and pose), nearest_links.h (candidate links), normal_equations.h (Gauss–Newton step), joint_limits.cpp
 //                   (nearest allowed rotation), limb_search.h (random poses of a limb) and algebra3.h (vectors of 3, 3 × 3
 //                   matrices)
 //

@@ -20,7 +20,7 @@ class NormalEquations {
         : body(body), unknowns(3 + 3 * body.count), pair_of_row(body.rows), targets(body.rows) {
         std::vector<int64_t> numbers(body.count * body.count, -1);
         for (size_t row = 0; row < body.rows; ++row) {
-            const int64_t key = body.links[2 * row] * int64_t(body.count) + body.links[2 * row + 1];
+            const int64_t key = body.points[row].first * int64_t(body.count) + body.points[row].second;
             if (numbers[key] < 0) numbers[key] = int64_t(pairs.size()), pairs.push_back(key);
             pair_of_row[row] = numbers[key];
         }
@@ -48,7 +48,7 @@ class NormalEquations {
         sums.assign(pairs.size(), PairSums{});
         for (int64_t row : touched)
             if (targets[row].weight > 0) add_to_pair(row, targets[row], tangential);
-        expand_pairs(tangential);
+        expand_pairs();
         sum_subtrees();
         project_to_joints();
     }
@@ -132,12 +132,11 @@ class NormalEquations {
   private:
     static constexpr size_t SYMMETRIC = 21;  // numbers of the upper triangle of a 6 × 6 matrix, row by row
 
-    // Sums over the template points that follow one pair of links, each weighted by first², first · second and second²
-    // of the skinning weights: the upper triangle of f fᵀ; of the points y, the sum of weights, of y, and the upper
-    // triangle of y yᵀ. And f times the residual, weighted by first and by second.
+    // Sums over the template points that follow one pair of links: the upper triangle of f fᵀ with the tangential part,
+    // weighted by first², first · second and second² of the skinning weights; and f times the residual, weighted by first
+    // and by second.
     struct PairSums {
         double square[3][SYMMETRIC];
-        double moments[3][10];
         double right[2][6];
     };
 
@@ -147,7 +146,7 @@ class NormalEquations {
     };
 
     // The correspondences of one template row: where it is posed, the sum of their weights, and of weighted gaps.
-    struct Target {
+    struct alignas(64) Target {
         double at[3] = {0, 0, 0}, weight = 0, gap[3] = {0, 0, 0};
         bool is_posed = false;
     };
@@ -179,17 +178,17 @@ class NormalEquations {
     }
 
     void add_to_pair(int64_t row, const Target &target, double tangential) {
-        double n[3], f[6];
+        const TemplatePoint &point = body.points[size_t(row)];
+        double n[3], f[6], moment[3];
         const double *y = target.at, *gap = target.gap;
-        transform(&body.a[9 * body.links[2 * row]], &body.normals[3 * row], n);
+        transform(&body.a[9 * point.first], point.normal, n);
         std::copy_n(n, 3, f);
         cross(y, n, f + 3);
-        double outer[SYMMETRIC], right[6], moment[3];
+        double outer[SYMMETRIC], right[6];
         int at = 0;
         for (int i = 0; i < 6; ++i)
             for (int j = i; j < 6; ++j) outer[at++] = f[i] * f[j];
-        const double moments[10] = {1, y[0], y[1], y[2], y[0] * y[0], y[0] * y[1], y[0] * y[2], y[1] * y[1], y[1] * y[2],
-                                    y[2] * y[2]};
+        add_tangential(y, tangential, outer);
         cross(y, gap, moment);
         const double across = dot(n, gap);
         for (int d = 0; d < 3; ++d) {
@@ -197,41 +196,38 @@ class NormalEquations {
             right[3 + d] = f[3 + d] * across + tangential * moment[d];
         }
         PairSums &sum = sums[pair_of_row[row]];
-        const double first = body.weights[row], second = 1 - first, weight = target.weight;
+        const double first = point.weight, second = 1 - first, weight = target.weight;
         const double shares[3] = {weight * first * first, weight * first * second, weight * second * second};
-        for (int s = 0; s < (second == 0 ? 1 : 3); ++s) {
+        for (int s = 0; s < (second == 0 ? 1 : 3); ++s)
             for (size_t i = 0; i < SYMMETRIC; ++i) sum.square[s][i] += shares[s] * outer[i];
-            for (int i = 0; i < 10; ++i) sum.moments[s][i] += shares[s] * moments[i];
-        }
         for (int i = 0; i < 6; ++i) {
             sum.right[0][i] += first * right[i];
             sum.right[1][i] += second * right[i];
         }
     }
 
-    // Adds to an upper triangle t times the sum of (I, −[y]×)ᵀ (I, −[y]×), point-to-point distances, weakly. m: the sum
-    // of weights, of y, and of the upper triangle of y yᵀ.
-    static void add_tangential(const double *m, double t, double *outer) {
-        const double *y = m + 1, *yy = m + 4;
-        outer[0] += t * m[0];
-        outer[6] += t * m[0];
-        outer[11] += t * m[0];
-        outer[4] += t * y[2];
-        outer[5] -= t * y[1];
-        outer[8] -= t * y[2];
-        outer[10] += t * y[0];
-        outer[12] += t * y[1];
-        outer[13] -= t * y[0];
-        outer[15] += t * (yy[3] + yy[5]);
-        outer[18] += t * (yy[0] + yy[5]);
-        outer[20] += t * (yy[0] + yy[3]);
-        outer[16] -= t * yy[1];
-        outer[17] -= t * yy[2];
-        outer[19] -= t * yy[4];
+    // Adds to an upper triangle t times (I, −[y]×)ᵀ (I, −[y]×), of point-to-point distances, weakly.
+    static void add_tangential(const double *y, double t, double *outer) {
+        const double x = t * y[0], u = t * y[1], z = t * y[2];
+        outer[0] += t;
+        outer[6] += t;
+        outer[11] += t;
+        outer[4] += z;
+        outer[5] -= u;
+        outer[8] -= z;
+        outer[10] += x;
+        outer[12] += u;
+        outer[13] -= x;
+        outer[15] += u * y[1] + z * y[2];
+        outer[18] += x * y[0] + z * y[2];
+        outer[20] += x * y[0] + u * y[1];
+        outer[16] -= x * y[1];
+        outer[17] -= x * y[2];
+        outer[19] -= u * y[2];
     }
 
     // Sums by pairs of links into blocks of the links' normal equations, and vectors of 6.
-    void expand_pairs(double tangential) {
+    void expand_pairs() {
         const size_t count = body.count;
         blocks.assign(block_count * SYMMETRIC, 0.0);
         vectors.assign(count * 6, 0.0);
@@ -239,7 +235,6 @@ class NormalEquations {
             const size_t l0 = size_t(pairs[p]) / count, l1 = size_t(pairs[p]) % count;
             const size_t where[4] = {l0 * count + l0, l0 * count + l1, l1 * count + l0, l1 * count + l1};
             const int which[4] = {0, 1, 1, 2};
-            for (int k = 0; k < 3; ++k) add_tangential(sums[p].moments[k], tangential, sums[p].square[k]);
             for (int k = 0; k < 4; ++k) {
                 double *block = &blocks[size_t(number_of_block[where[k]]) * SYMMETRIC];
                 for (size_t i = 0; i < SYMMETRIC; ++i) block[i] += sums[p].square[which[k]][i];

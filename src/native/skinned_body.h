@@ -20,6 +20,20 @@ auto copy(const Array &array) {
     return std::vector<std::remove_const_t<typename Array::Scalar>>(array.data(), array.data() + array.size());
 }
 
+// Asks for memory that is read soon: tables and template do not fit into the fast cache.
+inline void prefetch([[maybe_unused]] const void *memory) {
+#if defined(__GNUC__)
+    __builtin_prefetch(memory);
+#endif
+}
+
+// A template point in the canonical pose, its normal, the two links that it follows, and the weight of the first: a line of
+// the cache, since a correspondence needs all of it.
+struct alignas(64) TemplatePoint {
+    double at[3], normal[3], weight;
+    int32_t first, second;
+};
+
 // A point x of link l in the canonical pose is at A_l x + b_l in the current pose. A template point follows two links:
 // its place is the mean of both, by its weight.
 class SkinnedBody {
@@ -34,8 +48,7 @@ class SkinnedBody {
                 double cell, double margin)
         : count(parents.shape(0)), rows(points.shape(0)), coloured(colours.shape(0) > 0), cell_size(cell), margin(margin),
           parents(copy(parents)), origins(copy(origins)), lengths(copy(lengths)), given_rows(spatial_order(points)),
-          points(ordered(points)), links(ordered(links)), weights(ordered(weights)), normals(ordered(normals)),
-          colours(ordered(colours)), low(copy(low)), size(copy(size)) {
+          colours(ordered(colours)) {
         const bool same = origins.shape(0) == count && lengths.shape(0) == count && links.shape(0) == rows &&
                           links.shape(1) == 2 && weights.shape(0) == rows && normals.shape(0) == rows &&
                           low.shape(0) == count && size.shape(0) == count && start.shape(0) == count &&
@@ -45,8 +58,15 @@ class SkinnedBody {
         if (!same || !three || !count || !rows) throw std::invalid_argument("BodyMatcher: shapes differ");
         own_rows.resize(rows);
         for (size_t row = 0; row < rows; ++row) own_rows[given_rows[row]] = int64_t(row);
+        for (size_t row : given_rows) {
+            const double *at = points.data() + 3 * row, *n = normals.data() + 3 * row;
+            const int64_t *link = links.data() + 2 * row;
+            for (size_t k = 0; k < 2; ++k)
+                if (link[k] < 0 || link[k] >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link beyond the body");
+            this->points.push_back({{at[0], at[1], at[2]}, {n[0], n[1], n[2]}, weights.data()[row], int32_t(link[0]), int32_t(link[1])});
+        }
         for (size_t l = 0; l < count; ++l) {
-            const int32_t *s = &this->size[3 * l];
+            const int32_t *s = size.data() + 3 * l;
             if (this->parents[l] >= int64_t(l))
                 throw std::invalid_argument("BodyMatcher: a link stands before its parent");
             const int64_t first = start.data()[l];
@@ -54,11 +74,9 @@ class SkinnedBody {
                 uint64_t(first) + uint64_t(s[0]) * s[1] * s[2] > nearest.size())
                 throw std::invalid_argument("BodyMatcher: a grid is beyond the end of its array");
             has_points.push_back(nearest.data()[first] >= 0);
-            add_grid(l, nearest.data() + first);
+            add_grid(low.data() + 3 * l, s, nearest.data() + first);
             add_capsule(l);
         }
-        for (int64_t link : this->links)
-            if (link < 0 || link >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link beyond the body");
     }
 
     void set_pose(const double *new_rotations, const double *new_root) {
@@ -117,13 +135,12 @@ class SkinnedBody {
 
     // out = a template point in the current pose, by linear blend skinning.
     void pose_point(int64_t row, double *out) const {
-        const int64_t l0 = links[2 * row], l1 = links[2 * row + 1];
-        place(size_t(l0), &points[3 * row], out);
-        if (l0 == l1) return;
-        const double share = weights[row];
+        const TemplatePoint &point = points[size_t(row)];
+        place(size_t(point.first), point.at, out);
+        if (point.first == point.second) return;
         double other[3];
-        place(size_t(l1), &points[3 * row], other);
-        for (int d = 0; d < 3; ++d) out[d] = share * out[d] + (1 - share) * other[d];
+        place(size_t(point.second), point.at, other);
+        for (int d = 0; d < 3; ++d) out[d] = point.weight * out[d] + (1 - point.weight) * other[d];
     }
 
     // out = the coordinates of a template point in a tree of data points: its place, and its colour if the tree has some.
@@ -132,16 +149,36 @@ class SkinnedBody {
         if (data.coloured) std::copy_n(&colours[3 * row], 3, out + 3);
     }
 
-    // The template point nearest to a place in a link's canonical coordinates, from the link's grid.
-    int32_t look_up(int64_t link, const double *local) const {
+    // Where the link's grid has the template point nearest to a place in the link's canonical coordinates.
+    const uint16_t *cell_at(int64_t link, const double *local) const {
+        const Grid &grid = grids[size_t(link)];
         size_t cell[3];
-        for (int d = 0; d < 3; ++d) {
-            const int32_t most = size[3 * link + d] - 1;
-            const double x = (local[d] - low[3 * link + d]) * (1 / cell_size);
-            cell[d] = size_t(x <= 0 ? 0 : x >= most ? most : int32_t(x));
-        }
-        return nearest[bricks[link] + brick_of(link, cell)].rows[row_in_brick(cell)];
+        for (int d = 0; d < 3; ++d)
+            cell[d] = size_t(int32_t(std::min(std::max((local[d] - grid.low[d]) * (1 / cell_size), 0.0), grid.last[d])));
+        return &nearest[grid.first_brick + grid.brick_of(cell)].rows[row_in_brick(cell)];
     }
+
+    // The template point nearest to a place of the world among those of one link, looked up in steps that many places take
+    // together, so that they wait for memory at the same time.
+    struct LookUp {
+        double local[3];
+        const uint16_t *cell;
+        const TemplatePoint *found;
+        int64_t row;
+        double square;  // of the distance
+
+        void start(const SkinnedBody &body, int64_t link, const double *place) {
+            body.to_local(link, place, local);
+            prefetch(cell = body.cell_at(link, local));
+        }
+        void follow(const SkinnedBody &body) { prefetch(found = &body.points[size_t(row = *cell)]); }
+        void finish() { square = squared_distance(local, found->at); }
+        void run(const SkinnedBody &body, int64_t link, const double *place) {
+            start(body, link, place);
+            follow(body);
+            finish();
+        }
+    };
 
     // Whether no template point of a link is nearer to a place of the world than `reach`, by its capsule.
     bool is_beyond(int64_t link, const double *place, double reach) const {
@@ -151,12 +188,10 @@ class SkinnedBody {
     // Squared distance of a place in a link's coordinates from the bounding box of the link's template points: a lower
     // bound of its distance from any of them.
     double box_distance(int64_t link, const double *local) const {
+        const Grid &grid = grids[size_t(link)];
         double sum = 0;
-        for (int d = 0; d < 3; ++d) {
-            const double from = low[3 * link + d] + margin;
-            const double to = low[3 * link + d] + cell_size * size[3 * link + d] - margin;
-            sum += squared(std::max(0.0, std::max(from - local[d], local[d] - to)));
-        }
+        for (int d = 0; d < 3; ++d)
+            sum += squared(std::max(0.0, std::max(grid.box_low[d] - local[d], local[d] - grid.box_high[d])));
         return sum;
     }
 
@@ -168,9 +203,8 @@ class SkinnedBody {
     const std::vector<size_t> given_rows;  // the template's rows, in the order in which they stand here: neighbours in
                                            // space are neighbours in memory
     std::vector<int64_t> own_rows;         // where each of the template's rows stands here
-    const Doubles points;
-    const std::vector<int64_t> links;
-    const Doubles weights, normals, colours;
+    std::vector<TemplatePoint> points;
+    const Doubles colours;
     std::vector<char> has_points;
     Doubles ends, radii;                      // capsules that hold the links' template points: (links, 2, 3) canonical
     Doubles rotations, root;                  // the current pose
@@ -203,21 +237,32 @@ class SkinnedBody {
         uint16_t rows[32];
     };
 
-    size_t brick_of(size_t link, const size_t *cell) const {
-        const int32_t *s = &size[3 * link];
-        return ((cell[0] / 4) * ((size_t(s[1]) + 3) / 4) + cell[1] / 4) * ((size_t(s[2]) + 1) / 2) + cell[2] / 2;
-    }
+    // Where a link's grid lies, in its canonical coordinates, and in `nearest`.
+    struct Grid {
+        double low[3], last[3];          // its corner, and its last cells
+        double box_low[3], box_high[3];  // the bounding box of the link's template points
+        size_t first_brick, bricks_y, bricks_z;
+
+        size_t brick_of(const size_t *cell) const {
+            return ((cell[0] / 4) * bricks_y + cell[1] / 4) * bricks_z + cell[2] / 2;
+        }
+    };
 
     static size_t row_in_brick(const size_t *cell) { return cell[0] % 4 * 8 + cell[1] % 4 * 2 + cell[2] % 2; }
 
-    // A link's grid, given cell by cell, the last axis fastest.
-    void add_grid(size_t link, const int32_t *given) {
-        const int32_t *s = &size[3 * link];
-        bricks.push_back(nearest.size());
-        const size_t last[3] = {size_t(s[0]) - 1, size_t(s[1]) - 1, size_t(s[2]) - 1};
+    // A link's grid, given by its corner, its size and cell by cell, the last axis fastest.
+    void add_grid(const double *low, const int32_t *size, const int32_t *given) {
+        Grid grid{{}, {}, {}, {}, nearest.size(), (size_t(size[1]) + 3) / 4, (size_t(size[2]) + 1) / 2};
+        size_t last[3];
+        for (int d = 0; d < 3; ++d) {
+            last[d] = size_t(size[d]) - 1;
+            grid.low[d] = low[d], grid.last[d] = double(last[d]);
+            grid.box_low[d] = low[d] + margin, grid.box_high[d] = low[d] + cell_size * size[d] - margin;
+        }
+        grids.push_back(grid);
         Brick empty;
         std::fill_n(empty.rows, 32, NO_ROW);
-        nearest.resize(nearest.size() + brick_of(link, last) + 1, empty);
+        nearest.resize(nearest.size() + grid.brick_of(last) + 1, empty);
         size_t cell[3];
         for (cell[0] = 0; cell[0] <= last[0]; ++cell[0])
             for (cell[1] = 0; cell[1] <= last[1]; ++cell[1])
@@ -225,7 +270,7 @@ class SkinnedBody {
                     const int32_t row = *given++;
                     if (row < -1 || row >= int64_t(rows) || row >= NO_ROW)
                         throw std::invalid_argument("BodyMatcher: a row beyond the template");
-                    const size_t at = bricks[link] + brick_of(link, cell);
+                    const size_t at = grid.first_brick + grid.brick_of(cell);
                     nearest[at].rows[row_in_brick(cell)] = row < 0 ? NO_ROW : uint16_t(own_rows[size_t(row)]);
                 }
     }
@@ -243,12 +288,12 @@ class SkinnedBody {
     // far from each other, shortened as much as makes the capsule smallest.
     void add_capsule(size_t link) {
         std::vector<char> is_own(rows, 0);
-        for (size_t brick = bricks[link]; has_points[link] && brick < nearest.size(); ++brick)
+        for (size_t brick = grids[link].first_brick; has_points[link] && brick < nearest.size(); ++brick)
             for (uint16_t row : nearest[brick].rows)
                 if (row < rows) is_own[row] = 1;
         std::vector<const double *> own;
         for (size_t row = 0; row < rows; ++row)
-            if (is_own[row]) own.push_back(&points[3 * row]);
+            if (is_own[row]) own.push_back(points[row].at);
         std::array<double, 6> best{};
         double best_radius = 0, least = std::numeric_limits<double>::infinity();
         if (!own.empty()) {
@@ -276,8 +321,6 @@ class SkinnedBody {
         radii.push_back(best_radius);
     }
 
-    const Doubles low;
-    const std::vector<int32_t> size;
-    std::vector<Brick> nearest;    // of all links
-    std::vector<size_t> bricks;    // the first of each link
+    std::vector<Grid> grids;
+    std::vector<Brick> nearest;  // of all links
 };

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.geometry import articulated_icp, articulation, icp, normals
+from mocodec.geometry import articulated_icp, articulation, capsules, icp, normals
 from mocodec.testing import actors, sequences
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
@@ -54,6 +54,33 @@ def test_normals(count):
     with native.without():
         theirs = normals.estimate(among[::2], among)
     np.testing.assert_allclose(np.abs(np.sum(ours * theirs, axis=1)), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("far", [2.0, 1e5, 1e120])
+def test_normals_among_outliers(far):
+    """The farther an outlier, the more of the other points share a cell: at last a tree is searched."""
+    rng = np.random.default_rng(0)
+    among = np.concatenate(
+        [shell(600, rng)[0] + rng.normal(0, 0.01, (600, 3)), [[far, 0, 0]], np.tile([0.1, 0, 0], (20, 1))]
+    )
+    ours = normals.estimate(among[:600], among)
+    with native.without():
+        theirs = normals.estimate(among[:600], among)
+    np.testing.assert_allclose(np.abs(np.sum(ours * theirs, axis=1)), 1, atol=1e-9)
+
+
+def test_distances_from_capsules():
+    rng = np.random.default_rng(0)
+    points, ends, radii = (
+        rng.normal(size=(37, 3)) + 5,
+        rng.normal(size=(4, 6, 2, 3)) + 5,
+        rng.uniform(0.1, 0.4, (4, 6, 2)),
+    )
+    ends[0, 0, 1] = ends[0, 0, 0]  # of no length
+    ours = capsules.surface_distances(points, ends, radii)
+    with native.without():
+        theirs = capsules.surface_distances(points, ends, radii)
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
 @pytest.mark.parametrize("with_normals", [False, True])

@@ -302,15 +302,18 @@ class StockBodyFitter:
         order = np.argsort(self.model.link[pairs.capsules[pair]], kind="stable")
         borders = np.searchsorted(self.model.link[pairs.capsules[pair]][order], np.arange(len(self.body) + 1))
         rows, weighted, right = rows[order], (rows * weight[pair, None])[order], right[order]
-        motions = link_motions(self.is_ancestor, posed.joints)
-        unknowns, proportions = motions.shape[2], growth.shape[2]
-        h, g = np.zeros((unknowns + proportions,) * 2), np.zeros(unknowns + proportions)
-        for link, motion in enumerate(motions):
-            part = slice(borders[link], borders[link + 1])
-            both = np.zeros((6 + proportions, len(h)))
-            both[:6, :unknowns], both[6:, unknowns:] = motion, np.eye(proportions)
-            h += both.T @ (weighted[part].T @ rows[part]) @ both
-            g += (right[part] @ rows[part]) @ both
+        motions = link_motions(self.is_ancestor, posed.joints)  # (links, 6, unknowns)
+        parts = [slice(*borders[link : link + 2]) for link in range(len(motions))]
+        squares = np.stack([weighted[part].T @ rows[part] for part in parts])  # sums of f fᵀ by links
+        vectors = np.stack([right[part] @ rows[part] for part in parts])
+        joints, unknowns = motions.reshape(-1, motions.shape[2]), motions.shape[2]
+        h, g = np.empty((unknowns + growth.shape[2],) * 2), np.empty(unknowns + growth.shape[2])
+        h[:unknowns, :unknowns] = joints.T @ (squares[:, :6, :6] @ motions).reshape(joints.shape)
+        h[:unknowns, unknowns:] = joints.T @ squares[:, :6, 6:].reshape(len(joints), -1)
+        h[unknowns:, :unknowns] = h[:unknowns, unknowns:].T
+        h[unknowns:, unknowns:] = squares[:, 6:, 6:].sum(axis=0)
+        g[:unknowns] = joints.T @ vectors[:, :6].ravel()
+        g[unknowns:] = vectors[:, 6:].sum(axis=0)
         return h, g
 
     def _add_priors(self, h: Floats, g: Floats, estimate: BodyEstimate, parents: Floats) -> None:

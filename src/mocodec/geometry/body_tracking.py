@@ -193,7 +193,7 @@ class BodyTracker(PoseSolver):
             best = self._best_of_limb_poses(data, few, best, limb, seed)
             if best is before:  # the missing part is hidden, or not in the template
                 self.limb_thresholds[number] = max(self.limb_thresholds[number], LIMB_RISE * share)
-        best = self._swap_confused_limbs(data, few, best, is_costly)
+        best = self._swap_confused_limbs(data, few, best, is_costly and is_suspicious)
         has_failed = is_costly and best is first
         raised = THRESHOLD_RISE * first.cost / self.typical_cost
         self.retry_threshold = (
@@ -217,11 +217,13 @@ class BodyTracker(PoseSolver):
                     best = _clearly_better(best, self.solve(data, fit.pose, self.settings.widths[-5:]))
         return best
 
-    def _swap_confused_limbs(self, data: FramePoints, few: FramePoints, best: Fit, is_costly: bool) -> Fit:
-        """Swaps the limbs of a pair, left and right, if that fits clearly better. few: some of the data."""
+    def _swap_confused_limbs(self, data: FramePoints, few: FramePoints, best: Fit, is_suspicious: bool) -> Fit:
+        """Swaps the limbs of a pair, left and right, if that fits clearly better. few: some of the data; is_suspicious:
+        whether pairs are tried that have data.
+        """
         for pair in self.limb_pairs:
             share = min(self._share_without_data(self.limbs[number], best) for number in pair)
-            if share >= PAIR_LOST_SHARE or is_costly:
+            if share >= PAIR_LOST_SHARE or is_suspicious:
                 pose = limb_chains.swapped(self.body, best.pose, *(self.limbs[i] for i in pair))
                 if self.assess(few, pose).cost > PROMISING_SWAP * self.assess(few, best.pose).cost:
                     continue

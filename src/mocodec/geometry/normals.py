@@ -21,8 +21,8 @@ def estimate(points: Floats, among: Floats | None = None, neighbours: int = 10) 
     if len(points) < 3:
         return np.tile([0.0, 1.0, 0.0], (len(points), 1))
     among = points if among is None else among
-    if (kernel := native.kernel("ClusteredPoints")) is not None:
-        return np.asarray(kernel(among, np.zeros(len(among), np.uint8)).normals(points, neighbours))
+    if (kernel := native.kernel("surface_normals")) is not None:
+        return np.asarray(kernel(points, among, neighbours))
     from scipy.spatial import KDTree
 
     tree = KDTree(among, leafsize=16, compact_nodes=False, balanced_tree=False)

@@ -1,0 +1,195 @@
+// The links of a body whose templates are nearest to data points: candidates for their correspondences.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "algebra3.h"
+#include "kd_tree.h"
+#include "skinned_body.h"
+
+// As the constants of the same names in geometry/body_matching.py.
+constexpr size_t CANDIDATES = 3;
+constexpr double CANDIDATE_MARGIN_M = 0.08;
+
+// The links whose templates are nearest to one data point, nearest first. Each is one number, its squared distance in
+// single precision above its number, so that they are kept in order without branches.
+class NearestLinks {
+  public:
+    NearestLinks() { best.fill(NONE); }
+
+    // square: of the link's distance.
+    void add(int64_t link, double square) {
+        const float key = float(square);
+        uint32_t bits;
+        std::memcpy(&bits, &key, sizeof bits);
+        uint64_t next = (uint64_t(bits) << 32) | uint64_t(link);
+        for (uint64_t &kept : best) {
+            const uint64_t nearer = std::min(kept, next);
+            next = std::max(kept, next);
+            kept = nearer;
+        }
+    }
+
+    // A link is no candidate if it is farther than this from the point, metres.
+    double reach() const { return std::min(distance(CANDIDATES - 1), distance(0) + CANDIDATE_MARGIN_M); }
+
+    // links (CANDIDATES,): those within reach, −1 for none.
+    void store(int64_t *links) const {
+        const double most = distance(0) + CANDIDATE_MARGIN_M;
+        for (size_t k = 0; k < CANDIDATES; ++k)
+            links[k] = best[k] == NONE || distance(k) > most ? -1 : int64_t(best[k] & 0xffffffff);
+    }
+
+  private:
+    static constexpr uint64_t NONE = uint64_t(0x7f800000) << 32;  // at an infinite distance
+
+    double distance(size_t k) const {
+        const uint32_t bits = uint32_t(best[k] >> 32);
+        float square;
+        std::memcpy(&square, &bits, sizeof square);
+        return std::sqrt(double(square));
+    }
+
+    std::array<uint64_t, CANDIDATES> best;
+};
+
+// Capsules of the links that may be matched, and lower bounds of the distances of their template points from a place.
+class LinkBounds {
+  public:
+    struct Bound {
+        int64_t link;
+        float distance;  // metres; negative inside the capsule
+    };
+
+    // allowed (links,): those that data may be matched to.
+    LinkBounds(const SkinnedBody &body, const bool *allowed) {
+        for (size_t link = 0; link < body.count; ++link)
+            if (body.has_points[link] && allowed[link]) links.push_back(int64_t(link));
+        const size_t n = links.size();
+        capsules.resize(8 * n);
+        distances.resize(n);
+        for (size_t u = 0; u < n; ++u) {
+            const double *end = &body.world_ends[6 * links[u]];
+            double square = 0;
+            for (int d = 0; d < 3; ++d) {
+                capsules[d * n + u] = float(end[d]);
+                capsules[(3 + d) * n + u] = float(end[3 + d] - end[d]);
+                square += squared(end[3 + d] - end[d]);
+            }
+            capsules[6 * n + u] = float(1 / std::max(square, 1e-12));
+            capsules[7 * n + u] = float(body.radii[links[u]]) + SLACK_M;
+        }
+    }
+
+    // `bounds` of the distance from a place. Without branches, so that compilers take four links at a time.
+    void measure_from(const double *place) {
+        const size_t n = links.size();
+        const float px = float(place[0]), py = float(place[1]), pz = float(place[2]);
+        const float *ox = capsules.data(), *oy = ox + n, *oz = oy + n, *dx = oz + n, *dy = dx + n, *dz = dy + n,
+                    *inverse = dz + n, *radius = inverse + n;
+        float *out = distances.data();
+        for (size_t u = 0; u < n; ++u) {
+            const float x = px - ox[u], y = py - oy[u], z = pz - oz[u];
+            const float along = (x * dx[u] + y * dy[u] + z * dz[u]) * inverse[u];
+            const float share = 0.5f * (std::abs(along) - std::abs(along - 1) + 1);  // along, clamped to 0 to 1
+            const float x1 = x - share * dx[u], y1 = y - share * dy[u], z1 = z - share * dz[u];
+            out[u] = std::sqrt(x1 * x1 + y1 * y1 + z1 * z1) - radius[u];
+        }
+        known = -std::numeric_limits<float>::infinity();
+    }
+
+    // The links whose bounds may be below `limit`.
+    const std::vector<Bound> &below(double limit) {
+        if (!(limit < known)) {
+            known = limit + LIST_MARGIN_M;
+            near.clear();
+            for (size_t u = 0; u < links.size(); ++u)
+                if (distances[u] < known) near.push_back({links[u], distances[u]});
+        }
+        return near;
+    }
+
+  private:
+    static constexpr float SLACK_M = 1e-4f;         // more than the error of single precision, within some metres
+    static constexpr double LIST_MARGIN_M = 0.05;  // beyond the limit that a list is made for, so that it serves more points
+
+    std::vector<int64_t> links;
+    std::vector<float> capsules;   // by axes: ends, segments, one over their squared lengths, radii
+    std::vector<float> distances;  // from the last place
+    std::vector<Bound> near;       // links that are nearer than `known`
+    double known;
+};
+
+// Candidate links of some data points of a frame; `links` keeps them.
+class LinkCandidates {
+  public:
+    const int64_t *of(size_t point) const { return &links[point * CANDIDATES]; }
+    size_t count() const { return links.size() / CANDIDATES; }
+    void clear() { links.clear(); }
+
+    // Candidates of data points [from, to), nearest first; none is farther than the nearest by more than
+    // CANDIDATE_MARGIN_M. A point's former candidates, or its neighbour's, are considered first: they limit the distance.
+    // All other links are compared with that by their bounds from a place near the point, which neighbours share.
+    void find(const SkinnedBody &body, const KdTree &data, size_t from, size_t to, const bool *allowed) {
+        if (from >= to) return;
+        const std::vector<int64_t> before(links.begin() + std::ptrdiff_t(from * CANDIDATES), links.end());
+        links.resize(from * CANDIDATES);
+        links.resize(to * CANDIDATES, -1);
+        LinkBounds bounds(body, allowed);
+        std::vector<size_t> points;
+        points.reserve(to - from);
+        for (size_t i : data.spatial_order())
+            if (i >= from && i < to) points.push_back(i);
+        std::array<int64_t, CANDIDATES> last;  // those of the point before, a neighbour in space
+        last.fill(-1);
+        const double *centre = nullptr;
+        std::array<std::array<int64_t, CANDIDATES>, TOGETHER> likely;
+        std::array<std::array<SkinnedBody::LookUp, CANDIDATES>, TOGETHER> found;
+        for (size_t first = 0; first < points.size(); first += TOGETHER) {
+            const size_t count = std::min(TOGETHER, points.size() - first);
+            for (size_t p = 0; p < count; ++p) {
+                const size_t i = points[first + p];
+                likely[p] = last;
+                if ((i - from + 1) * CANDIDATES <= before.size())
+                    std::copy_n(&before[(i - from) * CANDIDATES], CANDIDATES, likely[p].begin());
+                for (size_t k = 0; k < CANDIDATES; ++k)
+                    if (likely[p][k] >= 0) found[p][k].start(body, likely[p][k], data.point(i));
+            }
+            for (size_t p = 0; p < count; ++p)
+                for (size_t k = 0; k < CANDIDATES; ++k)
+                    if (likely[p][k] >= 0) found[p][k].follow(body);
+            for (size_t p = 0; p < count; ++p) {
+                const size_t i = points[first + p];
+                const double *x = data.point(i);
+                if (!centre || squared_distance(x, centre) > squared(GROUP_M)) bounds.measure_from(centre = x);
+                NearestLinks nearest;
+                for (size_t k = 0; k < CANDIDATES; ++k)
+                    if (likely[p][k] >= 0) found[p][k].finish(), nearest.add(likely[p][k], found[p][k].square);
+                const double off = std::sqrt(squared_distance(x, centre));
+                double reach = nearest.reach();
+                for (const auto &[link, distance] : bounds.below(reach + off)) {
+                    if (distance >= reach + off || body.is_beyond(link, x, reach)) continue;
+                    if (std::find(likely[p].begin(), likely[p].end(), link) != likely[p].end()) continue;
+                    SkinnedBody::LookUp other;
+                    other.run(body, link, x);
+                    nearest.add(link, other.square);
+                    reach = nearest.reach();
+                }
+                nearest.store(last.data());
+                std::copy_n(last.begin(), CANDIDATES, &links[i * CANDIDATES]);
+            }
+        }
+    }
+
+  private:
+    static constexpr size_t TOGETHER = 8;    // points whose likely links are looked up together
+    static constexpr double GROUP_M = 0.06;  // how far a point may be from the place whose bounds it shares
+
+    std::vector<int64_t> links;  // CANDIDATES of each data point, −1 for none
+};
