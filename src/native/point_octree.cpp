@@ -2,6 +2,9 @@
 //
 //     sorted Morton codes ─► level by level, octant by octant ─► occupancy bits with contexts ─► bit_arrays.h
 
+#include <array>
+#include <cmath>
+
 #include "bit_arrays.h"
 #include "octree_surface.h"
 
@@ -16,36 +19,60 @@ constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
 constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
 constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
 
-// What the surface says about the children of one cube, and what is left of it while its octants are coded.
+// What the surface says about the children of the cubes of a level, octant by octant, and what is left of it while the
+// octants are coded. All 0 for cubes without a surface near them, but for `distance`, which is FAR.
 struct Hints {
-    uint16_t narrow[8], wide[8];          // weights of the children
-    int32_t narrow_left, wide_left;       // sums over the octants still to come
-    uint8_t distance[8], samples[8];      // classes
-    uint8_t usable;                       // whether there is a surface near the cube
+    std::array<std::vector<uint16_t>, 8> narrow, wide;     // weights of the children
+    std::vector<int32_t> narrow_left, wide_left;           // sums over the octants still to come
+    std::array<std::vector<uint8_t>, 8> distance, samples;  // classes
+    std::vector<uint8_t> usable;                           // whether there is a surface near the cube
+
+    void reset(size_t cubes) {
+        for (size_t octant = 0; octant < 8; ++octant) {
+            narrow[octant].assign(cubes, 0);
+            wide[octant].assign(cubes, 0);
+            distance[octant].assign(cubes, FAR);
+            samples[octant].assign(cubes, 0);
+        }
+        narrow_left.assign(cubes, 0);
+        wide_left.assign(cubes, 0);
+        usable.assign(cubes, 0);
+    }
 };
 
 // The cubes of a level with what is known of them.
 struct Level {
     std::vector<uint64_t> codes;
     std::vector<std::array<int32_t, 3>> places;
-    std::vector<std::array<int32_t, 6>> neighbours;  // rows before and behind along every axis; the number of cubes if empty
+    // rows before and behind along every axis; the number of cubes if empty
+    std::array<std::vector<int32_t>, 6> neighbours;
     std::vector<uint8_t> known;                      // occupied octants; one cube more, which stays empty
     std::vector<int32_t> nearest;
 
     size_t size() const { return codes.size(); }
 };
 
-// Bits of the numbers from 0 to 255.
-struct BitCounts {
-    uint8_t of[256] = {};
-    BitCounts() {
-        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
+// Tables of the numbers from 0 to 255.
+struct Masks {
+    uint8_t bits[256] = {}, few[256] = {};  // bits; the same, at most 3
+    uint8_t inner[8][256] = {};             // of an octant: those beside it in its cube that are known, as contexts have them
+
+    Masks() {
+        for (int mask = 1; mask < 256; ++mask) bits[mask] = uint8_t(bits[mask >> 1] + (mask & 1));
+        for (int mask = 0; mask < 256; ++mask) few[mask] = std::min<uint8_t>(bits[mask], 3);
+        for (int octant = 0; octant < 8; ++octant)
+            for (int mask = 0; mask < 256; ++mask)
+                for (int axis = 0; axis < 3; ++axis)
+                    if (octant >> axis & 1) inner[octant][mask] |= uint8_t((mask >> (octant ^ 1 << axis) & 1) * 2 << outer_bit(axis));
     }
+
+    // The place in the context of whether the cube or octant beyond the octant's face is occupied.
+    static int outer_bit(int axis) { return 2 * (2 - axis); }
 };
 
-const BitCounts BITS;
+const Masks MASKS;
 
-int bits_of(unsigned mask) { return BITS.of[mask & 255]; }
+int bits_of(unsigned mask) { return MASKS.bits[mask & 255]; }
 
 // The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
@@ -54,8 +81,8 @@ int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> 
     return mask >> octant & 1 ? first[parent] + bits_of(mask & ((1u << octant) - 1)) : end;
 }
 
-// The cubes of the next level.
-Level children_of(const Level &level) {
+// The cubes of the next level. is_last: whether no level follows, so that nothing but their codes and samples is needed.
+Level children_of(const Level &level, bool is_last) {
     std::vector<int32_t> first(level.size() + 1);
     int32_t end = 0;
     for (size_t i = 0; i < level.size(); ++i) {
@@ -64,25 +91,27 @@ Level children_of(const Level &level) {
     }
     Level next;
     next.codes.resize(size_t(end));
-    next.places.resize(size_t(end));
-    next.neighbours.resize(size_t(end));
     next.nearest.resize(size_t(end));
-    next.known.assign(size_t(end) + 1, 0);
+    if (!is_last) {
+        next.places.resize(size_t(end));
+        next.known.assign(size_t(end) + 1, 0);
+        for (std::vector<int32_t> &rows : next.neighbours) rows.resize(size_t(end));
+    }
     size_t row = 0;
     for (size_t i = 0; i < level.size(); ++i)
         for (int octant = 0; octant < 8; ++octant) {
             if (!(level.known[i] >> octant & 1)) continue;
             next.codes[row] = level.codes[i] << 3 | uint64_t(octant);
             next.nearest[row] = level.nearest[i];
-            std::array<int32_t, 3> &place = next.places[row];
-            std::array<int32_t, 6> &around = next.neighbours[row];
-            ++row;
+            const size_t child = row++;
+            if (is_last) continue;
             for (int axis = 0; axis < 3; ++axis) {
                 const int bit = octant >> axis & 1;
-                place[size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
+                next.places[child][size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
                 for (int side = 0; side < 2; ++side) {
-                    const size_t parent = bit != side ? i : size_t(level.neighbours[i][size_t(2 * axis + side)]);
-                    around[size_t(2 * axis + side)] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
+                    const size_t way = size_t(2 * axis + side);
+                    const size_t parent = bit != side ? i : size_t(level.neighbours[way][i]);
+                    next.neighbours[way][child] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
                 }
             }
         }
@@ -112,23 +141,27 @@ public:
         std::fill_n(quotients_, 2 * CUBES, NO_HINT);
     }
 
-    void take(Hints *hints, size_t count, int octant) {
-        for (size_t k = 0; k < count; ++k) {
-            Hints &own = hints[k];
-            above_[k] = float(own.narrow[octant] * POSTERIORS), below_[k] = float(own.narrow_left + 1);
-            above_[CUBES + k] = float(own.wide[octant] * POSTERIORS), below_[CUBES + k] = float(own.wide_left + 1);
-            own.narrow_left -= own.narrow[octant];
-            own.wide_left -= own.wide[octant];
-        }
+    void take(Hints &hints, size_t start, size_t count, size_t octant) {
+        take_share(hints.narrow[octant].data() + start, hints.narrow_left.data() + start, count, 0);
+        take_share(hints.wide[octant].data() + start, hints.wide_left.data() + start, count, CUBES);
         for (size_t k = 0; k < 2 * CUBES; ++k) quotients_[k] = int32_t(above_[k] / below_[k]);
-        for (size_t k = 0; k < count; ++k)
-            if (!hints[k].usable) quotients_[k] = quotients_[CUBES + k] = NO_HINT;
+        const uint8_t *usable = hints.usable.data() + start;  // quotients are 0 where there is none
+        for (size_t k = 0; k < count; ++k) quotients_[k] += NO_HINT - NO_HINT * usable[k];
+        for (size_t k = 0; k < count; ++k) quotients_[CUBES + k] += NO_HINT - NO_HINT * usable[k];
     }
 
     int narrow(size_t k) const { return quotients_[k]; }
     int wide(size_t k) const { return quotients_[CUBES + k]; }
 
 private:
+    void take_share(const uint16_t *weights, int32_t *left, size_t count, size_t to) {
+        for (size_t k = 0; k < count; ++k) {
+            above_[to + k] = float(weights[k] * POSTERIORS);
+            below_[to + k] = float(left[k] + 1);
+            left[k] -= weights[k];
+        }
+    }
+
     float above_[2 * CUBES] = {}, below_[2 * CUBES];
     int32_t quotients_[2 * CUBES];
 };
@@ -146,7 +179,7 @@ public:
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         level_.codes = {0};
         level_.places = {{0, 0, 0}};
-        level_.neighbours = {{1, 1, 1, 1, 1, 1}};
+        for (std::vector<int32_t> &rows : level_.neighbours) rows.assign(1, 1);
         level_.known.assign(2, 0);
         level_.nearest = {NOWHERE};
         for (int level = 0; level < depth_; ++level) {
@@ -162,7 +195,7 @@ public:
                 failed_cubes = cubes;
                 return false;
             }
-            level_ = children_of(level_);
+            level_ = children_of(level_, level == depth_ - 1);
         }
         return true;
     }
@@ -183,35 +216,35 @@ private:
         const int *octants = height == 1 ? LATTICE : ALL;
         const int count = height == 1 ? 2 : 8;
         const size_t cubes = level_.size();
-        filled_.resize(cubes);
-        for (size_t i = 0; i < cubes; ++i) {
-            int filled = 0;
-            for (int32_t row : level_.neighbours[i]) filled += size_t(row) < cubes;
-            filled_[i] = uint8_t(std::min(filled / 2, 3));
+        filled_.assign(cubes, 0);
+        before_.assign(cubes, 0);
+        for (size_t way = 0; way < 6; ++way) {
+            const int32_t *rows = level_.neighbours[way].data();
+            const uint8_t place = way % 2 ? 0 : uint8_t(1 << Masks::outer_bit(int(way / 2)));
+            for (size_t i = 0; i < cubes; ++i) {
+                const bool is_filled = size_t(rows[i]) < cubes;
+                filled_[i] = uint8_t(filled_[i] + is_filled);
+                before_[i] = uint8_t(before_[i] | (is_filled ? place : 0));
+            }
         }
+        for (uint8_t &filled : filled_) filled = std::min<uint8_t>(filled / 2, 3);
         if (surface_) sum_weights(octants, count);
         for (int place = 0; place < count; ++place) code_octant(coder, octants[place], count - place - 1, height, occupied);
     }
+
+    static constexpr size_t BATCH = Posteriors::CUBES;
 
     // Codes one octant of all cubes; `left` octants follow. The contexts depend on octants before it alone, so those of a
     // batch of cubes come before its bits, and their counters are in the cache in time.
     template <class Coder>
     void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
-        constexpr size_t BATCH = Posteriors::CUBES;
         uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
         Posteriors posteriors;
-        const int tall = std::min(height, 15), set = std::min(height, 20) * 4;
         for (size_t start = 0; start < level_.size(); start += BATCH) {
             const size_t stop = std::min(start + BATCH, level_.size());
-            if (surface_) posteriors.take(&hints_[start], stop - start, octant);
-            for (size_t i = start; i < stop; ++i) {
-                const int few = std::min(bits_of(level_.known[i]), 3);
-                uint32_t contexts[bits::INPUTS];
-                set_contexts(contexts, i, octant, few, tall, left, posteriors.narrow(i - start), posteriors.wide(i - start));
-                sets[i - start] = uint32_t((set + few) * 3 + (surface_ ? 1 + hints_[i].usable : 0));
-                bits::Mixer::counters_of(contexts, counters[i - start]);
-                coder.fetch(counters[i - start]);
-            }
+            if (surface_) posteriors.take(hints_, start, stop - start, size_t(octant));
+            set_contexts(start, stop - start, octant, left, height, posteriors, counters, sets);
+            for (size_t k = 0; k < stop - start; ++k) coder.fetch(counters[k]);
             for (size_t i = start; i < stop; ++i) {
                 int bit = 1;
                 if (left || level_.known[i])
@@ -221,42 +254,46 @@ private:
         }
     }
 
-    // The contexts of an octant of cube i; docs/payloads/bodycast-points.md has the table.
-    void set_contexts(uint32_t *contexts, size_t i, int octant, int few, int tall, int left, int narrow, int wide) const {
-        const unsigned known = level_.known[i];
-        int beside = 0, nearby = 0;
+    // The contexts of an octant of cubes, as counters, and their sets of weights; docs/payloads/bodycast-points.md has the
+    // table.
+    void set_contexts(size_t start, size_t count, int octant, int left, int height, const Posteriors &posteriors,
+                      uint32_t (*counters)[bits::INPUTS], uint32_t *sets) const {
+        const uint32_t tall = uint32_t(std::min(height, 15)), set = uint32_t(std::min(height, 20) * 4);
+        const uint8_t *known = level_.known.data();
+        uint32_t few[BATCH], beside[BATCH], nearby[BATCH], distance[BATCH], samples[BATCH];
+        uint8_t is_before = 0;  // faces of the octant at the cube before
+        for (int axis = 0; axis < 3; ++axis) is_before |= octant >> axis & 1 ? 0 : uint8_t(1 << Masks::outer_bit(axis));
+        for (size_t k = 0; k < count; ++k) {
+            few[k] = MASKS.few[known[start + k]];
+            beside[k] = uint32_t(MASKS.inner[octant][known[start + k]] | (before_[start + k] & is_before));
+        }
         for (int axis = 0; axis < 3; ++axis) {
-            const int opposite = octant ^ 1 << axis;
-            int inner = 0, outer;
-            if (octant >> axis & 1) {
-                inner = known >> opposite & 1;
-                outer = level_.known[size_t(level_.neighbours[i][size_t(2 * axis + 1)])] >> opposite & 1;
-            } else {
-                outer = size_t(level_.neighbours[i][size_t(2 * axis)]) < level_.size();
-            }
-            beside = beside * 4 + 2 * inner + outer;
-            nearby += inner + outer;
+            if (!(octant >> axis & 1)) continue;
+            const int32_t *behind = level_.neighbours[size_t(2 * axis + 1)].data() + start;
+            for (size_t k = 0; k < count; ++k)
+                beside[k] |= uint32_t(known[size_t(behind[k])] >> (octant ^ 1 << axis) & 1) << Masks::outer_bit(axis);
         }
-        int distance = FAR, samples = 0;
-        if (surface_) {
-            samples = hints_[i].samples[octant];
-            if (hints_[i].usable) distance = hints_[i].distance[octant];
+        for (size_t k = 0; k < count; ++k) nearby[k] = MASKS.bits[beside[k]];
+        for (size_t k = 0; k < count; ++k) distance[k] = surface_ ? hints_.distance[size_t(octant)][start + k] : FAR;
+        for (size_t k = 0; k < count; ++k) samples[k] = surface_ ? hints_.samples[size_t(octant)][start + k] : 0;
+        for (size_t k = 0; k < count; ++k) {
+            const uint32_t narrow = uint32_t(posteriors.narrow(k)), wide = uint32_t(posteriors.wide(k));
+            const uint32_t contexts[bits::INPUTS] = {
+                ((uint32_t(octant) * 4 + few[k]) * 64 + beside[k]) * 4 + filled_[start + k],
+                narrow * 4 + few[k],
+                (wide * 4 + few[k]) * 16 + tall,
+                ((distance[k] * 5 + samples[k]) * 4 + few[k]) * 16 + tall,
+                ((narrow * 7 + nearby[k]) * 4 + few[k]) * 8 + uint32_t(left)};
+            bits::Mixer::counters_of(contexts, counters[k]);
+            sets[k] = (set + few[k]) * 3 + (surface_ ? 1 + hints_.usable[start + k] : 0);
         }
-        contexts[0] = uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled_[i]);
-        contexts[1] = uint32_t(narrow * 4 + few);
-        contexts[2] = uint32_t((wide * 4 + few) * 16 + tall);
-        contexts[3] = uint32_t(((distance * 5 + samples) * 4 + few) * 16 + tall);
-        contexts[4] = uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left);
     }
 
     void sum_weights(const int *octants, int count) {
-        for (Hints &hints : hints_) {
-            hints.narrow_left = hints.wide_left = 0;
-            if (!hints.usable) continue;
-            for (int place = 0; place < count; ++place) {
-                hints.narrow_left += hints.narrow[octants[place]];
-                hints.wide_left += hints.wide[octants[place]];
-            }
+        for (int place = 0; place < count; ++place) {
+            const size_t octant = size_t(octants[place]);
+            for (size_t i = 0; i < level_.size(); ++i) hints_.narrow_left[i] += hints_.narrow[octant][i];
+            for (size_t i = 0; i < level_.size(); ++i) hints_.wide_left[i] += hints_.wide[octant][i];
         }
     }
 
@@ -266,31 +303,64 @@ private:
         surface_->offsets(level_.places, level, level_.nearest, offset_, spread_);
         const int side_bits = surface_->child_bits(level);
         const int64_t side = surface_->child_size(level);
-        hints_.assign(level_.size(), Hints{});
+        hints_.reset(level_.size());
         for (size_t i = 0; i < level_.size(); ++i) {
             const int32_t row = level_.nearest[i];
             if (row < 0) continue;
-            Hints &hints = hints_[i];
-            hints.usable = 1;
+            hints_.usable[i] = 1;
             Place first;
             for (size_t d = 0; d < 3; ++d) first[d] = level_.places[i][d] * 2 * side + side / 2 - HALF_UNIT;
             const int64_t distance = surface_->distance(first, row) - offset_[i];
             int64_t step[3];
             for (size_t d = 0; d < 3; ++d) step[d] = wrapped_product(surface_->normal(row)[d], side) >> NORMAL_BITS;
             const int64_t deviation = std::max(spread_[i], side / 4);  // at least 4
-            for (int octant = 0; octant < 8; octant += octant_step) {
-                int64_t away = distance;
-                for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? step[d] : 0;
-                const uint64_t magnitude = away < 0 ? -uint64_t(away) : uint64_t(away);
-                const int kind = class_[std::min<uint64_t>(4 * magnitude >> side_bits, CLASSES - 1)];
-                hints.distance[octant] = uint8_t(away < 0 ? FAR / 2 - kind : FAR / 2 + kind);
-                // the quotient of floats is exact enough: integers below 2^52
-                const double steps = double(magnitude) * BELL_PER_DEVIATION / double(deviation);
-                hints.narrow[octant] = weight(steps);
-                hints.wide[octant] = weight(steps / 2);
-            }
+            const bool fits = is_small(distance) && is_small(step[0]) && is_small(step[1]) && is_small(step[2]);
+            if (fits && deviation < LARGEST_DEVIATION)
+                weigh_small(i, distance, step, deviation, side_bits, octant_step);
+            else
+                weigh(i, distance, step, deviation, side_bits, octant_step);
         }
         if (2 * side > surface_->spacing()) count_samples(level);
+    }
+
+    // Numbers that doubles hold with their sums, and deviations below which a quotient up to BELL_STEPS, by a reciprocal that is
+    // too large by 2^-50, is rounded down to the same integer.
+    static constexpr int64_t LARGEST_NUMBER = int64_t(1) << 48, LARGEST_DEVIATION = int64_t(1) << 36;
+    static bool is_small(int64_t value) { return value < LARGEST_NUMBER && value > -LARGEST_NUMBER; }
+
+    // What the surface says about the children of cube i. distance: of the first child; step: along each axis.
+    void weigh_small(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
+        const double x = double(step[0]), y = double(step[1]), z = double(step[2]), first = double(distance);
+        const double away[8] = {first, first + x, first + y, first + x + y, first + z, first + x + z, first + y + z, first + x + y + z};
+        const double per_deviation = BELL_PER_DEVIATION / double(deviation) * (1 + 1.0 / (int64_t(1) << 50));
+        const double per_quarter = 4.0 / double(int64_t(1) << side_bits);
+        int32_t steps[8], quarters[8];
+        for (int octant = 0; octant < 8; ++octant) {
+            const double magnitude = std::abs(away[octant]), beyond = 2 * BELL_STEPS, last = CLASSES - 1;
+            const double deviations = magnitude * per_deviation, sides = magnitude * per_quarter;
+            steps[octant] = int32_t(deviations < beyond ? deviations : beyond);
+            quarters[octant] = int32_t(sides < last ? sides : last);
+        }
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            const int kind = class_[quarters[octant]];
+            hints_.distance[size_t(octant)][i] = uint8_t(away[octant] < 0 ? FAR / 2 - kind : FAR / 2 + kind);
+            hints_.narrow[size_t(octant)][i] = uint16_t(bell_[std::min(steps[octant], BELL_STEPS)]);
+            hints_.wide[size_t(octant)][i] = uint16_t(bell_[steps[octant] / 2]);
+        }
+    }
+
+    // The same for any numbers, of damaged files.
+    void weigh(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            int64_t away = distance;
+            for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? step[d] : 0;
+            const uint64_t magnitude = away < 0 ? -uint64_t(away) : uint64_t(away);
+            const int kind = class_[std::min<uint64_t>(4 * magnitude >> side_bits, CLASSES - 1)];
+            hints_.distance[size_t(octant)][i] = uint8_t(away < 0 ? FAR / 2 - kind : FAR / 2 + kind);
+            const double steps = double(magnitude) * BELL_PER_DEVIATION / double(deviation);
+            hints_.narrow[size_t(octant)][i] = weight(steps);
+            hints_.wide[size_t(octant)][i] = weight(steps / 2);
+        }
     }
 
     // The normal density at a distance in steps of the table.
@@ -308,7 +378,7 @@ private:
                 while (at < codes.size() && codes[at] < child) ++at;
                 int count = 0;
                 for (; at < codes.size() && codes[at] == child; ++at) ++count;
-                for (int most : SAMPLE_STEPS) hints_[i].samples[octant] += count >= most;
+                for (int most : SAMPLE_STEPS) hints_.samples[octant][i] += count >= most;
             }
     }
 
@@ -317,9 +387,9 @@ private:
     const int32_t *bell_;
     int class_[CLASSES] = {};
     Level level_;
-    std::vector<Hints> hints_;
+    Hints hints_;
     std::vector<int64_t> offset_, spread_;
-    std::vector<uint8_t> filled_;
+    std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
 
 Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
