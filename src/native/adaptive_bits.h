@@ -82,8 +82,10 @@ public:
 
     // The counters of a bit of kind 0 with these contexts.
     static void counters_of(const uint32_t *contexts, uint32_t *counters) {
-        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(i * SLOTS) + (contexts[i] * 257u * HASH >> 17);
+        for (int i = 0; i < INPUTS; ++i) counters[i] = counter_of(i, contexts[i]);
     }
+
+    static uint32_t counter_of(int input, uint32_t context) { return uint32_t(input * SLOTS) + (context * 257u * HASH >> 17); }
 
     // Fetches counters that a bit is likely to need.
     void fetch(const uint32_t *counters) const {

@@ -18,6 +18,7 @@ constexpr int CLASSES = 25;  // quarters of a child's side, the last for all bey
 constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
 constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
 constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
+constexpr size_t BATCH = 32;  // cubes whose contexts are computed together
 
 // What the surface says about the children of the cubes of a level, octant by octant, and what is left of it while the
 // octants are coded. All 0 for cubes without a surface near them, but for `distance`, which is FAR.
@@ -28,6 +29,7 @@ struct Hints {
     std::vector<uint8_t> usable;                           // whether there is a surface near the cube
 
     void reset(size_t cubes) {
+        cubes += BATCH;  // so that a batch may end beyond the last cube
         for (size_t octant = 0; octant < 8; ++octant) {
             narrow[octant].assign(cubes, 0);
             wide[octant].assign(cubes, 0);
@@ -46,7 +48,7 @@ struct Level {
     std::vector<std::array<int32_t, 3>> places;
     // rows before and behind along every axis; the number of cubes if empty
     std::array<std::vector<int32_t>, 6> neighbours;
-    std::vector<uint8_t> known;                      // occupied octants; one cube more, which stays empty
+    std::vector<uint8_t> known;  // occupied octants; more cubes follow, which stay empty
     std::vector<int32_t> nearest;
 
     size_t size() const { return codes.size(); }
@@ -78,7 +80,8 @@ int bits_of(unsigned mask) { return MASKS.bits[mask & 255]; }
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
                   int32_t end) {
     const unsigned mask = masks[parent];
-    return mask >> octant & 1 ? first[parent] + bits_of(mask & ((1u << octant) - 1)) : end;
+    const int32_t row = first[parent] + bits_of(mask & ((1u << octant) - 1));
+    return mask >> octant & 1 ? row : end;
 }
 
 // The cubes of the next level. is_last: whether no level follows, so that nothing but their codes and samples is needed.
@@ -94,13 +97,13 @@ Level children_of(const Level &level, bool is_last) {
     next.nearest.resize(size_t(end));
     if (!is_last) {
         next.places.resize(size_t(end));
-        next.known.assign(size_t(end) + 1, 0);
-        for (std::vector<int32_t> &rows : next.neighbours) rows.resize(size_t(end));
+        next.known.assign(size_t(end) + BATCH, 0);
+        for (std::vector<int32_t> &rows : next.neighbours) rows.assign(size_t(end) + BATCH, end);
     }
     size_t row = 0;
     for (size_t i = 0; i < level.size(); ++i)
-        for (int octant = 0; octant < 8; ++octant) {
-            if (!(level.known[i] >> octant & 1)) continue;
+        for (unsigned mask = level.known[i]; mask; mask &= mask - 1) {
+            const int octant = lowest_bit(mask);
             next.codes[row] = level.codes[i] << 3 | uint64_t(octant);
             next.nearest[row] = level.nearest[i];
             const size_t child = row++;
@@ -110,7 +113,8 @@ Level children_of(const Level &level, bool is_last) {
                 next.places[child][size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
                 for (int side = 0; side < 2; ++side) {
                     const size_t way = size_t(2 * axis + side);
-                    const size_t parent = bit != side ? i : size_t(level.neighbours[way][i]);
+                    const int32_t beside = level.neighbours[way][i];
+                    const size_t parent = size_t(bit != side ? int32_t(i) : beside);
                     next.neighbours[way][child] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
                 }
             }
@@ -134,36 +138,25 @@ std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const Level
 // enough: numerators are below 2^19, and quotients at most POSTERIORS.
 class Posteriors {
 public:
-    static constexpr size_t CUBES = 32;
-
-    Posteriors() {
-        std::fill_n(below_, 2 * CUBES, 1.0f);
-        std::fill_n(quotients_, 2 * CUBES, NO_HINT);
-    }
-
-    void take(Hints &hints, size_t start, size_t count, size_t octant) {
-        take_share(hints.narrow[octant].data() + start, hints.narrow_left.data() + start, count, 0);
-        take_share(hints.wide[octant].data() + start, hints.wide_left.data() + start, count, CUBES);
-        for (size_t k = 0; k < 2 * CUBES; ++k) quotients_[k] = int32_t(above_[k] / below_[k]);
+    void take(Hints &hints, size_t start, size_t octant) {
+        take_share(hints.narrow[octant].data() + start, hints.narrow_left.data() + start, 0);
+        take_share(hints.wide[octant].data() + start, hints.wide_left.data() + start, BATCH);
         const uint8_t *usable = hints.usable.data() + start;  // quotients are 0 where there is none
-        for (size_t k = 0; k < count; ++k) quotients_[k] += NO_HINT - NO_HINT * usable[k];
-        for (size_t k = 0; k < count; ++k) quotients_[CUBES + k] += NO_HINT - NO_HINT * usable[k];
+        for (size_t k = 0; k < BATCH; ++k) narrow[k] = uint32_t(int32_t(above_[k] / below_[k]) + NO_HINT - NO_HINT * usable[k]);
+        for (size_t k = 0; k < BATCH; ++k)
+            wide[k] = uint32_t(int32_t(above_[BATCH + k] / below_[BATCH + k]) + NO_HINT - NO_HINT * usable[k]);
     }
 
-    int narrow(size_t k) const { return quotients_[k]; }
-    int wide(size_t k) const { return quotients_[CUBES + k]; }
+    uint32_t narrow[BATCH], wide[BATCH];
 
 private:
-    void take_share(const uint16_t *weights, int32_t *left, size_t count, size_t to) {
-        for (size_t k = 0; k < count; ++k) {
-            above_[to + k] = float(weights[k] * POSTERIORS);
-            below_[to + k] = float(left[k] + 1);
-            left[k] -= weights[k];
-        }
+    void take_share(const uint16_t *weights, int32_t *left, size_t to) {
+        for (size_t k = 0; k < BATCH; ++k) above_[to + k] = float(weights[k] * POSTERIORS);
+        for (size_t k = 0; k < BATCH; ++k) below_[to + k] = float(left[k] + 1);
+        for (size_t k = 0; k < BATCH; ++k) left[k] -= weights[k];
     }
 
-    float above_[2 * CUBES] = {}, below_[2 * CUBES];
-    int32_t quotients_[2 * CUBES];
+    float above_[2 * BATCH], below_[2 * BATCH];
 };
 
 class Tree {
@@ -179,8 +172,8 @@ public:
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         level_.codes = {0};
         level_.places = {{0, 0, 0}};
-        for (std::vector<int32_t> &rows : level_.neighbours) rows.assign(1, 1);
-        level_.known.assign(2, 0);
+        for (std::vector<int32_t> &rows : level_.neighbours) rows.assign(1 + BATCH, 1);
+        level_.known.assign(1 + BATCH, 0);
         level_.nearest = {NOWHERE};
         for (int level = 0; level < depth_; ++level) {
             std::vector<uint8_t> occupied;
@@ -216,76 +209,92 @@ private:
         const int *octants = height == 1 ? LATTICE : ALL;
         const int count = height == 1 ? 2 : 8;
         const size_t cubes = level_.size();
-        filled_.assign(cubes, 0);
-        before_.assign(cubes, 0);
+        filled_.assign(cubes + BATCH, 0);
+        before_.assign(cubes + BATCH, 0);
         for (size_t way = 0; way < 6; ++way) {
-            const int32_t *rows = level_.neighbours[way].data();
+            const int32_t *rows = level_.neighbours[way].data(), end = int32_t(cubes);
             const uint8_t place = way % 2 ? 0 : uint8_t(1 << Masks::outer_bit(int(way / 2)));
-            for (size_t i = 0; i < cubes; ++i) {
-                const bool is_filled = size_t(rows[i]) < cubes;
-                filled_[i] = uint8_t(filled_[i] + is_filled);
-                before_[i] = uint8_t(before_[i] | (is_filled ? place : 0));
-            }
+            for (size_t i = 0; i < cubes; ++i) filled_[i] = uint8_t(filled_[i] + (rows[i] < end));
+            for (size_t i = 0; place && i < cubes; ++i) before_[i] = uint8_t(before_[i] | (rows[i] < end ? place : 0));
         }
         for (uint8_t &filled : filled_) filled = std::min<uint8_t>(filled / 2, 3);
         if (surface_) sum_weights(octants, count);
         for (int place = 0; place < count; ++place) code_octant(coder, octants[place], count - place - 1, height, occupied);
     }
 
-    static constexpr size_t BATCH = Posteriors::CUBES;
-
     // Codes one octant of all cubes; `left` octants follow. The contexts depend on octants before it alone, so those of a
     // batch of cubes come before its bits, and their counters are in the cache in time.
     template <class Coder>
     void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
-        uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
-        Posteriors posteriors;
+        Contexts of;
+        uint8_t *known = level_.known.data();
         for (size_t start = 0; start < level_.size(); start += BATCH) {
-            const size_t stop = std::min(start + BATCH, level_.size());
-            if (surface_) posteriors.take(hints_, start, stop - start, size_t(octant));
-            set_contexts(start, stop - start, octant, left, height, posteriors, counters, sets);
-            for (size_t k = 0; k < stop - start; ++k) coder.fetch(counters[k]);
-            for (size_t i = start; i < stop; ++i) {
-                int bit = 1;
-                if (left || level_.known[i])
-                    bit = coder.code_with(counters[i - start], sets[i - start], occupied ? occupied[i] >> octant & 1 : 0);
-                level_.known[i] = uint8_t(level_.known[i] | bit << octant);
+            const size_t count = std::min(BATCH, level_.size() - start);
+            set_contexts(of, start, octant, left, height);
+            for (size_t k = 0; k < count; ++k) coder.fetch(of.counters[k]);
+            uint8_t bits[BATCH];  // not those of `known`: writing bytes there would make the compiler read all else again
+            for (size_t k = 0; k < count; ++k) {
+                bits[k] = 1;
+                if (left || known[start + k])
+                    bits[k] = uint8_t(coder.code_with(of.counters[k], of.sets[k], occupied ? occupied[start + k] >> octant & 1 : 0));
             }
+            for (size_t k = 0; k < count; ++k) known[start + k] = uint8_t(known[start + k] | bits[k] << octant);
         }
     }
 
-    // The contexts of an octant of cubes, as counters, and their sets of weights; docs/payloads/bodycast-points.md has the
-    // table.
-    void set_contexts(size_t start, size_t count, int octant, int left, int height, const Posteriors &posteriors,
-                      uint32_t (*counters)[bits::INPUTS], uint32_t *sets) const {
+    // What the bits of a batch are coded with.
+    struct Contexts {
+        uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
+        uint32_t by_input[bits::INPUTS][BATCH];
+    };
+
+    // The contexts of an octant of a batch, as counters, and their sets of weights; docs/payloads/bodycast-points.md has the
+    // table. Simple loops, of which a compiler makes lanes.
+    void set_contexts(Contexts &of, size_t start, int octant, int left, int height) {
         const uint32_t tall = uint32_t(std::min(height, 15)), set = uint32_t(std::min(height, 20) * 4);
+        const uint8_t *known = level_.known.data(), *own = known + start, *filled = filled_.data() + start;
+        uint32_t few[BATCH], beside[BATCH], nearby[BATCH];
+        set_neighbours(beside, start, octant);
+        for (size_t k = 0; k < BATCH; ++k) few[k] = MASKS.few[own[k]];
+        for (size_t k = 0; k < BATCH; ++k) {
+            const uint32_t pairs = (beside[k] & 0x15) + (beside[k] >> 1 & 0x15);
+            nearby[k] = (pairs & 3) + (pairs >> 2 & 3) + (pairs >> 4);
+        }
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[0][k] = ((uint32_t(octant) * 4 + few[k]) * 64 + beside[k]) * 4 + filled[k];
+        if (surface_) {
+            posteriors_.take(hints_, start, size_t(octant));
+            const uint8_t *distance = hints_.distance[size_t(octant)].data() + start, *usable = hints_.usable.data() + start;
+            const uint8_t *samples = hints_.samples[size_t(octant)].data() + start;
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[3][k] = ((distance[k] * 5u + samples[k]) * 4 + few[k]) * 16 + tall;
+            for (size_t k = 0; k < BATCH; ++k) of.sets[k] = (set + few[k]) * 3 + 1 + usable[k];
+        } else {
+            std::fill_n(posteriors_.narrow, BATCH, NO_HINT);
+            std::fill_n(posteriors_.wide, BATCH, NO_HINT);
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[3][k] = (FAR * 5u * 4 + few[k]) * 16 + tall;
+            for (size_t k = 0; k < BATCH; ++k) of.sets[k] = (set + few[k]) * 3;
+        }
+        const uint32_t *narrow = posteriors_.narrow, *wide = posteriors_.wide;
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[1][k] = narrow[k] * 4 + few[k];
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[2][k] = (wide[k] * 4 + few[k]) * 16 + tall;
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[4][k] = ((narrow[k] * 7 + nearby[k]) * 4 + few[k]) * 8 + uint32_t(left);
+        for (int i = 0; i < bits::INPUTS; ++i)
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[i][k] = bits::Mixer::counter_of(i, of.by_input[i][k]);
+        for (size_t k = 0; k < BATCH; ++k)
+            for (int i = 0; i < bits::INPUTS; ++i) of.counters[k][i] = of.by_input[i][k];
+    }
+
+    // Whether octants and cubes beside an octant of a batch are occupied, by axis: two bits each.
+    void set_neighbours(uint32_t *beside, size_t start, int octant) const {
         const uint8_t *known = level_.known.data();
-        uint32_t few[BATCH], beside[BATCH], nearby[BATCH], distance[BATCH], samples[BATCH];
         uint8_t is_before = 0;  // faces of the octant at the cube before
         for (int axis = 0; axis < 3; ++axis) is_before |= octant >> axis & 1 ? 0 : uint8_t(1 << Masks::outer_bit(axis));
-        for (size_t k = 0; k < count; ++k) {
-            few[k] = MASKS.few[known[start + k]];
-            beside[k] = uint32_t(MASKS.inner[octant][known[start + k]] | (before_[start + k] & is_before));
-        }
+        const uint8_t *inner = MASKS.inner[octant], *before = before_.data() + start;
+        for (size_t k = 0; k < BATCH; ++k) beside[k] = uint32_t(inner[known[start + k]] | (before[k] & is_before));
         for (int axis = 0; axis < 3; ++axis) {
             if (!(octant >> axis & 1)) continue;
             const int32_t *behind = level_.neighbours[size_t(2 * axis + 1)].data() + start;
-            for (size_t k = 0; k < count; ++k)
-                beside[k] |= uint32_t(known[size_t(behind[k])] >> (octant ^ 1 << axis) & 1) << Masks::outer_bit(axis);
-        }
-        for (size_t k = 0; k < count; ++k) nearby[k] = MASKS.bits[beside[k]];
-        for (size_t k = 0; k < count; ++k) distance[k] = surface_ ? hints_.distance[size_t(octant)][start + k] : FAR;
-        for (size_t k = 0; k < count; ++k) samples[k] = surface_ ? hints_.samples[size_t(octant)][start + k] : 0;
-        for (size_t k = 0; k < count; ++k) {
-            const uint32_t narrow = uint32_t(posteriors.narrow(k)), wide = uint32_t(posteriors.wide(k));
-            const uint32_t contexts[bits::INPUTS] = {
-                ((uint32_t(octant) * 4 + few[k]) * 64 + beside[k]) * 4 + filled_[start + k],
-                narrow * 4 + few[k],
-                (wide * 4 + few[k]) * 16 + tall,
-                ((distance[k] * 5 + samples[k]) * 4 + few[k]) * 16 + tall,
-                ((narrow * 7 + nearby[k]) * 4 + few[k]) * 8 + uint32_t(left)};
-            bits::Mixer::counters_of(contexts, counters[k]);
-            sets[k] = (set + few[k]) * 3 + (surface_ ? 1 + hints_.usable[start + k] : 0);
+            const int opposite = octant ^ 1 << axis, place = Masks::outer_bit(axis);
+            for (size_t k = 0; k < BATCH; ++k) beside[k] |= uint32_t(known[size_t(behind[k])] >> opposite & 1) << place;
         }
     }
 
@@ -334,13 +343,15 @@ private:
         const double away[8] = {first, first + x, first + y, first + x + y, first + z, first + x + z, first + y + z, first + x + y + z};
         const double per_deviation = BELL_PER_DEVIATION / double(deviation) * (1 + 1.0 / (int64_t(1) << 50));
         const double per_quarter = 4.0 / double(int64_t(1) << side_bits);
-        int32_t steps[8], quarters[8];
+        double deviations[8], sides[8];
         for (int octant = 0; octant < 8; ++octant) {
             const double magnitude = std::abs(away[octant]), beyond = 2 * BELL_STEPS, last = CLASSES - 1;
-            const double deviations = magnitude * per_deviation, sides = magnitude * per_quarter;
-            steps[octant] = int32_t(deviations < beyond ? deviations : beyond);
-            quarters[octant] = int32_t(sides < last ? sides : last);
+            deviations[octant] = magnitude * per_deviation < beyond ? magnitude * per_deviation : beyond;
+            sides[octant] = magnitude * per_quarter < last ? magnitude * per_quarter : last;
         }
+        int32_t steps[8], quarters[8];
+        for (int octant = 0; octant < 8; ++octant) steps[octant] = int32_t(deviations[octant]);
+        for (int octant = 0; octant < 8; ++octant) quarters[octant] = int32_t(sides[octant]);
         for (int octant = 0; octant < 8; octant += octant_step) {
             const int kind = class_[quarters[octant]];
             hints_.distance[size_t(octant)][i] = uint8_t(away[octant] < 0 ? FAR / 2 - kind : FAR / 2 + kind);
@@ -388,6 +399,7 @@ private:
     int class_[CLASSES] = {};
     Level level_;
     Hints hints_;
+    Posteriors posteriors_;
     std::vector<int64_t> offset_, spread_;
     std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
@@ -398,9 +410,9 @@ Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
     return Tree(depth, surface, bell.data());
 }
 
-Output<int64_t> rows_of(const Level &level) {
+Output<int64_t> rows_of(const Level &level, const Surface *surface) {
     Fresh<int64_t> rows(level.size());
-    std::copy(level.nearest.begin(), level.nearest.end(), rows.data.get());
+    for (size_t i = 0; i < level.size(); ++i) rows.data[i] = surface ? surface->given_row(level.nearest[i]) : NOWHERE;
     return rows.give({level.size()});
 }
 
@@ -412,7 +424,7 @@ Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> co
         if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("point_octree: the codes are not sorted");
     if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
         throw std::invalid_argument("point_octree: the codes are not those of a lattice");
-    return rows_of(tree.points());
+    return rows_of(tree.points(), surface);
 }
 
 // (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
@@ -424,7 +436,7 @@ nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, c
     const Level &level = tree.points();
     Fresh<int64_t> codes(level.size());
     std::copy(level.codes.begin(), level.codes.end(), codes.data.get());
-    return nb::make_tuple(codes.give({level.size()}), rows_of(level), 0, size_t(0));
+    return nb::make_tuple(codes.give({level.size()}), rows_of(level, surface), 0, size_t(0));
 }
 
 }  // namespace
