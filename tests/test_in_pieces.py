@@ -225,18 +225,29 @@ def test_real_c3d_files_in_pieces_have_all_that_they_have_at_once(path: Path, mo
     np.testing.assert_array_equal(np.concatenate([m.positions for m in parts]), whole.positions)
 
 
+@pytest.mark.parametrize("has_gaps", [False, True])
 @pytest.mark.parametrize("suffix", [".trc", ".c3d", ".csv"])
-def test_zeros_are_gaps_in_blocks_of_nothing_else(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zeros_are_the_same_gaps_in_blocks(
+    tmp_path: Path, suffix: str, has_gaps: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In blocks of nothing else too, and unless the marker passes through the origin at the border of two blocks."""
     monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 100 * 41)
     monkeypatch.setattr("mocodec.formats.text_lines.blocks.__defaults__", (100,))
     positions = markers(600).positions.copy()
     positions[150:450] = 0.0
+    positions[:200, 3] = np.linspace(-0.1, 0.1, 200)[:, None]
+    positions[95:105, 3] = 0.0
+    if has_gaps:
+        positions[500:510, 5] = np.nan
     path = tmp_path / f"empty{suffix}"
     mc.write(path, replace(markers(600), positions=positions))
-    whole = mc.read(path, mc.Motion)
-    found = np.concatenate([m.positions for m in mc.read_blocks(path)])
+    whole, parts = mc.read(path, mc.Motion), mc.read_blocks(path)
+    found = np.concatenate([m.positions for m in parts])
     np.testing.assert_array_equal(found, whole.positions)
-    assert np.isnan(found[150:450]).all()
+    assert np.isnan(found[250:450]).all()
+    assert not np.isnan(found[95:105, 3]).any()
+    assert (dict(parts.about.source), parts.about.up) == (dict(whole.source), whole.up)
+    assert same_tree(dict(parts.about.extras), dict(whole.extras))
 
 
 def test_what_cannot_be_done_in_blocks(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "arrays.h"
+#include "body_frames.h"
 
 namespace {
 
@@ -11,23 +12,10 @@ namespace {
 // heading (frames, 2); up: the vertical axis.
 void place_in_world(Input<double, 2> poses, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading,
                     size_t up, InPlace<double, 3> positions) {
-    const size_t frames = poses.shape(0), count = columns.shape(0), points = positions.shape(1);
-    if (poses.shape(1) != 3 * count || origin.shape(0) != frames || origin.shape(1) != 3 || heading.shape(0) != frames ||
-        heading.shape(1) != 2 || positions.shape(0) != frames || positions.shape(2) != 3 || up > 2)
-        throw std::invalid_argument("place_in_world: shapes differ");
-    for (size_t i = 0; i < count; ++i)
-        if (size_t(columns.data()[i]) >= points) throw std::invalid_argument("place_in_world: no such point");
-    const size_t a = (up + 1) % 3, b = (up + 2) % 3;
-    for (size_t t = 0; t < frames; ++t) {
-        const double cosine = heading.data()[2 * t], sine = -heading.data()[2 * t + 1], *from = origin.data() + 3 * t;
-        for (size_t i = 0; i < count; ++i) {
-            const double *pose = poses.data() + (t * count + i) * 3;
-            double *to = positions.data() + (t * points + size_t(columns.data()[i])) * 3;
-            to[up] = pose[up] + from[up];
-            to[a] = cosine * pose[a] + sine * pose[b] + from[a];
-            to[b] = cosine * pose[b] - sine * pose[a] + from[b];
-        }
-    }
+    const body_frames::World world(columns, origin, heading, up, positions);
+    const size_t width = 3 * columns.shape(0);
+    if (poses.shape(0) != positions.shape(0) || poses.shape(1) != width) throw std::invalid_argument("place_in_world: shapes differ");
+    for (size_t t = 0; t < poses.shape(0); ++t) world.place(t, poses.data() + t * width);
 }
 
 // The inverse: body_frame.to_body of these columns of positions (frames, points, 3), as poses (frames, 3 columns).

@@ -2,6 +2,7 @@
 
 #include <nanobind/stl/optional.h>
 
+#include <cstring>
 #include <optional>
 #include <stdexcept>
 
@@ -25,22 +26,25 @@ constexpr uint16_t ESCAPE = 255;
 constexpr int64_t MAX_TURNS = 15;
 constexpr unsigned TOO_WIDE = DIRECT + 4 * 30;  // tokens from here on have mantissas of 32 bits or more
 
-// Bits in a row, highest first; those behind the end are 0.
+// Bits in a row, highest first; PADDING bytes of 0 must stand behind the end.
 class Bits {
 public:
+    static constexpr size_t PADDING = 8;
+
     Bits(const uint8_t *data, size_t bytes) : data_(data), size(8 * bytes) {}
 
     uint32_t take(unsigned width) {
-        uint64_t window = 0;
-        const uint8_t *from = data_ + at / 8;
-        if (at + 40 <= size)
-            for (size_t i = 0; i < 5; ++i) window = window << 8 | from[i];
-        else
-            for (size_t i = 0; i < 5; ++i) window = window << 8 | (8 * (at / 8 + i) < size ? from[i] : 0);
-        const uint32_t value = uint32_t(window >> (40 - at % 8 - width)) & uint32_t((uint64_t(1) << width) - 1);
+        if (at >= size) return at += width, 0;
+        const uint8_t *p = data_ + at / 8;
+        const uint64_t window = uint64_t(p[0]) << 56 | uint64_t(p[1]) << 48 | uint64_t(p[2]) << 40 | uint64_t(p[3]) << 32 |
+                                uint64_t(p[4]) << 24 | uint64_t(p[5]) << 16 | uint64_t(p[6]) << 8 | p[7];
+        const uint32_t value = uint32_t(window >> (64 - at % 8 - width)) & uint32_t((uint64_t(1) << width) - 1);
         at += width;
         return value;
     }
+
+    // Whether the next bit is 1; to be skipped with `at`.
+    uint32_t next() const { return data_[at / 8] >> (7 - at % 8) & 1; }
 
     bool rest_is_zero() {
         while (at < size)
@@ -64,7 +68,9 @@ bool unpack_states(const uint8_t *data, size_t size, std::vector<uint32_t> &stat
     for (size_t i = 0; i < n; ++i) total += 16 + (data[i / 2] >> (i % 2 ? 0 : 4) & 15);
     used = nibbles + (total + 7) / 8;
     if (size < used) return false;
-    Bits bits(data + nibbles, used - nibbles);
+    std::vector<uint8_t> lower(used - nibbles + Bits::PADDING, 0);
+    std::copy_n(data + nibbles, used - nibbles, lower.data());
+    Bits bits(lower.data(), used - nibbles);
     for (size_t i = 0; i < n; ++i) {
         const unsigned width = 16 + (data[i / 2] >> (i % 2 ? 0 : 4) & 15);
         states[i] = bits.take(width) | uint32_t(1) << width;
@@ -95,29 +101,54 @@ bool laws_of(const Tables &tables, const Contexts &contexts, int64_t i, int64_t 
     return true;
 }
 
+// Of a law and a slot: the symbol at law << PRECISION | slot, its frequency and start at law << 8 | symbol (bulk.Laws). Small
+// enough for a fast cache.
+struct Symbols {
+    const uint8_t *of_slot;
+    const uint32_t *code;
+};
+
 // bulk._pop: false where there are too few words. law(j): of symbol j; put(j, symbol).
 template <class Law, class Put>
-bool pop(std::vector<uint32_t> &states, int64_t count, const uint32_t *slots, const uint8_t *words, size_t known, size_t &used,
+bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, const uint8_t *words, size_t known, size_t &used,
          Law law, Put put) {
     const int64_t n = int64_t(states.size());
-    for (int64_t turn = 0; turn < count; turn += n)
-        for (int64_t j = turn; j < std::min(turn + n, count); ++j) {
-            uint32_t x = states[size_t(j - turn)];
-            const uint32_t found = slots[(size_t(law(j)) << PRECISION) + (x & MASK)];
-            put(j, uint16_t(found & 255));
-            x = (x >> PRECISION) * (found >> 20) + ((found >> 8) & MASK);
+    for (int64_t turn = 0; turn < count; turn += n) {
+        const int64_t here = std::min(n, count - turn);
+        uint32_t *state = states.data();
+        auto next = [&](int64_t j) {
+            const uint32_t x = state[j], slot = x & MASK;
+            const size_t own = size_t(law(turn + j));
+            const uint8_t symbol = symbols.of_slot[own << PRECISION | slot];
+            const uint32_t code = symbols.code[own << 8 | symbol] & (ESCAPE_FLAG - 1);
+            put(turn + j, symbol);
+            return (x >> PRECISION) * (code >> PRECISION) + slot - (code & MASK);
+        };
+        if (known - used >= size_t(here)) {  // without branches that depend on the data
+            const uint8_t *word = words + 2 * used;
+            for (int64_t j = 0; j < here; ++j) {
+                const uint32_t x = next(j), low = x < LOWEST;
+                state[j] = x << (16 * low) | ((word[0] | uint32_t(word[1]) << 8) & (0 - low));
+                word += 2 * low;
+            }
+            used = size_t(word - words) / 2;
+            continue;
+        }
+        for (int64_t j = 0; j < here; ++j) {
+            uint32_t x = next(j);
             if (x < LOWEST) {
                 if (used == known) return false;
                 x = x << 16 | words[2 * used] | uint32_t(words[2 * used + 1]) << 8;
                 ++used;
             }
-            states[size_t(j - turn)] = x;
+            state[j] = x;
         }
+    }
     return true;
 }
 
 // bulk._tokens_by_numpy: fills `flat` and leaves the last states in `states`.
-bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *slots, Contexts &contexts, uint16_t *flat,
+bool decode_tokens(const Layout &layout, const Tables &tables, const Symbols &symbols, Contexts &contexts, uint16_t *flat,
                    std::vector<uint32_t> &states, const uint8_t *words, size_t known, size_t &used) {
     std::vector<uint16_t> law(size_t(layout.lanes * layout.segments));
     std::vector<int64_t> escaped;
@@ -134,8 +165,8 @@ bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *s
             const int64_t j = escaped[size_t(e)];
             flat[begin + j] = uint16_t(std::min<int64_t>(tables.last[law[size_t(j)]] + symbol, 255));
         };
-        if (!pop(states, end - begin, slots, words, known, used, [&](int64_t j) { return law[size_t(j)]; }, put) ||
-            !pop(states, int64_t(escaped.size()), slots, words, known, used, [&](int64_t) { return tables.laws; }, beyond))
+        if (!pop(states, end - begin, symbols, words, known, used, [&](int64_t j) { return law[size_t(j)]; }, put) ||
+            !pop(states, int64_t(escaped.size()), symbols, words, known, used, [&](int64_t) { return tables.laws; }, beyond))
             return false;
         contexts.update(i, begin, end);
     }
@@ -144,42 +175,47 @@ bool decode_tokens(const Layout &layout, const Tables &tables, const uint32_t *s
 
 // bulk._values: signs, then mantissas, from the last states and from the bytes behind the words.
 bool values_of(std::vector<uint8_t> &tokens, const std::vector<uint32_t> &states, const uint8_t *rest, size_t size, int64_t *out) {
-    std::vector<uint8_t> raw(2 * states.size() + size);
+    const size_t bytes = 2 * states.size() + size;
+    std::vector<uint8_t> raw(bytes + Bits::PADDING, 0);
     for (size_t i = 0; i < states.size(); ++i) {
         if (states[i] >> 16 != 1) return false;
         raw[2 * i] = uint8_t(states[i] >> 8), raw[2 * i + 1] = uint8_t(states[i]);
     }
     std::copy_n(rest, size, raw.data() + 2 * states.size());
-    Bits bits(raw.data(), raw.size());
-    const size_t n = tokens.size();
-    size_t signs = 0, mantissas = 0;
+    const size_t n = tokens.size(), signs = n - size_t(std::count(tokens.begin(), tokens.end(), 0));
+    size_t mantissas = 0;
     for (uint8_t token : tokens) {
+        if (token < DIRECT) continue;
         if (token >= TOO_WIDE) return false;
-        signs += token > 0, mantissas += mantissa_bits(token);
+        mantissas += mantissa_bits(token);
     }
     const size_t used = signs + mantissas, in_states = 16 * states.size();
     const size_t later = used > in_states ? used - in_states : 0;
     if (8 * size < later || 8 * size - later >= 8) return false;
-    Bits magnitude(raw.data(), raw.size());
+    Bits sign(raw.data(), bytes), magnitude(raw.data(), bytes);
     magnitude.at = signs;
-    for (size_t i = 0; i < n; ++i) {
-        const unsigned token = tokens[i];
-        if (!token) {
-            out[i] = 0;
+    for (size_t i = 0; i < n; ++i) {  // most tokens are less than DIRECT: without branches for zeros and signs
+        if (uint64_t zeros; n - i >= 8 && (std::memcpy(&zeros, &tokens[i], 8), !zeros)) {
+            std::fill_n(out + i, 8, int64_t(0));
+            i += 7;
             continue;
         }
+        const unsigned token = tokens[i];
         const int64_t value = token < DIRECT ? token : token_floor(token) | int64_t(magnitude.take(mantissa_bits(token)));
-        out[i] = bits.take(1) ? -value : value;
+        const int64_t negative = sign.next() & uint32_t(token > 0);
+        out[i] = (value ^ -negative) + negative;
+        sign.at += token > 0;
     }
     return magnitude.rest_is_zero();
 }
 
 // bulk.unpack: integers (steps, lanes); none for bytes that no encoder writes. hints: flat, or none.
 std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_t lanes, Input<uint16_t, 1> weights,
-                                           Input<uint8_t, 1> ladder, Input<uint32_t, 1> slots, Input<int64_t, 1> last,
+                                           Input<uint8_t, 1> ladder, Input<uint8_t, 1> symbols, Input<uint32_t, 1> code, Input<int64_t, 1> last,
                                            Input<uint16_t, 1> hints) {
     const Tables tables(ladder, last);
-    if (steps < 1 || lanes < 1 || weights.shape(0) != 7 || slots.shape(0) != last.shape(0) << PRECISION)
+    if (steps < 1 || lanes < 1 || weights.shape(0) != 7 || symbols.shape(0) != last.shape(0) << PRECISION ||
+        code.shape(0) != 256 * last.shape(0))
         throw std::invalid_argument("bulk_unpack: shapes differ");
     const Layout layout(steps, lanes);
     if (hints.shape(0) && int64_t(hints.shape(0)) != layout.places()) throw std::invalid_argument("bulk_unpack: another layout");
@@ -198,7 +234,7 @@ std::optional<Output<int64_t>> bulk_unpack(nb::bytes data, int64_t steps, int64_
         if (unpack_states(bytes + 1, size - 1, states, at)) {
             const uint8_t *words = bytes + 1 + at;
             const size_t left = size - 1 - at;
-            if (decode_tokens(layout, tables, slots.data(), contexts, flat.data(), states, words, left / 2, used)) {
+            if (decode_tokens(layout, tables, {symbols.data(), code.data()}, contexts, flat.data(), states, words, left / 2, used)) {
                 layout.each([&](int64_t place, int64_t to) { tokens[size_t(to)] = uint8_t(flat[size_t(place)]); });
                 whole = values_of(tokens, states, words + 2 * used, left - 2 * used, out.data.get());
             }

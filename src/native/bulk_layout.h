@@ -40,14 +40,15 @@ struct Layout {
     // Calls visit(place in the flat array, place in the array (rows, columns)) for every integer.
     template <class Visit>
     void each(Visit visit) const {
+        const int64_t full = full_groups * lanes, stride = transposed ? 1 : breadth;
         for (int64_t line = 0; line < breadth; ++line) {
-            const int64_t full = full_groups * lanes;
             const int64_t group = line < full ? line / lanes : full_groups + (line - full) / (lanes - 1);
             const int64_t lane = line < full ? line % lanes : (line - full) % (lanes - 1);
-            for (int64_t at = 0; at < length; ++at) {
-                const int64_t segment = group * pieces + at / steps;
-                visit(2 * row + 2 * segments + at % steps * row + lane * (row + segments) + segment,
-                      transposed ? line * length + at : at * breadth + line);
+            int64_t to = transposed ? line * length : line;
+            for (int64_t piece = 0; piece < pieces; ++piece) {
+                int64_t place = 2 * row + 2 * segments + lane * (row + segments) + group * pieces + piece;
+                for (int64_t left = std::min(steps, length - piece * steps); left > 0; --left, place += row, to += stride)
+                    visit(place, to);
             }
         }
     }
@@ -85,10 +86,12 @@ public:
         }
         if (weights_[5]) {
             uint16_t *means = mean_.data() + first(i, begin);
-            for (int64_t j = 0; j < end - begin; ++j) {
-                const int64_t age = i - j / k - std::max<int64_t>(0, i - of_.steps + 1);
-                const int speed = tokens::mean_shift(age);
-                means[j] = uint16_t(means[j] - (means[j] >> speed) + (tokens_[begin + j] << (8 - speed)));
+            const uint16_t *newest = tokens_ + begin;
+            int64_t age = i - std::max<int64_t>(0, i - of_.steps + 1);
+            for (int64_t lane = 0; lane < end - begin; lane += k, --age) {
+                const int speed = tokens::mean_shift(age), count = int(std::min(k, end - begin - lane));
+                for (int j = 0; j < count; ++j)
+                    means[lane + j] = uint16_t(means[lane + j] - (means[lane + j] >> speed) + (newest[lane + j] << (8 - speed)));
             }
         }
         if (i + 1 < of_.lanes) {

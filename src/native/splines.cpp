@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "arrays.h"
+#include "body_frames.h"
+#include "vectors.h"
 
 namespace {
 
@@ -89,6 +91,93 @@ Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> 
     for (size_t j = 0; j < count; ++j) spline.at(at.data()[j], &out.data[j * k]);
     return out.give({count, k});
 }
+
+constexpr size_t FRAMES = 4, PANEL = 8, BATCH = 16;  // frames and columns of a tile, frames at a time
+
+// to (BATCH, columns) = mean + curves (BATCH, k) basis (k, columns).
+ALWAYS_INLINE void multiply(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
+    for (size_t first = 0; first < BATCH; first += FRAMES)
+        for (size_t column = 0; column < columns; column += PANEL) {
+            Four a[FRAMES], b[FRAMES];
+            for (size_t i = 0; i < FRAMES; ++i) load(a[i], mean + column), load(b[i], mean + column + 4);
+            const double *row = basis + column, *of_frame = curves + first * k;
+            for (size_t c = 0; c < k; ++c, row += columns) {
+                Four x, y;
+                load(x, row), load(y, row + 4);
+                for (size_t i = 0; i < FRAMES; ++i) a[i] += x * of_frame[i * k + c], b[i] += y * of_frame[i * k + c];
+            }
+            for (size_t i = 0; i < FRAMES; ++i) {
+                double *at = to + (first + i) * columns + column;
+                store(a[i], at), store(b[i], at + 4);
+            }
+        }
+}
+
+void multiply_anywhere(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
+    multiply(curves, k, basis, mean, columns, to);
+}
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void multiply_with_avx2(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
+    multiply(curves, k, basis, mean, columns, to);
+}
+#endif
+
+void product(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return multiply_with_avx2(curves, k, basis, mean, columns, to);
+#endif
+    multiply_anywhere(curves, k, basis, mean, columns, to);
+}
+
+// The spline of a segment_model.KeyframeTrack: key frames (keys) and values (keys, k) by level.
+class TrackSpline {
+public:
+    TrackSpline(Input<int64_t, 1> by_level, Input<double, 2> values)
+        : order_(by_level.shape(0)), keys_(by_level.shape(0)), k_(values.shape(1)), spline_(sorted(by_level, values)) {}
+
+    // The curves at frames [start, stop), (frames, k).
+    Output<double> at(int64_t start, int64_t stop) {
+        const size_t count = size_t(std::max<int64_t>(0, stop - start));
+        Fresh<double> out(count * k_);
+        for (size_t t = 0; t < count; ++t) spline_.at(start + int64_t(t), &out.data[t * k_]);
+        return out.give({count, k_});
+    }
+
+    // Poses mean + curves basisᵀ of the frames from `start`, placed by body_frames.h. basis (3 columns, k); mean (3 columns,).
+    void place(int64_t start, Input<double, 2> basis, Input<double, 1> mean, Input<int64_t, 1> columns, Input<double, 2> origin,
+               Input<double, 2> heading, size_t up, InPlace<double, 3> positions) {
+        const body_frames::World world(columns, origin, heading, up, positions);
+        const size_t rows = 3 * columns.shape(0), padded = (rows + PANEL - 1) / PANEL * PANEL, frames = positions.shape(0);
+        if (basis.shape(0) != rows || basis.shape(1) != k_ || mean.shape(0) != rows) throw std::invalid_argument("place: shapes differ");
+        std::vector<double> turned(k_ * padded, 0.0), of_mean(padded, 0.0), curves(BATCH * k_), poses(BATCH * padded);
+        for (size_t i = 0; i < rows; ++i)
+            for (size_t c = 0; c < k_; ++c) turned[c * padded + i] = basis.data()[i * k_ + c];
+        std::copy_n(mean.data(), rows, of_mean.data());
+        for (size_t first = 0; first < frames; first += BATCH) {
+            const size_t count = std::min(BATCH, frames - first);
+            for (size_t t = 0; t < count; ++t) spline_.at(start + int64_t(first + t), curves.data() + t * k_);
+            product(curves.data(), k_, turned.data(), of_mean.data(), padded, poses.data());
+            for (size_t t = 0; t < count; ++t) world.place(first + t, poses.data() + t * padded);
+        }
+    }
+
+private:
+    Spline sorted(const Input<int64_t, 1> &by_level, const Input<double, 2> &values) {
+        if (!by_level.shape(0) || values.shape(0) != by_level.shape(0)) throw std::invalid_argument("TrackSpline: shapes differ");
+        std::iota(order_.begin(), order_.end(), size_t(0));
+        std::sort(order_.begin(), order_.end(), [&](size_t a, size_t b) { return by_level.data()[a] < by_level.data()[b]; });
+        for (size_t i = 0; i < order_.size(); ++i) keys_[i] = by_level.data()[order_[i]];
+        require_ascending(keys_.data(), keys_.size());
+        return Spline(keys_.data(), keys_.size(), k_, [&](size_t i) { return values.data() + order_[i] * k_; });
+    }
+
+    std::vector<size_t> order_;
+    Frames keys_;
+    size_t k_;
+    Spline spline_;
+};
 
 // spline.evenly
 Frames evenly(int64_t frames) {
@@ -264,6 +353,11 @@ std::optional<nb::tuple> spline_differences(Input<int64_t, 1> by_level, Input<in
 }  // namespace
 
 void bind_splines(nb::module_ &m) {
+    nb::class_<TrackSpline>(m, "TrackSpline")
+        .def(nb::init<Input<int64_t, 1>, Input<double, 2>>())
+        .def("at", &TrackSpline::at)
+        .def("place", &TrackSpline::place, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
+             nb::arg().noconvert());
     m.def("spline_interpolate", &spline_interpolate);
     m.def("spline_keyframes", &spline_keyframes);
     m.def("spline_splits", &spline_splits);

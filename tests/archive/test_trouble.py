@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import random
 import signal
@@ -276,7 +277,8 @@ def test_options_that_no_codec_has(made: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "db").exists()
 
 
-def test_a_dead_worker_costs_its_own_task() -> None:
+def test_a_dead_worker_costs_its_own_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "get_context", multiprocessing.get_context)  # workers as users have them
     deadly, wrong = "__import__('os')._exit(1)", "1 / 0"
     tasks = ["1", "2", deadly, "4", wrong, "6", "7"]
     found = dict(pool.results(eval, tasks, lambda reason: reason, workers=2))

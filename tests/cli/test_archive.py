@@ -40,10 +40,19 @@ def test_list_query_and_stats(command: Command, vault: Path) -> None:
     assert (stats["recordings"], stats["failures"]) == (3, [])
 
 
-def test_info_of_a_recording_of_an_archive(command: Command, vault: Path) -> None:
-    facts = json.loads(command("info", vault / "08" / "run_01", "--json").out)
+def test_commands_take_a_recording_of_an_archive(command: Command, vault: Path, tmp_path: Path) -> None:
+    one, raw = vault / "08" / "run_01", tmp_path / "raw/08/run_01.npz"
+    facts = json.loads(command("info", one, "--json").out)
     assert (facts["codec"], facts["frames"]) == ("liu2006", 50)
-    assert command("info", vault / "08" / "run_02").code == 3
+    assert command("decode", one, "-o", tmp_path / "run.trc").code == 0
+    assert command("convert", one, tmp_path / "run.npz").code == 0
+    assert command("cut", one, "--from", "0.5s", "-o", tmp_path / "end.mocz").code == 0
+    assert [len(mc.read(tmp_path / name)) for name in ("run.trc", "run.npz", "end.mocz")] == [50, 50, 20]
+    assert command("verify", one, "--against", raw).code == 0
+    assert "max error" in command("compare", raw, one).out
+    for words in (("info",), ("decode", "-o", tmp_path / "x.trc"), ("verify",)):
+        result = command(words[0], vault / "08" / "run_02", *words[1:])
+        assert (result.code, "no recording named 08/run_02" in result.err) == (3, True), result.err
 
 
 def test_append_remove_merge_extract(command: Command, vault: Path) -> None:
@@ -131,7 +140,7 @@ def test_index_similar_and_duplicates(command: Command, vault: Path) -> None:
     added = command("archive", "append", vault, vault.parent / "long.npz", vault.parent / "same.npz", "--index")
     assert added.code == 0, added.err
     assert "windows in the index" in command("archive", "index", vault).err
-    found = json.loads(command("archive", "similar", vault, "long", "--from", 1, "--to", 3, "--json").out)
+    found = json.loads(command("archive", "similar", vault, "long", "--from", 1, "--to", "3s", "--json").out)
     assert (found[0]["name"], round(found[0]["start"])) == ("same", 1)
     assert command("archive", "similar", vault, vault.parent / "long.npz", "-n", 1).out.split()[0] in ("long", "same")
     assert command("archive", "duplicates", vault).out == "long  same  equal\n"

@@ -62,7 +62,10 @@ def test_size_and_ratio_are_kept_by_the_whole_file(
     assert result.code == 0, result.err
     assert Path("x.mocz").stat().st_size <= (walk.raw_bytes / 30 if "ratio" in target else 900)
     assert command("verify", "x.mocz", "--against", "walk.npz").code == 0
-    assert command("encode", "walk.npz", "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
+
+
+def test_a_size_that_is_too_small_is_refused(command: Command, walk_trc: Path) -> None:
+    assert command("encode", walk_trc, "-o", "y.mocz", "--codec", "tempo", "--size", "30B").code == 3
 
 
 def test_encoding_twice_gives_the_same_file(command: Command, walk_trc: Path) -> None:
@@ -222,6 +225,15 @@ def test_cut_to_a_format(command: Command, walk_mocz: Path, walk_trc: Path) -> N
     np.testing.assert_allclose(part.positions, whole.positions[60:150], atol=1e-12)
     assert command("cut", walk_trc, "--from", "10f", "--to", "20f", "-o", "part.trc").code == 0
     assert len(mc.read("part.trc")) == 10
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "says"),
+    [("9s", "10s", "--from is frame 1080, the recording has 240 frames (2 s)"), ("1s", "0.5s", "range is empty")],
+)
+def test_cut_of_nothing(command: Command, walk_trc: Path, begin: str, end: str, says: str) -> None:
+    result = command("cut", walk_trc, "--from", begin, "--to", end, "-o", "part.trc")
+    assert (result.code, says in result.err) == (2, True), result.err
 
 
 def test_cut_to_a_mocz_keeps_a_promise_that_is_true(

@@ -162,6 +162,8 @@ def test_a_c3d_at_another_rate_keeps_whole_frames_of_analog_samples(tmp_path: Pa
         (("walk.trc", "x.npz", "--to-unit", "mm"), 3, "has a unit of its own"),
         (("walk.trc", "x.trc", "--points", "HAED"), 3, "no point named 'HAED'"),
         (("walk.trc", "x.xyz"), 3, "unknown suffix"),
+        (("walk.trc", "x.fbx"), 3, ".glb or .bvh"),
+        (("walk.asf", "x.bvh"), 3, "name the .amc"),
         (("gone.trc", "x.c3d"), 3, "no such file"),
     ],
 )

@@ -18,10 +18,12 @@ from .conftest import Command
 
 @pytest.fixture
 def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An .npz of some minutes, of which five seconds are the sample."""
-    monkeypatch.setattr(in_pieces, "SAMPLED_SECONDS", 5.0)
+    """An .npz of some seconds, in blocks of 500 frames, of which four seconds are the sample."""
+    monkeypatch.setattr(in_pieces, "SAMPLED_SECONDS", 4.0)
+    motion = synthetic.markers(frames=1500, seed=4)
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 500 * motion.points)
     path = tmp_path / "day.npz"
-    mc.write(path, synthetic.markers(frames=5000, seed=4))
+    mc.write(path, motion)
     return path
 
 
@@ -30,7 +32,7 @@ def test_pieces_when_asked_for(command: Command, recording: Path, tmp_path: Path
     done = command("encode", recording, "-o", out, "--max-error", "3mm", "--in-pieces", "--json")
     assert done.code == 0, done.err
     record = json.loads(done.out)
-    assert record["frames"] == 5000
+    assert record["frames"] == 1500
     assert record["bytes"] == out.stat().st_size
     assert 0 < record["max_error"] <= 0.003
     assert command("verify", out, "--against", recording).code == 0
@@ -66,8 +68,8 @@ def test_what_is_refused(command: Command, recording: Path, tmp_path: Path) -> N
 
 def test_a_c3d_loses_nothing_in_pieces_unless_bare(command: Command, tmp_path: Path) -> None:
     lab, out = tmp_path / "lab.c3d", tmp_path / "lab.mocz"
-    motion = synthetic.markers(frames=3000, seed=3)
-    signal = mc.Signal(np.random.default_rng(1).integers(-99, 99, (6000, 2), np.int16), 240.0, ("Fx", "Fy"), ("N", "N"))
+    motion = synthetic.markers(frames=900, seed=3)
+    signal = mc.Signal(np.random.default_rng(1).integers(-99, 99, (1800, 2), np.int16), 240.0, ("Fx", "Fy"), ("N", "N"))
     mc.write(lab, replace(motion, extras={"analog": signal}))
     done = command("encode", lab, "-o", out, "--in-pieces", "--json")
     assert done.code == 0, done.err
@@ -83,8 +85,13 @@ def test_a_c3d_loses_nothing_in_pieces_unless_bare(command: Command, tmp_path: P
 
 
 @pytest.mark.parametrize("words", ["all zero", "all equal", "small", "large", "one late"])
-def test_residuals_of_a_bare_c3d_are_as_at_once(command: Command, tmp_path: Path, words: str) -> None:
-    motion, lab = synthetic.markers(frames=9000, seed=3), tmp_path / "lab.c3d"
+def test_residuals_of_a_bare_c3d_are_as_at_once(
+    command: Command, tmp_path: Path, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion, lab = synthetic.markers(frames=900, seed=3), tmp_path / "lab.c3d"
+    motion = motion.select(["C7", "LSHO", "RSHO", "LKNE", "LHEE"])
+    monkeypatch.setattr("mocodec.formats.blocks.BLOCK_SAMPLES", 300 * motion.points)
+    monkeypatch.setattr(in_pieces, "SAMPLED_SECONDS", 2.0)
     shape = motion.positions.shape[:2]
     word = np.full(shape, 0 if words == "all zero" else 247, np.int16)
     if words == "small":
@@ -120,12 +127,14 @@ def test_guesses_are_said_as_without_pieces(command: Command, recording: Path, t
     assert "guessed: up" in notes[0][0]
 
 
-def test_files_of_a_folder(command: Command, recording: Path, tmp_path: Path) -> None:
+def test_files_of_a_folder(command: Command, tmp_path: Path) -> None:
+    """Short files, which the workers encode as at once."""
     folder, out, whole = tmp_path / "days", tmp_path / "out", tmp_path / "whole"
     folder.mkdir()
-    recording.rename(folder / "day.npz")
-    mc.write(folder / "walk.c3d", synthetic.markers(frames=20, seed=4))  # short: encoded as at once
+    mc.write(folder / "day.npz", synthetic.markers(frames=60, seed=4))
+    mc.write(folder / "walk.c3d", synthetic.markers(frames=20, seed=4))
     assert command("encode", folder, "-o", out, "--max-error", "3mm", "--in-pieces").code == 0
     assert command("encode", folder, "-o", whole, "--max-error", "3mm").code == 0
-    assert (out / "walk.mocz").read_bytes() == (whole / "walk.mocz").read_bytes()
-    assert command("verify", out, "--against", folder).code == 0
+    for name in ("day.mocz", "walk.mocz"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+    assert command("verify", out / "walk.mocz", "--against", folder / "walk.c3d").code == 0

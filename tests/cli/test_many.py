@@ -102,6 +102,7 @@ def test_verify_info_and_decode_take_the_folder_again(folder: Path, command: Com
     assert all(record["kept"] for record in json.loads(verified.out)["records"])
     shown = command("info", "out", "in/a.trc", "--json")
     assert shown.code == 0
+    assert "note: a.trc: guessed: up z (--up)" in command("info", "in").out
     assert [r["file"] for r in json.loads(shown.out)["records"]] == [
         "in/a.trc", "out/a.npz.mocz", "out/a.trc.mocz", "out/sub/b.mocz",
     ]  # fmt: skip

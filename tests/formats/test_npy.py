@@ -82,6 +82,22 @@ def test_other_numbers_of_joints_need_a_rate(tmp_path: Path) -> None:
     assert np.isnan(np.load(tmp_path / "b.npy")).sum() == 3
 
 
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (50.0, "m"), (1000.0, "mm")])
+def test_the_unit_is_guessed_by_the_extent_of_a_frame(tmp_path: Path, scale: float, unit: str) -> None:
+    """Millimetres are recognised; a playing field of 90 m stays in metres, and what mocodec writes is in metres."""
+    positions = body() * scale
+    np.save(tmp_path / "a.npy", positions)
+    np.savez(tmp_path / "b.npz", joints3d=positions, fps=20)
+    for name in ("a.npy", "b.npz"):
+        motion = mc.read(tmp_path / name, Motion)
+        assert motion.source["units"] == unit
+        assert any(f"unit {unit} (--unit)" in note for note in formats.notes(motion))
+        np.testing.assert_allclose(motion.positions, positions * motion.source["unit_m"])
+    wide = Motion(positions, 20.0)
+    mc.write(tmp_path / "c.npz", wide)
+    np.testing.assert_array_equal(mc.read(tmp_path / "c.npz", Motion).positions, positions)
+
+
 def test_feature_vectors_are_decoded(tmp_path: Path) -> None:
     positions = body()
     positions = positions - positions[0, 0] * [1, 0, 1]

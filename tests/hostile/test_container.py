@@ -46,7 +46,7 @@ def test_every_prefix_is_detected(chunks: int):
             container.Reader(data[:end])
 
 
-@pytest.mark.parametrize("chunks", [0, 1, 3])
+@pytest.mark.parametrize("chunks", [0, 3])
 def test_every_flipped_bit_is_detected(chunks: int):
     data = small_file(chunks)
     for at in range(len(data)):

@@ -88,11 +88,11 @@ def test_frames_that_refer_to_earlier_ones(coloured: bool) -> None:
 
 
 def test_a_body_beside_a_thing() -> None:
-    performance = sequences.jumping_jacks(actors.capsules(), 3)
+    performance = sequences.jumping_jacks(actors.capsules(), 2)
     clouds = sequences.record(performance, 250, seed=1)
     assert clouds.colours is not None
     positions, colours = list[np.ndarray](), list[np.ndarray]()
-    for k in range(3):
+    for k in range(2):
         wall = np.random.default_rng(k).uniform(-0.1, 0.1, (150, 3)) * [1, 1, 0] + [1.0, 0.5, 0.3]
         positions.append(np.concatenate([clouds.positions[k], wall]))
         colours.append(np.concatenate([clouds.colours[k], np.tile(np.uint8([90, 60, 30]), (150, 1))]))
@@ -105,7 +105,7 @@ def test_a_body_beside_a_thing() -> None:
 @pytest.mark.parametrize("precision", [0.0, 0.002])
 @pytest.mark.parametrize("coloured", [True, False])
 def test_exact_points(precision: float, coloured: bool) -> None:
-    performance = sequences.jumping_jacks(actors.capsules(), 3)
+    performance = sequences.jumping_jacks(actors.capsules(), 2)
     clouds = sequences.record(performance, 250, seed=1)
     assert clouds.colours is not None
     twice = [np.concatenate([p, p[:40]]) for p in clouds.positions]

@@ -334,7 +334,9 @@ def stats(db: str, as_json: bool) -> None:
         files.echo(json.dumps({**sums, "unused_bytes": unused, "failures": failures}, indent=2))
         return
     files.line(f"{db}: {totals(sums)}")
-    files.line(f"{sums['seconds'] / 3600:.2f} hours of motion; {quantities.size(unused)} unused in shards")
+    seconds = sums["seconds"]
+    length = f"{seconds / 3600:.2f} hours" if seconds >= 360 else f"{seconds:.1f} s"
+    files.line(f"{length} of motion; {quantities.size(unused)} unused in shards")
     for path, reason in failures:
         files.line(f"failed: {path}: {reason}")
 

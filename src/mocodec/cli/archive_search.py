@@ -12,6 +12,7 @@ from ..archive import Recordings
 from ..errors import BadInput
 from ..motion import Motion
 from . import files, quantities
+from .cut import Time
 
 
 @click.command("index")
@@ -28,13 +29,13 @@ def index(db: str, quiet: bool) -> None:
 @click.command("similar")
 @click.argument("db", metavar="DB")
 @click.argument("query", metavar="NAME|FILE")
-@click.option("--from", "start", type=float, default=0.0, metavar="S", help="Second at which the query begins.")
-@click.option("--to", "stop", type=float, metavar="S", help="Second at which the query ends; default: 4 s later.")
+@click.option("--from", "begin", type=quantities.TIME_OR_SECONDS, default="0s", help="Where the query begins: 1.5s.")
+@click.option("--to", "end", type=quantities.TIME_OR_SECONDS, help="Where the query ends; default: 4 s later.")
 @click.option("-n", "--count", type=click.IntRange(1), default=10, show_default=True, help="How many parts to list.")
 @click.option("--where", "condition", metavar="CONDITION", help="Search recordings that meet a condition only.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
 def similar(
-    db: str, query: str, start: float, stop: float | None, count: int, condition: str | None, as_json: bool
+    db: str, query: str, begin: Time, end: Time | None, count: int, condition: str | None, as_json: bool
 ) -> None:
     """Find motion similar to part of a recording or file.
 
@@ -46,7 +47,9 @@ def similar(
         source = api.decode(opened.entry(query).place) if inside else files.read(query)
         if not isinstance(source, Motion):
             raise BadInput(f"{query}: point clouds cannot be searched for")
-        part = source[round(start * source.rate) : round((start + 4.0 if stop is None else stop) * source.rate)]
+        start = frame_at(begin, source.rate)
+        stop = start + round(4.0 * source.rate) if end is None else frame_at(end, source.rate)
+        part = source[start:stop]
         own = opened.entry(query).row.name if inside else ""
         chosen: Recordings = opened.query(condition) if condition else opened
         hits = archive.search(chosen, part, count, leave_out=own)
@@ -57,6 +60,12 @@ def similar(
         files.line(f"{hit.name}  {hit.start:.1f} to {hit.stop:.1f} s  {quantities.length(hit.distance)}")
     if not hits:
         files.line(f"{db}: no other recording is in the index; after a build renew it: mocodec archive index", err=True)
+
+
+def frame_at(time: Time, rate: float) -> int:
+    """The frame that is nearest to a time."""
+    seconds, frame = time
+    return round(seconds * rate) if seconds is not None else frame or 0
 
 
 @click.command("duplicates")

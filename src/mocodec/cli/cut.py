@@ -55,7 +55,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
     From .mocz to .mocz, chunks are copied without loss if the cut is on chunk borders (--chunks widens it to these).
     Otherwise the range is encoded again with half the promised error, and OUT promises the sum of both errors.
     """
-    compressed = files.is_mocz(source) or files.is_url(source) or (source == "-" and not options["format_"])
+    compressed = files.is_compressed(source) or (source == "-" and not options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
         raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")
     if not compressed:
@@ -89,8 +89,10 @@ def frame_range(begin: Time, end: Time | None, rate: float, count: int) -> tuple
         return math.ceil(seconds * rate - 1e-6) if seconds is not None else index or 0
 
     start, stop = frame_at(begin), min(count, frame_at(end)) if end else count
+    if start >= count:
+        raise click.UsageError(f"--from is frame {start}, the recording has {count} frames ({count / rate:.6g} s)")
     if start >= stop:
-        raise click.UsageError(f"the time range is empty: frames {start} to {stop} of {count} ({count / rate:g} s)")
+        raise click.UsageError(f"the time range is empty: --from is frame {start}, --to is frame {stop}")
     return start, stop
 
 

@@ -35,7 +35,8 @@ from . import output as output_options
 @click.option("--json", "as_json", is_flag=True, help="Of many files, print the summary as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no notes, and of many files no summary.")
 @output_options.options
-@many.options
+@many.jobs_option
+@many.again_option
 def command(
     sources: tuple[str, ...],
     output: str,
@@ -47,7 +48,8 @@ def command(
     again: bool,
     **options: Any,
 ) -> int | None:
-    """Decode IN.mocz (a path, a URL or "-") into OUT: .c3d .trc .npz … by suffix, a folder for point clouds.
+    """Decode IN.mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") into OUT: .c3d .trc .npz … by suffix, a
+    folder for point clouds.
 
     For point clouds, OUT.bvh is the motion of the tracked body, OUT.glb the same with the surface of the body.
 

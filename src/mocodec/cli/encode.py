@@ -80,7 +80,8 @@ from .codec_options import codec_with
 @click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
-@many.options
+@many.jobs_option
+@many.again_option
 @files.reader_options
 def command(
     sources: tuple[str, ...],
@@ -127,24 +128,14 @@ def command(
         files.refuse_terminal()
     if output != "-" and Path(output).suffix and not files.is_mocz(output):
         raise click.UsageError(f"{output}: encode writes .mocz files; `mocodec convert` converts between other formats")
-    record = in_pieces.encoded(source, output, pieces, chosen, files.given(**options))
-    if record is not None:
-        for text in record.pop("notes"):
-            files.note(source, text)
-    else:
-        _, record, blob = encoded(source, **chosen, **options, quiet=quiet)
-        files.write_bytes(output, blob)
-    if Path(source).is_file():
-        record["source_bytes"] = Path(source).stat().st_size
+    _, record = written(source, output, pieces, quiet, **chosen, **options)
+    for text in record.pop("notes", ()):
+        files.note(source, text)
     if as_json:
         files.echo(json.dumps({"file": source, "output": output, **record}, indent=2), err=output == "-")
     elif not quiet:
         files.line(summary(output, record), err=True)
     return None
-
-
-NOT_OF_READERS = ("codec", "settings", "targets", "bare", "signal_error", "prior")
-"""Choices of `command` that are no options of readers."""
 
 
 def one(
@@ -155,17 +146,33 @@ def one(
     pieces: as asked for by the user; of formats that cannot be read in pieces, a file is encoded at once.
     """
     Path(where).parent.mkdir(parents=True, exist_ok=True)
-    asked = pieces if formats.can_read_blocks(source) else None
-    options = {name: value for name, value in chosen.items() if name not in NOT_OF_READERS}
+    recording, record = written(source, where, pieces if formats.can_read_blocks(source) else None, True, **chosen)
+    if recording is not None:
+        kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
+        lost = api.not_kept(recording, kind)
+        left_out = [f"not kept: {', '.join(lost)}"] if lost else []
+        record["notes"] = [*left_out, *formats.notes(recording)]
+    return with_file_ratio(record)
+
+
+NOT_OF_READERS = ("codec", "settings", "targets", "bare", "signal_error", "prior")
+"""Choices of `command` that are no options of readers."""
+
+
+def written(
+    source: str, output: str, pieces: bool | None, quiet: bool, **chosen: Any
+) -> tuple[Recording | None, dict[str, Any]]:
+    """Encode a source to a file or standard output: its recording and its record.
+
+    Where it was encoded in pieces, the recording is None, and the record has `notes`.
+    """
     size = {"source_bytes": Path(source).stat().st_size} if Path(source).is_file() else {}
-    if (record := in_pieces.encoded(source, where, asked, chosen, options)) is not None:
-        return with_file_ratio(record | size)
-    recording, record, blob = encoded(source, **chosen, quiet=True)
-    files.write_bytes(where, blob)
-    kind = codec_with(chosen["codec"] or api.default_codec(recording), chosen["settings"], chosen["targets"])
-    lost = api.not_kept(recording, kind)
-    left_out = [f"not kept: {', '.join(lost)}"] if lost else []
-    return with_file_ratio({**record, **size, "notes": [*left_out, *formats.notes(recording)]})
+    options = files.given(**{name: value for name, value in chosen.items() if name not in NOT_OF_READERS})
+    if (record := in_pieces.encoded(source, output, pieces, chosen, options)) is not None:
+        return None, record | size
+    recording, record, blob = encoded(source, **chosen, quiet=quiet)
+    files.write_bytes(output, blob)
+    return recording, record | size
 
 
 def with_file_ratio(record: dict[str, Any]) -> dict[str, Any]:

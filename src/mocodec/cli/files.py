@@ -92,6 +92,20 @@ def is_url(name: str) -> bool:
     return re.match(r"[a-z][a-z0-9+.-]+://", name, re.IGNORECASE) is not None
 
 
+def in_archive(name: str) -> tuple[str, str] | None:
+    """The archive and the recording's name of ARCHIVE/NAME; None for other arguments."""
+    if name == "-" or is_url(name) or is_mocz(name) or Path(name).exists():
+        return None
+    from ..archive import in_archive
+
+    return in_archive(name)
+
+
+def is_compressed(name: str) -> bool:
+    """Whether an argument names a .mocz: by its suffix, as a URL, or as ARCHIVE/NAME."""
+    return is_mocz(name) or is_url(name) or in_archive(name) is not None
+
+
 class StandardInput(BytesIO):
     """The bytes of standard input, with a name for error messages."""
 
@@ -106,15 +120,23 @@ class StandardInput(BytesIO):
 
 
 def source_of(name: str) -> api.Source:
-    """The argument of `mocodec.open` for a name: a path, a URL, or standard input."""
+    """The argument of `mocodec.open` for a name: a path, a URL, ARCHIVE/NAME, or standard input."""
+    if (within := in_archive(name)) is not None:
+        from ..archive import open_archive
+
+        with open_archive(within[0]) as archive:
+            return archive.entry(within[1]).read()
     return StandardInput() if name == "-" else name if is_url(name) else Path(name)
 
 
 def read(name: str, format_: str | None = None, **options: Any) -> Motion | PointClouds:
-    """Read a file, a URL of a .mocz or standard input. Raises BadInput; for a .mocz also what `api.decode` raises."""
+    """Read a file, a URL of a .mocz, ARCHIVE/NAME or standard input.
+
+    Raises BadInput; for a .mocz also what `api.decode` raises.
+    """
     options = given(**options)
     options |= {key: int(value) for key in ("animation", "skin") if (value := options.get(key, "")).isdecimal()}
-    if is_url(name) or is_mocz(name):
+    if is_compressed(name):
         require_no_options(name, options)
         return api.decode(source_of(name))
     if name != "-":
@@ -155,7 +177,7 @@ def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> No
 
 def takes(name: str, format_: str | None, option: str) -> bool:
     """Whether the reader of a file has an option. format_: that of standard input."""
-    if is_url(name) or is_mocz(name) or (name == "-" and not format_):
+    if is_compressed(name) or (name == "-" and not format_):
         return False
     return option in formats.read_options(f"x.{format_.lower().lstrip('.')}" if name == "-" and format_ else name)
 

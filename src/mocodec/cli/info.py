@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import click
@@ -23,9 +22,9 @@ MAX_ITEMS = 60
 @click.command("info")
 @click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
-@many.options
+@many.jobs_option
 @files.reader_options
-def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **options: Any) -> int | None:
+def command(sources: tuple[str, ...], as_json: bool, jobs: int, **options: Any) -> int | None:
     """Show the contents of FILE. Of a .mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") only header and index
     are read; with rotations, also the chunks of a path, for the bytes of positions and of rotations.
 
@@ -33,7 +32,7 @@ def command(sources: tuple[str, ...], as_json: bool, jobs: int, again: bool, **o
     """
     if many.is_many(sources):
         found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
-        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, again, as_json))
+        return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, as_json=as_json))
     facts = facts_of_source(sources[0], **options)
     if as_json:
         files.echo(json.dumps(facts, indent=2))
@@ -50,17 +49,16 @@ def one(source: str, _: str | None, may_replace: bool = True, **options: Any) ->
     record |= {"duration": facts["seconds"], "raw_bytes": facts.get("raw_bytes_float32")}
     if "bytes" in facts:
         record |= {"bytes": facts["bytes"], "ratio": facts["ratio"]}
-    return {**record, "facts": facts}
+    return {**record, "notes": facts.get("notes", []), "facts": facts}
 
 
 def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
     """The facts of a file, a URL or standard input."""
-    if source != "-" and not files.is_url(source) and not Path(source).exists():
-        from ..archive import in_archive, open_archive
+    if (within := files.in_archive(source)) is not None:
+        from ..archive import open_archive
 
-        if (within := in_archive(source)) is not None:
-            with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
-                return with_motion(opened.info)
+        with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
+            return with_motion(opened.info)
     if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:

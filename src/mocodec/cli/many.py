@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,25 +26,20 @@ from .workers import Task, run_tasks
 
 FAILED, SKIPPED, DONE = "failed", "skipped", "done"
 
-OPTIONS = (
-    click.option(
-        "-j",
-        "--jobs",
-        type=click.IntRange(0),
-        default=1,
-        show_default=True,
-        metavar="N",
-        help="Of many files, work on N at the same time; 0: one per core.",
-    ),
-    click.option("--again", is_flag=True, help="Of many files, redo also those that are done; replace existing files."),
+jobs_option = click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Of many files, work on N at the same time; 0: one per core.",
 )
-
-
-def options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options for many files to a command."""
-    for option in reversed(OPTIONS):
-        command = option(command)
-    return command
+"""The option of commands that take many files."""
+again_option = click.option(
+    "--again", is_flag=True, help="Of many files, redo also those that are done; replace existing files."
+)
+"""The option of commands that write a file for each."""
 
 
 @dataclass(frozen=True)

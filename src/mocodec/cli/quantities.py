@@ -60,6 +60,16 @@ class Time(click.ParamType):
         return number * SECONDS[unit], None
 
 
+class TimeOrSeconds(Time):
+    """A time, or a number of seconds without a unit."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float | None, int | None]:
+        number, unit = split_unit(str(value)) or (0.0, None)
+        return super().convert(f"{number}s" if unit == "" else value, param, ctx)
+
+
 class Size(click.ParamType):
     """A size in bytes."""
 
@@ -103,6 +113,7 @@ class Decibels(click.ParamType):
 
 
 LENGTH, TIME, SIZE, RESIDUAL, DECIBELS = Length(), Time(), Size(), Residual(), Decibels()
+TIME_OR_SECONDS = TimeOrSeconds()
 
 
 def setting(codec_class: Any, text: str) -> tuple[str, Any]:

@@ -31,11 +31,9 @@ SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the
     help="The recording that the file was encoded from; of many files, the folder with the recordings.",
 )
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
-@many.options
+@many.jobs_option
 @files.reader_options
-def command(
-    sources: tuple[str, ...], against: str | None, as_json: bool, jobs: int, again: bool, **options: Any
-) -> int | None:
+def command(sources: tuple[str, ...], against: str | None, as_json: bool, jobs: int, **options: Any) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promises are kept.
 
     Promises are the max-error, mean-error, max-rotation, ratio or size that it was encoded with. If the file keeps
@@ -51,7 +49,7 @@ def command(
         originals = {} if against is None else original_of(found, against)
         chosen = {"against": against, **files.given(**options)}
         each = {path: {"original": original} for path, original in originals.items()}
-        return many.run("verify", found, {}, "", many.Settings(chosen, jobs, again, as_json), each)
+        return many.run("verify", found, {}, "", many.Settings(chosen, jobs, as_json=as_json), each)
     report = checked(sources[0], against, **options)
     if as_json:
         files.echo(json.dumps(report, indent=2))

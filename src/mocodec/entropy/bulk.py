@@ -52,11 +52,13 @@ class Mixing(NamedTuple):
 class Laws(NamedTuple):
     """The tables of a family of laws, and of the excess as the last, for the inner loops.
 
-    slots: at law × 2^12 + slot: frequency << 20 | offset of the slot in its symbol << 8 | symbol. code: at law × 256 +
-    token: frequency << 12 | start, and ESCAPE_FLAG for an escape. last: each law's first token that is an escape.
+    slots: at law × 2^12 + slot: frequency << 20 | offset of the slot in its symbol << 8 | symbol. symbols: those of the
+    slots alone. code: at law × 256 + token: frequency << 12 | start, and ESCAPE_FLAG for an escape. last: each law's
+    first token that is an escape.
     """
 
     slots: NDArray[np.uint32]
+    symbols: Bytes
     code: NDArray[np.uint32]
     last: Integers
 
@@ -78,7 +80,8 @@ def laws(count: int, shape: int) -> Laws:
             costs[-1] |= ESCAPE_FLAG
         slots.append((slot_frequency << 20 | offset << 8 | symbol).astype(np.uint32))
         code.append(np.concatenate([costs, np.repeat(costs[-1:], 256 - len(row))]))
-    return Laws(np.concatenate(slots), np.concatenate(code), np.array(last))
+    of_slots = np.concatenate(slots)
+    return Laws(of_slots, of_slots.astype(np.uint8), np.concatenate(code), np.array(last))
 
 
 class _DiagonalContexts:
@@ -253,7 +256,7 @@ def unpack(data: bytes, shape: tuple[int, int], mixing: Mixing, table: Laws, hin
     layout = Layout(shape)
     if (kernel := native.kernel("bulk_unpack")) is not None:
         skewed, weights = _skewed_hints(layout, mixing, hints), np.array(mixing.weights, np.uint16)
-        values = kernel(data, *shape, weights, mixing.ladder, table.slots, table.last, skewed)
+        values = kernel(data, *shape, weights, mixing.ladder, table.symbols, table.code, table.last, skewed)
         if values is not None:
             return values
     if not 1 <= data[0] <= MAX_TURNS:

@@ -28,6 +28,9 @@ def write(numbers: Iterable[int]) -> bytes:
 
 def read(data: bytes, count: int, at: int = 0) -> tuple[list[int], int]:
     """`count` numbers of the bytes from `at` on, and the position after them. Raises Corrupt."""
+    short = data[at : at + count]
+    if len(short) == count and short.isascii():  # most numbers are less than 128
+        return list(short), at + count
     numbers: list[int] = []
     end = len(data)
     for _ in range(count):

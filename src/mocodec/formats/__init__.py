@@ -53,6 +53,13 @@ BLOCKS = {
 IMAGES = "mocodec.formats.rgbd"
 """Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
+PICKLE = "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
+OTHERS = {
+    **dict.fromkeys(PICKLES, PICKLE),
+    ".fbx": "an FBX is neither read nor written; programs that export it export .glb or .bvh too",
+    ".asf": "an .asf is the skeleton of an .amc: name the .amc, with asf= (--asf) if they are apart",
+}
+"""What to do with files of other suffixes."""
 CLOUDS = (".ply", ".npz")
 """Formats of point clouds; .npz stores motions too."""
 
@@ -164,10 +171,8 @@ def _in_unit(path: Path, motion: Motion | PointClouds, unit: Any) -> Motion | Po
 
 def _module(path: Path) -> str:
     suffix = path.suffix.lower()
-    if suffix in PICKLES:
-        raise BadInput(
-            f"{path}: a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
-        )
+    if suffix in OTHERS:
+        raise BadInput(f"{path}: {OTHERS[suffix]}")
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
         raise BadInput(f"{path}: {problem}; the formats are {' '.join(FORMATS)} .mocz")

@@ -30,6 +30,9 @@ MORE_UNITS_M = {"um": 1e-6, "km": 1e3}
 MIN_UNIT_LETTERS = 4
 """Letters that identify a spelled-out unit that a fixed-width text cuts off, as in "mete"."""
 
+MOST_METRES = 200.0
+"""Larger extents of a frame are millimetres, where no unit is stored: a person, not a playing field."""
+
 USUAL_RATES = (
     *(10, 12, 12.5, 15, 20, 24, 25, 30, 40, 48, 50, 60, 72, 75, 80, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300),
     *(360, 400, 480, 500, 600, 1000),
@@ -69,6 +72,17 @@ def unit_option(unit: str | float, more_units: Mapping[str, float] | None = None
     if not 0 < unit < math.inf:
         raise BadInput(f"a unit is a positive number of metres, not {unit}")
     return f"{unit:g} m", float(unit)
+
+
+def guess_unit(positions: Floats) -> str:
+    """The unit of people, "m" or "mm", by the median extent of a frame; positions (frames, points, 3)."""
+    sample = positions[:: max(1, len(positions) // 500)]
+    sample = sample[~np.isnan(sample[:, :, 0]).all(axis=1)]
+    if not sample.size:
+        return "m"
+    with np.errstate(invalid="ignore", over="ignore"):  # of infinite positions, which `Motion` refuses
+        extent = float(np.median((np.nanmax(sample, axis=1) - np.nanmin(sample, axis=1)).max(axis=1)))
+    return "mm" if MOST_METRES < extent < math.inf else "m"
 
 
 def guess_up(positions: Floats) -> str:

@@ -26,7 +26,7 @@ from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole, smpl
 from .blocks import Blocks, block_frames, of_ranges
-from .conventions import guess_up, unit_option
+from .conventions import guess_unit, guess_up, unit_option
 from .numpy_files import MAX_ARRAY_BYTES, MAX_HEADER_BYTES, array_of, bytes_of, header_of, reading
 
 LACKS = ("frame rate", "names", "vertical axis")
@@ -40,7 +40,7 @@ MAX_BONE_CHANGE = 0.02
 
 
 def read(path: str | Path, rate: float | None = None, unit: str | float | None = None, up: str | None = None) -> Motion:
-    """Joints of an NPY as a motion. unit: of the positions, by default metres. A sample with NaN is a gap.
+    """Joints of an NPY as a motion. unit: of the positions, by default guessed. A sample with NaN is a gap.
 
     rate: hertz; 20 by default for 22 joints and for feature vectors (HumanML3D's), a guess; others need it. Raises
     BadInput.
@@ -110,8 +110,8 @@ def _motion_of(
         rate, source["rate_guessed"] = HUMANML_RATE, True
     if rate is None:
         raise BadInput(f"{path}: an NPY has no frame rate; give it with rate= (--rate)")
-    units, unit_m = unit_option("m" if unit is None else unit)
     positions[np.isnan(positions).any(axis=2)] = np.nan
+    units, unit_m = unit_option(guess_unit(positions) if unit is None else unit)
     source |= {"unit_guessed": True} if unit is None else {}
     positions *= unit_m
     source |= {"units": units, "unit_m": unit_m}

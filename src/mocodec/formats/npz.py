@@ -27,7 +27,7 @@ from ..pointcloud import PointClouds
 from ..typing import Floats
 from . import amass, smpl
 from .blocks import Blocks, block_frames
-from .conventions import guess_up, unit_option
+from .conventions import guess_unit, guess_up, unit_option
 from .npz_salvage import archive_of
 from .numpy_files import Archive, Rows, reading, save
 
@@ -63,11 +63,11 @@ def read(
 ) -> Motion | PointClouds:
     """Positions of an NPZ as a motion, its body model parameters as a skeletal motion, or points as point clouds.
 
-    rate: hertz, by default the file's. unit: of the positions, by default the file's, else metres (millimetres for a
-    `markers` array that extends over more than 100). up: the vertical axis, by default the file's, else guessed.
-    smplx: a model file (.npz) of the SMPL family, for the bones of body model parameters; by default a stock body's.
-    A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. salvage: read the arrays and the
-    complete frames of an archive that is cut off. Raises BadInput.
+    rate: hertz, by default the file's. unit: of the positions, by default the file's, else metres, or millimetres for
+    frames that extend over more than 200 (a `markers` array: over more than 100). up: the vertical axis, by default the
+    file's, else guessed. smplx: a model file (.npz) of the SMPL family, for the bones of body model parameters; by
+    default a stock body's. A sample with NaN, or a sample of `markers` at exactly (0, 0, 0), is a gap. salvage:
+    read the arrays and the complete frames of an archive that is cut off. Raises BadInput.
     """
     notes: list[str] = []
     with reading(path), archive_of(path, salvage, notes) as archive:
@@ -97,8 +97,7 @@ def read_blocks(
         by_frame = (key, "rotations") if "rotations" in arrays.names else (key,)
         each = block_frames(shape[1])
         head = _motion(Rows(archive, path, by_frame, each), rate, unit, up)
-        first = Rows(archive, path, by_frame, each).load(key).astype(np.float64)
-        unit_m = _unit(arrays, key, first, unit)[1]
+        unit_m = float(head.source["unit_m"])
 
     def parts() -> Iterator[Motion]:
         with reading(path), zipfile.ZipFile(path) as archive:
@@ -236,11 +235,14 @@ def _clouds(arrays: Archive, rate: float | None, unit: str | float | None, up: s
 
 
 def _unit(arrays: Archive, key: str, positions: Floats, unit: str | float | None) -> tuple[str, float]:
+    """The unit's name and its metres: as given, the file's, metres where mocodec wrote it, or guessed."""
     if unit is None and "unit" in arrays.names:
         unit = arrays.word("unit")
-    if unit is None:
+    if unit is None and key == "markers":
         finite = positions[~np.isnan(positions[:, :, 0])]
-        unit = "mm" if key == "markers" and finite.size and np.ptp(finite, axis=0).max() > 100 else "m"
+        unit = "mm" if finite.size and np.ptp(finite, axis=0).max() > 100 else "m"
+    if unit is None:
+        unit = "m" if "source" in arrays.names else guess_unit(positions)
     return unit_option(unit)
 
 

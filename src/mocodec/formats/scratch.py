@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 Array = NDArray[Any]
+BLOCK_BYTES = 1 << 20
+"""Bytes that `Rows.by_column` has in memory, about."""
 
 
 class Columns:
@@ -54,3 +56,28 @@ class Columns:
         self._file.flush()
         table = np.memmap(self._file, self.dtype, "r", shape=(self.channels, self.rows))
         return np.asarray(table.T).reshape(self.rows, *self.shape)
+
+
+class Rows:
+    """Rows of samples that come one after the other, in a temporary file, of recordings whose length is not known yet.
+
+    shape: of a row. Raises OSError where the file cannot be written.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: DTypeLike) -> None:
+        self.shape, self.dtype, self.rows = shape, np.dtype(dtype), 0
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        weakref.finalize(self, self._file.close)
+
+    def add(self, rows: Array) -> None:
+        """The next rows (rows, *shape)."""
+        self._file.write(np.ascontiguousarray(rows, self.dtype).data)
+        self.rows += len(rows)
+
+    def by_column(self) -> Columns:
+        """The same rows, channel after channel."""
+        columns, size = Columns(self.rows, self.shape, self.dtype), math.prod(self.shape) * self.dtype.itemsize
+        self._file.seek(0)
+        while data := self._file.read(max(1, BLOCK_BYTES // size) * size):
+            columns.add(np.frombuffer(data, self.dtype).reshape(-1, *self.shape))
+        return columns

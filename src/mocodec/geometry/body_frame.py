@@ -49,6 +49,10 @@ class BodyFrame(NamedTuple):
     heading: Floats
     up: int
 
+    def of_frames(self, frames: slice) -> BodyFrame:
+        """The same of some frames."""
+        return BodyFrame(self.origin[frames], self.heading[frames], self.up)
+
 
 def normalised_label(label: str) -> str:
     """A label without subject prefix and separators, in capitals: "Male:L_SHO" → "LSHO"."""

@@ -23,7 +23,7 @@ from ..errors import BadInput
 from ..formats.c3d.analog import scales
 from ..motion import Signal
 from ..typing import Floats
-from . import codec, forms, steps
+from . import codec, form_choice, forms, steps
 from .forms import Form
 
 Array = NDArray[Any]
@@ -216,7 +216,7 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
         on_own = _within(forms.rounded(own, values), values, bound)
         if np.array_equal(on_own, values, equal_nan=True):
             return values
-        found = forms.fit(on_own, [])
+        found = form_choice.fit(on_own, [])
         if found is not None and found.kind == forms.COUNTS:
             return on_own
     if not step > rounding:
@@ -236,7 +236,7 @@ def _own_steps(values: Array, bound: float, rounding: float) -> Form | None:
     """Counts, or odd multiples of them, that are within the bound everywhere; None if the values are no counts."""
     usual = values[np.isfinite(values) & (values != 0)]
     best, least = None, np.inf
-    for form in forms.count_forms(values, steps.binary(values, forms.MANTISSA_BITS[values.dtype.itemsize])):
+    for form in form_choice.count_forms(values, steps.binary(values, forms.MANTISSA_BITS[values.dtype.itemsize])):
         deviation = float(np.abs(forms.rounded(form, usual).astype(np.float64) - usual).max(initial=0.0))
         spare = bound - deviation - rounding
         are_counts = spare >= 0 and deviation < form.step / 8 and bound < MOST_OWN_STEPS * form.step

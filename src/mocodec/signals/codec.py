@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..entropy.compressors import deflate, inflate
 from ..errors import Corrupt
 from ..fields.cursor import Cursor, blob, varint
-from . import chunks, forms
+from . import chunks, form_choice, forms
 from .forms import Form
 
 Array = NDArray[Any]
@@ -84,7 +84,7 @@ def _first_chunk(table: Array, length: int) -> tuple[list[Form], list[bytes]] | 
         column = np.ascontiguousarray(table[:, number])
         place = places.setdefault(sha256(column.view(np.uint8).data).digest(), len(result))
         is_copy = place < len(result) and result[place].kind != forms.CONSTANT
-        form = Form(forms.COPY, channel=place) if is_copy else forms.fit(column, known)
+        form = Form(forms.COPY, channel=place) if is_copy else form_choice.fit(column, known)
         if form is None:
             return None
         result.append(form)
@@ -112,7 +112,7 @@ def _palettes(
     for i, form in enumerate(channel_forms):
         fine_steps = form.kind == forms.COUNTS and form.step < SMALL_STEP * np.abs(first[:, i]).max()
         if form.kind in (forms.GRID, forms.CORRECTED) or fine_steps:
-            palette = forms.palette(np.ascontiguousarray(table[:, i]))
+            palette = form_choice.palette(np.ascontiguousarray(table[:, i]))
             palettes |= {} if palette is None else {i: palette}
     share = length / len(table)
     spare = {i: sizes[i] - share * len(deflate(forms.pack(palette))) for i, palette in palettes.items()}

@@ -15,7 +15,7 @@ bits are stored as they are.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +28,6 @@ from ..entropy.compressors import deflate, inflate
 from ..entropy.varint import signed as zigzag
 from ..fields.cursor import Cursor, blob, varint
 from ..typing import Booleans, Integers
-from . import steps
 
 Array = NDArray[Any]
 
@@ -39,21 +38,12 @@ MANTISSA_BITS = {2: 10, 4: 23, 8: 52}
 LEAST_EXPONENT = {2: -24, 4: -149, 8: -1074}
 """The exponent of the last bit of the smallest numbers, by the bytes of the type."""
 MAX_PALETTE = 1 << 14
-PALETTE_SHARE = 0.9
-"""A palette has at most this many values for each sample."""
-MOST_SPECIAL = 0.03
-"""The share of samples that may differ from their counts; zeros and gaps do not matter."""
-GRID_BITS = 28
 MAX_CORRECTION = 1 << 20
-SAMPLE = 256
-"""Forms are compared at about so many samples; the best is then checked at all."""
-CORRECTION_COST = 2.0
-"""Bits a sample that corrections take beyond the logarithm of their size."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as `_sortable` integers,
+    """How a channel becomes integers. item: the bytes of a constant. palette: distinct values as `sortable` integers,
     ascending. channel: the number of the earlier channel that a copy equals."""
 
     kind: int
@@ -159,63 +149,16 @@ def words(values: Array) -> NDArray[np.unsignedinteger[Any]]:
     return np.ascontiguousarray(native).view(f"u{values.dtype.itemsize}")
 
 
-def fit(values: Array, known: list[Form]) -> Form | None:
-    """The form of a channel (samples,): a known one that gives its values back, or the best of its own; None if its
-    integers would be too large."""
-    plain = words(values)
-    if len(values) == 0 or (plain == plain[0]).all():
-        return Form(CONSTANT, item=values[:1].tobytes() or bytes(values.dtype.itemsize))
-    if values.dtype.kind in "biu":
-        low, high = int(values.min()), int(values.max())
-        step = _common_step(values) if high < 1 << 62 else 1
-        return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
-    binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
-    for form in _giving_back([form for form in known if form.step > 0.9 * binary], values):
-        return form
-    candidates = count_forms(values, binary or None)
-    best = _largest_step(list(_giving_back(candidates, values)), values)
-    return best or _corrected(values, [*known, *candidates]) or _grid(values)
-
-
-def _largest_step(exact: list[Form], values: Array) -> Form | None:
-    """The form with the fewest special samples; among equal ones the first of about the largest step."""
-    special = [int(forward(form, values)[1].sum()) for form in exact]
-    fewest = [form for form, count in zip(exact, special, strict=True) if count == min(special)]
-    largest = max((form.step for form in fewest), default=0.0)
-    return next((form for form in fewest if form.step > 0.99 * largest), None)
-
-
-def _common_step(values: Array) -> int:
-    """The greatest common divisor of integers."""
-    step = 0
-    for part in (values[: steps.SAMPLE], values[steps.SAMPLE :]):
-        step = int(np.gcd(step, np.gcd.reduce(steps.distinct_of(part.astype(np.int64))))) if len(part) else step
-        if step == 1:
-            break
-    return step
-
-
-def palette(values: Array) -> Form | None:
-    """The distinct values of a channel of floats, if they are few."""
-    if values.dtype.kind != "f":
-        return None
-    most = min(MAX_PALETTE, int(PALETTE_SHARE * len(values)))
-    if len(steps.distinct_of(words(values[:: max(1, len(values) // 512)]))) > 512 * PALETTE_SHARE:
-        return None
-    distinct = steps.distinct_of(_sortable(values))
-    return Form(PALETTE, palette=tuple(distinct.tolist())) if len(distinct) <= most else None
-
-
 def forward(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]:
     """Integers of a channel (samples,), which samples are special (their integers are 0), and what forms of more than
     integers store beside them: the lower bits on a grid, the corrections of counts."""
     if form.kind == GRID:
         return _truncated(form, values)
     if form.kind in (COUNTS, CORRECTED):
-        integers, special, extra = _nearest_all([form], values)
+        integers, special, extra = nearest_all([form], values)
         return integers[0], special[0], extra[0]
     if form.kind == PALETTE:
-        places = np.searchsorted(np.array(form.palette, np.uint64), _sortable(values))
+        places = np.searchsorted(np.array(form.palette, np.uint64), sortable(values))
         return places, np.zeros(len(values), bool), places
     counts = values.astype(np.int64) // int(form.step)
     return counts, np.zeros(len(values), bool), counts
@@ -260,7 +203,7 @@ def lower_bits(form: Form, integers: Integers, extra: Integers, dtype: np.dtype[
     return np.packbits(bits.pack(extra, extra_widths(form, integers, dtype))).tobytes()
 
 
-def _sortable(values: Array) -> NDArray[np.uint64]:
+def sortable(values: Array) -> NDArray[np.uint64]:
     """Bits of floats as integers in the same order."""
     size = 8 * values.dtype.itemsize
     plain = words(values).astype(np.uint64)
@@ -269,7 +212,7 @@ def _sortable(values: Array) -> NDArray[np.uint64]:
 
 
 def _from_sortable(sortable: NDArray[np.uint64], dtype: np.dtype[Any]) -> Array:
-    """The inverse of `_sortable`."""
+    """The inverse of `sortable`."""
     size = 8 * dtype.itemsize
     sign = np.uint64(1 << (size - 1))
     plain = np.where(sortable & sign, sortable ^ sign, sortable ^ np.uint64((1 << size) - 1))
@@ -321,20 +264,12 @@ def _truncated(form: Form, values: Array) -> tuple[Integers, Booleans, Integers]
     return np.where(np.signbit(values), -size, size), special, extra
 
 
-def _grid(values: Array) -> Form:
-    """A grid as fine as the last bit of the largest value, or coarser for integers of 28 bits."""
-    finite = values[np.isfinite(values)].astype(np.float64)
-    largest = float(np.abs(finite).max(initial=0.0)) or 1.0
-    leading = int(np.frexp(largest)[1])
-    return Form(GRID, exponent=leading - min(MANTISSA_BITS[values.dtype.itemsize] + 1, GRID_BITS))
-
-
 def _kernel(name: str, dtype: np.dtype[Any]) -> Callable[..., Any] | None:
     """The compiled function for a type of floats."""
     return native.kernel(f"{name}_{dtype.itemsize}") if dtype.isnative and dtype.itemsize > 2 else None
 
 
-def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans, Integers]:
+def nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Booleans, Integers]:
     """Counts of values (samples,) in several forms, all COUNTS or all CORRECTED: (forms, samples).
 
     Then which samples they do not give back, and by how many floats the others are above their counts.
@@ -355,53 +290,3 @@ def _nearest_all(forms: Sequence[Form], values: Array) -> tuple[Integers, Boolea
     special = ~usable | (words(back) != words(values))
     integers[special] = 0
     return integers, special, extra
-
-
-def _corrected(values: Array, candidates: list[Form]) -> Form | None:
-    """The form of counts with the smallest corrections in a sample, if they take less than the lower bits of a grid."""
-    forms = [Form(CORRECTED, *form) for form in dict.fromkeys((form.step, form.offset) for form in candidates)]
-    if not forms:
-        return None
-    grid = _grid(values)
-    some = values[:: -(-len(values) // SAMPLE)]
-    lower = extra_widths(grid, forward(grid, some)[0], some.dtype).mean()
-    _, special, extra = _nearest_all(forms, some)
-    sizes = np.abs(extra)
-    kept = np.maximum((~special).sum(axis=1), 1)
-    bits = np.where(special, 0.0, np.log2(2.0 * np.minimum(sizes, MAX_CORRECTION) + 1)).sum(axis=1) / kept
-    unusual = (special & (some != 0) & np.isfinite(some)).mean(axis=1)
-    costs = bits + CORRECTION_COST - (np.log2([form.step for form in forms]) - grid.exponent) + 40 * unusual
-    best = int(costs.argmin())
-    is_shorter = costs[best] < lower and _are_few(forward(forms[best], values)[1], values)
-    return forms[best] if is_shorter else None
-
-
-def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
-    """The forms of counts in which few samples of a channel are special; the first samples decide early."""
-    if not forms:
-        return
-    usual = _usual(values[: 4 * SAMPLE])
-    usual = (usual if len(usual) >= SAMPLE else _usual(values))[:SAMPLE]
-    if not len(usual):
-        return
-    special = _nearest_all(forms, usual)[1].sum(axis=1)
-    for form, count in zip(forms, special, strict=True):
-        if count <= MOST_SPECIAL * len(usual) and _are_few(forward(form, values)[1], values):
-            yield form
-
-
-def _usual(values: Array) -> Array:
-    """Those that are finite and not 0."""
-    return values[np.isfinite(values) & (values != 0)]
-
-
-def _are_few(special: Booleans, values: Array) -> bool:
-    """Whether few samples are special, but for gaps and the −0 of a plate that is switched off."""
-    usual = np.isfinite(values) & (values != 0)
-    return int((special & usual).sum()) <= MOST_SPECIAL * int(usual.sum()) and bool(usual.any())
-
-
-def count_forms(values: Array, exact: float | None) -> list[Form]:
-    """Forms of counts that may give a channel of floats back; exact: a step of which all are multiples."""
-    usable = steps.candidates(values, exact, MANTISSA_BITS[values.dtype.itemsize], MAX_INTEGER)
-    return [Form(COUNTS, step, offset) for step, offset in usable]

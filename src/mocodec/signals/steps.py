@@ -1,4 +1,4 @@
-"""Steps of the counts behind floats: candidates, which `forms` tries.
+"""Steps of the counts behind floats: candidates, which `form_choice` tries.
 
 exact      all values are multiples of a number of few bits: the greatest common divisor
 measured   the smallest gaps between values, refined on ever larger multiples; several offsets

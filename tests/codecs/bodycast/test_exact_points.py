@@ -74,7 +74,7 @@ def test_damaged_points_raise_corrupt_or_decode():
         (outliers.pack_outliers(frames, True), lambda d: outliers.unpack_outliers(d, 2, True)),
     ):
         assert len(read(data)) == 2
-        for bad in (*corruption.prefixes(data, every=29), *corruption.damaged(data, 60, seed=3)):
+        for bad in (*corruption.prefixes(data, every=29), *corruption.damaged(data, 40, seed=3)):
             try:
                 read(bad)
             except Corrupt:

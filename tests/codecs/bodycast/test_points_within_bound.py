@@ -238,8 +238,12 @@ def test_points_that_cannot_be_bounded_are_refused():
 
 
 @pytest.mark.parametrize(
-    "target", [{"max_error": 0.002}, {"mean_error": 0.001}, {"psnr": 30.0}, {"size": 5000}, {"residual": "exact"}]
-)
+    "target",
+    [
+        {"max_error": 0.002}, {"mean_error": 0.001}, {"psnr": 30.0}, {"size": 5000}, {"residual": "exact"},
+        {"residual": 26}, {"residual": 100},
+    ],
+)  # fmt: skip
 def test_points_too_far_apart_are_refused_before_tracking(clouds, monkeypatch, target):
     positions = [points.copy() for points in clouds.positions]
     positions[1][7] = 1e6

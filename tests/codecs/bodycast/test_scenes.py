@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
 from mocodec.codecs.bodycast import Bodycast
+from mocodec.codecs.bodycast.encoder import BodyEncoder
+from mocodec.encoded import Encoded
 from mocodec.metrics import point_clouds as measures
 from mocodec.pointcloud import PointClouds
 from mocodec.testing import actors, sequences
@@ -62,24 +66,32 @@ SCENES = [two_people_and_a_chair, a_seated_person, a_person_on_a_chair, a_newcom
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.__name__)
-def test_every_scene_has_points_near_all_of_its_points(scene):
-    clouds = scene()
-    encoded = Bodycast().encode(clouds)
+def test_every_scene_as_a_surface_and_within_a_bound(scene, monkeypatch):
+    """Decoded points are near all points, a bound holds, and bodies never cost much. Tracked once for both."""
+    clouds, tracked, track = scene(), list[list[BodyEncoder]](), Bodycast._track
+
+    def track_once(*arguments):
+        tracked.extend([] if tracked else [track(*arguments)])
+        return [copy.copy(body) for body in tracked[0]]
+
+    monkeypatch.setattr(Bodycast, "_track", track_once)
+    require_near_points(clouds, Bodycast().encode(clouds))
+    require_bound(clouds, Bodycast(max_error=0.003).encode(clouds), 0.003)
+
+
+def require_near_points(clouds: PointClouds, encoded: Encoded[PointClouds]) -> None:
     decoded = Bodycast.decode(encoded)
     for frame in range(len(clouds)):
         assert measures.d1(clouds, decoded, frame) < 0.05
     assert sum(map(len, encoded.shared)) + encoded.payload_bytes < clouds.raw_bytes / 4
 
 
-@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.__name__)
-def test_a_bound_holds_in_every_scene_and_bodies_never_cost_much(scene):
-    clouds = scene()[:2]
-    encoded = Bodycast(max_error=0.003).encode(clouds)
-    assert measures.errors(clouds, Bodycast.decode(encoded)).max_error <= 0.003
+def require_bound(clouds: PointClouds, encoded: Encoded[PointClouds], bound: float) -> None:
+    assert measures.errors(clouds, Bodycast.decode(encoded)).max_error <= bound
     frames = [
         (np.asarray(p), None if clouds.colours is None else np.asarray(clouds.colours[i]))
         for i, p in enumerate(clouds.positions)
     ]
     coloured = clouds.colours is not None
-    [alone] = Bodycast()._point_chunks([], frames, [slice(0, len(clouds))], coloured, 0, {"max_error": 0.003})
+    [alone] = Bodycast()._point_chunks([], frames, [slice(0, len(clouds))], coloured, 0, {"max_error": bound})
     assert sum(map(len, encoded.shared)) + encoded.payload_bytes <= 1.01 * len(alone)

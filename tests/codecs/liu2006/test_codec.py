@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocodec import metrics
+from mocodec import metrics, native
 from mocodec.codecs.liu2006 import Liu2006, decoding, marker_groups, segment_model
 from mocodec.errors import BadInput, CannotEncode
 from mocodec.motion import Motion
@@ -113,3 +113,15 @@ def with_constant_pose(segment: segment_model.SegmentModel, coordinate: float) -
     (group,) = segment.groups
     constant = replace(group, mean=np.full_like(group.mean, coordinate), basis=group.basis * 0)
     return replace(segment, groups=(constant,))
+
+
+@pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
+def test_the_compiled_module_decodes_the_same_positions() -> None:
+    encoded = Liu2006(**SHORT_SEGMENTS).encode(two_motions())
+    assert len(encoded.chunks) > 1
+    start = encoded.chunks[1].start
+    for frames in (None, slice(start - 5, start + 9), slice(start, start + 1)):
+        compiled = Liu2006.decode(encoded, frames).positions
+        with native.without():
+            by_numpy = Liu2006.decode(encoded, frames).positions
+        np.testing.assert_allclose(compiled, by_numpy, rtol=0, atol=1e-12)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from mocodec import metrics
+from mocodec import Motion, metrics
 from mocodec.codecs.tempo import Tempo, fallback
 from mocodec.codecs.tempo.preparation import prepare
 from mocodec.testing import synthetic
@@ -41,3 +42,12 @@ def test_chunks_of_the_fallback_keep_to_the_length_asked_for() -> None:
     assert max(chunk.frames for chunk in encoded.chunks) <= 2.5 * motion.rate + 1
     part = Tempo.decode(encoded, slice(700, 800)).positions
     assert part == pytest.approx(Tempo.decode(encoded).positions[700:800], abs=1e-9)
+
+
+def test_fewer_bytes_are_taken_with_a_smaller_error_than_asked_for() -> None:
+    random = np.random.default_rng(1)
+    still = random.normal(0, 0.5, (24, 3)) + 0.0003 * random.standard_normal((300, 24, 3)).cumsum(0)
+    noisy = Motion(still + 0.0005 * random.standard_normal(still.shape), 100.0, [f"M{i}" for i in range(24)])
+    by_fallback = Tempo(mean_error=0.003, model="hou2014").encode(noisy)
+    assert metrics.mean_distance(noisy.positions, Tempo.decode(by_fallback).positions) < 0.003
+    assert Tempo(mean_error=0.003).encode(noisy).payload_bytes <= by_fallback.payload_bytes

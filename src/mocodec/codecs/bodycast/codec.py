@@ -38,6 +38,7 @@ from .outliers import find_outliers, pack_outliers
 from .people import MIN_FIRST_POINTS, assign_points, start_trackers
 from .point_encoder import PointEncoder, PointTarget
 from .point_scene import ChunkBodies
+from .point_targets import COARSEST_BOUND_M
 from .pose_stream import PoseSequence, unpack_poses
 from .residual_scale import SURFACE_PERCENT
 from .tracking import MIN_BODY_POINTS
@@ -222,16 +223,21 @@ class Bodycast:
         return is_given or (self.psnr is not None and self._percent <= SURFACE_PERCENT)
 
     def _require_range(self, clouds: PointClouds, spans: Sequence[slice]) -> None:
-        """Raises CannotEncode, before any body is tracked, for points too far apart for the target."""
-        if not (self._has_target or self.residual == EXACT):
+        """Raises CannotEncode, before any body is tracked, for points too far apart for the target.
+
+        The bound of a residual depends on the tracked bodies: here it is the coarsest that the residual may stand for.
+        """
+        if not (self._has_target or self.residual == EXACT or self._percent > SURFACE_PERCENT):
             return
-        target = PointTarget(self.max_error, self.mean_error, self.size or self.ratio, self.psnr)
+        bound = residual_scale.bound_of_residual(max(self._percent, SURFACE_PERCENT), COARSEST_BOUND_M)
+        if self._has_target:
+            bound = PointTarget(self.max_error, self.mean_error, self.size or self.ratio, self.psnr).first_bound
         for span in spans:
             frames = [usable_points(clouds, frame, ANYWHERE_M) for frame in range(span.start, span.stop)]
             if self.residual == EXACT:
                 exact_points.require_range(frames, self.precision)
             else:
-                lattice_frames.require_range(frames, target.first_bound)
+                lattice_frames.require_range(frames, bound)
 
     def _is_smaller_alone(self, frames: Sequence[Cloud], spans: Sequence[slice], coloured: bool) -> bool:
         """Whether points within a bound are so few that no body can be worth its bytes: then none is searched."""

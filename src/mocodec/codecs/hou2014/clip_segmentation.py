@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ... import native
 from ...stages import dct, quantise, segment
 from ...typing import Floats, Integers
 from . import stream
@@ -80,6 +81,10 @@ def best_equal_length(curves: Floats, step: float, longest: int) -> int:
     lengths = {-(-frames // max(1, round(frames / length))) for length in CANDIDATE_LENGTHS}
     allowed = sorted(length for length in lengths if length <= longest) or [-(-frames // -(-frames // longest))]
     curves_in_steps = curves / step
+    if (kernel := native.kernel("bits_of_length")) is not None:
+        bits = {length: kernel(curves_in_steps, length) for length in allowed}
+        if None not in bits.values():
+            return min(allowed, key=lambda length: BITS_PER_CLIP * -(-frames // length) + bits[length])
     energies = np.concatenate([np.zeros((1, curves.shape[1])), np.cumsum(curves_in_steps**2, axis=0)])
     left = [_BoundedBits.of(curves_in_steps, energies, length) for length in allowed]
     for share in SHARES_OF_BAND:

@@ -230,7 +230,7 @@ class Liu2006:
             if self.max_error is not None:
                 neighbours = models[max(i - 1, 0) : i + 2]
                 prediction = decoding.reconstruct(
-                    neighbours, markers, motion.up, model.start, model.stop, self.blend_frames
+                    neighbours, markers, motion.up, model.start, model.stop, self.blend_frames, by_numpy=True
                 )
                 original = apart[model.start : model.stop].moving
                 residual = _pack_residual(original, prediction, self.max_error, known, packed_gaps)

@@ -6,7 +6,7 @@ segments ─► normalisation markers ─► body frame ─► poses, blended at
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -58,10 +58,12 @@ def reconstruct(
     stop: int,
     blend_frames: int,
     out: Floats | None = None,
+    by_numpy: bool = False,
 ) -> Floats:
     """Positions (frames, points, 3) of frames [start, stop), in `out` if it is given: section 3.5.
 
-    models: consecutive segments that cover these frames, and for the blend the segments next to them.
+    models: consecutive segments that cover these frames, and for the blend the segments next to them. by_numpy: the
+    products are NumPy's with the compiled module too, so that bytes that follow from the positions are the same.
     """
     positions = np.empty((stop - start, markers.points, 3)) if out is None else out
     for i, model in enumerate(models):
@@ -74,6 +76,9 @@ def reconstruct(
         if not markers.pca_groups:
             continue
         frame = body_frame.from_markers(normalisation, up)
+        if not by_numpy and _place(model, first, markers, frame, decoded):
+            _blend(models, i, first, markers, frame, blend_frames, decoded)
+            continue
         for group, columns in enumerate(markers.pca_groups):
             poses = blended_poses(models, i, group, first, last, blend_frames)
             body_poses.to_world(poses, columns, frame, decoded)
@@ -83,28 +88,68 @@ def reconstruct(
 def blended_poses(
     models: Sequence[SegmentModel], i: int, group: int, start: int, stop: int, blend_frames: int
 ) -> Floats:
-    """Poses (frames, dimensions) of frames [start, stop) within segment i: y_t = Σ wᵢ b_t,i, section 3.5.
+    """Poses (frames, dimensions) of frames [start, stop) within segment i: y_t = Σ wᵢ b_t,i, section 3.5."""
+    poses = models[i].poses(group, start, stop)
+    changes = [
+        (some, weight[:, None] * (neighbour.poses(group, start + some.start, start + some.stop) - poses[some]))
+        for neighbour, some, weight in _neighbours(models, i, start, stop, blend_frames)
+    ]
+    for some, change in changes:
+        poses[some] += change
+    return poses
+
+
+def _place(
+    model: SegmentModel, start: int, markers: MarkerGroups, frame: body_frame.BodyFrame, positions: Floats
+) -> bool:
+    """The poses of a segment, without blends, at frames from `start` on, into positions (frames, points, 3); False
+    without the compiled module."""
+    first = model.start - model.before
+    groups = zip(model.groups, markers.pca_groups, strict=True)
+    return all(group.place(start - first, columns, frame, positions) for group, columns in groups)
+
+
+def _blend(
+    models: Sequence[SegmentModel],
+    i: int,
+    start: int,
+    markers: MarkerGroups,
+    frame: body_frame.BodyFrame,
+    blend_frames: int,
+    positions: Floats,
+) -> None:
+    """Blend what `_place` makes of segment i, positions (frames, points, 3), with its neighbours.
+
+    The weights of a frame sum to one, and all its poses are placed alike: positions blend as poses do.
+    """
+    changes: list[tuple[slice, Floats]] = []
+    for neighbour, some, weight in _neighbours(models, i, start, start + len(positions), blend_frames):
+        others = positions[some].copy()
+        _place(neighbour, start + some.start, markers, frame.of_frames(some), others)
+        changes.append((some, weight[:, None, None] * (others - positions[some])))
+    for some, change in changes:
+        positions[some] += change
+
+
+def _neighbours(
+    models: Sequence[SegmentModel], i: int, start: int, stop: int, blend_frames: int
+) -> Iterator[tuple[SegmentModel, slice, Floats]]:
+    """The neighbours of segment i that reach into its frames [start, stop), those frames, from `start`, and wᵢ of each.
 
     wᵢ = rᵢ / (h + 1), where rᵢ counts the frames of segment i among t − h/2 to t + h/2. At the ends of the motion this
     window has fewer frames, and wᵢ is rᵢ over their number.
     """
-    poses = models[i].poses(group, start, stop)
     half = blend_frames // 2
-    blends: list[tuple[slice, Floats]] = []
     for neighbour in (*models[max(i - 1, 0) : i], *models[i + 1 : i + 2]):
         first = max(start, neighbour.start - neighbour.before)
         last = min(stop, neighbour.stop + neighbour.after)
         if first >= last:
             continue
-        frames, overlap = np.arange(first, last), slice(first - start, last - start)
+        frames = np.arange(first, last)
         window_start = np.maximum(frames - half, models[0].start)
         window_stop = np.minimum(frames + half + 1, models[-1].stop)
         r = np.minimum(window_stop, neighbour.stop) - np.maximum(window_start, neighbour.start)
-        weight = (np.maximum(r, 0) / (window_stop - window_start))[:, None]
-        blends.append((overlap, weight * (neighbour.poses(group, first, last) - poses[overlap])))
-    for overlap, change in blends:
-        poses[overlap] += change
-    return poses
+        yield neighbour, slice(first - start, last - start), np.maximum(r, 0) / (window_stop - window_start)
 
 
 def read_shared(encoded: Encoded[Motion]) -> tuple[int, MarkerGroups, float]:

@@ -12,12 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
 from ... import native
 from ...entropy import coder, varint
 from ...errors import Corrupt
+from ...geometry import body_frame
 from ...stages import basis, quantise, spline
 from ...typing import Floats, Integers
 from .marker_groups import MarkerGroups
@@ -50,7 +52,15 @@ class KeyframeTrack:
 
     def at(self, start: int, stop: int) -> Floats:
         """The trajectories at frames [start, stop), counted from the track's first frame: (frames, k)."""
+        if self.compiled is not None:
+            return self.compiled.at(start, stop)
         return spline.interpolate(*self._by_frame, np.arange(start, stop))
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The spline of the compiled module, None without."""
+        kernel = native.kernel("TrackSpline")
+        return None if kernel is None else kernel(self.keys.by_level, self.values)
 
     @cached_property
     def _by_frame(self) -> tuple[Integers, Floats]:
@@ -79,6 +89,16 @@ class PcaModel:
         poses = self.track.at(start, stop) @ self.basis.T
         poses += self.mean
         return poses
+
+    def place(self, start: int, columns: Integers, frame: body_frame.BodyFrame, positions: Floats) -> bool:
+        """Poses from frame `start` of the track on into these columns of positions (frames, points, 3), in one compiled
+        call; False without the compiled module."""
+        if self.track.compiled is None:
+            return False
+        self.track.compiled.place(
+            start, self.basis, self.mean, columns, frame.origin, frame.heading, frame.up, positions
+        )
+        return True
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,7 +227,10 @@ class Tempo:
             return fallback.nearer(encoded, motion, source, size, self.chunk_seconds, decoded_mean_error)
         kind = "max_error" if self.mean_error is None else "mean_error"
         smaller = fallback.smaller(encoded, motion, source, kind, encoded.settings[kind], self.chunk_seconds)
-        return smaller if smaller is encoded or self._meets_target(smaller, motion) else encoded
+        if smaller is encoded or self.mean_error is None:
+            return smaller
+        # a mean below the target is welcome here, since the bytes are fewer
+        return smaller if decoded_mean_error(smaller, motion) <= self.mean_error else encoded
 
     def encode_chunks(self, motion: Motion) -> Encoded[Motion]:
         """Without repeats and without the fallback: every chunk by the chosen model, or directly."""
