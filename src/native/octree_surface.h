@@ -200,7 +200,7 @@ public:
     }
 
     // The number of a sample among those that were given: samples are kept in the order of their cells, as cubes come.
-    int64_t given_row(int32_t row) const { return row < 0 ? row : rows_[size_t(row)]; }
+    int64_t given_row(int32_t row) const { return row < 0 ? row : given_rows_[size_t(row)]; }
 
     int depth() const { return depth_; }
     size_t size() const { return points_.size(); }
@@ -299,30 +299,30 @@ private:
                 outside.push_back(int32_t(i));
         }
         std::sort(sorted.begin(), sorted.end());
-        rows_.reserve(m);
+        given_rows_.reserve(m);
         codes_.reserve(sorted.size());
         for (const auto &[code, row] : sorted) {
             codes_.push_back(code);
-            rows_.push_back(row);
+            given_rows_.push_back(row);
         }
-        rows_.insert(rows_.end(), outside.begin(), outside.end());
-        places_.resize(m);
-        for (size_t i = 0; i < m; ++i) places_[size_t(rows_[i])] = int32_t(i);
+        given_rows_.insert(given_rows_.end(), outside.begin(), outside.end());
+        own_rows_.resize(m);
+        for (size_t i = 0; i < m; ++i) own_rows_[size_t(given_rows_[i])] = int32_t(i);
     }
 
     std::vector<Place> in_order(const int64_t *values) const {
-        std::vector<Place> result(rows_.size());
-        for (size_t i = 0; i < result.size(); ++i) std::copy_n(values + 3 * size_t(rows_[i]), 3, result[i].begin());
+        std::vector<Place> result(given_rows_.size());
+        for (size_t i = 0; i < result.size(); ++i) std::copy_n(values + 3 * size_t(given_rows_[i]), 3, result[i].begin());
         return result;
     }
 
     void take_neighbours(const int64_t *neighbours) {
-        neighbours_.resize(rows_.size() * NEIGHBOURS);
-        for (size_t i = 0; i < rows_.size(); ++i)
+        neighbours_.resize(given_rows_.size() * NEIGHBOURS);
+        for (size_t i = 0; i < given_rows_.size(); ++i)
             for (size_t k = 0; k < NEIGHBOURS; ++k) {
-                const int64_t row = neighbours[size_t(rows_[i]) * NEIGHBOURS + k];
-                if (row < 0 || row >= int64_t(rows_.size())) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
-                neighbours_[i * NEIGHBOURS + k] = places_[size_t(row)];
+                const int64_t row = neighbours[size_t(given_rows_[i]) * NEIGHBOURS + k];
+                if (row < 0 || row >= int64_t(given_rows_.size())) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
+                neighbours_[i * NEIGHBOURS + k] = own_rows_[size_t(row)];
             }
     }
 
@@ -353,12 +353,13 @@ private:
     Cells cells_of_level(int level) const {
         const int below = 3 * (depth_ - level);
         size_t count = 0;
-        for (size_t i = 0; i < codes_.size(); ++i) count += !i || codes_[i] >> (below + 6) != codes_[i - 1] >> (below + 6);
+        const auto block_of = [&](size_t i) { return codes_[i] >> below >> 6; };
+        for (size_t i = 0; i < codes_.size(); ++i) count += !i || block_of(i) != block_of(i - 1);
         Cells cells{KeyTable(count), {}, {}};
         cells.blocks.reserve(count);
         for (size_t i = 0; i < codes_.size(); ++i) {
             const uint64_t code = codes_[i] >> below;
-            if (!i || code >> 6 != codes_[i - 1] >> (below + 6)) {
+            if (!i || block_of(i) != block_of(i - 1)) {
                 cells.at.add(block_of_sample(i, level), int32_t(cells.blocks.size()));
                 cells.blocks.push_back({0, cells.first.size(), {}});
             }
@@ -369,7 +370,7 @@ private:
                 cells.first.emplace_back();
                 cells.first.back().fill(std::numeric_limits<int32_t>::max());
             }
-            int32_t row = rows_[i];
+            int32_t row = given_rows_[i];
             for (int32_t &own : cells.first.back()) {
                 const int32_t later = std::max(own, row);
                 own = std::min(own, row);
@@ -378,7 +379,7 @@ private:
         }
         for (FirstSamples &first : cells.first)
             for (int32_t &row : first)
-                row = row == std::numeric_limits<int32_t>::max() ? NOWHERE : places_[size_t(row)];
+                row = row == std::numeric_limits<int32_t>::max() ? NOWHERE : own_rows_[size_t(row)];
         return cells;
     }
 
@@ -485,8 +486,8 @@ private:
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;
     NearNeighbours near_;
-    std::vector<uint64_t> codes_;          // of the unit cells of the samples within the octree, the first ones
-    std::vector<int32_t> rows_, places_;  // the rows given of the samples; where each of those rows is now
+    std::vector<uint64_t> codes_;        // of the unit cells of the samples within the octree, which come first
+    std::vector<int32_t> given_rows_, own_rows_;  // of a sample kept, and of a sample given
 };
 
 }  // namespace point_octree

@@ -185,7 +185,7 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
         for (uint64_t mask = candidates.mask(); mask; mask &= mask - 1) {
             const size_t slot = size_t(lowest_bit(mask));
             const int32_t *own = known.data() + 3 * KEPT * searched[slot / KEPT] + slot % KEPT;
-            const int64_t x = own[0] - place[0], y = own[KEPT] - place[1], z = own[2 * KEPT] - place[2];
+            const int64_t x = int64_t(own[0]) - place[0], y = int64_t(own[KEPT]) - place[1], z = int64_t(own[2 * KEPT]) - place[2];
             nearest.add((x * x + y * y + z * z) * SLOTS + int64_t(slot));
         }
         int64_t total = 0, sums[3] = {0, 0, 0};

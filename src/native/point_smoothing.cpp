@@ -216,8 +216,8 @@ private:
     std::vector<int16_t> weights_;                       // of a squared distance in lattice units; 0 at the place itself
     size_t size_ = 0;                                    // of the references gathered
     static constexpr size_t ROOM = 2 * (LANES * BLOCKS + LANES);
-    int16_t near_places_[ROOM], near_heights_[ROOM], near_normals_[ROOM], near_ups_[ROOM];  // pairs
-    int16_t counting_[ROOM];                             // −1 for a reference, 0 beyond
+    int16_t near_places_[ROOM] = {}, near_heights_[ROOM] = {}, near_normals_[ROOM] = {}, near_ups_[ROOM] = {};  // pairs
+    int16_t counting_[ROOM] = {};                        // −1 for a reference, 0 beyond
 };
 #else
 struct ShortNeighbourhood {

@@ -63,6 +63,7 @@ def coded(frames: list[tuple[np.ndarray, SurfaceHints | None]], depth: int) -> t
         (7, 400, 900, 50),
         (9, 500, 40, 40),
         (20, 30, 60, 0),
+        (20, 30, 5, 1),
     ],
 )
 def test_compiled_and_numpy_octrees_are_the_same(depth, points, samples, far):
