@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
@@ -42,6 +43,27 @@ def test_an_error_of_an_item_is_raised():
         assert [next(results) for _ in range(3)] == [0, 1, 2]
         with pytest.raises(KeyError):
             next(results)
+
+
+def test_no_item_begins_after_an_error_or_the_end():
+    begun: list[int] = []
+
+    def work(number: int) -> None:
+        begun.append(number)
+        time.sleep(0.002)
+
+    with parallel.threads(2):
+        next(parallel.over(work, range(1000)))  # the rest is not asked for
+    assert len(begun) < 1000
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("mocodec_")]
+
+
+def test_items_of_items_are_worked_on_by_one_thread():
+    def inner(_: int) -> bool:
+        return list(parallel.over(lambda _: threading.current_thread(), range(3))) == [threading.current_thread()] * 3
+
+    with parallel.threads(2):
+        assert all(parallel.over(inner, range(8)))
 
 
 def test_numbers_of_threads(monkeypatch: pytest.MonkeyPatch):

@@ -9,6 +9,7 @@ All bytes count. Errors are measured by SciPy's k-d tree alone, in both directio
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -129,14 +130,14 @@ def record(clip: str, frames: int, points: int, data: Path) -> tuple[Performance
 
 
 def measure(
-    clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: Path, thorough: bool = False
+    clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: Path, modes: Sequence[bool] = (False,)
 ) -> Iterator[PointResult]:
-    """All bounds of a clip; none if its recording is not there. thorough: as in `Bodycast`."""
+    """All bounds of a clip in each of the `modes`, `thorough` of `Bodycast`; none if its recording is not there."""
     if (found := record(clip, frames, points, data)) is None:
         return
     performance, clouds = found
     curve = draco_curve(clouds)
-    for d1_mm in d1s_mm:
+    for thorough, d1_mm in itertools.product(modes, d1s_mm):
         bound = d1_mm / 1000 / (THOROUGH_D1_PER_BOUND if thorough else D1_PER_BOUND)[d1_mm]
         codec = Bodycast(max_error=bound, skeleton=performance.skeleton()[:1], thorough=thorough)
         started = time.process_time()
@@ -155,7 +156,7 @@ def measure(
             clip, points, len(clouds), d1_mm, 1000 * bound, len(blob) / len(clouds), colours / len(clouds), once,
             **errors, draco_bytes=rival.bytes, draco_coloured_bytes=rival.coloured_bytes,
             encode_fps=len(clouds) / (encoded - started), decode_fps=len(clouds) / (done - encoded),
-            draco_encode_fps=rival.encode_fps, draco_decode_fps=rival.decode_fps,
+            draco_encode_fps=rival.encode_fps, draco_decode_fps=rival.decode_fps, thorough=thorough,
         )  # fmt: skip
 
 
@@ -187,35 +188,36 @@ def measure_residuals(data: Path) -> Iterator[ResidualResult]:
 @click.option("-o", "--output", required=True, type=click.Path(file_okay=False, path_type=Path), help="Result folder.")
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--frames", default=20, show_default=True, type=click.IntRange(2), help="Frames of every clip.")
-@click.option("--thorough", is_flag=True, help="Choose points by their bytes and errors.")
+@click.option("--thorough", is_flag=True, help="Measure with `encode --thorough` too.")
 def command(output: Path, data: Path, frames: int, thorough: bool) -> None:
     """Measure points within a bound at a D1 of 5, 2, 1 and 0.5 mm on eight clips and on a dense one, against Draco at
     equal D1, and residuals from 0 to exact on one clip.
 
-    Takes about four minutes of one core for every five frames. Writes cloud_points.json, .md and .png.
+    Takes about four minutes of one core for every five frames, with --thorough nine. Writes cloud_points.json, .md and
+    .png.
     """
     output.mkdir(parents=True, exist_ok=True)
     clips: list[tuple[str, int, int, tuple[float, ...]]] = [(c, frames, POINTS, D1_MM) for c in tracking.STARTS]
     clips.append((DENSE_CLIP, DENSE_FRAMES, DENSE_POINTS, DENSE_D1_MM))
     results, residuals = list[PointResult](), list[ResidualResult]()
+    modes = (False, True) if thorough else (False,)
 
     def write() -> None:
         content = {
             "machine": machine_description(),
             "load": os.getloadavg()[2],
-            "thorough": thorough,
             "records": results,
             "residuals": residuals,
         }
         plain = {k: [asdict(r) for r in v] if isinstance(v, list) else v for k, v in content.items()}
         write_json(output / "cloud_points.json", rounded(plain))
 
-    with progress(sum(len(d1s) for *_, d1s in clips) + len(RESIDUALS)) as advance:
+    with progress(len(modes) * sum(len(d1s) for *_, d1s in clips) + len(RESIDUALS)) as advance:
         for residual in measure_residuals(data):
             residuals.append(residual)
             advance(f"residual {residual.residual}")
         for clip, count, points, d1s in clips:
-            for result in measure(clip, count, points, d1s, data, thorough):
+            for result in measure(clip, count, points, d1s, data, modes):
                 results.append(result)
                 advance(f"{clip}, {points:,} points, D1 {result.wanted_d1_mm:g} mm")
             write()

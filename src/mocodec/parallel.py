@@ -11,13 +11,15 @@ for None; processes that were started as workers of another count one, since the
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import TypeVar
+from contextvars import Context, ContextVar
+from functools import partial
+from threading import Thread
+from typing import Generic, NoReturn, TypeVar
 
 from .errors import BadInput
 
@@ -61,14 +63,63 @@ def blocks(length: int, most: int = 4096) -> list[slice]:
 
 
 def over(function: Callable[[Item], Result], items: Iterable[Item], least: int = 2) -> Iterator[Result]:
-    """The results of items in their order; in one thread if there are fewer than `least` items."""
+    """The results of items in their order; in one thread if there are fewer than `least` items.
+
+    The calling thread works too, and every thread takes the next item when it is free: with a future for each item, the
+    calling thread would wake for each.
+    """
     listed = list(items)
     number = min(_threads.get(), len(listed))
     if number < 2 or len(listed) < least:
         yield from map(function, listed)
         return
-    with ThreadPoolExecutor(number, thread_name_prefix="mocodec") as pool:
+    shared = _Shared(function, listed)
+    others = [Thread(target=shared.work, name=f"mocodec_{i}") for i in range(1, number)]
+    try:
+        for other in others:
+            other.start()
+        for i in range(len(listed)):
+            while i not in shared.done:
+                if not shared.work_once():
+                    for other in others:
+                        other.join()
+            yield shared.done.pop(i)()
+    finally:
+        shared.stopped = True
+        for other in others:
+            other.join()
+
+
+class _Shared(Generic[Item, Result]):
+    """Items that several threads work on. done: by number of item, what returns its result or raises its exception."""
+
+    def __init__(self, function: Callable[[Item], Result], items: Sequence[Item]) -> None:
+        self._function, self._items = function, items
+        self._numbers = itertools.count()
+        self.done: dict[int, Callable[[], Result]] = {}
+        self.stopped = False
+
+    def work(self) -> None:
+        """All items that are left."""
+        while self.work_once():
+            pass
+
+    def work_once(self) -> bool:
+        """The next item; False if there is none."""
+        number = next(self._numbers)
+        if self.stopped or number >= len(self._items):
+            return False
         try:
-            yield from pool.map(function, listed)
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            # an empty context, as in a thread of its own: `over` within the function uses one thread
+            result = Context().run(self._function, self._items[number])
+        except BaseException as error:
+            self.done[number] = partial(_raise, error)
+            if not isinstance(error, Exception):
+                raise
+        else:
+            self.done[number] = lambda: result
+        return True
+
+
+def _raise(error: BaseException) -> NoReturn:
+    raise error

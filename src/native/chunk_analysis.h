@@ -243,8 +243,12 @@ private:
                     Four sums[TILE][2];
                     Synthesis::tile(spectrum, with_.bases[band]->data() + panel * dimensions * PANEL, dimensions, sums);
                     const size_t count = std::min(PANEL, parts - panel * PANEL);
-                    for (size_t k = first; k < last; ++k)
-                        std::memcpy(out + k * rows + POSE + panel * PANEL, sums[k - block * TILE], count * sizeof(double));
+                    for (size_t k = first; k < last; ++k) {
+                        double *to = out + k * rows + POSE + panel * PANEL;
+                        const Four *from = sums[k - block * TILE];
+                        if (count == PANEL) store(from[0], to), store(from[1], to + 4);
+                        else std::memcpy(to, from, count * sizeof(double));
+                    }
                 }
             }
         for (size_t k = 0; k < frames_; ++k)

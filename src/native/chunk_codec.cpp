@@ -273,7 +273,8 @@ public:
         Sums sums;
         {
             nb::gil_scoped_release release;
-            quantise(spectrum.data(), step, size, slope, free, decoded.data.get(), found);
+            quantise(spectrum.data(), step, size, slope, free, found);
+            positions(found.integers, {decoded.data.get(), 0, frames, {0, 1, 2}});
             sums = sums_of(samples(wanted, apart, decoded.data.get()));
         }
         return nb::make_tuple(values_of(found), found.threshold, found.bits, sums.distance, sums.squared,
@@ -281,25 +282,31 @@ public:
     }
 
     // The same with corrections, in steps of `correction_step` metres, that bring all samples within the bound (metres).
-    // None for errors too large to correct, or values, threshold, bits with those of the corrections, and the corrections'
-    // numbers (FIELDS, n).
+    // None for errors too large to correct; or values, threshold, bits with those of the corrections, and the corrections'
+    // numbers (FIELDS, n); without values where the coefficients alone take `most_bits` or more.
     nb::object within_bound(Input<double, 2> spectrum, Input<double, 3> wanted, Input<uint8_t, 2> apart, int64_t step,
-                            double size, double slope, size_t free, double bound, double correction_step) const {
+                            double size, double slope, size_t free, double bound, double correction_step,
+                            double most_bits) const {
         require_fits(spectrum, wanted, apart);
         static thread_local std::vector<double> decoded;
         Quantised found;
         Found corrections;
         std::vector<int64_t> lists;
-        bool fits = true;
+        bool few = true, fits = true;
         {
             nb::gil_scoped_release release;
-            decoded.resize(wanted.size());
-            quantise(spectrum.data(), step, size, slope, free, decoded.data(), found);
-            fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
-            lists = numbers_of(corrections);
-            found.bits += list_coding(encoding_->costs.data(), lists.data(), lists.size() / FIELDS).bits;
+            quantise(spectrum.data(), step, size, slope, free, found);
+            few = found.bits < most_bits;
+            if (few) {
+                decoded.resize(wanted.size());
+                positions(found.integers, {decoded.data(), 0, cosines_.frames, {0, 1, 2}});
+                fits = find_corrections(samples(wanted, apart, decoded.data()), bound, correction_step, corrections);
+                lists = numbers_of(corrections);
+                found.bits += list_coding(encoding_->costs.data(), lists.data(), lists.size() / FIELDS).bits;
+            }
         }
         if (!fits) return nb::none();
+        if (!few) return nb::make_tuple(nb::none(), found.threshold, found.bits, nb::none());
         Fresh<int64_t> listed(lists.size());
         std::copy(lists.begin(), lists.end(), listed.data.get());
         return nb::make_tuple(values_of(found), found.threshold, found.bits, listed.give({FIELDS, lists.size() / FIELDS}));
@@ -327,12 +334,9 @@ private:
             throw std::invalid_argument("ChunksOfLength: shapes differ");
     }
 
-    // Integers of coefficients, and the positions that they decode to.
-    void quantise(const double *spectrum, int64_t step, double size, double slope, size_t free, double *decoded,
-                  Quantised &found) const {
+    void quantise(const double *spectrum, int64_t step, double size, double slope, size_t free, Quantised &found) const {
         const Quantisation asked{step, heading_step_, size, slope, INWARD, encoding_->prices.data(), free};
         Quantiser(expectations_).run(spectrum, asked, found);
-        positions(found.integers, {decoded, 0, cosines_.frames, {0, 1, 2}});
     }
 
     Samples samples(const Input<double, 3> &wanted, const Input<uint8_t, 2> &apart, const double *decoded) const {

@@ -74,24 +74,32 @@ private:
     // Coefficients whose nearest integer is not zero, and `frequencies_` up to the last of them.
     void find_choices(const double *spectrum, const Quantisation &in) {
         choices_.clear();
-        for (size_t f = 0; f < of_.frames; ++f)
-            for (size_t r = 0; r < rows_; ++r) {
-                // most are far smaller than a step: divisions are slow
-                while (r && r + EIGHT <= rows_ && none_beyond(spectrum + f * rows_ + r, 0.4999 * in.size)) r += EIGHT;
-                if (r == rows_) break;
-                if (!(std::fabs(spectrum[f * rows_ + r]) > 0.4999 * (r ? in.size : in.heading_size))) continue;
-                const double scaled = spectrum[f * rows_ + r] / (r ? in.size : in.heading_size), size = std::fabs(scaled);
-                if (!(size > 0.5)) continue;
-                Choice c{};
-                c.at = f * rows_ + r, c.size = size, c.high = int64_t(std::nearbyint(size));
-                c.negative = scaled < 0;
-                c.free = r >= in.free;
-                c.low = c.high - (c.free && size < double(c.high));
-                c.high_symbol = symbol_of(c.high), c.low_symbol = symbol_of(c.low);
-                c.high_error = error(size, c.high, in.inward), c.low_error = error(size, c.low, in.inward);
-                choices_.push_back(c);
+        const double limit = 0.4999 * in.size;  // most are far smaller than a step: divisions are slow
+        for (size_t f = 0; f < of_.frames; ++f) {
+            const double *of = spectrum + f * rows_;
+            add_choice(f, 0, of[0], in.heading_size, in);
+            for (size_t first = 1; first < rows_; first += EIGHT) {
+                const size_t end = std::min(rows_, first + EIGHT);
+                if (end == first + EIGHT && none_beyond(of + first, limit)) continue;
+                for (size_t r = first; r < end; ++r)
+                    if (std::fabs(of[r]) > limit) add_choice(f, r, of[r], in.size, in);
             }
+        }
         frequencies_ = choices_.empty() ? 0 : choices_.back().at / rows_ + 1;
+    }
+
+    // The choice of a coefficient in steps of `step`, unless its nearest integer is zero.
+    void add_choice(size_t f, size_t r, double coefficient, double step, const Quantisation &in) {
+        const double scaled = coefficient / step, size = std::fabs(scaled);
+        if (!(size > 0.5)) return;
+        Choice c{};
+        c.at = f * rows_ + r, c.size = size, c.high = int64_t(std::nearbyint(size));
+        c.negative = scaled < 0;
+        c.free = r >= in.free;
+        c.low = c.high - (c.free && size < double(c.high));
+        c.high_symbol = symbol_of(c.high), c.low_symbol = symbol_of(c.low);
+        c.high_error = error(size, c.high, in.inward), c.low_error = error(size, c.low, in.inward);
+        choices_.push_back(c);
     }
 
     static_assert(THRESHOLD_UNIT == 16, "logarithms are shifted by 4");

@@ -47,16 +47,19 @@ struct Cosines {
         const double pi = 3.14159265358979323846;
         std::vector<double> quarter_turns(4 * frames);
         for (size_t j = 0; j < 4 * frames; ++j) quarter_turns[j] = std::cos(pi * double(j) / double(2 * frames));
+        const double first = std::sqrt(1.0 / double(frames)), others = std::sqrt(2.0 / double(frames));
         for (size_t parity = 0; parity < 2; ++parity) {
             const size_t count = frequencies(frames, parity);
             of[parity].assign(blocks * count * TILE, 0.0);
-            for (size_t t = 0; t < half; ++t)
+            for (size_t t = 0; t < half; ++t) {
+                double *to = of[parity].data() + t / TILE * count * TILE + t % TILE;
+                size_t turn = parity ? 2 * t + 1 : 0;  // (2 t + 1) k modulo 4 frames, for k = 2 i + parity
                 for (size_t i = 0; i < count; ++i) {
-                    const size_t k = 2 * i + parity;
-                    const double scale = std::sqrt((k ? 2.0 : 1.0) / double(frames));
-                    of[parity][(t / TILE * count + i) * TILE + t % TILE] =
-                        scale * quarter_turns[(2 * t + 1) * k % (4 * frames)];
+                    to[i * TILE] = (i || parity ? others : first) * quarter_turns[turn];
+                    turn += 2 * (2 * t + 1);
+                    if (turn >= 4 * frames) turn -= 4 * frames;
                 }
+            }
         }
     }
 

@@ -17,7 +17,7 @@
 
 #include "vectors.h"
 
-#if defined(__GNUC__)
+#if defined(__GNUC__)  // a lambda that is called with AVX2, as ALWAYS_INLINE
 #define ALWAYS_INLINE_LAMBDA __attribute__((always_inline))
 #else
 #define ALWAYS_INLINE_LAMBDA
@@ -47,7 +47,8 @@ class Halving {
 public:
     Halving() = default;
 
-    Halving(size_t samples, size_t levels, size_t known) : base_(samples >> levels), counts_{known} {
+    // forward: for `transposed` too.
+    Halving(size_t samples, size_t levels, size_t known, bool forward = false) : base_(samples >> levels), counts_{known} {
         for (size_t level = 0; level < levels; ++level) {
             const size_t size = samples >> level;
             counts_.push_back(std::min(size / 2, counts_.back() / 2 + 1));
@@ -64,6 +65,7 @@ public:
                 for (size_t i = 0; i < count; ++i)
                     cosines_[parity][(n / TILE * count + i) * TILE + n % TILE] =
                         quarter_turns[(2 * n + 1) * (2 * i + parity) % (4 * base_)];
+            if (!forward) continue;
             turned_[parity].assign((count + TILE - 1) / TILE * half * TILE, 0.0);
             for (size_t n = 0; n < half; ++n)
                 for (size_t i = 0; i < count; ++i)
@@ -258,7 +260,7 @@ public:
             if (samples > 2 * TAPS && cost < least) least = cost, levels = level, grid = samples;
         }
         for (size_t k = 0; k < known; ++k) scales_[k] = std::sqrt((k ? 2.0 : 1.0) / double(frames));
-        halving_ = Halving(grid ? grid : frames, levels, known);
+        halving_ = Halving(grid ? grid : frames, levels, known, forward);
         if (grid) interpolate(grid);
         if (grid && forward) turn_weights(grid);
     }

@@ -5,10 +5,29 @@
 #include <stdexcept>
 
 #include "arrays.h"
+#include "vectors.h"
 
 namespace {
 
 using Table = Input<int32_t, 1>;
+
+#ifdef HAS_AVX2_TWIN
+// All that the engine calls is compiled into it once more, with AVX2.
+template <class Coder>
+WITH_AVX2 FLATTENED bool run_with_avx2(lattice::Chunk<Coder> &chunk) {
+    return chunk.run();
+}
+#endif
+
+// Whether a chunk was coded, or the stream was consistent.
+template <class Coder>
+bool run(lattice::Chunk<Coder> &chunk) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return run_with_avx2(chunk);
+#endif
+    return chunk.run();
+}
 
 bits::Tables tables_of(const Table &squash, const Table &stretch, const Table &rate, const Table &cost) {
     if (squash.shape(0) != 4096 || stretch.shape(0) != 4096 || cost.shape(0) != 4096 || rate.shape(0) <= size_t(bits::SLOWEST))
@@ -58,7 +77,7 @@ nb::object tempo_lattice_encode(Input<double, 3> wanted, Input<uint8_t, 2> missi
         nb::gil_scoped_release release;
         bits::Encoder encoder;
         lattice::Chunk<bits::Encoder> chunk(of, tables, encoder, wanted.data());
-        coded = chunk.run();
+        coded = run(chunk);
         stream = encoder.finish();
         decoded = std::move(chunk.decoded);
     }
@@ -79,7 +98,7 @@ nb::object tempo_lattice_decode(nb::bytes stream, Input<uint8_t, 2> missing, Tab
         nb::gil_scoped_release release;
         bits::Decoder decoder(data, size);
         lattice::Chunk<bits::Decoder> chunk(of, tables, decoder, nullptr);
-        whole = chunk.run() && decoder.at_end();
+        whole = run(chunk) && decoder.at_end();
         decoded = std::move(chunk.decoded);
     }
     if (!whole) return nb::none();

@@ -8,6 +8,7 @@
 //   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
+//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py
 //   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
@@ -50,7 +51,7 @@ namespace nb = nanobind;
 #define PARTS(PART)                                                                                             \
     PART(entropy) PART(coefficients) PART(matching) PART(bone_directions) PART(lattice) PART(bit_arrays)   \
     PART(joint_rotations) PART(signals) PART(signal_fitting) PART(signal_chunks) PART(signal_forms)        \
-    PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree)                 \
+    PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree) PART(cube_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours)         \

@@ -205,7 +205,9 @@ public:
     int depth() const { return depth_; }
     size_t size() const { return points_.size(); }
     int64_t spacing() const { return spacing_; }
+    const Place &place(int32_t row) const { return points_[size_t(row)]; }
     const Place &normal(int32_t row) const { return normals_[size_t(row)]; }
+    const int32_t *around(int32_t row) const { return &neighbours_[size_t(row) * NEIGHBOURS]; }
 
     // Side of the children of a level's cubes, subunits.
     int64_t child_size(int level) const { return int64_t(1) << child_bits(level); }

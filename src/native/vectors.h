@@ -17,6 +17,7 @@
 #if defined(__GNUC__) && defined(__x86_64__)
 #define HAS_AVX2_TWIN 1
 #define WITH_AVX2 __attribute__((target("avx2")))
+#define FLATTENED __attribute__((flatten))  // what a function calls is compiled into it, for the same processors
 inline bool processor_has_avx2() { return __builtin_cpu_supports("avx2"); }
 #endif
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 from .bodycast_colours import Colours, MixedBits, Vector, difference, dot, groups_of_bits, rgb, squared
+from .bodycast_cubes import CubeOctree
 from .bodycast_octree import FrameOctree, Posed, Smoothing
 from .bodycast_references import References, Samples
 from .integers import Bytes
@@ -136,7 +137,7 @@ def exact(stream: Bytes, layer_of: Callable[[Bytes], Layer]) -> Decoded:
 
 
 class Layer:
-    """Points within a bound: kind 4 or 5, or 6 before it."""
+    """Points within a bound: kind 4, 5 or 8, or 6 before it."""
 
     def __init__(
         self, stream: Bytes, frames: int, bodies: int, poses: int, surface: Surface,
@@ -146,7 +147,7 @@ class Layer:
         if (kind := stream.varint()) == 6:
             self.references = References.read(stream, frames)
             kind = stream.varint()
-        assert kind in (4, 5)
+        assert kind in (4, 5, 8)
         self.kind = kind
         self.depth, luma, chroma = (stream.varint() for _ in range(3))
         self.steps = luma, chroma, chroma
@@ -181,10 +182,13 @@ class Layer:
                 subunits = subunits + earlier.places
                 seen.normals = seen.normals + earlier.normals
                 near = near + [[n + own for n in row] for row in earlier.neighbours]
-            octree = FrameOctree(self.octrees, self.depth, subunits, seen, near, self.kind)
+            if self.kind == 8:
+                octree = CubeOctree(self.octrees, self.depth, subunits, seen, near, count)
+            else:
+                octree = FrameOctree(self.octrees, self.depth, subunits, seen, near, self.kind)
             found, shifts = octree.decode(), [(0, 0, 0)] * count
             assert len(found) == count
-            if self.kind == 5:
+            if self.kind in (5, 8):
                 shifts = Smoothing(octree, [cell for cell, _ in found], [s for _, s in found]).shifts()
             yield *self.coloured(found, own, standing, earlier, colours, repeats(count)), shifts
         self.octrees.end()

@@ -12,7 +12,7 @@ from mocodec import api
 from mocodec.codecs.bodycast import Bodycast, exact_octree, integer_surface
 from mocodec.codecs.bodycast.body_model import unpack_models
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
-from mocodec.codecs.bodycast.point_layer import REFERRED
+from mocodec.codecs.bodycast.point_layer import CUBED, REFERRED, SMOOTHED
 from mocodec.codecs.bodycast.point_scene import SurfaceTexture
 from mocodec.codecs.bodycast.pose_stream import unpack_poses
 from mocodec.encoded import Encoded
@@ -66,12 +66,14 @@ def test_frames_without_a_body(step: float, coloured: bool) -> None:
     compare(encoded, coloured)
 
 
-@pytest.mark.parametrize(("psnr", "bound"), [(32, 0.004), (None, 0.012)])
-def test_a_body_and_what_its_frames_teach(psnr: float | None, bound: float) -> None:
+@pytest.mark.parametrize(("psnr", "bound", "thorough"), [(32, 0.004, False), (None, 0.012, False), (None, 0.006, True)])
+def test_a_body_and_what_its_frames_teach(psnr: float | None, bound: float, thorough: bool) -> None:
     performance = sequences.jumping_jacks(actors.capsules(), 3)
     clouds = replace(sequences.record(performance, 250, seed=1), normals=None)
-    codec = Bodycast(max_error=bound, psnr=psnr, skeleton=performance.skeleton())
-    compare(codec.encode(clouds), coloured=True)
+    codec = Bodycast(max_error=bound, psnr=psnr, skeleton=performance.skeleton(), thorough=thorough)
+    encoded = codec.encode(clouds)
+    assert kind_of(encoded) == (CUBED if thorough else SMOOTHED)
+    compare(encoded, coloured=True)
 
 
 @pytest.mark.parametrize("coloured", [True, False])

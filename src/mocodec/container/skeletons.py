@@ -76,14 +76,27 @@ def pack(skeleton: Skeleton, point_names: Sequence[str], exact: bool = False) ->
     own_names = skeleton.names != tuple(point_names)
     head = names.pack(skeleton.names) if own_names else b""
     flags = exact | own_names * OWN_NAMES | tree << TREE
+    if exact:
+        bits = BitWriter()
+        if not tree:
+            _put_parents(bits, skeleton.parents)
+        return bytes([flags]) + head + bits.bytes() + arrays.pack(skeleton.offsets)
+    steps = np.rint(skeleton.offsets / STEP_M).astype(np.int64)
+    how, body = _tree_and_offsets(skeleton.names, skeleton.parents, tree, steps.tobytes())
+    return bytes([flags | how]) + head + body
+
+
+@lru_cache(maxsize=16)
+def _tree_and_offsets(
+    joint_names: tuple[str, ...], parents: tuple[int, ...], tree: int, steps: bytes
+) -> tuple[int, bytes]:
+    """Flags and bits of a tree and its offsets (joints, 3), int64. They are kept: the files of a person share them."""
     bits = BitWriter()
     if not tree:
-        _put_parents(bits, skeleton.parents)
-    if exact:
-        return bytes([flags]) + head + bits.bytes() + arrays.pack(skeleton.offsets)
-    found = _cheapest_prediction(np.rint(skeleton.offsets / STEP_M).astype(np.int64), skeleton.names, tree)
+        _put_parents(bits, parents)
+    found = _cheapest_prediction(np.frombuffer(steps, np.int64).reshape(-1, 3), joint_names, tree)
     _put_offsets(bits, found)
-    return bytes([flags | found.chained | found.axis << MIRROR]) + head + bits.bytes()
+    return found.chained | found.axis << MIRROR, bits.bytes()
 
 
 def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:

@@ -21,7 +21,7 @@ from mocodec.errors import Corrupt
 from mocodec.pointcloud import PointClouds
 
 GOLDEN = Path(__file__).parents[2] / "golden"
-WITHIN_BOUND = ("jumper-bounded", "jumper-learned", "jumper-smoothed", "covered")
+WITHIN_BOUND = ("jumper-bounded", "jumper-learned", "jumper-smoothed", "jumper-cubes", "covered")
 EXACT = ("exact", "exact-steps")
 MORE = bytes(8)  # more than the four bytes that a decoder reads before the first bit
 

@@ -1,16 +1,22 @@
-"""The octree of lattice points: the compiled module and NumPy give the same bytes, points, samples and errors."""
+"""Octrees of lattice points, octant by octant and cube by cube: the compiled module and NumPy give the same."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.codecs.bodycast import integer_surface, octree, point_octree
+from mocodec.codecs.bodycast import cube_octree, integer_surface, octree, point_octree
 from mocodec.codecs.bodycast.surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 from mocodec.entropy.bit_arrays import BitDecoder, BitEncoder
 from mocodec.errors import Corrupt
 
+CodeOctree = Callable[..., tuple[np.ndarray, np.ndarray]]
+both = pytest.mark.parametrize(
+    "code_octree", [point_octree.code_octree, cube_octree.code_octree], ids=["octants", "cubes"]
+)
 compiled = pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
 
 
@@ -38,14 +44,16 @@ def scene(depth: int, points: int, samples: int, far: int = 0, seed: int = 0) ->
     return codes, SurfaceHints(at, whole, neighbours, spacing, depth)
 
 
-def coded(frames: list[tuple[np.ndarray, SurfaceHints | None]], depth: int) -> tuple[bytes, list[np.ndarray]]:
+def coded(
+    code_octree: CodeOctree, frames: list[tuple[np.ndarray, SurfaceHints | None]], depth: int
+) -> tuple[bytes, list[np.ndarray]]:
     """The bytes of frames, and the samples of their points, from the encoder and from the decoder."""
     encoder = BitEncoder()
-    samples = [point_octree.code_octree(encoder, codes, depth, len(codes), hints)[1] for codes, hints in frames]
+    samples = [code_octree(encoder, codes, depth, len(codes), hints)[1] for codes, hints in frames]
     data = encoder.finish()
     decoder = BitDecoder(data)
     for codes, hints in frames:
-        back, nearest = point_octree.code_octree(decoder, None, depth, len(codes), hints)
+        back, nearest = code_octree(decoder, None, depth, len(codes), hints)
         np.testing.assert_array_equal(back, codes)
         samples.append(nearest)
     decoder.finish()
@@ -53,41 +61,43 @@ def coded(frames: list[tuple[np.ndarray, SurfaceHints | None]], depth: int) -> t
 
 
 @compiled
+@both
 @pytest.mark.parametrize(
     ("depth", "points", "samples", "far"),
     [
         (1, 8, 0, 0),
         (2, 3, 1, 0),
         (4, 60, 15, 3),
-        (7, 900, 400, 0),
-        (7, 400, 900, 50),
-        (9, 500, 40, 40),
+        (7, 300, 150, 0),
+        (7, 100, 400, 50),
+        (9, 100, 40, 40),
         (20, 30, 60, 0),
         (20, 30, 5, 1),
     ],
 )
-def test_compiled_and_numpy_octrees_are_the_same(depth, points, samples, far):
+def test_compiled_and_numpy_octrees_are_the_same(code_octree, depth, points, samples, far):
     frames = [scene(depth, points, samples, far, seed) for seed in range(3)]
     frames[1] = (frames[1][0], None)  # a frame without a body between two with one
-    data, found = coded(frames, depth)
+    data, found = coded(code_octree, frames, depth)
     with native.without():
-        pure, expected = coded(frames, depth)
+        pure, expected = coded(code_octree, frames, depth)
     assert data == pure
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
 @compiled
-def test_damaged_bytes_fail_alike():
-    codes, hints = scene(6, 200, 100)
-    data = coded([(codes, hints)], 6)[0]
+@both
+def test_damaged_bytes_fail_alike(code_octree):
+    codes, hints = scene(6, 100, 60)
+    data = coded(code_octree, [(codes, hints)], 6)[0]
     rng = np.random.default_rng(1)
     cases = [(data[: len(data) // 2], len(codes)), (data, len(codes) - 5), (data, len(codes) + 5)]
     cases += [(rng.bytes(len(data)), len(codes)) for _ in range(20)]
 
     def outcome(stream: bytes, points: int) -> str:
         try:
-            return str(point_octree.code_octree(BitDecoder(stream), None, 6, points, hints)[0].tolist())
+            return str(code_octree(BitDecoder(stream), None, 6, points, hints)[0].tolist())
         except Corrupt as error:
             return str(error)
 
@@ -98,7 +108,8 @@ def test_damaged_bytes_fail_alike():
 
 
 @compiled
+@both
 @pytest.mark.parametrize("codes", [[7, 0], [0, 0], [0, 8], [0, 3]])
-def test_codes_that_are_no_frame_are_refused(codes):
-    with pytest.raises(ValueError, match="point_octree"):
-        point_octree.code_octree(BitEncoder(), np.array(codes), 1, 2, None)
+def test_codes_that_are_no_frame_are_refused(code_octree, codes):
+    with pytest.raises(ValueError, match="octree: "):
+        code_octree(BitEncoder(), np.array(codes), 1, 2, None)

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mocodec.codecs.tempo import Tempo, chunk, fallback, hard_bound
+from mocodec import native
+from mocodec.codecs.tempo import Tempo, chunk, fallback, hard_bound, model_choice
 from mocodec.codecs.tempo.chunk import DIRECT, Payload
+from mocodec.codecs.tempo.coding.coefficients import list_coding
+from mocodec.codecs.tempo.models import Recording
+from mocodec.codecs.tempo.preparation import prepare
 from mocodec.stages import dct
 
 from .motions import error, named_points, smooth
@@ -15,9 +19,9 @@ from .motions import error, named_points, smooth
 def test_most_chunks_are_tried_once_or_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, within = [0], chunk.ChunkEncoder.within_bound
 
-    def counted(encoder: chunk.ChunkEncoder, bound: float, offset: int) -> chunk.Draft:
+    def counted(encoder: chunk.ChunkEncoder, bound: float, offset: int, *most_bits: float) -> chunk.Draft:
         tried[0] += 1
-        return within(encoder, bound, offset)
+        return within(encoder, bound, offset, *most_bits)
 
     monkeypatch.setattr(chunk.ChunkEncoder, "within_bound", counted)
     motion = named_points(3000)
@@ -25,6 +29,21 @@ def test_most_chunks_are_tried_once_or_twice(monkeypatch: pytest.MonkeyPatch) ->
     searched = min(hard_bound.SEARCHED, len(encoded.chunks))
     assert tried[0] <= 4 * searched + 2 * (len(encoded.chunks) - searched)
     assert error(motion, Tempo.decode(encoded)).max() <= 0.01
+
+
+def test_a_step_whose_coefficients_take_too_many_bits_is_given_up() -> None:
+    motion = named_points(300)
+    source = prepare(motion.positions, motion.up)
+    model = model_choice.choose(Recording([source.smooth], motion, -200), "points-prior").model
+    encoder = chunk.ChunkEncoder.of(model, source, slice(None))
+    whole = encoder.within_bound(0.01, 40)
+    assert whole.numbers is not None
+    assert whole.numbers.lists is not None
+    coefficients = whole.bits - list_coding(model, whole.numbers.lists)[1]
+    for few, most_bits in ((True, coefficients - 1), (False, coefficients + 1)):
+        assert (encoder.within_bound(0.01, 40, most_bits).numbers is None) == few
+        with native.without():
+            assert (encoder.within_bound(0.01, 40, most_bits).numbers is None) == few
 
 
 def test_a_chunk_beyond_the_bound_is_coded_directly(monkeypatch: pytest.MonkeyPatch) -> None:

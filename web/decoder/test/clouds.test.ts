@@ -8,7 +8,7 @@ import { goldenBytes, goldenTwin } from "./golden.js";
 const TOLERANCE_M = 0.6e-6;
 
 describe("points are those of the twins", () => {
-  const names = ["jumper", "jumper-bounded", "jumper-learned", "jumper-smoothed", "covered", "exact", "exact-steps"].map((name) => `bodycast-${name}`);
+  const names = ["jumper", "jumper-bounded", "jumper-learned", "jumper-smoothed", "jumper-cubes", "covered", "exact", "exact-steps"].map((name) => `bodycast-${name}`);
   test.each([...names, "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };
     const file = await open(goldenBytes(name));

@@ -14,7 +14,7 @@ Modules in the order in which data flows:
     point_encoder.py      all points within a bound                        point_targets.py the bound for a target
     point_layer.py        all points of a chunk, on a lattice: their places and colours
     lattice_frames.py     points rounded to the lattice                    point_octree.py  its octree, by contexts
-    point_choice.py       lattice points chosen by their bits and errors
+    point_choice.py       lattice points chosen by their bits and errors   cube_octree.py   the same cube by cube
     point_scene.py        where the surface of the bodies lies             surface_hints.py as the octree sees it
     reference_points.py   points of earlier frames as surface: what a frame refers to
     reference_choice.py   the encoder's choice of them                     reference_surface.py their planes

@@ -21,6 +21,7 @@ from ...errors import Corrupt
 from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, no_points
 from . import (
+    cube_octree,
     integer_surface,
     lattice,
     octree,
@@ -39,11 +40,12 @@ from .reference_points import NO_REFERENCE, EarlierFrames, Reference, ReferenceP
 from .surface_hints import SurfaceHints
 from .surface_memory import ColourMemory, SampleTable
 
-UNLEARNED, LEARNED, SMOOTHED, REFERRED = 3, 4, 5, 6
-KINDS = (UNLEARNED, LEARNED, SMOOTHED, REFERRED)
+UNLEARNED, LEARNED, SMOOTHED, REFERRED, CUBED = 3, 4, 5, 6, 8
+KINDS = (UNLEARNED, LEARNED, SMOOTHED, REFERRED, CUBED)
 """Of the part that holds all points; 0 to 2 are those of `exact_points`. UNLEARNED is decoded only: its surface and
-colours do not depend on earlier frames. The points of LEARNED are those of the lattice: exact ones. REFERRED stands
-before a part of kind LEARNED or SMOOTHED, whose frames refer to earlier ones.
+colours do not depend on earlier frames. The points of LEARNED are those of the lattice: exact ones. CUBED is as
+SMOOTHED with the octrees of `cube_octree`. REFERRED stands before a part of kind LEARNED, SMOOTHED or CUBED, whose
+frames refer to earlier ones.
 """
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 
@@ -68,7 +70,7 @@ class LocatedPoints(NamedTuple):
 class CodedPlaces(NamedTuple):
     """The places of a chunk's points as bytes, and what their colours are coded from. head: what follows the steps of
     colours. ends: bytes of the octrees after each frame with points, about. references: of each frame. sources: the
-    lattice points of all frames, as they were chosen. smooths: whether points move from the lattice to the surface.
+    lattice points of all frames, as they were chosen.
     """
 
     depth: int
@@ -79,7 +81,7 @@ class CodedPlaces(NamedTuple):
     table: SampleTable
     references: list[Reference]
     sources: list[LatticeFrame]
-    smooths: bool
+    kind: int
 
 
 class PointsHeader(NamedTuple):
@@ -133,19 +135,19 @@ def pack_places(
     chooses: bool = False,
 ) -> CodedPlaces:
     """bound_m: within which points may move from the lattice to the surface; None: they stay. chooses: whether points
-    take other cells within the bound, as `point_choice` says.
+    take other cells within the bound, as `point_choice` says, and octrees are those of `cube_octree`.
     """
-    smooths = bound_m is not None
+    kind = LEARNED if bound_m is None else CUBED if chooses else SMOOTHED
     shifts = [texture.shift for texture in bodies.textures]
     values = [bodies.pose_values(k) for k in range(len(frames))]
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
     coder, located, ends = BitEncoder(), list[LocatedPoints](), list[int]()
-    scene = Scene(bodies, shifts, learns=True, smooths=smooths)
+    scene = Scene(bodies, shifts, learns=True, smooths=kind != LEARNED)
     earlier, choice, references, sources = EarlierFrames(), ReferenceChoice(), list[Reference](), list[LatticeFrame]()
     for k, frame in enumerate(frames):
         reference, source = NO_REFERENCE, frame
         if len(frame.codes):
-            octree_of_frame = _OctreeOfFrame(scene, grid, k, values[k], pose_shifts[k], earlier)
+            octree_of_frame = _OctreeOfFrame(kind, scene, grid, k, values[k], pose_shifts[k], earlier)
             source = octree_of_frame.chosen(frame, bound_m) if chooses and bound_m is not None else frame
             coder, reference, points = octree_of_frame.encode(coder, source, bound_m, choice)
             located.append(points)
@@ -154,7 +156,7 @@ def pack_places(
         sources.append(source)
     head = varint.write([varint.signed(v) for v in grid.corner.tolist()]) + struct.pack("<d", grid.step_m)
     head += varint.write([*(len(f.codes) for f in sources), *shifts, *(s for row in pose_shifts for s in row)])
-    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, sources, smooths)
+    return CodedPlaces(grid.depth, head, coder.finish(), ends, located, scene.table, references, sources, kind)
 
 
 def pack_colours(coded: CodedPlaces, colours: Sequence[Bytes], steps: ColourSteps) -> tuple[bytes, list[Bytes]]:
@@ -171,10 +173,8 @@ def join(coded: CodedPlaces, steps: ColourSteps | None, colours: bytes) -> bytes
     """The part of a chunk. steps: None without colours."""
     refers = any(reference != NO_REFERENCE for reference in coded.references)
     before = varint.write([REFERRED]) + reference_points.pack_references(coded.references) if refers else b""
-    kind = before + varint.write(
-        [SMOOTHED if coded.smooths else LEARNED, coded.depth, *((0, 0) if steps is None else steps)]
-    )
-    return kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
+    kind = varint.write([coded.kind, coded.depth, *((0, 0) if steps is None else steps)])
+    return before + kind + coded.head + varint.write([len(coded.octrees)]) + coded.octrees + colours
 
 
 def unpack_points(data: bytes, frames: int, bodies: ChunkBodies, coloured: bool) -> Iterator[Cloud]:
@@ -208,7 +208,7 @@ class PlacesDecoder:
         self.head = PointsHeader.read(part, frames, len(bodies.textures), int((~bodies.is_absent).sum()), coloured)
         self._coder, self.rest = BitDecoder(part[self.head.octrees]), part[self.head.octrees.stop :]
         kind = self.head.kind
-        self._scene = Scene(bodies, self.head.shifts, learns=kind != UNLEARNED, smooths=kind == SMOOTHED)
+        self._scene = Scene(bodies, self.head.shifts, learns=kind != UNLEARNED, smooths=kind in (SMOOTHED, CUBED))
         self.table = self._scene.table
 
     def frames(self) -> Iterator[LocatedPoints | None]:
@@ -217,8 +217,9 @@ class PlacesDecoder:
         for k, count in enumerate(self.head.counts):
             shifts, located = [next(waiting) for _ in bodies.present(k)], None
             if count:
-                octree_of_frame = _OctreeOfFrame(self._scene, self.head.grid, k, bodies.pose_values(k), shifts, earlier)
-                located = octree_of_frame.decode(self._coder, count, self._references[k])
+                located = _OctreeOfFrame(
+                    self.head.kind, self._scene, self.head.grid, k, bodies.pose_values(k), shifts, earlier
+                ).decode(self._coder, count, self._references[k])
             if k == len(self.head.counts) - 1:
                 self._coder.finish()
             yield located
@@ -229,7 +230,7 @@ def split_references(data: bytes, frames: int) -> tuple[bytes, list[Reference]]:
     if data[:1] != bytes([REFERRED]):
         return data, [NO_REFERENCE] * frames
     references, at = reference_points.unpack_references(data, frames, 1)
-    if data[at : at + 1] not in (bytes([LEARNED]), bytes([SMOOTHED])):
+    if data[at : at + 1] not in (bytes([kind]) for kind in (LEARNED, SMOOTHED, CUBED)):
         raise Corrupt("bodycast: references stand before points of another kind")
     return data[at:], references
 
@@ -247,6 +248,7 @@ class _OctreeOfFrame:
 
     def __init__(
         self,
+        kind: int,
         scene: Scene,
         grid: LatticeGrid,
         k: int,
@@ -255,6 +257,7 @@ class _OctreeOfFrame:
         earlier: EarlierFrames,
     ) -> None:
         self.scene, self.grid, self.earlier = scene, grid, earlier
+        self.code_octree = cube_octree.code_octree if kind == CUBED else point_octree.code_octree
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
@@ -273,7 +276,7 @@ class _OctreeOfFrame:
         tried = list[tuple[BitEncoder, _Seen, Integers]]()
         for reference in candidates:
             trial, seen = coder.copy() if len(candidates) > 1 else coder, self._seen(reference)
-            _, nearest = point_octree.code_octree(trial, frame.codes, depth, len(frame.codes), seen.hints)
+            _, nearest = self.code_octree(trial, frame.codes, depth, len(frame.codes), seen.hints)
             tried.append((trial, seen, nearest))
         best, seen, nearest = min(tried, key=lambda one: one[0].size)
         choice.keep(seen.reference)
@@ -282,7 +285,7 @@ class _OctreeOfFrame:
     def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
         """The points (count,). Raises Corrupt."""
         seen = self._seen(reference)
-        codes, nearest = point_octree.code_octree(coder, None, self.grid.depth, count, seen.hints)
+        codes, nearest = self.code_octree(coder, None, self.grid.depth, count, seen.hints)
         return self._keep(coder, None, None, octree.cells_of_codes(codes), nearest, seen)
 
     def _seen(self, reference: Reference) -> _Seen:

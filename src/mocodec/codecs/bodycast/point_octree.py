@@ -10,6 +10,7 @@ of a cube can be occupied.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -54,26 +55,59 @@ def code_octree(
 
     codes: None in the decoder. depth: levels. Raises Corrupt in the decoder.
     """
+    return code_levels("point_octree", _code_cubes, coder, codes, depth, points, surface)
+
+
+class LevelOfCubes(NamedTuple):
+    """The cubes (n,) of a level in order. nearest (n,): a sample near each, −1 without one. points: of the frame."""
+
+    cubes: Integers
+    level: int
+    depth: int
+    points: int
+    surface: SurfaceHints | None
+    nearest: Integers
+
+    @property
+    def octants(self) -> tuple[int, ...]:
+        """Those that can be occupied."""
+        return LATTICE_OCTANTS if self.level == self.depth - 1 else ALL_OCTANTS
+
+
+CodeLevel = Callable[[BitCoder, LevelOfCubes, Booleans | None], Integers]
+"""Codes which children (n, 8) of the cubes of a level are occupied, and returns them; None in the decoder."""
+
+
+def code_levels(
+    kernels: str,
+    code_level: CodeLevel,
+    coder: BitCoder,
+    codes: Integers | None,
+    depth: int,
+    points: int,
+    surface: SurfaceHints | None,
+) -> tuple[Integers, Integers]:
+    """As `code_octree`, each level by `code_level`, or all by the compiled kernels of this name."""
     if (kernel := native.kernel("OctreeSurface")) is not None and coder.compiled is not None:
         hints = None if surface is None else surface.compiled(kernel)
-        cubes, nearest = _code_compiled(coder.compiled, codes, depth, points, hints)
+        cubes, nearest = _code_compiled(kernels, coder.compiled, codes, depth, points, hints)
     else:
-        cubes, nearest = _code_in_numpy(coder, codes, depth, points, surface)
+        cubes, nearest = _code_in_numpy(code_level, coder, codes, depth, points, surface)
     if len(cubes) != points:
         raise Corrupt(f"bodycast: an octree holds {len(cubes)} points instead of {points}")
     return cubes, nearest
 
 
 def _code_compiled(
-    coder: Any, codes: Integers | None, depth: int, points: int, surface: Any
+    kernels: str, coder: Any, codes: Integers | None, depth: int, points: int, surface: Any
 ) -> tuple[Integers, Integers]:
     if codes is not None:
-        encode = native.kernel("point_octree_encode")
+        encode = native.kernel(f"{kernels}_encode")
         assert encode is not None
-        return codes, np.asarray(encode(coder, codes.astype(np.uint64), depth, surface, _bell()))
-    decode = native.kernel("point_octree_decode")
+        return codes, np.asarray(encode(coder, codes.astype(np.uint64), depth, surface, bell()))
+    decode = native.kernel(f"{kernels}_decode")
     assert decode is not None
-    found, nearest, level, cubes = decode(coder, points, depth, surface, _bell())
+    found, nearest, level, cubes = decode(coder, points, depth, surface, bell())
     if found is None and not level:
         raise Corrupt(CUT_OFF)
     if found is None:
@@ -82,17 +116,19 @@ def _code_compiled(
 
 
 def _code_in_numpy(
-    coder: BitCoder, codes: Integers | None, depth: int, points: int, surface: SurfaceHints | None
+    code_level: CodeLevel,
+    coder: BitCoder,
+    codes: Integers | None,
+    depth: int,
+    points: int,
+    surface: SurfaceHints | None,
 ) -> tuple[Integers, Integers]:
     cubes, nearest = np.zeros(1, np.int64), np.full(1, -1)
     for level in range(depth):
-        octants = LATTICE_OCTANTS if level == depth - 1 else ALL_OCTANTS
         occupied = None if codes is None else _occupancy(codes, cubes, depth, level)
-        hints = None
         if surface is not None:
             nearest = surface.attach(cubes, level, nearest)
-            hints = _level_hints(surface, cubes, level, nearest)
-        known = _code_level(coder, cubes, level, depth - level, octants, occupied, hints)
+        known = code_level(coder, LevelOfCubes(cubes, level, depth, points, surface, nearest), occupied)
         parent, octant = np.nonzero(known)
         if not 0 < len(parent) <= points:
             raise Corrupt(f"bodycast: an octree of {points} points has {len(parent)} cubes in level {level + 1}")
@@ -108,16 +144,10 @@ def _occupancy(codes: Integers, cubes: Integers, depth: int, level: int) -> Bool
     return occupied
 
 
-def _code_level(
-    coder: BitCoder,
-    cubes: Integers,
-    level: int,
-    height: int,
-    octants: tuple[int, ...],
-    occupied: Booleans | None,
-    hints: LevelHints | None,
-) -> Integers:
-    """(n, 8): which children are occupied. height: levels from the cubes to the points."""
+def _code_cubes(coder: BitCoder, own: LevelOfCubes, occupied: Booleans | None) -> Integers:
+    """Octant by octant, all cubes of each."""
+    cubes, level, octants, height = own.cubes, own.level, own.octants, own.depth - own.level
+    hints = None if own.surface is None else _level_hints(own.surface, cubes, level, own.nearest)
     known = np.zeros((len(cubes) + 1, 8), np.int64)
     neighbours = octree.neighbour_rows(cubes, level)
     filled = (neighbours < len(cubes)).sum(axis=0)
@@ -178,7 +208,7 @@ def _contexts(
 
 
 @cache
-def _bell() -> NDArray[np.int32]:
+def bell() -> NDArray[np.int32]:
     """Weights of the normal density, by distance in 1/16 of a standard deviation; never 0."""
     step = BELL_RANGE / BELL_STEPS
     return np.array([1 + round(4096 * math.exp(-((k * step) ** 2) / 2)) for k in range(BELL_STEPS + 1)], np.int32)
@@ -207,7 +237,7 @@ def _level_hints(surface: SurfaceHints, cubes: Integers, level: int, nearest: In
 def _weights(distance: Integers, deviation: Integers) -> Integers:
     """The normal density at distances (n, 8), for standard deviations (n, 1)."""
     steps = np.abs(distance) * (BELL_STEPS // int(BELL_RANGE)) // np.maximum(deviation, 1)
-    return _bell()[np.minimum(steps, BELL_STEPS)].astype(np.int64)
+    return bell()[np.minimum(steps, BELL_STEPS)].astype(np.int64)
 
 
 def _posterior(weights: Integers, usable: Booleans, remaining: tuple[int, ...]) -> Integers:

@@ -34,7 +34,7 @@ LARGEST_RUNG = 1 << 12
 """Limit for every rung in a file: 64 octaves of the ladder of steps."""
 MAX_TRANSFORM_ENTRIES = 1 << 24
 """Of all left transforms of a file together."""
-LONGEST_SERIES = 1 << 15
+LONGEST_SERIES = 1 << 14
 """Frames of a clip up to which the compiled module decodes it: beyond, its tables take much memory."""
 
 
@@ -303,7 +303,7 @@ def reconstruct(clips: QuantisedClips, header: SharedHeader) -> Floats:
     return rows.reshape(-1, header.points, 3)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)
 def _series(kernel: Callable[[int, int], Any], frames: int, frequencies: int) -> Any:
     """The compiled inverse DCT of the lowest frequencies of clips of `frames` frames."""
     return kernel(frames, frequencies)

@@ -232,21 +232,31 @@ class ChunkEncoder:
             off *= self.model.weights[np.nonzero(frozen_)[1]]
         return bool((off <= bound).all())
 
-    def within_bound(self, bound: float, offset: int) -> Draft:
+    def within_bound(self, bound: float, offset: int, most_bits: float = np.inf) -> Draft:
         """The chunk in a step so far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
-        every sample within it; a direct draft where the transform fails."""
+        every sample within it; a direct draft where the transform fails, or takes `most_bits` or more without them."""
         found = None
         if self.spectrum is not None:
-            found = self.attempt(lambda: self._transform_within(bound, offset))
+            found = self.attempt(lambda: self._transform_within(bound, offset, most_bits))
         return found or Draft(grid=grid_step(direct.cell(bound)))
 
-    def _transform_within(self, bound: float, offset: int) -> Draft:
+    def _transform_within(self, bound: float, offset: int, most_bits: float) -> Draft | None:
         assert self.spectrum is not None
         grid, step = grid_step(direct.cell(bound)), round(np.log2(bound) * OCTAVE) + offset
         within = bound * (1 - 1e-9)
         found = trial.within_bound(
-            self.model, self.spectrum, self.positions, self.gap_mask, step, BOUND_SLOPE, within, grid_size(grid)
+            self.model,
+            self.spectrum,
+            self.positions,
+            self.gap_mask,
+            step,
+            BOUND_SLOPE,
+            within,
+            grid_size(grid),
+            most_bits,
         )
+        if found is None:
+            return None
         numbers = self._numbers(found.quantised, step, found.moved)
         return Draft(numbers, grid if found.moved.size else None, bits=found.quantised.bits)
 

@@ -62,13 +62,21 @@ def of_step(
 
 
 def within_bound(
-    model: Model, spectrum: Floats, wanted: Floats, apart: Booleans, step: int, slope: float, bound: float, grid: float
+    model: Model,
+    spectrum: Floats,
+    wanted: Floats,
+    apart: Booleans,
+    step: int,
+    slope: float,
+    bound: float,
+    grid: float,
+    most_bits: float,
 ) -> tuple[Any, ...] | None:
     """What `ChunksOfLength.within_bound` returns; None if NumPy has to do it. Arguments as in `trial`."""
     if (compiled := _encoder(model, len(spectrum))) is None:
         return None
     size = float(step_size(step))
-    return compiled.within_bound(spectrum, wanted, _mask(apart), step, size, slope, FREE, bound, grid)
+    return compiled.within_bound(spectrum, wanted, _mask(apart), step, size, slope, FREE, bound, grid, most_bits)
 
 
 def pack(model: Model, chunk: ChunkNumbers) -> bytes:

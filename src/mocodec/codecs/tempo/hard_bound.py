@@ -119,17 +119,19 @@ def _predicted(encoder: ChunkEncoder, bits: float) -> float:
 
 def _search(encoder: ChunkEncoder, bound: float) -> Searched:
     """The cheapest of the first offset, the one that its bits predict, and one to either side."""
-    tried: dict[int, Draft] = {}
+    tried = {FIRST_OFFSET: encoder.within_bound(bound, FIRST_OFFSET)}
 
-    def cost(offset: int) -> float:
-        if offset not in tried:
-            tried[offset] = encoder.within_bound(bound, offset)
-        return np.inf if tried[offset].numbers is None else tried[offset].bits
+    def cheaper(at: int, other: int) -> int:
+        if other not in tried:
+            tried[other] = encoder.within_bound(bound, other, tried[at].bits)
+        return other if tried[other].numbers is not None and tried[other].bits < tried[at].bits else at
 
     at = FIRST_OFFSET
-    if np.isfinite(cost(at)):
-        at = min(at, round(_predicted(encoder, cost(at))), key=cost)
-        at = next((other for other in (at + STRIDE, at - STRIDE) if cost(other) < cost(at)), at)
+    if tried[at].numbers is not None:
+        at = cheaper(at, round(_predicted(encoder, tried[at].bits)))
+        begin = at
+        at = cheaper(begin, begin + STRIDE)
+        at = cheaper(begin, begin - STRIDE) if at == begin else at
     return Searched(tried[at], at, at - _predicted(encoder, tried[at].bits))
 
 
@@ -139,7 +141,7 @@ def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
     offset = round(_predicted(encoder, draft.bits) + before.beside)
     if draft.numbers is None or abs(offset - before.offset) <= NEAR:
         return draft
-    other = encoder.within_bound(bound, offset)
+    other = encoder.within_bound(bound, offset, draft.bits)
     return other if other.numbers is not None and other.bits < draft.bits else draft
 
 

@@ -54,23 +54,36 @@ def of_step(
     if (found := compiled_chunks.of_step(model, spectrum, wanted, apart, step, slope, keeps)) is not None:
         values, threshold, bits, distance, squared, decoded = found
         return Trial(quantise.Quantised(values, threshold, bits), distance, squared, decoded)
-    found, decoded = _decoded(model, spectrum, step, slope)
+    found, sizes = _quantised(model, spectrum, step, slope)
+    decoded = model.synthesise(quantise.dequantise(found.values, sizes), len(spectrum))
     distance = float(errors(model, wanted, decoded, apart).sum())
     return Trial(found, distance, float(((wanted - decoded) ** 2).sum()), decoded if keeps else None)
 
 
 def within_bound(
-    model: Model, spectrum: Floats, wanted: Floats, apart: Booleans, step: int, slope: float, bound: float, grid: float
-) -> Bounded:
+    model: Model,
+    spectrum: Floats,
+    wanted: Floats,
+    apart: Booleans,
+    step: int,
+    slope: float,
+    bound: float,
+    grid: float,
+    most_bits: float = np.inf,
+) -> Bounded | None:
     """The trial of a step, with the corrections in steps of `grid` metres that bring all samples within the bound.
 
-    The rest as in `of_step`. Raises CannotEncode for errors too large to correct.
+    None where the coefficients alone take `most_bits` or more: they are not decoded. The rest as in `of_step`. Raises
+    CannotEncode for errors too large to correct.
     """
-    if (found := compiled_chunks.within_bound(model, spectrum, wanted, apart, step, slope, bound, grid)) is not None:
-        values, threshold, bits, moved = found
-        return Bounded(quantise.Quantised(values, threshold, bits), moved)
-    found, decoded = _decoded(model, spectrum, step, slope)
-    error = wanted - decoded
+    asked = (step, slope, bound, grid, most_bits)
+    if (compiled := compiled_chunks.within_bound(model, spectrum, wanted, apart, *asked)) is not None:
+        values, threshold, bits, moved = compiled
+        return None if values is None else Bounded(quantise.Quantised(values, threshold, bits), moved)
+    found, sizes = _quantised(model, spectrum, step, slope)
+    if found.bits >= most_bits:
+        return None
+    error = wanted - model.synthesise(quantise.dequantise(found.values, sizes), len(spectrum))
     error[apart] = 0.0
     if model.weights is not None:
         error *= model.weights[:, None]
@@ -78,9 +91,9 @@ def within_bound(
     return Bounded(found._replace(bits=found.bits + coefficients.list_coding(model, moved)[1]), moved)
 
 
-def _decoded(model: Model, spectrum: Floats, step: int, slope: float) -> tuple[quantise.Quantised, Floats]:
+def _quantised(model: Model, spectrum: Floats, step: int, slope: float) -> tuple[quantise.Quantised, Floats]:
+    """Integers in the coded zone, and the steps (frames, rows), metres."""
     sizes, frames = rows.sizes(model.rows, len(spectrum), step), len(spectrum)
     found = quantise.quantise(model, spectrum / sizes, step, slope)
     known = coefficients.plan(model, frames, step, found.threshold, 0).frequencies
-    found = found._replace(values=found.values[:known])
-    return found, model.synthesise(quantise.dequantise(found.values, sizes), frames)
+    return found._replace(values=found.values[:known]), sizes

@@ -82,12 +82,12 @@ def expect(spreads: Integers, means: Integers, frames: int, rate: float, step: i
     tall[0] = means + log2(np.array([frames])) // 2
     if frames > 1:
         k = np.arange(1, frames, dtype=np.int64)
-        at = log2(np.maximum(k * millihertz // (2 * frames), 1))
+        at, number = np.unique(log2(np.maximum(k * millihertz // (2 * frames), 1)), return_inverse=True)
         band = np.clip(np.searchsorted(_BAND_LOGS, at, side="right") - 1, 0, len(_BAND_LOGS) - 2)
         low, high = _BAND_LOGS[band], _BAND_LOGS[band + 1]
         along = np.clip(at, low, high) - low
         left, right = spreads[:, band + 1], spreads[:, band + 2]
-        tall[1:] = (left + (right - left) * along // (high - low)).T
+        tall[1:] = (left + (right - left) * along // (high - low)).T[number]
         tall[1:] += (log2(np.array([max(millihertz, 1)])) - log2(np.array([120_000]))) // 2
     return tall - step
 

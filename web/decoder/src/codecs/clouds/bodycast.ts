@@ -8,7 +8,7 @@ import { type Cloud, type PointDecoder, joined } from "./cloud.js";
 import { readExact } from "./exact.js";
 import { readOutliers } from "./outliers.js";
 import { EXACT, readExactLattice } from "./exact_lattice.js";
-import { type Bodies, NEWEST, UNLEARNED, readLattice } from "./lattice.js";
+import { type Bodies, KINDS, readLattice } from "./lattice.js";
 import { MovingSurface } from "./moving_surface.js";
 import { readRawFrames } from "./raw_frames.js";
 import { type Surface, type Texture, surfaceOf, textureOf } from "./surface.js";
@@ -40,7 +40,7 @@ export class BodycastPoints implements PointDecoder {
   *decode(chunk: StoredChunk): Generator<Cloud> {
     const parts = splitChunk(chunk, this.models.length);
     const kind = parts.exactPoints[0];
-    if (kind !== undefined && kind >= UNLEARNED && kind <= NEWEST) yield* readLattice(parts.exactPoints, chunk.frames, this.coloured, this.bodies(parts, chunk.frames));
+    if (kind !== undefined && KINDS.includes(kind)) yield* readLattice(parts.exactPoints, chunk.frames, this.coloured, this.bodies(parts, chunk.frames));
     else if (kind === EXACT) yield* readExactLattice(parts.exactPoints, chunk.frames, this.coloured, this.bodies(parts, chunk.frames));
     else if (kind !== undefined) yield* readExact(parts.exactPoints, chunk.frames, this.coloured);
     else yield* this.surfaces(parts, chunk.frames);

@@ -4,6 +4,7 @@ import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
 import type { Placement } from "../bodies.js";
 import { type Cloud, checkCounts, rgbOf } from "./cloud.js";
+import { readPointsByCube } from "./cube_octree.js";
 import { Colours, readTexturedColours } from "./colours.js";
 import { MixedBits } from "./mixed.js";
 import { readPoints } from "./point_octree.js";
@@ -13,12 +14,14 @@ import { FINE, readShifts } from "./smoothing.js";
 import type { Surface } from "./surface.js";
 import { SurfaceHints, samplesOfBodies } from "./surface_hints.js";
 
-/** Kinds of a part: without and with learning from earlier frames, with smoothing too, and references before one of these. */
-export const UNLEARNED = 3;
+/** Kinds of a part: without and with learning from earlier frames, with smoothing too, references before one of these, and octrees
+ * cube by cube with smoothing. */
+const UNLEARNED = 3;
 const LEARNED = 4;
 const SMOOTHED = 5;
 const REFERRED = 6;
-export const NEWEST = REFERRED;
+const CUBED = 8;
+export const KINDS = [UNLEARNED, LEARNED, SMOOTHED, REFERRED, CUBED];
 
 const MOST_DEPTH = 20;
 const MOST_STEP = 128;
@@ -66,6 +69,7 @@ const NOTHING: LatticeFrame = { cells: new Int32Array(0), rows: new Int32Array(0
 /** Points of a chunk on a lattice: what stands before them, and their places. */
 export class Lattice {
   readonly kind: number;
+  private readonly smooths: boolean;
   readonly steps: [number, number, number];
   readonly corner: number[];
   readonly step: number;
@@ -88,7 +92,9 @@ export class Lattice {
     const refers = data[0] === REFERRED;
     if (refers) part.varint();
     this.references = refers ? readReferences(part, frames) : Array.from({ length: frames }, () => NO_REFERENCE);
-    this.kind = part.varintWithin(refers ? LEARNED : UNLEARNED, SMOOTHED, "the kind");
+    this.kind = part.varint();
+    check([...(refers ? [] : [UNLEARNED]), LEARNED, SMOOTHED, CUBED].includes(this.kind), "bodycast: points of an unknown kind");
+    this.smooths = this.kind === SMOOTHED || this.kind === CUBED;
     this.depth = part.varintWithin(0, MOST_DEPTH, "the depth");
     const luma = part.varintWithin(0, MOST_STEP, "a colour step");
     const chroma = this.kind !== UNLEARNED ? part.varintWithin(0, MOST_STEP, "a colour step") : luma;
@@ -122,9 +128,10 @@ export class Lattice {
     const own = reference.hides ? undefined : samplesOfBodies(standing, step, corner);
     const before = earlier.refer(reference, this.depth, own !== undefined);
     const all = joinedSamples(own, before);
-    const hints = all && new SurfaceHints(all, this.kind !== SMOOTHED);
-    const { cells, samples } = readPoints(this.octrees, this.depth, count, hints);
-    const shifts = this.kind === SMOOTHED && hints ? readShifts(this.octrees, cells, samples, hints) : undefined;
+    const hints = all && new SurfaceHints(all, !this.smooths);
+    const read = this.kind === CUBED ? readPointsByCube : readPoints;
+    const { cells, samples } = read(this.octrees, this.depth, count, hints);
+    const shifts = this.smooths && hints ? readShifts(this.octrees, cells, samples, hints) : undefined;
     const shown = own ? standing.count : 0;
     const lattice = Float64Array.from(cells, (cell, i) => cell + corner[i % 3]!);
     const located = scene.learn(standing, lattice, samples.map((s) => (s < shown ? s : -1)), step);

@@ -10,14 +10,14 @@ import { NEIGHBOURS } from "./surface.js";
 export const NO_HINT = 64;
 export const NO_DISTANCE = 21;
 
-const NORMAL = 2 ** 10;
+export const NORMAL = 2 ** 10;
 const SUBUNITS = 16;
 const PLACE = 2 ** 16;
-const HALF = 8;
+export const HALF = 8;
 const MOST_IN_CUBE = 3;
 const MOST_COORDINATE = 2 ** 40;
-const DISTANCE_STEPS = [1, 2, 3, 4, 5, 7, 9, 12, 16, 24];
-const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(4096 * Math.exp(-((k / 16) ** 2) / 2) + 0.5));
+export const DISTANCE_STEPS = [1, 2, 3, 4, 5, 7, 9, 12, 16, 24];
+export const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(4096 * Math.exp(-((k / 16) ** 2) / 2) + 0.5));
 /** Order of the cubes around a cube, along each axis. */
 const STEPS = [0, -1, 1];
 
@@ -52,7 +52,7 @@ interface Inside {
 
 export class SurfaceHints {
   /** (samples, 3), subunits from the corner of the octree. */
-  private readonly points: Float64Array;
+  readonly points: Float64Array;
   readonly normals: Float64Array;
   readonly neighbours: Int32Array;
   readonly spacing: number;
@@ -79,7 +79,7 @@ export class SurfaceHints {
   }
 
   /** The distance of a place from a sample. */
-  private distance(sample: number, x: number, y: number, z: number): number {
+  distance(sample: number, x: number, y: number, z: number): number {
     const at = 3 * sample;
     const sum = (x - this.points[at]!) * this.normals[at]! + (y - this.points[at + 1]!) * this.normals[at + 1]! + (z - this.points[at + 2]!) * this.normals[at + 2]!;
     return Math.floor(sum / NORMAL);
@@ -156,7 +156,6 @@ export class SurfaceHints {
         distances[8 * i + octant] = first + steps.reduce((sum, step, axis) => sum + ((octant >> axis) & 1 ? step : 0), 0);
       }
     }
-    const children = 2 * side > this.spacing ? this.inside(side) : undefined;
     return {
       has: (cube) => samples[cube]! >= 0,
       posterior(cube, octants, isWide) {
@@ -176,13 +175,19 @@ export class SurfaceHints {
         const steps = DISTANCE_STEPS.filter((step) => step * side <= 4 * Math.abs(distance)).length;
         return DISTANCE_STEPS.length + (distance < 0 ? -steps : steps);
       },
-      held(cube, octant) {
-        if (!children) return 0;
-        const at = (axis: number) => 2 * cubes[3 * cube + axis]! + ((octant >> axis) & 1);
-        const found = children.index.find(at(0), at(1), at(2));
-        const count = found < 0 ? 0 : children.samples[found]!.length;
-        return Number(count >= 1) + Number(count >= 2) + Number(count >= 3) + Number(count >= 5);
-      },
+      held: this.held(cubes, side),
+    };
+  }
+
+  /** A function that gives the class of the number of samples in a child, of this side, of cubes (n, 3). */
+  held(cubes: Int32Array, side: number): (cube: number, octant: number) => number {
+    if (2 * side <= this.spacing) return () => 0;
+    const { index, samples } = this.inside(side);
+    return (cube, octant) => {
+      const at = (axis: number) => 2 * cubes[3 * cube + axis]! + ((octant >> axis) & 1);
+      const found = index.find(at(0), at(1), at(2));
+      const count = found < 0 ? 0 : samples[found]!.length;
+      return Number(count >= 1) + Number(count >= 2) + Number(count >= 3) + Number(count >= 5);
     };
   }
 

@@ -1,0 +1,430 @@
+// Octree of lattice points cube by cube, for codecs/bodycast/cube_octree.py, which defines the results. Integers only.
+//
+//     centres of the cubes around ─► where the surface passes a cube ─► expected points of its children ─► bits
+//           ▲ centre of its children ◄────────────────────────────────────────────────────────────────┘
+
+#include <cmath>
+#include <cstring>
+
+#include "bit_arrays.h"
+#include "octree_surface.h"
+
+namespace {
+
+using namespace point_octree;
+
+constexpr int NO_HINT = 64, FAR = 21;
+constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
+constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
+constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
+constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
+constexpr int CUBES_OF_SAMPLE = 4;
+constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
+constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
+constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
+constexpr int LEAST_ODDS = 16;
+
+// Bits of the numbers from 0 to 255.
+struct BitCounts {
+    uint8_t of[256] = {};
+    BitCounts() {
+        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
+    }
+};
+
+const BitCounts BITS;
+
+int ones(unsigned mask) { return BITS.of[mask & 255]; }
+
+// The root of an integer below 2^52, rounded down.
+int64_t root(int64_t square) { return int64_t(std::sqrt(double(square))); }
+
+// The cubes of a level. neighbours: rows before and behind along every axis, the number of cubes if empty. known: occupied
+// octants; one cube more, which stays empty.
+struct Cubes {
+    std::vector<uint64_t> codes{0};
+    std::vector<std::array<int32_t, 3>> places{{0, 0, 0}};
+    std::vector<std::array<int32_t, 6>> neighbours{{1, 1, 1, 1, 1, 1}};
+    std::vector<uint8_t> known{0, 0};
+    std::vector<int32_t> nearest{NOWHERE};
+
+    size_t size() const { return codes.size(); }
+
+    size_t children() const {
+        size_t count = 0;
+        for (uint8_t mask : known) count += size_t(ones(mask));
+        return count;
+    }
+
+    // The cubes of the next level.
+    Cubes next() const {
+        const int32_t end = int32_t(children());
+        std::vector<int32_t> first(size() + 1, 0);
+        for (size_t i = 0; i < size(); ++i) first[i + 1] = first[i] + ones(known[i]);
+        Cubes below;
+        below.codes.resize(size_t(end));
+        below.places.resize(size_t(end));
+        below.neighbours.resize(size_t(end));
+        below.nearest.resize(size_t(end));
+        below.known.assign(size_t(end) + 1, 0);
+        size_t row = 0;
+        for (size_t i = 0; i < size(); ++i)
+            for (int octant = 0; octant < 8; ++octant) {
+                if (!(known[i] >> octant & 1)) continue;
+                below.codes[row] = codes[i] << 3 | uint64_t(octant);
+                below.nearest[row] = nearest[i];
+                for (int axis = 0; axis < 3; ++axis) {
+                    const int bit = octant >> axis & 1, other = octant ^ 1 << axis;
+                    below.places[row][size_t(axis)] = 2 * places[i][size_t(axis)] + bit;
+                    for (int side = 0; side < 2; ++side) {
+                        const size_t parent = bit != side ? i : size_t(neighbours[i][size_t(2 * axis + side)]);
+                        const unsigned mask = known[parent];
+                        below.neighbours[row][size_t(2 * axis + side)] =
+                            mask >> other & 1 ? first[parent] + ones(mask & ((1u << other) - 1)) : end;
+                    }
+                }
+                ++row;
+            }
+        return below;
+    }
+};
+
+// Where the surface passes the cubes of a level. Lengths are in subunits.
+class Passage {
+public:
+    int64_t distances[8] = {}, narrow[8] = {}, wide[8] = {};  // of the children of the last cube
+
+    Passage(const Surface &surface, const Cubes &cubes, int level, size_t points, const int32_t *bell)
+        : surface_(surface), cubes_(cubes), bell_(bell), side_(surface.child_size(level)), side_bits_(surface.child_bits(level)),
+          spacing_(std::min(surface.spacing(), LARGEST_SPACING)), centres_(cubes.size()),
+          noise_(cubes.size(), 4 * side_ * side_), far_(cubes.size(), 0), samples_(cubes.size()), held_(surface.size()) {
+        for (int q = 0; q < CLASSES; ++q)
+            for (int step : DISTANCE_STEPS) steps_[size_t(q)] += step <= q;
+        int64_t known = 0, sum = 0;
+        for (size_t i = 0; i < cubes.size(); ++i) {
+            centres_[i] = Surface::centre_of(cubes.places[i], 2 * side_);
+            samples_[i].fill(0);
+            if (cubes.nearest[i] < 0) continue;
+            far_[i] = std::clamp(surface.distance(centres_[i], cubes.nearest[i]), -LARGEST_DISTANCE, LARGEST_DISTANCE);
+            ++known;
+            sum += std::abs(far_[i]);
+        }
+        places_ = centres_;
+        if (known) {
+            usual_ = sum / known;
+            const int64_t across = side_ * 256 / spacing_;
+            density_ = std::min(int64_t(points) * DENSITY * across * across / (int64_t(surface.size()) * 16), LARGEST_DENSITY);
+            find_cubes_of_samples();
+        }
+        if (2 * side_ > surface.spacing()) count_samples(level);
+    }
+
+    // Sets what is expected of the children of cube i, which has a sample: octants 0, octant_step, 2 octant_step …
+    void expect(size_t i, int octant_step) {
+        const int32_t own = cubes_.nearest[i];
+        int64_t offset, variance;
+        find_surface(i, offset, variance);
+        Place first;
+        for (size_t d = 0; d < 3; ++d) first[d] = cubes_.places[i][d] * 2 * side_ + side_ / 2 - HALF_UNIT;
+        const int64_t distance = surface_.distance(first, own) - offset;
+        int64_t steps[3];
+        for (size_t d = 0; d < 3; ++d) steps[d] = wrapped_product(surface_.normal(own)[d], side_) >> NORMAL_BITS;
+        const int64_t cut = 4 * side_ * side_ / 48;
+        const int64_t sigma = root(variance + cut), wide_sigma = root(3 * variance + cut);
+        const int64_t most = most_expected(sigma), wide_most = most_expected(wide_sigma);
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            int64_t away = distance;
+            for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? steps[d] : 0;
+            distances[octant] = away;
+            narrow[octant] = (most * weight(away, sigma) >> 12) + 1;
+            wide[octant] = (wide_most * weight(away, wide_sigma) >> 12) + 1;
+        }
+    }
+
+    // The occupied children of cube i are known.
+    void learn(size_t i) {
+        const unsigned known = cubes_.known[i];
+        const int64_t count = ones(known);
+        static constexpr unsigned UPPER[] = {0xAA, 0xCC, 0xF0};
+        for (size_t d = 0; d < 3; ++d)
+            places_[i][d] = centres_[i][d] - side_ / 2 + int64_t(ones(known & UPPER[d])) * side_ / count;
+        noise_[i] = 4 * side_ * side_ / (6 * count);
+    }
+
+    int distance_class(int octant) const {
+        const int steps = steps_[size_t(std::min<int64_t>(4 * std::abs(distances[octant]) >> side_bits_, CLASSES - 1))];
+        return FAR / 2 + (distances[octant] < 0 ? -steps : steps);
+    }
+
+    int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
+
+private:
+    struct Held {
+        std::array<int32_t, CUBES_OF_SAMPLE> rows;
+        int32_t count = 0;
+    };
+
+    // At most CUBES_OF_SAMPLE cubes of each sample.
+    void find_cubes_of_samples() {
+        std::vector<int32_t> first(surface_.size() + 1, 0);
+        for (int32_t s : cubes_.nearest)
+            if (s >= 0) ++first[size_t(s) + 1];
+        for (size_t s = 0; s < surface_.size(); ++s) first[s + 1] += first[s];
+        std::vector<int32_t> rows(size_t(first.back())), next(first.begin(), first.end() - 1);
+        for (size_t i = 0; i < cubes_.size(); ++i)
+            if (cubes_.nearest[i] >= 0) rows[size_t(next[size_t(cubes_.nearest[i])]++)] = int32_t(i);
+        for (size_t s = 0; s < surface_.size(); ++s) {
+            const int32_t count = first[s + 1] - first[s];
+            held_[s].count = std::min(count, CUBES_OF_SAMPLE);
+            for (int32_t k = 0; k < held_[s].count; ++k)
+                held_[s].rows[size_t(k)] = rows[size_t(first[s] + (count > CUBES_OF_SAMPLE ? int64_t(k) * count / CUBES_OF_SAMPLE : k))];
+        }
+    }
+
+    // The distance of the surface from that of the sample of cube i, and its variance.
+    void find_surface(size_t i, int64_t &offset, int64_t &variance) const {
+        int64_t weights[13 * CUBES_OF_SAMPLE], away[13 * CUBES_OF_SAMPLE], total = 0, sum = 0;
+        int count = 0;
+        const int32_t own = cubes_.nearest[i], *around = surface_.around(own);
+        const int64_t square = spacing_ * spacing_;
+        const Place &centre = centres_[i], &normal = surface_.normal(own);
+        for (int k = -1; k < NEIGHBOURS; ++k) {
+            const int32_t sample = k < 0 ? own : around[k];
+            if (k >= 0 && sample == own) continue;
+            const Held &held = held_[size_t(sample)];
+            const Place &other = surface_.normal(sample);
+            for (int32_t n = 0; n < held.count; ++n) {
+                const size_t row = size_t(held.rows[size_t(n)]);
+                int64_t apart = 0, along = 0;
+                for (size_t d = 0; d < 3; ++d) {
+                    const int64_t step = places_[row][d] - centre[d];
+                    apart += step * step;
+                    along += step * (normal[d] + other[d]);
+                }
+                weights[count] = floor_quotient(square << 16, 13 * apart + 10 * square + 64 * noise_[row] + 1);
+                away[count] = far_[i] + (along >> (NORMAL_BITS + 1));
+                total += weights[count];
+                sum += weights[count] * away[count];
+                ++count;
+            }
+        }
+        offset = floor_quotient(sum, total + SAMPLE_WEIGHT);
+        int64_t spread = USUAL_WEIGHT * usual_;
+        for (int n = 0; n < count; ++n) spread += weights[n] * std::abs(away[n] - offset);
+        const int64_t deviation = std::min(floor_quotient(spread, total + USUAL_WEIGHT), LARGEST_DEVIATION);
+        variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
+    }
+
+    int64_t most_expected(int64_t sigma) const { return std::min(density_ * side_ / (sigma * 256), MOST_EXPECTED); }
+
+    // The normal density at a distance. The quotient of floats is exact enough: integers below 2^52.
+    int64_t weight(int64_t distance, int64_t sigma) const {
+        const double steps = double(std::abs(distance)) * BELL_PER_DEVIATION / double(sigma);
+        return bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS];
+    }
+
+    // Classes of how many samples the children of the cubes hold.
+    void count_samples(int level) {
+        const std::vector<uint64_t> codes = surface_.sample_codes(level + 1);
+        size_t at = 0;
+        for (size_t i = 0; i < cubes_.size(); ++i)
+            for (uint64_t octant = 0; octant < 8; ++octant) {
+                const uint64_t child = cubes_.codes[i] << 3 | octant;
+                while (at < codes.size() && codes[at] < child) ++at;
+                int count = 0;
+                for (; at < codes.size() && codes[at] == child; ++at) ++count;
+                for (int most : SAMPLE_STEPS) samples_[i][size_t(octant)] += count >= most;
+            }
+    }
+
+    const Surface &surface_;
+    const Cubes &cubes_;
+    const int32_t *bell_;
+    const int64_t side_;
+    const int side_bits_;
+    const int64_t spacing_;
+    std::vector<Place> centres_, places_;
+    std::vector<int64_t> noise_, far_;
+    std::vector<std::array<uint8_t, 8>> samples_;
+    std::vector<Held> held_;
+    int64_t usual_ = 0, density_ = 0;
+    std::array<int, CLASSES> steps_{};
+};
+
+// The class of the odds of an octant with `own` expected points, and `others` in those still to come: the binary order and
+// the two digits after the first. The quotient of floats is exact enough below 2^32, where the classes end.
+int odds_class(int64_t own, int64_t others, int few) {
+    const int64_t first = own * (TWO + own) >> 17;
+    const double odds = few || others >= TWO ? double(first << 8) : double(first * 128 * (TWO + others)) / double(others);
+    if (odds < double(1 << LEAST_ODDS)) return 0;
+    uint64_t digits;
+    std::memcpy(&digits, &odds, sizeof digits);
+    return int(std::min<uint64_t>((digits >> 50) - 4 * (1023 + LEAST_ODDS), NO_HINT - 1));
+}
+
+class Tree {
+public:
+    Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {}
+
+    // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes were a tree of `points` points;
+    // `failed_level` and `failed_cubes` say where they were not.
+    template <class Coder>
+    bool code(Coder &coder, const uint64_t *codes, size_t points) {
+        for (int level = 0; level < depth_; ++level) {
+            std::vector<uint8_t> occupied;
+            if (codes) occupied = occupancy(codes, points, depth_ - level - 1);
+            code_level(coder, level, points, codes ? occupied.data() : nullptr);
+            if (is_cut_off(coder)) return false;
+            const size_t count = cubes_.children();
+            if (!count || count > points) {
+                failed_level = level + 1;
+                failed_cubes = count;
+                return false;
+            }
+            cubes_ = cubes_.next();
+        }
+        return true;
+    }
+
+    const Cubes &points() const { return cubes_; }
+
+    int failed_level = 0;
+    size_t failed_cubes = 0;
+
+private:
+    static bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
+    static bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
+
+    // Which children of the cubes hold points. codes: of the points, sorted.
+    std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, int below) const {
+        std::vector<uint8_t> masks(cubes_.size(), 0);
+        for (size_t i = 0, cube = 0; i < points; ++i) {
+            const uint64_t child = codes[i] >> 3 * below;
+            while (cube < cubes_.size() && cubes_.codes[cube] != child >> 3) ++cube;
+            if (cube == cubes_.size()) throw std::invalid_argument("cube_octree: a code is beyond the octree");
+            masks[cube] |= uint8_t(1u << (child & 7));
+        }
+        return masks;
+    }
+
+    template <class Coder>
+    void code_level(Coder &coder, int level, size_t points, const uint8_t *occupied) {
+        if (!surface_) {
+            for (size_t i = 0; i < cubes_.size(); ++i) code_cube(coder, i, level, nullptr, occupied);
+            return;
+        }
+        surface_->attach(cubes_.places, level, cubes_.nearest);
+        Passage passage(*surface_, cubes_, level, points, bell_);
+        for (size_t i = 0; i < cubes_.size(); ++i) {
+            if (cubes_.nearest[i] >= 0) passage.expect(i, level == depth_ - 1 ? 7 : 1);
+            code_cube(coder, i, level, &passage, occupied);
+            if (cubes_.nearest[i] >= 0) passage.learn(i);
+        }
+    }
+
+    template <class Coder>
+    void code_cube(Coder &coder, size_t i, int level, const Passage *passage, const uint8_t *occupied) {
+        const int octant_step = level == depth_ - 1 ? 7 : 1, height = depth_ - level, tall = std::min(height, 15);
+        const bool is_near = passage && cubes_.nearest[i] >= 0;
+        const int hint = passage ? 1 + is_near : 0;
+        int64_t narrow_left = 0, wide_left = 0;
+        if (is_near)
+            for (int octant = 0; octant < 8; octant += octant_step) {
+                narrow_left += passage->narrow[octant];
+                wide_left += passage->wide[octant];
+            }
+        int filled = 0;
+        for (int32_t row : cubes_.neighbours[i]) filled += size_t(row) < cubes_.size();
+        filled = std::min(filled / 2, 3);
+        unsigned known = 0;
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            const int left = (7 - octant) / octant_step, few = std::min(ones(known), 3);
+            int narrow = NO_HINT, wide = NO_HINT, distance = FAR;
+            if (is_near) {
+                narrow_left -= passage->narrow[octant];
+                wide_left -= passage->wide[octant];
+                distance = passage->distance_class(octant);
+            }
+            if (!left && !known) {
+                known |= 1u << octant;
+                break;
+            }
+            if (is_near) {
+                narrow = odds_class(passage->narrow[octant], narrow_left, few);
+                wide = odds_class(passage->wide[octant], wide_left, few);
+            }
+            int beside = 0, nearby = 0;
+            find_neighbours(i, octant, known, beside, nearby);
+            const int samples = passage ? passage->samples(i, octant) : 0;
+            const uint32_t contexts[bits::INPUTS] = {
+                uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled),
+                uint32_t(narrow * 4 + few),
+                uint32_t((wide * 4 + few) * 16 + tall),
+                uint32_t(((distance * 5 + samples) * 4 + few) * 16 + tall),
+                uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left),
+            };
+            const uint32_t set = uint32_t((std::min(height, 20) * 4 + few) * 3 + hint);
+            known |= unsigned(coder.code(contexts, set, occupied ? occupied[i] >> octant & 1 : 0)) << octant;
+        }
+        cubes_.known[i] = uint8_t(known);
+    }
+
+    // beside, nearby: contexts from the octants and cubes beside an octant of cube i, whose octants `known` are occupied.
+    void find_neighbours(size_t i, int octant, unsigned known, int &beside, int &nearby) const {
+        for (int axis = 0; axis < 3; ++axis) {
+            const int opposite = octant ^ 1 << axis, is_upper = octant >> axis & 1;
+            const size_t row = size_t(cubes_.neighbours[i][size_t(2 * axis + is_upper)]);
+            const int inner = int((is_upper ? known : unsigned(cubes_.known[row])) >> opposite & 1);
+            const int outer = row < cubes_.size();
+            beside = beside * 4 + 2 * inner + outer;
+            nearby += inner + outer;
+        }
+    }
+
+    const int depth_;
+    const Surface *surface_;
+    const int32_t *bell_;
+    Cubes cubes_;
+};
+
+Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
+    if (bell.shape(0) != BELL_STEPS + 1 || depth < 0 || depth > 20 || (surface && surface->depth() != depth))
+        throw std::invalid_argument("cube_octree: a depth or a table of another size");
+    return Tree(depth, surface, bell.data());
+}
+
+Output<int64_t> rows_of(const Cubes &cubes) {
+    Fresh<int64_t> rows(cubes.size());
+    std::copy(cubes.nearest.begin(), cubes.nearest.end(), rows.data.get());
+    return rows.give({cubes.size()});
+}
+
+// The sample near each of the sorted distinct codes.
+Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> codes, int depth, const Surface *surface,
+                       Input<int32_t, 1> bell) {
+    Tree tree = tree_of(depth, surface, bell);
+    for (size_t i = 1; i < codes.shape(0); ++i)
+        if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("cube_octree: the codes are not sorted");
+    if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
+        throw std::invalid_argument("cube_octree: the codes are not those of a lattice");
+    return rows_of(tree.points());
+}
+
+// (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
+nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
+                 Input<int32_t, 1> bell) {
+    Tree tree = tree_of(depth, surface, bell);
+    if (!tree.code(coder, nullptr, points))
+        return nb::make_tuple(nb::none(), nb::none(), tree.failed_level, tree.failed_cubes);
+    const Cubes &cubes = tree.points();
+    Fresh<int64_t> codes(cubes.size());
+    std::copy(cubes.codes.begin(), cubes.codes.end(), codes.data.get());
+    return nb::make_tuple(codes.give({cubes.size()}), rows_of(cubes), 0, size_t(0));
+}
+
+}  // namespace
+
+void bind_cube_octree(nb::module_ &m) {
+    m.def("cube_octree_encode", &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+    m.def("cube_octree_decode", &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+}
