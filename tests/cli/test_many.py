@@ -217,6 +217,11 @@ def test_usage_errors_come_before_any_work(folder: Path, command: Command, argum
     assert files_below(".") == before
 
 
+def test_a_folder_without_recordings_is_named_as_such(tmp_path: Path, command: Command) -> None:
+    result = command("encode", tmp_path, "-o", tmp_path / "x.mocz")
+    assert (result.code, "there is no file that `mocodec encode` reads" in result.err) == (cli.USAGE, True)
+
+
 def test_a_killed_run_is_gone_on_with(folder: Path, walk: mc.Motion) -> None:
     """A line of the journal that was cut off, and an output that was begun, are no obstacle."""
     Path("out").mkdir()

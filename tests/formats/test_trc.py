@@ -191,6 +191,19 @@ def test_zeros_are_gaps_and_come_back(tmp_path):
     assert np.array_equal(formats.read(tmp_path / "x.trc", gaps="keep").gaps, np.isnan(positions[..., 0]))
 
 
+@pytest.mark.parametrize("zero", ["0", "-0.000", "0.0e+00", '"0.0"'])
+def test_zeros_of_any_spelling_are_gaps_in_pieces(tmp_path, zero):
+    formats.write(tmp_path / "x.trc", markers(30))
+    lines = (tmp_path / "x.trc").read_text().split("\n")
+    cells = lines[-3].split("\t")
+    cells[5:8] = [zero] * 3
+    (tmp_path / "x.trc").write_text("\n".join([*lines[:-3], "\t".join(cells), *lines[-2:]]))
+    whole, parts = formats.read(tmp_path / "x.trc"), formats.read_blocks(tmp_path / "x.trc")
+    assert whole.gaps[-2, 1]
+    np.testing.assert_array_equal(np.concatenate([m.positions for m in parts]), whole.positions)
+    assert parts.about.source == whole.source
+
+
 def test_salvage_reads_the_complete_rows(tmp_path):
     formats.write(tmp_path / "x.trc", markers(30))
     text = (tmp_path / "x.trc").read_text()

@@ -18,7 +18,8 @@ from .blocks import Blocks, named_errors
 from .conventions import first_frame, guess_up
 from .scratch import Rows
 
-ZEROS = re.compile(r"(?<![^\t ])(?:[-+]?[0.,]*0[0.,]*(?:[eE][-+]?\d+)?\s+){2}[-+]?[0.,]*0[0.,]*(?:[eE][-+]?\d+)?(?!\S)")
+ZERO = r"[-+]?(?=[.,]*0)[0.,]+(?:[eE][-+]?\d+)?"
+ZEROS = re.compile(rf"(?<!\S){ZERO}[\t ]+{ZERO}[\t ]+{ZERO}(?!\S)")
 """Three cells of zeros, which may be those of one marker."""
 
 
