@@ -241,7 +241,7 @@ private:
                 const size_t first = std::max(begin, block * TILE), last = std::min(band_ends_[band], (block + 1) * TILE);
                 for (size_t panel = 0; panel * PANEL < parts; ++panel) {
                     Four sums[TILE][2];
-                    Synthesis::tile(spectrum, with_.bases[band]->data() + panel * dimensions * PANEL, dimensions, sums);
+                    tile(spectrum, with_.bases[band]->data() + panel * dimensions * PANEL, dimensions, sums);
                     const size_t count = std::min(PANEL, parts - panel * PANEL);
                     for (size_t k = first; k < last; ++k) {
                         double *to = out + k * rows + POSE + panel * PANEL;

@@ -58,7 +58,7 @@ public:
             throw std::invalid_argument("ChunkCodec: tables of other sizes");
         for (size_t table = 0; table < frequencies.shape(0); ++table) {
             int64_t start = 0;
-            for (size_t s = 0; s <= of.symbols; ++s) {
+            for (size_t s = 0; s < SLOTS; ++s) {
                 of.starts.push_back(uint16_t(start));
                 if (s < of.symbols) start += frequencies.data()[table * of.symbols + s];
             }

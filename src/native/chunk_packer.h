@@ -12,27 +12,6 @@ namespace chunks {
 
 constexpr size_t SYMBOLS_PER_LANE = 96, BITS_PER_LANE = 16;  // coding/coefficients.py
 
-// Big-endian bits behind one another.
-class BitsOut {
-public:
-    void put(uint64_t value, int width) {
-        while (width > 0) {
-            if (!(count_ & 7)) bytes_.push_back(0);
-            const int room = 8 - int(count_ & 7), taken = std::min(room, width);
-            const uint64_t part = (value >> (width - taken)) & ((1u << taken) - 1);
-            bytes_.back() = uint8_t(bytes_.back() | part << (room - taken));
-            count_ += size_t(taken), width -= taken;
-        }
-    }
-
-    size_t count() const { return count_; }
-    const std::vector<uint8_t> &bytes() const { return bytes_; }
-
-private:
-    std::vector<uint8_t> bytes_;
-    size_t count_ = 0;
-};
-
 // How the lists (FIELDS, n) of a chunk are coded. bits: with raw bits.
 struct ListCoding {
     int64_t classes[FIELDS] = {};
@@ -135,7 +114,7 @@ private:
     }
 
     void add(size_t table, int symbol, size_t lane) {
-        const uint16_t *starts = of_.tables_->starts.data() + table * (of_.tables_->symbols + 1);
+        const uint16_t *starts = of_.tables_->starts.data() + table * SLOTS;
         const uint32_t start = starts[symbol], frequency = starts[symbol + 1] - start;
         if (!frequency) throw std::invalid_argument("ChunksOfLength.pack: a symbol of weight zero");
         slots_.push_back({frequency, start, uint32_t(lane)});

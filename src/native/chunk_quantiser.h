@@ -27,7 +27,7 @@ struct Quantisation {
 
 class Quantiser {
 public:
-    explicit Quantiser(const Expectations &of) : of_(of), rows_(of.rows) {}
+    explicit Quantiser(const Expectations &of) : of_(of), rows_(of.rows), memory_(Memory::of_thread()) {}
 
     void run(const double *spectrum, const Quantisation &in, Quantised &out) {
         out.integers.step = in.step;
@@ -55,6 +55,20 @@ private:
         bool free, lower, negative;
 
         int64_t chosen() const { return lower ? low : high; }
+    };
+
+    // What is kept for the next chunk of a thread: many points need megabytes, which the system clears first.
+    struct Memory {
+        std::vector<Choice> choices;
+        std::vector<int16_t> logs;
+        std::vector<uint16_t> tables;
+        std::vector<int32_t> heights;
+        Expectations::Field field;
+
+        static Memory &of_thread() {
+            static thread_local Memory memory;
+            return memory;
+        }
     };
 
     static double error(double size, int64_t magnitude, double inward) {
@@ -131,7 +145,8 @@ private:
 
     // The two passes of quantise._quantise.
     void choose(const Expectations::Base &base, const Quantisation &in) {
-        Expectations::Field field(frequencies_, rows_);
+        Expectations::Field &field = memory_.field;
+        field.clear(frequencies_, rows_);
         auto set = [&](const Choice &c, int symbol) {
             field.row(c.at / rows_)[c.at % rows_] = int32_t(std::min<int64_t>(first_of(symbol), CEILING));
         };
@@ -184,10 +199,11 @@ private:
     const Expectations &of_;
     const size_t rows_;
     size_t frequencies_ = 0;
-    std::vector<Choice> choices_;
-    std::vector<int16_t> logs_;
-    std::vector<uint16_t> tables_;
-    std::vector<int32_t> heights_;
+    Memory &memory_;
+    std::vector<Choice> &choices_ = memory_.choices;
+    std::vector<int16_t> &logs_ = memory_.logs;
+    std::vector<uint16_t> &tables_ = memory_.tables;
+    std::vector<int32_t> &heights_ = memory_.heights;
     std::vector<double> worth_, spent_;
 };
 

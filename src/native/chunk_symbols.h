@@ -9,7 +9,13 @@
 #include <mutex>
 #include <vector>
 
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
+
+#include "chunk_bits.h"
 #include "contexts.h"
+#include "vectors.h"
 
 namespace chunks {
 
@@ -23,37 +29,11 @@ constexpr size_t LANES[] = {1, 2, 4, 8, 12, 16, 24, 32}, MOST_LANES = 32;
 constexpr size_t FIELDS = 5, SIGNED_FIELDS = 3;
 constexpr int64_t GROUPS[][2] = {{0, 1}, {16, 2}, {64, 4}, {128, 8}};  // first frequency, size: contexts.GROUPS
 constexpr size_t STEPS_KEPT = 32;  // steps whose contexts are kept
+constexpr size_t SLOTS = 24, AT_ONCE = 8;  // entries of a table of first slots; those that are compared at once
+static_assert(SYMBOLS < SLOTS, "the last first slot is that behind all symbols");
 
-// Big-endian bits behind one another; zeros follow the last.
-class Bits {
-public:
-    Bits(const uint8_t *data, size_t bytes) : data_(data), bytes_(bytes) {}
-
-    uint64_t get(int width) {
-        uint64_t value = 0;
-        while (width > 0) {
-            const int inside = int(at_ & 7), taken = std::min(8 - inside, width);
-            const uint64_t byte = (at_ >> 3) < bytes_ ? data_[at_ >> 3] : 0;
-            value = value << taken | ((byte >> (8 - inside - taken)) & ((1u << taken) - 1));
-            at_ += size_t(taken), width -= taken;
-        }
-        return value;
-    }
-
-    size_t at() const { return at_; }
-
-    // Whether no bit is set from here on.
-    bool rest_is_zero() {
-        if (at_ & 7 && get(8 - int(at_ & 7))) return false;
-        return std::all_of(data_ + std::min(at_ >> 3, bytes_), data_ + bytes_, [](uint8_t b) { return b == 0; });
-    }
-
-private:
-    const uint8_t *data_;
-    size_t bytes_, at_ = 0;
-};
-
-// Tables of coding/contexts.py, and the model's tables of symbols: `starts` (tables, symbols + 1) has their first slots.
+// Tables of coding/contexts.py, and the model's tables of symbols: `starts` (tables, SLOTS) has their first slots, TOTAL
+// from the end of the symbols on.
 struct Tables {
     std::vector<uint16_t> starts;
     std::vector<int16_t> numerator_logs;
@@ -62,6 +42,19 @@ struct Tables {
     int64_t first_class;
     size_t symbols;
 };
+
+// The magnitude that a symbol stands for where contexts look at it.
+struct Magnitudes {
+    int32_t of[SYMBOLS];
+
+    constexpr Magnitudes() : of() {
+        for (int s = 0; s < SYMBOLS; ++s) of[s] = int32_t(first_of(s) < CEILING ? first_of(s) : CEILING);
+    }
+};
+constexpr Magnitudes MAGNITUDES;
+
+// coding/rows.py
+constexpr size_t HEADING = 0, POSE = 4;
 
 struct Coefficient {
     uint32_t frequency, row;
@@ -112,11 +105,10 @@ public:
         out.step = step - MAX_STEP;
         const std::vector<size_t> reach = zone(out.step, threshold * THRESHOLD_UNIT);
         const size_t frequencies = *std::max_element(reach.begin(), reach.end());
-        Lanes lanes{LANES[first & LANE_CODE], {}, data, data, 0, 0};
+        Lanes lanes{LANES[first & LANE_CODE], {}, {}, 0, 0};
         if (!frequencies && !n) return at == size;
         if (!read_states(data, size, at, lanes)) return false;
-        lanes.words = data + at;
-        lanes.count = (size - at) / 2;
+        lanes.set_words(data + at, size - at, rows + 1);  // a frequency takes at most a word for each row
         std::vector<uint8_t> listed(size_t(n) * FIELDS);
         std::vector<uint8_t> symbols;
         coefficients(reach, frequencies, *contexts_of(out.step, frequencies), lanes, out.coefficients, symbols);
@@ -132,11 +124,22 @@ private:
 
     using Base = std::vector<int16_t>;
 
+    // words: those of all lanes, and zeros behind the last.
     struct Lanes {
         size_t count_of_lanes;
         uint32_t state[MOST_LANES];
-        const uint8_t *words, *unused;
+        std::vector<uint16_t> words;
         size_t count, used;
+
+        void set_words(const uint8_t *data, size_t size, size_t zeros) {
+            count = size / 2, used = 0;
+            words.assign(count + zeros, 0);
+            for (size_t i = 0; i < count; ++i) words[i] = uint16_t(data[2 * i] | data[2 * i + 1] << 8);
+        }
+    };
+
+    struct FoundSymbol {
+        uint32_t row, symbol;
     };
 
     static bool varint(const uint8_t *data, size_t size, size_t &at, int64_t &value) {
@@ -185,11 +188,16 @@ private:
 
     // Magnitudes (frequencies, rows) with a border of zeros.
     struct Field {
-        size_t pitch;
+        size_t pitch = 0;
         std::vector<int32_t> values;
 
-        Field(size_t frequencies, size_t rows)
-            : pitch(rows + 2 * BORDER), values((frequencies + DEPTH) * pitch + 2 * BORDER, 0) {}
+        Field() = default;
+        Field(size_t frequencies, size_t rows) { clear(frequencies, rows); }
+
+        void clear(size_t frequencies, size_t rows) {
+            pitch = rows + 2 * BORDER;
+            values.assign((frequencies + DEPTH) * pitch + 2 * BORDER, 0);
+        }
 
         int32_t *row(size_t frequency) { return values.data() + (frequency + DEPTH) * pitch + BORDER; }
 
@@ -243,19 +251,30 @@ private:
         return base;
     }
 
-    int take(Lanes &lanes, size_t lane, size_t table) const {
-        uint32_t x = lanes.state[lane];
+    // How many of AT_ONCE first slots, rising, are at most `slot`.
+    static ALWAYS_INLINE size_t reached(const uint16_t *starts, uint32_t slot) {
+#if defined(__SSE2__)
+        const __m128i eight = _mm_loadu_si128(reinterpret_cast<const __m128i *>(starts));
+        const int beyond = _mm_movemask_epi8(_mm_cmpgt_epi16(eight, _mm_set1_epi16(int16_t(slot))));
+        return size_t(__builtin_ctz(unsigned(beyond) | 1u << 2 * AT_ONCE)) / 2;
+#else
+        size_t count = 0;
+        for (size_t i = 0; i < AT_ONCE; ++i) count += starts[i] <= slot;
+        return count;
+#endif
+    }
+
+    // The next symbol of a lane. words: those behind `used`, or zeros.
+    static ALWAYS_INLINE size_t take(uint32_t &state, const uint16_t *starts, const uint16_t *words, size_t &used) {
+        uint32_t x = state;
         const uint32_t slot = x & (TOTAL - 1);
-        const uint16_t *starts = tables_->starts.data() + table * (tables_->symbols + 1);
-        int symbol = 0;
-        while (slot >= starts[symbol + 1]) ++symbol;
-        x = (x >> PRECISION) * uint32_t(starts[symbol + 1] - starts[symbol]) + slot - starts[symbol];
-        if (x < LOWEST) {
-            const uint8_t *word = lanes.words + 2 * lanes.used;
-            x = x << 16 | (lanes.used < lanes.count ? uint32_t(word[0]) | uint32_t(word[1]) << 8 : 0);
-            ++lanes.used;
-        }
-        lanes.state[lane] = x;
+        size_t symbol = reached(starts + 1, slot);  // a search from symbol to symbol branches as no processor can predict
+        if (symbol == AT_ONCE)  // rare
+            while (slot >= starts[symbol + 1]) ++symbol;
+        const uint32_t start = starts[symbol];
+        x = (x >> PRECISION) * (starts[symbol + 1] - start) + slot - start;
+        if (x < LOWEST) x = x << 16 | words[used++];
+        state = x;
         return symbol;
     }
 
@@ -264,9 +283,13 @@ private:
                       std::vector<Coefficient> &places, std::vector<uint8_t> &symbols) const {
         Field field(frequencies, rows);
         std::vector<int16_t> logs(rows);
+        std::vector<int16_t> places_of_classes(rows);
+        std::vector<FoundSymbol> found_of_row(rows + 1);  // and one behind
         const uint8_t *class_of = tables_->class_of.data();
-        const int64_t last_class = int64_t(tables_->class_of.size()) - 1;
+        const uint16_t *words = lanes.words.data();
+        const int last_class = int(tables_->class_of.size()) - 1;
         const int16_t none = int16_t(log_of(0) - tables_->first_class);
+        const size_t lanes_end = lanes.count_of_lanes;
         size_t quiet_since = 0;  // no coefficient is set from this frequency on
         for (size_t g = 0; g + 1 < starts_.size() && starts_[g] < frequencies; ++g) {
             const size_t start = starts_[g], end = std::min(starts_[g + 1], frequencies);
@@ -279,27 +302,45 @@ private:
             }
             size_t lane = 0;
             for (size_t f = start; f < end; ++f) {
-                const int16_t *of_base = base.data() + f * rows;
-                int32_t *magnitudes = field.row(f);
-                const size_t shape = shape_of(f);
+                const uint16_t *of_shape = tables_->starts.data() + shape_of(f) * SLOTS;
+                const int16_t *of_base = base.data() + f * rows, *of_logs = logs.data();
+                int16_t *places_of = places_of_classes.data();
                 for (size_t r = 0; r < wanted; ++r) {
-                    if (f >= reach[r]) continue;
-                    const int64_t place = std::clamp<int64_t>(int64_t(logs[r]) + of_base[r], 0, last_class);
-                    const int symbol = take(lanes, lane, class_of[place] + shape);
-                    lane = lane + 1 == lanes.count_of_lanes ? 0 : lane + 1;
-                    if (!symbol) continue;
-                    magnitudes[r] = int32_t(std::min<int64_t>(first_of(symbol), CEILING));
-                    places.push_back({uint32_t(f), uint32_t(r), 0});
-                    symbols.push_back(uint8_t(symbol));
-                    quiet_since = f + 1;
+                    const int place = of_logs[r] + of_base[r];
+                    places_of[r] = int16_t(std::clamp(place, 0, last_class));
+                }
+                const size_t *of_reach = reach.data();
+                int32_t *magnitudes = field.row(f);
+                FoundSymbol *const first = found_of_row.data(), *into = first;
+                size_t used = lanes.used;
+                for (size_t r = 0; r < wanted; ++r) {
+                    if (f >= of_reach[r]) continue;
+                    const uint16_t *of_table = of_shape + class_of[places_of[r]] * SLOTS;
+                    const size_t symbol = take(lanes.state[lane], of_table, words, used);
+                    lane = lane + 1 == lanes_end ? 0 : lane + 1;
+                    magnitudes[r] = MAGNITUDES.of[symbol];
+                    *into = {uint32_t(r), uint32_t(symbol)};
+                    into += symbol != 0;
+                }
+                lanes.used = used;
+                if (used > lanes.count) return;  // damage
+                if (into == first) continue;
+                quiet_since = f + 1;
+                for (const FoundSymbol *each = first; each != into; ++each) {
+                    places.push_back({uint32_t(f), each->row, 0});
+                    symbols.push_back(uint8_t(each->symbol));
                 }
             }
         }
     }
 
     void lists(size_t n, const int64_t *classes, Lanes &lanes, std::vector<uint8_t> &listed) const {
-        for (size_t i = 0; i < listed.size(); ++i)
-            listed[i] = uint8_t(take(lanes, i % lanes.count_of_lanes, size_t(LIST_TABLES + classes[i / n])));
+        for (size_t i = 0; i < listed.size(); ++i) {
+            const uint16_t *starts = tables_->starts.data() + size_t(LIST_TABLES + classes[i / n]) * SLOTS;
+            uint32_t &state = lanes.state[i % lanes.count_of_lanes];
+            listed[i] = uint8_t(take(state, starts, lanes.words.data(), lanes.used));
+            if (lanes.used > lanes.count) return;  // damage
+        }
     }
 
     // coefficients._read_states

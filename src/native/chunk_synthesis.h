@@ -11,16 +11,15 @@
 #include <vector>
 
 #include "chunk_symbols.h"
+#include "component_curves.h"
+#include "dct_tiles.h"
 #include "rotations4.h"
 
 namespace chunks {
 
 using namespace rotations4;
 
-// coding/rows.py, coding/quantise.py
-constexpr size_t HEADING = 0, POSE = 4;
-constexpr double INWARD = 0.05;
-constexpr size_t PANEL = 8, TILE = 4;  // columns and frames that the inverse DCT computes at a time
+constexpr double INWARD = 0.05;  // coding/quantise.py
 
 // pose/bone_tree.py, BoneSchedule.program and what turns directions into poses.
 struct Tree {
@@ -39,39 +38,6 @@ struct Shape {
     std::vector<double> pose;                        // (points, 3), for positions
     std::unique_ptr<Tree> tree;                      // for directions of bones
     std::vector<double> weights;                     // (points,), or none
-};
-
-// Cosines of the inverse DCT: of even and odd frequencies, in blocks of TILE samples of the first half.
-struct Cosines {
-    explicit Cosines(size_t frames) : frames(frames), half((frames + 1) / 2), blocks((half + TILE - 1) / TILE) {
-        const double pi = 3.14159265358979323846;
-        std::vector<double> quarter_turns(4 * frames);
-        for (size_t j = 0; j < 4 * frames; ++j) quarter_turns[j] = std::cos(pi * double(j) / double(2 * frames));
-        const double first = std::sqrt(1.0 / double(frames)), others = std::sqrt(2.0 / double(frames));
-        for (size_t parity = 0; parity < 2; ++parity) {
-            const size_t count = frequencies(frames, parity);
-            of[parity].assign(blocks * count * TILE, 0.0);
-            for (size_t t = 0; t < half; ++t) {
-                double *to = of[parity].data() + t / TILE * count * TILE + t % TILE;
-                size_t turn = parity ? 2 * t + 1 : 0;  // (2 t + 1) k modulo 4 frames, for k = 2 i + parity
-                for (size_t i = 0; i < count; ++i) {
-                    to[i * TILE] = (i || parity ? others : first) * quarter_turns[turn];
-                    turn += 2 * (2 * t + 1);
-                    if (turn >= 4 * frames) turn -= 4 * frames;
-                }
-            }
-        }
-    }
-
-    // How many even or odd frequencies there are among the first `known`.
-    static size_t frequencies(size_t known, size_t parity) { return (known + 1 - parity) / 2; }
-
-    const double *block(size_t number, size_t parity) const {
-        return of[parity].data() + number * frequencies(frames, parity) * TILE;
-    }
-
-    const size_t frames, half, blocks;
-    std::vector<double> of[2];
 };
 
 struct Target {
@@ -103,6 +69,8 @@ inline bool corrections_of(const std::vector<int64_t> &lists, size_t frames, siz
 struct Scratch {
     std::vector<size_t> numbers[2];  // of even and of odd frequencies with coefficients: half of the frequency
     std::vector<double> panels, curves, row, frames, directions, pose;  // the last three: four doubles each
+    std::vector<double> components, packed;  // curves of components, in blocks of TILE frames; a panel of their basis
+    Division division;
 
     static NEVER_INLINE Scratch &of_thread() {  // its address is looked up once
         static thread_local Scratch scratch;
@@ -118,46 +86,26 @@ public:
     ALWAYS_INLINE void run(const Integers &integers, const Target &out) const {
         Scratch &scratch = Scratch::of_thread();
         const size_t known = integers.coefficients.empty() ? 0 : integers.coefficients.back().frequency + 1;
-        spectrum(integers, known, scratch);
-        curves(known, scratch, out);
+        const bool divided = of_.bases.front() == of_.bases.back() &&
+                             scratch.division.divide(integers.coefficients, known, of_.columns);
+        const size_t of_columns = divided ? scratch.division.frequencies : known;
+        spectrum(divided ? scratch.division.few : integers.coefficients, of_columns, scratch);
+        curves(of_columns, scratch, out);
+        if (divided) add_components(known, scratch, out);
+        repeat_last_frame(scratch);
         poses(scratch, out);
-    }
-
-    // sums[i][…] = Σ cosines[f][i] · panel[f][…]
-    ALWAYS_INLINE static void tile(const double *cosines, const double *panel, size_t count, Four (&sums)[TILE][2]) {
-        tile(cosines, [](size_t f) { return f; }, panel, count, sums);
-    }
-
-    // sums[i][…] = Σ cosines[number(f)][i] · panel[f][…]
-    template <class Number>
-    ALWAYS_INLINE static void tile(const double *cosines, Number number, const double *panel, size_t count,
-                                   Four (&sums)[TILE][2]) {
-        const Four zero = Four{} * 0.0;
-        Four a0 = zero, a1 = zero, b0 = zero, b1 = zero, c0 = zero, c1 = zero, d0 = zero, d1 = zero;
-        for (size_t f = 0; f < count; ++f) {
-            Four left, right;
-            load(left, panel + f * PANEL);
-            load(right, panel + f * PANEL + 4);
-            const double *c = cosines + number(f) * TILE;
-            a0 += left * c[0], a1 += right * c[0];
-            b0 += left * c[1], b1 += right * c[1];
-            c0 += left * c[2], c1 += right * c[2];
-            d0 += left * c[3], d1 += right * c[3];
-        }
-        sums[0][0] = a0, sums[0][1] = a1, sums[1][0] = b0, sums[1][1] = b1;
-        sums[2][0] = c0, sums[2][1] = c1, sums[3][0] = d0, sums[3][1] = d1;
     }
 
 private:
     // The spectrum of the columns, in panels of PANEL columns: first even frequencies, then odd ones; those with
     // coefficients only.
-    ALWAYS_INLINE void spectrum(const Integers &integers, size_t known, Scratch &scratch) const {
+    ALWAYS_INLINE void spectrum(const std::vector<Coefficient> &coefficients, size_t known, Scratch &scratch) const {
         const size_t columns = of_.columns, even = Cosines::frequencies(known, 0);
         scratch.panels.resize(columns * known + PANEL);
         scratch.numbers[0].clear(), scratch.numbers[1].clear();
         scratch.row.resize(columns);
         double *row = scratch.row.data();
-        const Coefficient *at = integers.coefficients.data(), *end = at + integers.coefficients.size();
+        const Coefficient *at = coefficients.data(), *end = at + coefficients.size();
         size_t band = 0;
         while (at != end) {
             const size_t frequency = at->frequency;
@@ -165,7 +113,7 @@ private:
             const double *basis = of_.bases[band]->data();
             std::fill_n(row, columns, 0.0);
             for (; at != end && at->frequency == frequency && at->row < POSE; ++at)
-                row[of_.dimensions + at->row] = double(at->value) * (at->row == HEADING ? heading_step_ : step_m_);
+                row[of_.dimensions + at->row] = value_of(*at);
             const Coefficient *next = at;
             while (next != end && next->frequency == frequency) ++next;
             for (; next - at >= 4; at += 4) add<4>(row, basis, at);
@@ -184,11 +132,10 @@ private:
         const double *components[N];
         double values[N];
         for (int i = 0; i < N; ++i) {
-            const int64_t v = from[i].value;
             components[i] = basis + (from[i].row - POSE) * of_.columns;
-            values[i] = (double(v) - (v > 0 ? INWARD : -INWARD)) * step_m_;
+            values[i] = value_of(from[i]);
         }
-        for (size_t c = 0; c < of_.columns; c += 4) {
+        for (size_t c = 0, columns = of_.columns; c < columns; c += 4) {
             Four sum, one;
             load(sum, row + c);
             for (int i = 0; i < N; ++i) {
@@ -229,9 +176,78 @@ private:
                 }
             }
         }
-        for (size_t i = 0; i < 3; ++i)  // so that the last frames are four, too
-            std::memcpy(scratch.curves.data() + (frames + i) * columns, scratch.curves.data() + (frames - 1) * columns,
-                        columns * sizeof(double));
+    }
+
+    // Radians of the heading, metres of other rows.
+    ALWAYS_INLINE double value_of(const Coefficient &of) const {
+        if (of.row < POSE) return double(of.value) * (of.row == HEADING ? heading_step_ : step_m_);
+        return (double(of.value) - (of.value > 0 ? INWARD : -INWARD)) * step_m_;
+    }
+
+    // Adds what the coefficients of `division.many` make of the curves.
+    ALWAYS_INLINE void add_components(size_t known, Scratch &scratch, const Target &out) const {
+        const Division &of = scratch.division;
+        const size_t columns = of_.columns, frames = cosines_.frames, count = of.rows.size();
+        component_curves(known, scratch);
+        scratch.packed.resize(count * PANEL);
+        double *packed = scratch.packed.data();
+        const double *basis = of_.bases.front()->data();
+        for (size_t panel = 0; panel < columns / PANEL; ++panel) {
+            for (size_t j = 0; j < count; ++j) {
+                double *to = packed + j * PANEL;
+                if (of.rows[j] < POSE)  // columns of their own
+                    for (size_t c = 0; c < PANEL; ++c) to[c] = panel * PANEL + c == of_.dimensions + of.rows[j];
+                else
+                    std::memcpy(to, basis + (of.rows[j] - POSE) * columns + panel * PANEL, PANEL * sizeof(double));
+            }
+            for (size_t t0 = 0; t0 < frames; t0 += TILE) {
+                if (out.first < out.last && (t0 + TILE <= out.first || t0 >= out.last + TILE)) continue;
+                Four sums[TILE][2], sum;
+                tile(scratch.components.data() + t0 * count, packed, count, sums);
+                for (size_t i = 0; i < TILE && t0 + i < frames; ++i)
+                    for (size_t j = 0; j < 2; ++j) {
+                        double *at = scratch.curves.data() + (t0 + i) * columns + panel * PANEL + 4 * j;
+                        load(sum, at);
+                        store(sum + sums[i][j], at);
+                    }
+            }
+        }
+    }
+
+    // Of the rows of `division.many`, in blocks of TILE frames.
+    ALWAYS_INLINE void component_curves(size_t known, Scratch &scratch) const {
+        const Division &of = scratch.division;
+        const size_t frames = cosines_.frames, count = of.rows.size(), panels = (count + PANEL - 1) / PANEL;
+        const size_t even = Cosines::frequencies(known, 0), odd = Cosines::frequencies(known, 1);
+        scratch.panels.assign(panels * known * PANEL, 0.0);
+        for (const Coefficient &each : of.many) {
+            const size_t column = of.place[each.row], place = (each.frequency % 2 ? even : 0) + each.frequency / 2;
+            scratch.panels[(column / PANEL * known + place) * PANEL + column % PANEL] = value_of(each);
+        }
+        scratch.components.assign((frames + TILE - 1) / TILE * TILE * count, 0.0);
+        auto at = [&](size_t t, size_t column) -> double & {
+            return scratch.components[(t / TILE * count + column) * TILE + t % TILE];
+        };
+        for (size_t block = 0; block < cosines_.blocks; ++block)
+            for (size_t panel = 0; panel < panels; ++panel) {
+                const double *of_panel = scratch.panels.data() + panel * known * PANEL;
+                Four symmetric[TILE][2], antisymmetric[TILE][2];
+                tile(cosines_.block(block, 0), of_panel, even, symmetric);
+                tile(cosines_.block(block, 1), of_panel + even * PANEL, odd, antisymmetric);
+                for (size_t i = 0; i < TILE && block * TILE + i < cosines_.half; ++i)
+                    for (size_t c = 0; c < PANEL && panel * PANEL + c < count; ++c) {
+                        const size_t t = block * TILE + i, column = panel * PANEL + c;
+                        at(frames - 1 - t, column) = symmetric[i][c / 4][c % 4] - antisymmetric[i][c / 4][c % 4];
+                        at(t, column) = symmetric[i][c / 4][c % 4] + antisymmetric[i][c / 4][c % 4];
+                    }
+            }
+    }
+
+    // So that the last frames are four, too.
+    ALWAYS_INLINE void repeat_last_frame(Scratch &scratch) const {
+        const size_t columns = of_.columns;
+        double *last = scratch.curves.data() + (cosines_.frames - 1) * columns;
+        for (size_t i = 1; i <= 3; ++i) std::memcpy(last + i * columns, last, columns * sizeof(double));
     }
 
     ALWAYS_INLINE void poses(Scratch &scratch, const Target &out) const {
@@ -244,8 +260,9 @@ private:
             if (of_.tree) directions(*of_.tree, curves, scratch);
             else
                 for (size_t i = 0; i < 3 * points; ++i) {
-                    column(pose[i], curves, i);
-                    pose[i] += of_.pose[i];
+                    Four one;
+                    column(one, curves, i);
+                    pose[i] = one + of_.pose[i];
                 }
             Four angle, cosine, sine, place[3];
             column(angle, curves, of_.dimensions + HEADING);
@@ -270,7 +287,8 @@ private:
     // One column of four frames.
     ALWAYS_INLINE void column(Four &into, const double *curves, size_t number) const {
         const double *at = curves + number;
-        for (size_t i = 0; i < 4; ++i) into[i] = at[i * of_.columns];
+        const size_t next = of_.columns;
+        into = Four{at[0], at[next], at[2 * next], at[3 * next]};  // element by element, they would be read while written
     }
 
     // pose/bone_directions.py, inverse: four poses, their mean in the origin.

@@ -32,7 +32,7 @@ inline int width_of(int symbol) {
     return symbol < DIRECT ? 0 : symbol == SYMBOLS - 1 ? 48 : symbol - DIRECT + 1;
 }
 
-inline int64_t first_of(int symbol) {
+constexpr int64_t first_of(int symbol) {
     return symbol < DIRECT ? symbol : DIRECT + (int64_t(1) << (symbol - DIRECT + 1)) - 2;
 }
 

@@ -70,6 +70,25 @@ Output<double> basis_compose(Input<int64_t, 2> entries) {
     return out.give({n, k});
 }
 
+// basis._signs_of_reflections, of the corner (k, k) of orthonormal columns.
+Output<double> basis_signs(Input<double, 2> corner, double zero) {
+    const size_t k = corner.shape(0);
+    if (corner.shape(1) != k) throw std::invalid_argument("basis_signs: a corner that is not square");
+    std::vector<double> left(corner.data(), corner.data() + k * k);
+    Fresh<double> out(k);
+    for (size_t i = 0; i < k; ++i) {
+        const double *pivot = left.data() + i * k;
+        const double sign = pivot[i] > (i ? -zero : zero) ? -1.0 : 1.0, by = pivot[i] - sign;
+        out.data[i] = sign;
+        for (size_t r = i + 1; r < k; ++r) {
+            double *row = left.data() + r * k;
+            const double share = row[i] / by;
+            for (size_t c = i + 1; c < k; ++c) row[c] -= share * pivot[c];
+        }
+    }
+    return out.give({k});
+}
+
 // basis._sum_differences: rows of values (n, k), in place, from their differences from earlier rows, −1 for none.
 void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, size_t leading) {
     const size_t n = values.shape(0), k = values.shape(1);
@@ -89,5 +108,6 @@ void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, 
 void bind_householder(nb::module_ &m) {
     m.def("basis_compose", &basis_compose);
     m.def("basis_decompose", &basis_decompose);
+    m.def("basis_signs", &basis_signs);
     m.def("basis_sum_differences", &basis_sum_differences, nb::arg().noconvert(), nb::arg(), nb::arg());
 }

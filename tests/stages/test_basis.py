@@ -179,3 +179,14 @@ def test_compiled_bases_have_the_same_bytes() -> None:
     with native.without():
         assert basis.pack(vectors, precision, before(24)) == data
         np.testing.assert_array_equal(basis.unpack(data, 24, precision, before(24)), rounded)
+
+
+@pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
+def test_compiled_signs_of_reflections_are_numpys() -> None:
+    random = np.random.default_rng(6)
+    for n, k in ((1, 1), (9, 4), (40, 40)):
+        corner = np.linalg.qr(random.normal(size=(n, n)))[0][:k, :k]
+        corner[0, 0] = 1e-12
+        signs = basis._signs_of_reflections(corner)
+        with native.without():
+            np.testing.assert_array_equal(signs, basis._signs_of_reflections(corner))

@@ -82,11 +82,7 @@ def completed(basis: Floats, components: int | None = None, excluded: Floats | N
     first column and as positive in the others, as in the first files.
     """
     known = basis if excluded is None else np.concatenate([basis, excluded], axis=1)
-    found, given = Completion.of(known), basis.shape[1]
-    whole = np.empty((given + len(known) - found.count, len(known)))  # one column a row, as models use them
-    whole[:given] = basis.T
-    found.missing_rows(whole[given:])
-    return whole[:components].T
+    return Completion.of(known).rows_after(basis)[:components].T
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +114,14 @@ class Completion:
         """Of known columns."""
         return len(self.signs)
 
-    def missing_rows(self, out: Floats) -> None:
-        """The columns that complete the known ones, as rows (n − k, n)."""
-        np.matmul(self.across.T, self.moved.T, out=out)
-        out[np.arange(len(out)), np.arange(self.count, len(self.moved))] += 1.0
+    def rows_after(self, first: Floats) -> Floats:
+        """Some columns (n, m), then those that complete the known ones, one a row: (m + n − k, n)."""
+        whole = np.empty((first.shape[1] + len(self.moved) - self.count, len(self.moved)))
+        whole[: first.shape[1]] = first.T
+        missing = whole[first.shape[1] :]
+        np.matmul(self.across.T, self.moved.T, out=missing)
+        missing[np.arange(len(missing)), np.arange(self.count, len(self.moved))] += 1.0
+        return whole
 
     def components(self, rows: Floats) -> Floats:
         """rows (…, n) times all columns, the known ones first: fewer steps than by `completed` where these are few."""
@@ -132,6 +132,8 @@ class Completion:
 
 def _signs_of_reflections(corner: Floats) -> Floats:
     """The sign (k,) that reflections give each diagonal entry, from the first rows (k, k) of orthonormal columns."""
+    if (kernel := native.kernel("basis_signs")) is not None:
+        return kernel(corner, ZERO)
     left, count = corner.copy(), len(corner)
     signs = np.empty(count)
     for i in range(count):

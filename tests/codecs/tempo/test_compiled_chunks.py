@@ -80,6 +80,22 @@ def test_numpy_encodes_to_the_same_bytes(encoded: dict[str, Encoded[Motion]]):
         assert [c.payload for c in expected.chunks] == [c.payload for c in encoded[name].chunks], name
 
 
+def test_many_points_are_those_of_numpy() -> None:
+    """Few components have most of the frequencies: their curves are made before their product with the basis."""
+    walk = synthetic.markers(frames=150, seed=6)
+    random = np.random.default_rng(6)
+    positions = np.tile(walk.positions, (1, 3, 1))[:, :100] + random.normal(0, 0.03, (1, 100, 3))
+    positions += random.normal(0, 0.0002, positions.shape)
+    motion = Motion(positions, walk.rate, tuple(f"p{i}" for i in range(100)), walk.up)
+    stream = Tempo(max_error=0.002, model="points-stored").encode(motion)
+    found = Tempo.decode(stream).positions
+    with native.without():
+        np.testing.assert_allclose(found, Tempo.decode(stream).positions, rtol=0, atol=1e-9)
+        assert Tempo(max_error=0.002, model="points-stored").encode(motion).chunks == stream.chunks
+    for start, stop in ((0, 1), (37, 90), (147, 150)):
+        np.testing.assert_array_equal(Tempo.decode(stream, slice(start, stop)).positions, found[start:stop])
+
+
 def test_threads_decode_the_same(encoded: dict[str, Encoded[Motion]]):
     stream = encoded["markers, stored"]
     chunks = [Chunk(c.start + turn * stream.frames, c.frames, c.payload) for turn in range(6) for c in stream.chunks]

@@ -38,14 +38,14 @@ class Statistics:
 
     bases: for each band (components, dimensions), orthonormal rows, strongest first, of scaled coordinates.
     spreads (rows, frequencies of `contexts.BANDS_MHZ`) and means (rows,): log₂ in 1/32 octave of the mean magnitude of
-    the coefficients of heading, place and components, at 120 Hz, metres. stored (dimensions, components): the columns
-    that the one basis of all bands was completed from, None where there are several.
+    the coefficients of heading, place and components, at 120 Hz, metres. completion: of the stored columns to the one
+    basis of all bands, None where there are several.
     """
 
     bases: tuple[Floats, ...]
     spreads: Integers
     means: Integers
-    stored: Floats | None = None
+    completion: basis.Completion | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +113,8 @@ class Model:
         frames = len(positions)
         out = np.zeros((frames, self.rows))
         spectrum = coordinate_spectrum(positions, self.coordinates, self.rate, out)
-        if self.statistics.stored is not None:
-            out[:, POSE:] = basis.Completion.of(self.statistics.stored).components(spectrum)
+        if self.statistics.completion is not None:
+            out[:, POSE:] = self.statistics.completion.components(spectrum)
             return out
         for band, of_band in zip(self.bands(frames), self.statistics.bases, strict=True):
             out[band, POSE:] = spectrum[band] @ of_band.T

@@ -106,12 +106,15 @@ def unpack_with_prior(data: bytes, known: Prior, like: Motion) -> FittedModel:
 
 @dataclass(frozen=True, eq=False)
 class StoredPoints:
-    """noise: see `stored_basis.noise_step`. pose (points, 3): in steps of 2^((noise + POSE_COARSER) / 32) m."""
+    """noise: see `stored_basis.noise_step`. pose (points, 3): in steps of 2^((noise + POSE_COARSER) / 32) m.
+
+    similar (3 points,): what `_nearest_before` finds, if it is known."""
 
     prior: Prior
     noise: int
     pose: Integers
     basis: StoredBasis
+    similar: Integers | None = None
 
     @property
     def prior_id(self) -> bytes:
@@ -124,7 +127,8 @@ class StoredPoints:
     def model(self, like: Motion) -> Model:
         """Raises Corrupt."""
         coordinates = PointCoordinates(_metres(self.pose, self.noise))
-        statistics = self.basis.statistics(self.prior, coordinates.dimensions, _nearest_before(self.pose))
+        similar = _nearest_before(self.pose) if self.similar is None else self.similar
+        statistics = self.basis.statistics(self.prior, coordinates.dimensions, similar)
         return Model(like.names, coordinates, statistics, self.prior.tables, like.rate)
 
 
@@ -139,8 +143,9 @@ def stored_points(recording: Recording, step: int) -> StoredPoints:
     """Mean pose and basis of the recording, rounded for this step (log₂, 1/32 octave)."""
     known, noise = prior.for_points(), stored_basis.noise_step(step, recording.frames)
     pose = np.rint(recording.mean_pose / step_size(noise + POSE_COARSER)).astype(np.int64)
-    fitted = stored_basis.fit(recording.components, known, recording.like.rate, step, _nearest_before(pose))
-    return StoredPoints(known, noise, pose, fitted)
+    similar = _nearest_before(pose)
+    fitted = stored_basis.fit(recording.components, known, recording.like.rate, step, similar)
+    return StoredPoints(known, noise, pose, fitted, similar)
 
 
 def unpack_stored(data: bytes, known: Prior, like: Motion) -> FittedModel:

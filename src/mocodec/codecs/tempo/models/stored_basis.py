@@ -37,6 +37,8 @@ COARSER = 36
 """Entries of the basis are rounded to steps of 2^(36 / 32) · Δ/√(λ frames)."""
 FITTED_HZ = (0.3, 2.0)
 """Gains are measured between these frequencies."""
+LEAST_REST = 1e-6
+"""Of sums of squares: a smaller difference between two of them is rounding for the most part."""
 GAIN_FREQUENCY = 5
 """Index into `BANDS_MHZ` (1 Hz): shapes are relative to their value there."""
 
@@ -92,17 +94,17 @@ class StoredBasis:
         stored = self.unpacked
         if stored is None:
             stored = basis.unpack(self.vectors, dimensions, self.precision, similar)
-        found = basis.completed(stored)
+        completion = basis.Completion.of(stored)
         count = len(self.gains) - 1
         gains = np.concatenate([self.gains[:-1], np.full(dimensions - count, self.gains[-1])]) * GAIN_UNIT
         known = prior.joints.statistics
         shapes = _shapes(known, count + 1)
         spreads = np.concatenate([shapes[:-1], np.repeat(shapes[-1:], dimensions - count, axis=0)]) + gains[:, None]
         return Statistics(
-            (found.T,) * BANDS,
+            (completion.rows_after(stored),) * BANDS,
             np.concatenate([known.spreads[:POSE], spreads]),
             np.concatenate([known.means[:POSE], spreads[:, 2] - MEAN_BELOW]),
-            stored,
+            completion,
         )
 
 
@@ -148,9 +150,20 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
     stored = basis.unpack(packed, len(vectors), precision, similar)
     last = gains[-1:]
     if others := len(vectors) - count:
-        rest = [s - (s @ stored) @ stored.T for s in spectra]
-        last = _gains([np.sqrt((part**2).sum(axis=1, keepdims=True) / others) for part in rest], rate, shapes[-1:])
+        rest = [_squares_beside(stored, s)[:, None] for s in spectra]
+        last = _gains([np.sqrt(squares / others) for squares in rest], rate, shapes[-1:])
     return StoredBasis(np.rint(np.append(gains, last) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
+
+
+def _squares_beside(stored: Floats, spectrum: Floats) -> Floats:
+    """Sums of squares (frames,) of what orthonormal columns (dimensions, k) leave of a spectrum (frames, …)."""
+    inside = spectrum @ stored
+    squares = np.einsum("ij,ij->i", spectrum, spectrum)
+    rest = squares - np.einsum("ij,ij->i", inside, inside)
+    lost = rest < LEAST_REST * squares
+    off = spectrum[lost] - inside[lost] @ stored.T
+    rest[lost] = np.einsum("ij,ij->i", off, off)
+    return rest
 
 
 def _principal(spectra: Sequence[Floats], frames: int) -> basis.Principal:
