@@ -7,7 +7,12 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <vector>
+
+#if defined(__SSE2__)  // part of every x86-64 processor
+#include <emmintrin.h>
+#endif
 
 namespace bits {
 
@@ -77,8 +82,10 @@ public:
 
     // The counters of a bit of kind 0 with these contexts.
     static void counters_of(const uint32_t *contexts, uint32_t *counters) {
-        for (int i = 0; i < INPUTS; ++i) counters[i] = uint32_t(i * SLOTS) + (contexts[i] * 257u * HASH >> 17);
+        for (int i = 0; i < INPUTS; ++i) counters[i] = counter_of(i, contexts[i]);
     }
+
+    static uint32_t counter_of(int input, uint32_t context) { return uint32_t(input * SLOTS) + (context * 257u * HASH >> 17); }
 
     // Fetches counters that a bit is likely to need.
     void fetch(const uint32_t *counters) const {
@@ -114,9 +121,72 @@ public:
         }
     }
 
+    // Mixes as `mix_with`, takes the bit that `bit_of` returns for its probability of being 1, and learns it.
+    template <class BitOf>
+    int code(const uint32_t *counters, uint32_t set, BitOf bit_of) {
+        Mixed mixed;
+        const int bit = bit_of(mix_with(mixed, counters, set));
+        const int32_t error = ((bit << 16) - mixed.p) * LEARNING;
+        uint32_t above = 0;  // bits beyond LARGEST_WEIGHT, or at it
+        for (int i = 0; i < INPUTS; ++i) {
+            mixed.weights[i] += mixed.stretched[i] * error >> 16;
+            above |= uint32_t(mixed.weights[i] + LARGEST_WEIGHT);
+        }
+        if (above >= 2 * uint32_t(LARGEST_WEIGHT))
+            for (int i = 0; i < INPUTS; ++i) mixed.weights[i] = std::clamp(mixed.weights[i], -LARGEST_WEIGHT, LARGEST_WEIGHT);
+        learn_counters(mixed.from, bit);
+        return bit;
+    }
+
     const int32_t *const cost;
 
 private:
+#if defined(__SSE2__)
+    // A counter is one lane: p in its lower half, the bits seen above. A step towards 0 is rounded away from p, one towards
+    // 65535 down: that is the same step of 65535 − p without the rounding.
+    void learn_counters(Counter *const *from, int bit) {
+        static_assert(INPUTS == 5 && sizeof(Counter) == 4, "lanes of five counters");
+        const auto lane = [&](int i) {
+            int32_t value;
+            std::memcpy(&value, from[i], sizeof value);
+            return _mm_cvtsi32_si128(value);
+        };
+        const __m128i four = _mm_unpacklo_epi64(_mm_unpacklo_epi32(lane(0), lane(1)), _mm_unpacklo_epi32(lane(2), lane(3)));
+        __m128i rates = _mm_cvtsi32_si128(rate_[from[0]->seen]);
+        rates = _mm_insert_epi16(rates, rate_[from[1]->seen], 2);
+        rates = _mm_insert_epi16(rates, rate_[from[2]->seen], 4);
+        rates = _mm_insert_epi16(rates, rate_[from[3]->seen], 6);
+        const __m128i flip = _mm_set1_epi32(-bit & 0xffff), slowest = _mm_set1_epi32(int32_t(uint32_t(SLOWEST) << 16 | 0x8000));
+        const auto learned = [&](__m128i counter, __m128i rate) {
+            const __m128i away = _mm_xor_si128(counter, flip);
+            const __m128i is_whole = _mm_cmpeq_epi16(_mm_mullo_epi16(away, rate), _mm_setzero_si128());
+            const __m128i rounding = _mm_cmpeq_epi16(_mm_or_si128(is_whole, flip), _mm_setzero_si128());  // −1 where it rounds
+            const __m128i left = _mm_add_epi16(_mm_sub_epi16(away, _mm_mulhi_epu16(away, rate)), rounding);
+            return _mm_sub_epi16(_mm_xor_si128(left, flip), _mm_cmpgt_epi16(slowest, counter));
+        };
+        const __m128i after = learned(four, rates), fifth = learned(lane(4), _mm_cvtsi32_si128(rate_[from[4]->seen]));
+        const auto put = [&](int i, __m128i value) {
+            const int32_t counter = _mm_cvtsi128_si32(value);
+            std::memcpy(static_cast<void *>(from[i]), &counter, sizeof counter);
+        };
+        put(0, after);
+        put(1, _mm_shuffle_epi32(after, 1));
+        put(2, _mm_shuffle_epi32(after, 2));
+        put(3, _mm_shuffle_epi32(after, 3));
+        put(4, fifth);
+    }
+#else
+    void learn_counters(Counter *const *from, int bit) {
+        for (int i = 0; i < INPUTS; ++i) learn_counter(*from[i], bit);
+    }
+#endif
+
+    void learn_counter(Counter &counter, int bit) {
+        const int32_t target = bit ? 65535 : 0;
+        counter.p = uint16_t(counter.p + ((target - int32_t(counter.p)) * rate_[counter.seen] >> 16));
+        counter.seen = uint16_t(counter.seen + (counter.seen < SLOWEST));
+    }
+
     static constexpr uint32_t HASH = 2654435761u;
 
     size_t slot(int input, uint32_t hashed_kind) const {

@@ -57,10 +57,10 @@ public:
 
     // Codes one bit with these counters, as bits::Mixer::counters_of, and this weight set; returns it.
     int code_with(const uint32_t *counters, uint32_t set, int bit) {
-        bits::Mixed mixed;
-        encoder_.bit(bit, mixer_.mix_with(mixed, counters, set));
-        mixer_.learn(mixed, bit);
-        return bit;
+        return mixer_.code(counters, set, [&](int32_t p) {
+            encoder_.bit(bit, p);
+            return bit;
+        });
     }
 
     // Codes one bit with these INPUTS contexts.
@@ -100,10 +100,7 @@ public:
 
     // As BitArrayEncoder::code_with; the bit that is given has no meaning.
     int code_with(const uint32_t *counters, uint32_t set, int) {
-        bits::Mixed mixed;
-        const int bit = decoder_.bit(mixer_.mix_with(mixed, counters, set));
-        mixer_.learn(mixed, bit);
-        return bit;
+        return mixer_.code(counters, set, [&](int32_t p) { return decoder_.bit(p); });
     }
 
     // Decodes one bit with these INPUTS contexts.

@@ -397,9 +397,9 @@ Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
     return Tree(depth, surface, bell.data());
 }
 
-Output<int64_t> rows_of(const Cubes &cubes) {
+Output<int64_t> rows_of(const Cubes &cubes, const Surface *surface) {
     Fresh<int64_t> rows(cubes.size());
-    std::copy(cubes.nearest.begin(), cubes.nearest.end(), rows.data.get());
+    for (size_t i = 0; i < cubes.size(); ++i) rows.data[i] = surface ? surface->given_row(cubes.nearest[i]) : NOWHERE;
     return rows.give({cubes.size()});
 }
 
@@ -411,7 +411,7 @@ Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> co
         if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("cube_octree: the codes are not sorted");
     if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
         throw std::invalid_argument("cube_octree: the codes are not those of a lattice");
-    return rows_of(tree.points());
+    return rows_of(tree.points(), surface);
 }
 
 // (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
@@ -423,7 +423,7 @@ nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, c
     const Cubes &cubes = tree.points();
     Fresh<int64_t> codes(cubes.size());
     std::copy(cubes.codes.begin(), cubes.codes.end(), codes.data.get());
-    return nb::make_tuple(codes.give({cubes.size()}), rows_of(cubes), 0, size_t(0));
+    return nb::make_tuple(codes.give({cubes.size()}), rows_of(cubes, surface), 0, size_t(0));
 }
 
 }  // namespace

@@ -23,3 +23,14 @@ inline int bit_length(uint64_t x) {
     for (; x; x >>= 1) ++bits;
     return bits;
 }
+
+// The place of the lowest bit of x > 0.
+inline int lowest_bit(uint64_t x) {
+#if defined(__GNUC__) || defined(__clang__)
+    return __builtin_ctzll(x);
+#else
+    int place = 0;
+    while (!(x >> place & 1)) ++place;
+    return place;
+#endif
+}

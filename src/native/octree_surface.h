@@ -14,6 +14,10 @@
 #include <stdexcept>
 #include <vector>
 
+#if defined(__SSE2__)  // part of every x86-64 processor
+#include <emmintrin.h>
+#endif
+
 #include "arrays.h"
 #include "integers.h"
 
@@ -90,26 +94,92 @@ private:
     std::vector<int32_t> rows_;
 };
 
-// A step to one of the 27 cells around a cube. key: added to that of the cube. axes: along how many it leads.
-struct Around {
-    int32_t x, y, z;
-    uint64_t key;
-    int64_t axes;
-};
+// The cells of a block of 4 × 4 × 4, in Morton order.
+struct BlockCells {
+    struct Cell {
+        int8_t x, y, z;
+    };
+    std::array<Cell, 64> of;
+    std::array<std::array<uint64_t, 16>, 3> along{};  // by axis: cells whose coordinate is in a set of the numbers 0 to 3
 
-struct AllAround {
-    std::array<Around, 27> of;
-    AllAround() {
-        static constexpr int32_t STEPS[3] = {0, -1, 1};
-        for (size_t k = 0; k < of.size(); ++k) {
-            const int32_t x = STEPS[k / 9], y = STEPS[k / 3 % 3], z = STEPS[k % 3];
-            const uint64_t key = uint64_t(x) + (uint64_t(y) << 21) + (uint64_t(z) << 42);
-            of[k] = {x, y, z, key, int64_t(x != 0) + (y != 0) + (z != 0)};
+    BlockCells() {
+        for (int k = 0; k < 64; ++k) {
+            of[size_t(k)] = {int8_t((k & 1) | (k >> 2 & 2)), int8_t((k >> 1 & 1) | (k >> 3 & 2)), int8_t((k >> 2 & 1) | (k >> 4 & 2))};
+            const Cell cell = of[size_t(k)];
+            for (size_t set = 0; set < 16; ++set) {
+                along[0][set] |= uint64_t(set >> cell.x & 1) << k;
+                along[1][set] |= uint64_t(set >> cell.y & 1) << k;
+                along[2][set] |= uint64_t(set >> cell.z & 1) << k;
+            }
         }
     }
 };
 
-const AllAround AROUND;
+const BlockCells BLOCK_CELLS;
+
+// The samples around each sample relative to it, in 16-bit numbers, where they are near.
+class NearNeighbours {
+public:
+    // 3 · (2 · LARGEST)² · 16 fits into 31 bits.
+    static constexpr int64_t LARGEST = 3300;
+
+    void take(const std::vector<Place> &points, const std::vector<int32_t> &neighbours) {
+        is_near_.assign(points.size(), 1);
+        offsets_.resize(points.size() * 3 * NEIGHBOURS);
+        for (size_t i = 0; i < points.size(); ++i)
+            for (size_t k = 0; k < NEIGHBOURS; ++k) {
+                const Place &other = points[size_t(neighbours[i * NEIGHBOURS + k])];
+                int16_t *to = &offsets_[3 * NEIGHBOURS * i];
+                int64_t apart[3];
+                for (size_t d = 0; d < 3; ++d) {
+                    apart[d] = other[d] - points[i][d];
+                    is_near_[i] &= apart[d] <= LARGEST && apart[d] >= -LARGEST;
+                }
+                to[2 * k] = int16_t(apart[0]), to[2 * k + 1] = int16_t(apart[1]), to[2 * NEIGHBOURS + k] = int16_t(apart[2]);
+            }
+    }
+
+    // Which neighbour is nearest to a place relative to sample `row`, counted from 1, or 0 if the sample is, the first of equal
+    // ones; −1 where numbers are too large.
+    int nearest(size_t row, const Place &place) const {
+        if (!is_near_[row]) return -1;
+        for (int64_t v : place)
+            if (v > LARGEST || v < -LARGEST) return -1;
+        const int16_t *offsets = &offsets_[3 * NEIGHBOURS * row];
+        const int32_t x = int32_t(place[0]), y = int32_t(place[1]), z = int32_t(place[2]);
+        int32_t best = (x * x + y * y + z * z) * 16;
+#if defined(__SSE2__)
+        const __m128i flat = _mm_set1_epi32((x & 0xffff) | y * 65536), height = _mm_set1_epi32(z & 0xffff);
+        const auto load = [](const int16_t *from) { return _mm_loadu_si128(reinterpret_cast<const __m128i *>(from)); };
+        const auto keys = [&](int group, __m128i heights) {
+            const __m128i aside = _mm_sub_epi16(load(offsets + 8 * group), flat), above = _mm_sub_epi16(heights, height);
+            const __m128i square = _mm_add_epi32(_mm_madd_epi16(aside, aside), _mm_madd_epi16(above, above));
+            return _mm_or_si128(_mm_slli_epi32(square, 4), _mm_setr_epi32(4 * group + 1, 4 * group + 2, 4 * group + 3, 4 * group + 4));
+        };
+        const auto smaller = [](__m128i a, __m128i b) {
+            const __m128i is_larger = _mm_cmpgt_epi32(a, b);
+            return _mm_or_si128(_mm_and_si128(is_larger, b), _mm_andnot_si128(is_larger, a));
+        };
+        const int16_t *up = offsets + 2 * NEIGHBOURS;
+        const __m128i zero = _mm_setzero_si128(), eight = load(up), last = _mm_loadl_epi64(reinterpret_cast<const __m128i *>(up + 8));
+        __m128i least = smaller(keys(0, _mm_unpacklo_epi16(eight, zero)), keys(1, _mm_unpackhi_epi16(eight, zero)));
+        least = smaller(least, keys(2, _mm_unpacklo_epi16(last, zero)));
+        least = smaller(least, _mm_shuffle_epi32(least, _MM_SHUFFLE(1, 0, 3, 2)));
+        least = smaller(least, _mm_shuffle_epi32(least, _MM_SHUFFLE(2, 3, 0, 1)));
+        best = std::min(best, _mm_cvtsi128_si32(least));
+#else
+        for (int k = 0; k < NEIGHBOURS; ++k) {
+            const int32_t a = offsets[2 * k] - x, b = offsets[2 * k + 1] - y, c = offsets[2 * NEIGHBOURS + k] - z;
+            best = std::min(best, (a * a + b * b + c * c) * 16 + k + 1);
+        }
+#endif
+        return best & 15;
+    }
+
+private:
+    std::vector<uint8_t> is_near_;
+    std::vector<int16_t> offsets_;  // of a sample: pairs of x and y, then z
+};
 
 class Surface {
 public:
@@ -117,16 +187,20 @@ public:
     // largest_corrected: side of the largest cubes that correct the surface, subunits.
     Surface(Input<int64_t, 2> points, Input<int64_t, 2> normals, Input<int64_t, 2> neighbours, int64_t spacing, int depth,
             int64_t largest_corrected)
-        : spacing_(spacing), largest_corrected_(largest_corrected), depth_(depth), points_(rows_of_three(points)), normals_(rows_of_three(normals)),
-          neighbours_(neighbours.data(), neighbours.data() + neighbours.size()) {
+        : spacing_(spacing), largest_corrected_(largest_corrected), depth_(depth) {
         const size_t m = points.shape(0);
-        if (normals.shape(0) != m || neighbours.shape(0) != m || neighbours.shape(1) != NEIGHBOURS || spacing < 1 ||
-            depth < 0 || depth > 20)
+        if (points.shape(1) != 3 || normals.shape(0) != m || normals.shape(1) != 3 || neighbours.shape(0) != m ||
+            neighbours.shape(1) != NEIGHBOURS || spacing < 1 || depth < 0 || depth > 20)
             throw std::invalid_argument("OctreeSurface: shapes differ");
-        for (int32_t row : neighbours_)
-            if (row < 0 || size_t(row) >= m) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
-        sort_by_cell();
+        sort_by_cell(points.data(), m);
+        points_ = in_order(points.data());
+        normals_ = in_order(normals.data());
+        take_neighbours(neighbours.data());
+        near_.take(points_, neighbours_);
     }
+
+    // The number of a sample among those that were given: samples are kept in the order of their cells, as cubes come.
+    int64_t given_row(int32_t row) const { return row < 0 ? row : given_rows_[size_t(row)]; }
 
     int depth() const { return depth_; }
     size_t size() const { return points_.size(); }
@@ -147,11 +221,11 @@ public:
             return;
         }
         const bool searches = 2 * size > spacing_;
-        const Cells cells = searches ? cells_of_level(level) : Cells{KeyTable(0), {}};
+        const Cells cells = searches ? cells_of_level(level) : Cells{KeyTable(0), {}, {}};
         for (size_t i = 0; i < places.size(); ++i) {
             const Place centre = centre_of(places[i], size);
             nearest[i] = descend(centre, nearest[i]);
-            if (searches) nearest[i] = nearest_around(places[i], centre, level, size, cells, nearest[i]);
+            if (searches) nearest[i] = nearest_around(places[i], centre, size, cells, nearest[i]);
         }
     }
 
@@ -207,63 +281,107 @@ public:
     }
 
 private:
-    static std::vector<Place> rows_of_three(const Input<int64_t, 2> &values) {
-        if (values.shape(1) != 3) throw std::invalid_argument("OctreeSurface: shapes differ");
-        std::vector<Place> result(values.shape(0));
-        for (size_t i = 0; i < result.size(); ++i) std::copy_n(values.data() + 3 * i, 3, result[i].begin());
-        return result;
-    }
-
-    // Samples within the octree by their unit cell, those of a cell by row. A cell of any level is a run of them.
-    void sort_by_cell() {
+    // Samples within the octree by their unit cell, those of a cell by row, then the others. A cell of any level is a run.
+    void sort_by_cell(const int64_t *points, size_t m) {
         const int64_t end = int64_t(1) << (SUBUNIT_BITS + depth_);
         std::vector<std::pair<uint64_t, int32_t>> sorted;
-        sorted.reserve(points_.size());
-        for (size_t i = 0; i < points_.size(); ++i) {
+        std::vector<int32_t> outside;
+        sorted.reserve(m);
+        for (size_t i = 0; i < m; ++i) {
             int64_t v[3];
             bool inside = true;
-            for (int d = 0; d < 3; ++d) {
-                v[d] = points_[i][d] + HALF_UNIT;
+            for (size_t d = 0; d < 3; ++d) {
+                v[d] = points[3 * i + d] + HALF_UNIT;
                 inside &= v[d] >= 0 && v[d] < end;
                 v[d] >>= SUBUNIT_BITS;
             }
-            if (inside) sorted.emplace_back(morton_code(v[0], v[1], v[2]), int32_t(i));
+            if (inside)
+                sorted.emplace_back(morton_code(v[0], v[1], v[2]), int32_t(i));
+            else
+                outside.push_back(int32_t(i));
         }
         std::sort(sorted.begin(), sorted.end());
+        given_rows_.reserve(m);
+        codes_.reserve(sorted.size());
         for (const auto &[code, row] : sorted) {
             codes_.push_back(code);
-            sorted_rows_.push_back(row);
+            given_rows_.push_back(row);
         }
+        given_rows_.insert(given_rows_.end(), outside.begin(), outside.end());
+        own_rows_.resize(m);
+        for (size_t i = 0; i < m; ++i) own_rows_[size_t(given_rows_[i])] = int32_t(i);
     }
 
-    // The first SEARCHED samples, by row, of every cell of a level; NOWHERE where it holds fewer. at: rows of `first`.
-    struct Cells {
-        KeyTable at;
-        std::vector<std::array<int32_t, SEARCHED>> first;
+    std::vector<Place> in_order(const int64_t *values) const {
+        std::vector<Place> result(given_rows_.size());
+        for (size_t i = 0; i < result.size(); ++i) std::copy_n(values + 3 * size_t(given_rows_[i]), 3, result[i].begin());
+        return result;
+    }
+
+    void take_neighbours(const int64_t *neighbours) {
+        neighbours_.resize(given_rows_.size() * NEIGHBOURS);
+        for (size_t i = 0; i < given_rows_.size(); ++i)
+            for (size_t k = 0; k < NEIGHBOURS; ++k) {
+                const int64_t row = neighbours[size_t(given_rows_[i]) * NEIGHBOURS + k];
+                if (row < 0 || row >= int64_t(given_rows_.size())) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
+                neighbours_[i * NEIGHBOURS + k] = own_rows_[size_t(row)];
+            }
+    }
+
+    // The first SEARCHED samples of a cell, by the rows given; NOWHERE where it holds fewer.
+    using FirstSamples = std::array<int32_t, SEARCHED>;
+
+    // The cells with samples of a block of a level. ranks: of each, counted from the first.
+    struct Block {
+        uint64_t filled = 0;
+        size_t first = 0;
+        std::array<uint8_t, 64> ranks{};
     };
 
-    // The cell of a level that a sample within the octree lies in.
-    uint64_t key_of_sample(int32_t row, int level) const {
-        const Place &v = points_[size_t(row)];
-        const int bits = SUBUNIT_BITS + depth_ - level;
+    // All cells of a level, in Morton order. at: rows of `blocks`, by the keys of their places.
+    struct Cells {
+        KeyTable at;
+        std::vector<Block> blocks;
+        std::vector<FirstSamples> first;
+    };
+
+    // The block of a level that a sample within the octree lies in.
+    uint64_t block_of_sample(size_t row, int level) const {
+        const Place &v = points_[row];
+        const int bits = SUBUNIT_BITS + depth_ - level + 2;
         return cell_key((v[0] + HALF_UNIT) >> bits, (v[1] + HALF_UNIT) >> bits, (v[2] + HALF_UNIT) >> bits);
     }
 
     Cells cells_of_level(int level) const {
-        const std::vector<uint64_t> codes = sample_codes(level);
+        const int below = 3 * (depth_ - level);
         size_t count = 0;
-        for (size_t i = 0; i < codes.size(); ++i) count += !i || codes[i] != codes[i - 1];
-        Cells cells{KeyTable(count), {}};
-        for (size_t start = 0, stop; start < codes.size(); start = stop) {
-            for (stop = start + 1; stop < codes.size() && codes[stop] == codes[start];) ++stop;
-            std::array<int32_t, SEARCHED> first;
-            first.fill(NOWHERE);
-            const auto end = std::partial_sort_copy(sorted_rows_.begin() + start, sorted_rows_.begin() + stop,
-                                                    first.begin(), first.end());
-            std::fill(end, first.end(), NOWHERE);
-            cells.at.add(key_of_sample(sorted_rows_[start], level), int32_t(cells.first.size()));
-            cells.first.push_back(first);
+        const auto block_of = [&](size_t i) { return codes_[i] >> below >> 6; };
+        for (size_t i = 0; i < codes_.size(); ++i) count += !i || block_of(i) != block_of(i - 1);
+        Cells cells{KeyTable(count), {}, {}};
+        cells.blocks.reserve(count);
+        for (size_t i = 0; i < codes_.size(); ++i) {
+            const uint64_t code = codes_[i] >> below;
+            if (!i || block_of(i) != block_of(i - 1)) {
+                cells.at.add(block_of_sample(i, level), int32_t(cells.blocks.size()));
+                cells.blocks.push_back({0, cells.first.size(), {}});
+            }
+            if (!i || code != codes_[i - 1] >> below) {
+                Block &block = cells.blocks.back();
+                block.filled |= uint64_t(1) << (code & 63);
+                block.ranks[code & 63] = uint8_t(cells.first.size() - block.first);
+                cells.first.emplace_back();
+                cells.first.back().fill(std::numeric_limits<int32_t>::max());
+            }
+            int32_t row = given_rows_[i];
+            for (int32_t &own : cells.first.back()) {
+                const int32_t later = std::max(own, row);
+                own = std::min(own, row);
+                row = later;
+            }
         }
+        for (FirstSamples &first : cells.first)
+            for (int32_t &row : first)
+                row = row == std::numeric_limits<int32_t>::max() ? NOWHERE : own_rows_[size_t(row)];
         return cells;
     }
 
@@ -279,9 +397,13 @@ private:
     // The nearest among a sample and its neighbours, the first where several are; NOWHERE stays.
     int32_t descend(const Place &centre, int32_t row) const {
         if (row < 0) return NOWHERE;
+        const int32_t *around = &neighbours_[size_t(row) * NEIGHBOURS];
+        Place apart;
+        for (size_t d = 0; d < 3; ++d) apart[d] = centre[d] - points_[size_t(row)][d];
+        const int nearest = near_.nearest(size_t(row), apart);
+        if (nearest >= 0) return nearest ? around[nearest - 1] : row;
         int32_t found = row;
         int64_t best = square(centre, row);
-        const int32_t *around = &neighbours_[size_t(row) * NEIGHBOURS];
         for (int k = 0; k < NEIGHBOURS; ++k) {
             const int64_t own = square(centre, around[k]);
             if (own < best) best = own, found = around[k];
@@ -289,31 +411,49 @@ private:
         return found;
     }
 
-    // The nearest of the samples in the 27 cells around a cube, or `row` if none is nearer.
-    int32_t nearest_around(const std::array<int32_t, 3> &place, const Place &centre, int level, int64_t size,
-                           const Cells &cells, int32_t row) const {
-        const int32_t side = int32_t(1) << level;
+    // The nearest of the samples in the 27 cells around a cube, or `row` if none is nearer. Of samples that are as near, the
+    // first counts: cells in the order of their place along x, y and z, each first 0, then −1, then 1; in a cell by row.
+    int32_t nearest_around(const std::array<int32_t, 3> &place, const Place &centre, int64_t size, const Cells &cells,
+                           int32_t row) const {
+        static constexpr int ORDER[3] = {1, 0, 2}, AXES[3] = {1, 0, 1};  // of the steps −1, 0, 1; whether they leave the cube
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
-        const uint64_t key = cell_key(place[0], place[1], place[2]), hash = key * KeyTable::HASH;
-        bool is_inner = true;  // all cells around are within the octree
-        for (int32_t v : place) is_inner &= v > 0 && v < side - 1;
-        const auto search = [&](const Around &step) {
-            if (!is_inner) {
-                const int32_t x = place[0] + step.x, y = place[1] + step.y, z = place[2] + step.z;
-                if (x < 0 || y < 0 || z < 0 || x >= side || y >= side || z >= side) return;
-            }
-            const int32_t cell = cells.at.find(key + step.key, hash + step.key * KeyTable::HASH);
-            if (cell < 0) return;
-            for (int32_t other : cells.first[size_t(cell)]) {
+        int order = -1;
+        const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
+        const auto search = [&](const Block &block, int x, int y, int z, int bit) {  // a cell, steps plus 1 away from the cube
+            if ((AXES[x] + AXES[y] + AXES[z]) * quarter > best) return;  // all of the cell is farther
+            const int first = 9 * ORDER[x] + 3 * ORDER[y] + ORDER[z];
+            for (int k = 0; k < SEARCHED; ++k) {
+                const int32_t other = cells.first[block.first + block.ranks[size_t(bit)]][size_t(k)];
                 if (other < 0) break;
                 const int64_t own = square(centre, other);
-                if (own < best) best = own, row = other;
+                const int its_order = SEARCHED * first + k;
+                if (own < best || (own == best && its_order < order)) best = own, order = its_order, row = other;
             }
         };
-        search(AROUND.of[0]);
-        const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face
-        for (size_t k = 1; k < AROUND.of.size() && quarter < best; ++k)
-            if (AROUND.of[k].axes * quarter < best) search(AROUND.of[k]);  // otherwise all of the cell is as far
+        const auto block_at = [&](int x, int y, int z) {
+            const int32_t at = x < 0 || y < 0 || z < 0 ? -1 : cells.at.find(cell_key(x, y, z));
+            return at < 0 ? nullptr : &cells.blocks[size_t(at)];
+        };
+        const int own_bit = int(morton_code(place[0] & 3, place[1] & 3, place[2] & 3));
+        const Block *own = block_at(place[0] >> 2, place[1] >> 2, place[2] >> 2);
+        if (own && own->filled >> own_bit & 1) search(*own, 1, 1, 1, own_bit);
+        if (quarter > best) return row;
+        for (int z = (place[2] - 1) >> 2; z <= (place[2] + 1) >> 2; ++z)
+            for (int y = (place[1] - 1) >> 2; y <= (place[1] + 1) >> 2; ++y)
+                for (int x = (place[0] - 1) >> 2; x <= (place[0] + 1) >> 2; ++x) {
+                    const int from[3] = {place[0] - 1 - 4 * x, place[1] - 1 - 4 * y, place[2] - 1 - 4 * z};
+                    const bool is_own = x == place[0] >> 2 && y == place[1] >> 2 && z == place[2] >> 2;
+                    const Block *block = is_own ? own : block_at(x, y, z);
+                    if (!block) continue;
+                    uint64_t filled = block->filled;
+                    for (size_t d = 0; d < 3; ++d) filled &= BLOCK_CELLS.along[d][(7u << (4 + from[d]) >> 4) & 15];
+                    if (is_own) filled &= ~(uint64_t(1) << own_bit);
+                    for (; filled; filled &= filled - 1) {
+                        const int bit = lowest_bit(filled);
+                        const BlockCells::Cell cell = BLOCK_CELLS.of[size_t(bit)];
+                        search(*block, cell.x - from[0], cell.y - from[1], cell.z - from[2], bit);
+                    }
+                }
         return row;
     }
 
@@ -347,8 +487,9 @@ private:
     int depth_;
     std::vector<Place> points_, normals_;
     std::vector<int32_t> neighbours_;
-    std::vector<uint64_t> codes_;       // of the unit cells of the samples within the octree, in order
-    std::vector<int32_t> sorted_rows_;  // the samples of `codes_`
+    NearNeighbours near_;
+    std::vector<uint64_t> codes_;        // of the unit cells of the samples within the octree, which come first
+    std::vector<int32_t> given_rows_, own_rows_;  // of a sample kept, and of a sample given
 };
 
 }  // namespace point_octree

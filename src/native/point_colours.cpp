@@ -3,9 +3,14 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <vector>
+
+#if defined(__SSE2__)  // part of every x86-64 processor
+#include <emmintrin.h>
+#endif
 
 #include "bit_arrays.h"
 #include "integers.h"
@@ -19,7 +24,7 @@ constexpr int UNARY = 24, WIDE_BITS = 11, FIRST_MAGNITUDE = 2, WIDE_KIND = FIRST
 constexpr int KINDS = WIDE_KIND + WIDE_BITS, CLASSES = 6, ACTIVITIES = 9, LEVELS = 7;
 constexpr int CLASS_EDGES[] = {1, 2, 4, 8, 16}, ACTIVITY_EDGES[] = {1, 2, 3, 5, 8, 12, 18, 28};
 constexpr int SHARE_BITS = 4, ROUNDING = 96, GREY = 128;
-constexpr int64_t LARGEST = 511;
+constexpr int64_t LARGEST = 511, LARGEST_PLACE = 1 << 23;
 constexpr size_t FIRST_STRIDE = 64;
 
 using Numbers = Input<int64_t, 2>;
@@ -51,12 +56,113 @@ void require(bool good, const char *what) {
     if (!good) throw std::invalid_argument(what);
 }
 
-// ColourMemory._expected: rows (n), places (n, 3); of the memory: neighbours (m, k), places and colours (m, kept, 3).
+constexpr size_t KEPT = 8, SEARCHED = 7;  // points of a sample; samples whose points are candidates
+constexpr int64_t SLOTS = 64;              // of candidates, at least KEPT · SEARCHED
+
+// AVERAGED floats side by side.
+#if defined(__SSE2__)
+struct Group {
+    __m128 values;
+
+    static Group of(float value) { return {_mm_set1_ps(value)}; }
+    void store(float *to) const { _mm_storeu_ps(to, values); }
+    void keep_least(const Group &other) { values = _mm_min_ps(values, other.values); }
+
+    void add_squares(const int32_t *coordinates, int32_t origin) {
+        const __m128i numbers = _mm_loadu_si128(reinterpret_cast<const __m128i *>(coordinates));
+        const __m128 apart = _mm_cvtepi32_ps(_mm_sub_epi32(numbers, _mm_set1_epi32(origin)));
+        values = _mm_add_ps(values, _mm_mul_ps(apart, apart));
+    }
+
+    // A bit for each of these that is at most the limit.
+    static int within(const float *from, float limit) {
+        return _mm_movemask_ps(_mm_cmple_ps(_mm_loadu_ps(from), _mm_set1_ps(limit)));
+    }
+
+    float largest() const {
+        float all[AVERAGED];
+        store(all);
+        return *std::max_element(all, all + AVERAGED);
+    }
+};
+#else
+struct Group {
+    float values[AVERAGED];
+
+    static Group of(float value) { return {{value, value, value, value}}; }
+    void store(float *to) const { std::copy(values, values + AVERAGED, to); }
+
+    void keep_least(const Group &other) {
+        for (size_t k = 0; k < AVERAGED; ++k) values[k] = std::min(values[k], other.values[k]);
+    }
+
+    void add_squares(const int32_t *coordinates, int32_t origin) {
+        for (size_t k = 0; k < AVERAGED; ++k) {
+            const float apart = float(coordinates[k] - origin);
+            values[k] += apart * apart;
+        }
+    }
+
+    // A bit for each of these that is at most the limit.
+    static int within(const float *from, float limit) {
+        int result = 0;
+        for (size_t k = 0; k < AVERAGED; ++k) result |= int(from[k] <= limit) << k;
+        return result;
+    }
+
+    float largest() const { return *std::max_element(values, values + AVERAGED); }
+};
+#endif
+
+// The candidates that may be among the AVERAGED nearest, by squared distances in floats.
+class Candidates {
+public:
+    // known (3, KEPT): coordinates below 2^25 in magnitude.
+    void add(const int32_t *known, const int32_t *place) {
+        for (size_t k = 0; k < KEPT; k += AVERAGED) {
+            Group squares = {};
+            for (size_t d = 0; d < 3; ++d) squares.add_squares(known + d * KEPT + k, place[d]);
+            squares.store(squares_ + count_ + k);
+            least_.keep_least(squares);
+        }
+        count_ += KEPT;
+    }
+
+    // A bit for each: the least of AVERAGED groups are AVERAGED candidates, so none of the nearest lies farther than they do.
+    uint64_t mask() const {
+        const float limit = least_.largest() * SLACK;
+        uint64_t result = 0;
+        for (size_t k = 0; k < count_; k += AVERAGED) result |= uint64_t(Group::within(squares_ + k, limit)) << k;
+        return result;
+    }
+
+private:
+    static constexpr float SLACK = 1 + 1.0f / (1 << 20);  // of rounding: a sum of three squares is off by less than 2^-21 of it
+    float squares_[SEARCHED * KEPT];
+    Group least_ = Group::of(INFINITY);
+    size_t count_ = 0;
+};
+
+// The AVERAGED smallest keys added, in order, without branches.
+struct Smallest {
+    int64_t keys[AVERAGED] = {INT64_MAX, INT64_MAX, INT64_MAX, INT64_MAX};
+
+    void add(int64_t key) {
+        for (int64_t &own : keys) {
+            const int64_t swapped = (own ^ key) & -int64_t(key < own);
+            own ^= swapped;
+            key ^= swapped;
+        }
+    }
+};
+
+// ColourMemory._expected: rows (n), places (n, 3); of the memory: neighbours (m, k), places (m, 3, kept) and colours
+// (m, kept, 3).
 Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, Input<int32_t, 3> known,
                                  Input<int32_t, 3> colours) {
-    const size_t n = rows.shape(0), samples = known.shape(0), kept = known.shape(1), around = neighbours.shape(1);
-    require(places.shape(0) == n && places.shape(1) == 3 && neighbours.shape(0) == samples && known.shape(2) == 3 &&
-                colours.shape(0) == samples && colours.shape(1) == kept && colours.shape(2) == 3,
+    const size_t n = rows.shape(0), samples = known.shape(0), around = neighbours.shape(1);
+    require(places.shape(0) == n && places.shape(1) == 3 && neighbours.shape(0) == samples && around < SEARCHED && known.shape(1) == 3 &&
+                known.shape(2) == KEPT && colours.shape(0) == samples && colours.shape(1) == KEPT && colours.shape(2) == 3,
             "expected_colours: shapes differ");
     for (size_t i = 0; i < neighbours.size(); ++i)
         require(neighbours.data()[i] >= 0 && size_t(neighbours.data()[i]) < samples, "expected_colours: a row beyond the samples");
@@ -64,17 +170,31 @@ Output<int64_t> expected_colours(Rows rows, Numbers places, Numbers neighbours, 
     for (size_t i = 0; i < n; ++i) {
         const int64_t row = rows.data()[i];
         require(row >= 0 && size_t(row) < samples, "expected_colours: a row beyond the samples");
-        Nearest nearest;
+        int32_t place[3];
+        for (size_t d = 0; d < 3; ++d) {
+            require(std::abs(places.data()[3 * i + d]) <= LARGEST_PLACE, "expected_colours: a place out of range");
+            place[d] = int32_t(places.data()[3 * i + d]);
+        }
+        Candidates candidates;
+        size_t searched[SEARCHED];
         for (size_t k = 0; k <= around; ++k) {
-            const size_t sample = size_t(k ? neighbours.data()[size_t(row) * around + k - 1] : row);
-            for (size_t at = sample * kept; at < (sample + 1) * kept; ++at)
-                nearest.add(square_between(known.data() + 3 * at, places.data() + 3 * i), at);
+            searched[k] = size_t(k ? neighbours.data()[size_t(row) * around + k - 1] : row);
+            candidates.add(known.data() + 3 * KEPT * searched[k], place);
+        }
+        Smallest nearest;
+        for (uint64_t mask = candidates.mask(); mask; mask &= mask - 1) {
+            const size_t slot = size_t(lowest_bit(mask));
+            const int32_t *own = known.data() + 3 * KEPT * searched[slot / KEPT] + slot % KEPT;
+            const int64_t x = int64_t(own[0]) - place[0], y = int64_t(own[KEPT]) - place[1], z = int64_t(own[2 * KEPT]) - place[2];
+            nearest.add((x * x + y * y + z * z) * SLOTS + int64_t(slot));
         }
         int64_t total = 0, sums[3] = {0, 0, 0};
-        for (size_t k = 0; k < nearest.count; ++k) {
-            const int64_t weight = floor_quotient(PLACE_WEIGHT, nearest.square[k] + PLACE_SOFTENING);
+        for (int64_t key : nearest.keys) {
+            const size_t slot = size_t(key % SLOTS);
+            const int32_t *colour = colours.data() + 3 * (KEPT * searched[slot / KEPT] + slot % KEPT);
+            const int64_t weight = floor_quotient(PLACE_WEIGHT, key / SLOTS + PLACE_SOFTENING);
             total += weight;
-            for (int d = 0; d < 3; ++d) sums[d] += weight * colours.data()[3 * nearest.at[k] + size_t(d)];
+            for (int d = 0; d < 3; ++d) sums[d] += weight * colour[d];
         }
         total = std::max<int64_t>(total, 1);
         for (int d = 0; d < 3; ++d) out.data[3 * i + size_t(d)] = floor_quotient(sums[d] + total / 2, total);

@@ -2,6 +2,9 @@
 //
 //     sorted Morton codes ─► level by level, octant by octant ─► occupancy bits with contexts ─► bit_arrays.h
 
+#include <array>
+#include <cmath>
+
 #include "bit_arrays.h"
 #include "octree_surface.h"
 
@@ -15,47 +18,74 @@ constexpr int CLASSES = 25;  // quarters of a child's side, the last for all bey
 constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
 constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
 constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
+constexpr size_t BATCH = 32;  // cubes whose contexts are computed together
 
-// What the surface says about the children of one cube, and what is left of it while its octants are coded.
+// What the surface says about the children of the cubes of a level, octant by octant, and what is left of it while the
+// octants are coded. All 0 for cubes without a surface near them, but for `distance`, which is FAR.
 struct Hints {
-    uint16_t narrow[8], wide[8];          // weights of the children
-    int32_t narrow_left, wide_left;       // sums over the octants still to come
-    uint8_t distance[8], samples[8];      // classes
-    uint8_t usable;                       // whether there is a surface near the cube
+    std::array<std::vector<uint16_t>, 8> narrow, wide;     // weights of the children
+    std::vector<int32_t> narrow_left, wide_left;           // sums over the octants still to come
+    std::array<std::vector<uint8_t>, 8> distance, samples;  // classes
+    std::vector<uint8_t> usable;                           // whether there is a surface near the cube
+
+    void reset(size_t cubes) {
+        cubes += BATCH;  // so that a batch may end beyond the last cube
+        for (size_t octant = 0; octant < 8; ++octant) {
+            narrow[octant].assign(cubes, 0);
+            wide[octant].assign(cubes, 0);
+            distance[octant].assign(cubes, FAR);
+            samples[octant].assign(cubes, 0);
+        }
+        narrow_left.assign(cubes, 0);
+        wide_left.assign(cubes, 0);
+        usable.assign(cubes, 0);
+    }
 };
 
 // The cubes of a level with what is known of them.
 struct Level {
     std::vector<uint64_t> codes;
     std::vector<std::array<int32_t, 3>> places;
-    std::vector<std::array<int32_t, 6>> neighbours;  // rows before and behind along every axis; the number of cubes if empty
-    std::vector<uint8_t> known;                      // occupied octants; one cube more, which stays empty
+    // rows before and behind along every axis; the number of cubes if empty
+    std::array<std::vector<int32_t>, 6> neighbours;
+    std::vector<uint8_t> known;  // occupied octants; more cubes follow, which stay empty
     std::vector<int32_t> nearest;
 
     size_t size() const { return codes.size(); }
 };
 
-// Bits of the numbers from 0 to 255.
-struct BitCounts {
-    uint8_t of[256] = {};
-    BitCounts() {
-        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
+// Tables of the numbers from 0 to 255.
+struct Masks {
+    uint8_t bits[256] = {}, few[256] = {};  // bits; the same, at most 3
+    uint8_t inner[8][256] = {};             // of an octant: those beside it in its cube that are known, as contexts have them
+
+    Masks() {
+        for (int mask = 1; mask < 256; ++mask) bits[mask] = uint8_t(bits[mask >> 1] + (mask & 1));
+        for (int mask = 0; mask < 256; ++mask) few[mask] = std::min<uint8_t>(bits[mask], 3);
+        for (int octant = 0; octant < 8; ++octant)
+            for (int mask = 0; mask < 256; ++mask)
+                for (int axis = 0; axis < 3; ++axis)
+                    if (octant >> axis & 1) inner[octant][mask] |= uint8_t((mask >> (octant ^ 1 << axis) & 1) * 2 << outer_bit(axis));
     }
+
+    // The place in the context of whether the cube or octant beyond the octant's face is occupied.
+    static int outer_bit(int axis) { return 2 * (2 - axis); }
 };
 
-const BitCounts BITS;
+const Masks MASKS;
 
-int bits_of(unsigned mask) { return BITS.of[mask & 255]; }
+int bits_of(unsigned mask) { return MASKS.bits[mask & 255]; }
 
 // The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
                   int32_t end) {
     const unsigned mask = masks[parent];
-    return mask >> octant & 1 ? first[parent] + bits_of(mask & ((1u << octant) - 1)) : end;
+    const int32_t row = first[parent] + bits_of(mask & ((1u << octant) - 1));
+    return mask >> octant & 1 ? row : end;
 }
 
-// The cubes of the next level.
-Level children_of(const Level &level) {
+// The cubes of the next level. is_last: whether no level follows, so that nothing but their codes and samples is needed.
+Level children_of(const Level &level, bool is_last) {
     std::vector<int32_t> first(level.size() + 1);
     int32_t end = 0;
     for (size_t i = 0; i < level.size(); ++i) {
@@ -64,25 +94,28 @@ Level children_of(const Level &level) {
     }
     Level next;
     next.codes.resize(size_t(end));
-    next.places.resize(size_t(end));
-    next.neighbours.resize(size_t(end));
     next.nearest.resize(size_t(end));
-    next.known.assign(size_t(end) + 1, 0);
+    if (!is_last) {
+        next.places.resize(size_t(end));
+        next.known.assign(size_t(end) + BATCH, 0);
+        for (std::vector<int32_t> &rows : next.neighbours) rows.assign(size_t(end) + BATCH, end);
+    }
     size_t row = 0;
     for (size_t i = 0; i < level.size(); ++i)
-        for (int octant = 0; octant < 8; ++octant) {
-            if (!(level.known[i] >> octant & 1)) continue;
+        for (unsigned mask = level.known[i]; mask; mask &= mask - 1) {
+            const int octant = lowest_bit(mask);
             next.codes[row] = level.codes[i] << 3 | uint64_t(octant);
             next.nearest[row] = level.nearest[i];
-            std::array<int32_t, 3> &place = next.places[row];
-            std::array<int32_t, 6> &around = next.neighbours[row];
-            ++row;
+            const size_t child = row++;
+            if (is_last) continue;
             for (int axis = 0; axis < 3; ++axis) {
                 const int bit = octant >> axis & 1;
-                place[size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
+                next.places[child][size_t(axis)] = 2 * level.places[i][size_t(axis)] + bit;
                 for (int side = 0; side < 2; ++side) {
-                    const size_t parent = bit != side ? i : size_t(level.neighbours[i][size_t(2 * axis + side)]);
-                    around[size_t(2 * axis + side)] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
+                    const size_t way = size_t(2 * axis + side);
+                    const int32_t beside = level.neighbours[way][i];
+                    const size_t parent = size_t(bit != side ? int32_t(i) : beside);
+                    next.neighbours[way][child] = child_row(level.known, first, parent, octant ^ 1 << axis, end);
                 }
             }
         }
@@ -105,32 +138,25 @@ std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const Level
 // enough: numerators are below 2^19, and quotients at most POSTERIORS.
 class Posteriors {
 public:
-    static constexpr size_t CUBES = 32;
-
-    Posteriors() {
-        std::fill_n(below_, 2 * CUBES, 1.0f);
-        std::fill_n(quotients_, 2 * CUBES, NO_HINT);
+    void take(Hints &hints, size_t start, size_t octant) {
+        take_share(hints.narrow[octant].data() + start, hints.narrow_left.data() + start, 0);
+        take_share(hints.wide[octant].data() + start, hints.wide_left.data() + start, BATCH);
+        const uint8_t *usable = hints.usable.data() + start;  // quotients are 0 where there is none
+        for (size_t k = 0; k < BATCH; ++k) narrow[k] = uint32_t(int32_t(above_[k] / below_[k]) + NO_HINT - NO_HINT * usable[k]);
+        for (size_t k = 0; k < BATCH; ++k)
+            wide[k] = uint32_t(int32_t(above_[BATCH + k] / below_[BATCH + k]) + NO_HINT - NO_HINT * usable[k]);
     }
 
-    void take(Hints *hints, size_t count, int octant) {
-        for (size_t k = 0; k < count; ++k) {
-            Hints &own = hints[k];
-            above_[k] = float(own.narrow[octant] * POSTERIORS), below_[k] = float(own.narrow_left + 1);
-            above_[CUBES + k] = float(own.wide[octant] * POSTERIORS), below_[CUBES + k] = float(own.wide_left + 1);
-            own.narrow_left -= own.narrow[octant];
-            own.wide_left -= own.wide[octant];
-        }
-        for (size_t k = 0; k < 2 * CUBES; ++k) quotients_[k] = int32_t(above_[k] / below_[k]);
-        for (size_t k = 0; k < count; ++k)
-            if (!hints[k].usable) quotients_[k] = quotients_[CUBES + k] = NO_HINT;
-    }
-
-    int narrow(size_t k) const { return quotients_[k]; }
-    int wide(size_t k) const { return quotients_[CUBES + k]; }
+    uint32_t narrow[BATCH], wide[BATCH];
 
 private:
-    float above_[2 * CUBES] = {}, below_[2 * CUBES];
-    int32_t quotients_[2 * CUBES];
+    void take_share(const uint16_t *weights, int32_t *left, size_t to) {
+        for (size_t k = 0; k < BATCH; ++k) above_[to + k] = float(weights[k] * POSTERIORS);
+        for (size_t k = 0; k < BATCH; ++k) below_[to + k] = float(left[k] + 1);
+        for (size_t k = 0; k < BATCH; ++k) left[k] -= weights[k];
+    }
+
+    float above_[2 * BATCH], below_[2 * BATCH];
 };
 
 class Tree {
@@ -146,8 +172,8 @@ public:
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         level_.codes = {0};
         level_.places = {{0, 0, 0}};
-        level_.neighbours = {{1, 1, 1, 1, 1, 1}};
-        level_.known.assign(2, 0);
+        for (std::vector<int32_t> &rows : level_.neighbours) rows.assign(1 + BATCH, 1);
+        level_.known.assign(1 + BATCH, 0);
         level_.nearest = {NOWHERE};
         for (int level = 0; level < depth_; ++level) {
             std::vector<uint8_t> occupied;
@@ -162,7 +188,7 @@ public:
                 failed_cubes = cubes;
                 return false;
             }
-            level_ = children_of(level_);
+            level_ = children_of(level_, level == depth_ - 1);
         }
         return true;
     }
@@ -183,12 +209,15 @@ private:
         const int *octants = height == 1 ? LATTICE : ALL;
         const int count = height == 1 ? 2 : 8;
         const size_t cubes = level_.size();
-        filled_.resize(cubes);
-        for (size_t i = 0; i < cubes; ++i) {
-            int filled = 0;
-            for (int32_t row : level_.neighbours[i]) filled += size_t(row) < cubes;
-            filled_[i] = uint8_t(std::min(filled / 2, 3));
+        filled_.assign(cubes + BATCH, 0);
+        before_.assign(cubes + BATCH, 0);
+        for (size_t way = 0; way < 6; ++way) {
+            const int32_t *rows = level_.neighbours[way].data(), end = int32_t(cubes);
+            const uint8_t place = way % 2 ? 0 : uint8_t(1 << Masks::outer_bit(int(way / 2)));
+            for (size_t i = 0; i < cubes; ++i) filled_[i] = uint8_t(filled_[i] + (rows[i] < end));
+            for (size_t i = 0; place && i < cubes; ++i) before_[i] = uint8_t(before_[i] | (rows[i] < end ? place : 0));
         }
+        for (uint8_t &filled : filled_) filled = std::min<uint8_t>(filled / 2, 3);
         if (surface_) sum_weights(octants, count);
         for (int place = 0; place < count; ++place) code_octant(coder, octants[place], count - place - 1, height, occupied);
     }
@@ -197,66 +226,83 @@ private:
     // batch of cubes come before its bits, and their counters are in the cache in time.
     template <class Coder>
     void code_octant(Coder &coder, int octant, int left, int height, const uint8_t *occupied) {
-        constexpr size_t BATCH = Posteriors::CUBES;
-        uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
-        Posteriors posteriors;
-        const int tall = std::min(height, 15), set = std::min(height, 20) * 4;
+        Contexts of;
+        uint8_t *known = level_.known.data();
         for (size_t start = 0; start < level_.size(); start += BATCH) {
-            const size_t stop = std::min(start + BATCH, level_.size());
-            if (surface_) posteriors.take(&hints_[start], stop - start, octant);
-            for (size_t i = start; i < stop; ++i) {
-                const int few = std::min(bits_of(level_.known[i]), 3);
-                uint32_t contexts[bits::INPUTS];
-                set_contexts(contexts, i, octant, few, tall, left, posteriors.narrow(i - start), posteriors.wide(i - start));
-                sets[i - start] = uint32_t((set + few) * 3 + (surface_ ? 1 + hints_[i].usable : 0));
-                bits::Mixer::counters_of(contexts, counters[i - start]);
-                coder.fetch(counters[i - start]);
+            const size_t count = std::min(BATCH, level_.size() - start);
+            set_contexts(of, start, octant, left, height);
+            for (size_t k = 0; k < count; ++k) coder.fetch(of.counters[k]);
+            uint8_t bits[BATCH];  // not those of `known`: writing bytes there would make the compiler read all else again
+            for (size_t k = 0; k < count; ++k) {
+                bits[k] = 1;
+                if (left || known[start + k])
+                    bits[k] = uint8_t(coder.code_with(of.counters[k], of.sets[k], occupied ? occupied[start + k] >> octant & 1 : 0));
             }
-            for (size_t i = start; i < stop; ++i) {
-                int bit = 1;
-                if (left || level_.known[i])
-                    bit = coder.code_with(counters[i - start], sets[i - start], occupied ? occupied[i] >> octant & 1 : 0);
-                level_.known[i] = uint8_t(level_.known[i] | bit << octant);
-            }
+            for (size_t k = 0; k < count; ++k) known[start + k] = uint8_t(known[start + k] | bits[k] << octant);
         }
     }
 
-    // The contexts of an octant of cube i; docs/payloads/bodycast-points.md has the table.
-    void set_contexts(uint32_t *contexts, size_t i, int octant, int few, int tall, int left, int narrow, int wide) const {
-        const unsigned known = level_.known[i];
-        int beside = 0, nearby = 0;
-        for (int axis = 0; axis < 3; ++axis) {
-            const int opposite = octant ^ 1 << axis;
-            int inner = 0, outer;
-            if (octant >> axis & 1) {
-                inner = known >> opposite & 1;
-                outer = level_.known[size_t(level_.neighbours[i][size_t(2 * axis + 1)])] >> opposite & 1;
-            } else {
-                outer = size_t(level_.neighbours[i][size_t(2 * axis)]) < level_.size();
-            }
-            beside = beside * 4 + 2 * inner + outer;
-            nearby += inner + outer;
+    // What the bits of a batch are coded with.
+    struct Contexts {
+        uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
+        uint32_t by_input[bits::INPUTS][BATCH];
+    };
+
+    // The contexts of an octant of a batch, as counters, and their sets of weights; docs/payloads/bodycast-points.md has the
+    // table. Simple loops, of which a compiler makes lanes.
+    void set_contexts(Contexts &of, size_t start, int octant, int left, int height) {
+        const uint32_t tall = uint32_t(std::min(height, 15)), set = uint32_t(std::min(height, 20) * 4);
+        const uint8_t *known = level_.known.data(), *own = known + start, *filled = filled_.data() + start;
+        uint32_t few[BATCH], beside[BATCH], nearby[BATCH];
+        set_neighbours(beside, start, octant);
+        for (size_t k = 0; k < BATCH; ++k) few[k] = MASKS.few[own[k]];
+        for (size_t k = 0; k < BATCH; ++k) {
+            const uint32_t pairs = (beside[k] & 0x15) + (beside[k] >> 1 & 0x15);
+            nearby[k] = (pairs & 3) + (pairs >> 2 & 3) + (pairs >> 4);
         }
-        int distance = FAR, samples = 0;
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[0][k] = ((uint32_t(octant) * 4 + few[k]) * 64 + beside[k]) * 4 + filled[k];
         if (surface_) {
-            samples = hints_[i].samples[octant];
-            if (hints_[i].usable) distance = hints_[i].distance[octant];
+            posteriors_.take(hints_, start, size_t(octant));
+            const uint8_t *distance = hints_.distance[size_t(octant)].data() + start, *usable = hints_.usable.data() + start;
+            const uint8_t *samples = hints_.samples[size_t(octant)].data() + start;
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[3][k] = ((distance[k] * 5u + samples[k]) * 4 + few[k]) * 16 + tall;
+            for (size_t k = 0; k < BATCH; ++k) of.sets[k] = (set + few[k]) * 3 + 1 + usable[k];
+        } else {
+            std::fill_n(posteriors_.narrow, BATCH, NO_HINT);
+            std::fill_n(posteriors_.wide, BATCH, NO_HINT);
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[3][k] = (FAR * 5u * 4 + few[k]) * 16 + tall;
+            for (size_t k = 0; k < BATCH; ++k) of.sets[k] = (set + few[k]) * 3;
         }
-        contexts[0] = uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled_[i]);
-        contexts[1] = uint32_t(narrow * 4 + few);
-        contexts[2] = uint32_t((wide * 4 + few) * 16 + tall);
-        contexts[3] = uint32_t(((distance * 5 + samples) * 4 + few) * 16 + tall);
-        contexts[4] = uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left);
+        const uint32_t *narrow = posteriors_.narrow, *wide = posteriors_.wide;
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[1][k] = narrow[k] * 4 + few[k];
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[2][k] = (wide[k] * 4 + few[k]) * 16 + tall;
+        for (size_t k = 0; k < BATCH; ++k) of.by_input[4][k] = ((narrow[k] * 7 + nearby[k]) * 4 + few[k]) * 8 + uint32_t(left);
+        for (int i = 0; i < bits::INPUTS; ++i)
+            for (size_t k = 0; k < BATCH; ++k) of.by_input[i][k] = bits::Mixer::counter_of(i, of.by_input[i][k]);
+        for (size_t k = 0; k < BATCH; ++k)
+            for (int i = 0; i < bits::INPUTS; ++i) of.counters[k][i] = of.by_input[i][k];
+    }
+
+    // Whether octants and cubes beside an octant of a batch are occupied, by axis: two bits each.
+    void set_neighbours(uint32_t *beside, size_t start, int octant) const {
+        const uint8_t *known = level_.known.data();
+        uint8_t is_before = 0;  // faces of the octant at the cube before
+        for (int axis = 0; axis < 3; ++axis) is_before |= octant >> axis & 1 ? 0 : uint8_t(1 << Masks::outer_bit(axis));
+        const uint8_t *inner = MASKS.inner[octant], *before = before_.data() + start;
+        for (size_t k = 0; k < BATCH; ++k) beside[k] = uint32_t(inner[known[start + k]] | (before[k] & is_before));
+        for (int axis = 0; axis < 3; ++axis) {
+            if (!(octant >> axis & 1)) continue;
+            const int32_t *behind = level_.neighbours[size_t(2 * axis + 1)].data() + start;
+            const int opposite = octant ^ 1 << axis, place = Masks::outer_bit(axis);
+            for (size_t k = 0; k < BATCH; ++k) beside[k] |= uint32_t(known[size_t(behind[k])] >> opposite & 1) << place;
+        }
     }
 
     void sum_weights(const int *octants, int count) {
-        for (Hints &hints : hints_) {
-            hints.narrow_left = hints.wide_left = 0;
-            if (!hints.usable) continue;
-            for (int place = 0; place < count; ++place) {
-                hints.narrow_left += hints.narrow[octants[place]];
-                hints.wide_left += hints.wide[octants[place]];
-            }
+        for (int place = 0; place < count; ++place) {
+            const size_t octant = size_t(octants[place]);
+            for (size_t i = 0; i < level_.size(); ++i) hints_.narrow_left[i] += hints_.narrow[octant][i];
+            for (size_t i = 0; i < level_.size(); ++i) hints_.wide_left[i] += hints_.wide[octant][i];
         }
     }
 
@@ -266,31 +312,66 @@ private:
         surface_->offsets(level_.places, level, level_.nearest, offset_, spread_);
         const int side_bits = surface_->child_bits(level);
         const int64_t side = surface_->child_size(level);
-        hints_.assign(level_.size(), Hints{});
+        hints_.reset(level_.size());
         for (size_t i = 0; i < level_.size(); ++i) {
             const int32_t row = level_.nearest[i];
             if (row < 0) continue;
-            Hints &hints = hints_[i];
-            hints.usable = 1;
+            hints_.usable[i] = 1;
             Place first;
             for (size_t d = 0; d < 3; ++d) first[d] = level_.places[i][d] * 2 * side + side / 2 - HALF_UNIT;
             const int64_t distance = surface_->distance(first, row) - offset_[i];
             int64_t step[3];
             for (size_t d = 0; d < 3; ++d) step[d] = wrapped_product(surface_->normal(row)[d], side) >> NORMAL_BITS;
             const int64_t deviation = std::max(spread_[i], side / 4);  // at least 4
-            for (int octant = 0; octant < 8; octant += octant_step) {
-                int64_t away = distance;
-                for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? step[d] : 0;
-                const uint64_t magnitude = away < 0 ? -uint64_t(away) : uint64_t(away);
-                const int kind = class_[std::min<uint64_t>(4 * magnitude >> side_bits, CLASSES - 1)];
-                hints.distance[octant] = uint8_t(away < 0 ? FAR / 2 - kind : FAR / 2 + kind);
-                // the quotient of floats is exact enough: integers below 2^52
-                const double steps = double(magnitude) * BELL_PER_DEVIATION / double(deviation);
-                hints.narrow[octant] = weight(steps);
-                hints.wide[octant] = weight(steps / 2);
-            }
+            const bool fits = is_small(distance) && is_small(step[0]) && is_small(step[1]) && is_small(step[2]);
+            if (fits && deviation < LARGEST_DEVIATION)
+                weigh_small(i, distance, step, deviation, side_bits, octant_step);
+            else
+                weigh(i, distance, step, deviation, side_bits, octant_step);
         }
         if (2 * side > surface_->spacing()) count_samples(level);
+    }
+
+    // Numbers that doubles hold with their sums, and deviations below which a quotient up to BELL_STEPS, by a reciprocal that is
+    // too large by 2^-50, is rounded down to the same integer.
+    static constexpr int64_t LARGEST_NUMBER = int64_t(1) << 48, LARGEST_DEVIATION = int64_t(1) << 36;
+    static bool is_small(int64_t value) { return value < LARGEST_NUMBER && value > -LARGEST_NUMBER; }
+
+    // What the surface says about the children of cube i. distance: of the first child; step: along each axis.
+    void weigh_small(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
+        const double x = double(step[0]), y = double(step[1]), z = double(step[2]), first = double(distance);
+        const double away[8] = {first, first + x, first + y, first + x + y, first + z, first + x + z, first + y + z, first + x + y + z};
+        const double per_deviation = BELL_PER_DEVIATION / double(deviation) * (1 + 1.0 / (int64_t(1) << 50));
+        const double per_quarter = 4.0 / double(int64_t(1) << side_bits);
+        double deviations[8], sides[8];
+        for (int octant = 0; octant < 8; ++octant) {
+            const double magnitude = std::abs(away[octant]), beyond = 2 * BELL_STEPS, last = CLASSES - 1;
+            deviations[octant] = magnitude * per_deviation < beyond ? magnitude * per_deviation : beyond;
+            sides[octant] = magnitude * per_quarter < last ? magnitude * per_quarter : last;
+        }
+        int32_t steps[8], quarters[8];
+        for (int octant = 0; octant < 8; ++octant) steps[octant] = int32_t(deviations[octant]);
+        for (int octant = 0; octant < 8; ++octant) quarters[octant] = int32_t(sides[octant]);
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            const int kind = class_[quarters[octant]];
+            hints_.distance[size_t(octant)][i] = uint8_t(away[octant] < 0 ? FAR / 2 - kind : FAR / 2 + kind);
+            hints_.narrow[size_t(octant)][i] = uint16_t(bell_[std::min(steps[octant], BELL_STEPS)]);
+            hints_.wide[size_t(octant)][i] = uint16_t(bell_[steps[octant] / 2]);
+        }
+    }
+
+    // The same for any numbers, of damaged files.
+    void weigh(size_t i, int64_t distance, const int64_t *step, int64_t deviation, int side_bits, int octant_step) {
+        for (int octant = 0; octant < 8; octant += octant_step) {
+            int64_t away = distance;
+            for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? step[d] : 0;
+            const uint64_t magnitude = away < 0 ? -uint64_t(away) : uint64_t(away);
+            const int kind = class_[std::min<uint64_t>(4 * magnitude >> side_bits, CLASSES - 1)];
+            hints_.distance[size_t(octant)][i] = uint8_t(away < 0 ? FAR / 2 - kind : FAR / 2 + kind);
+            const double steps = double(magnitude) * BELL_PER_DEVIATION / double(deviation);
+            hints_.narrow[size_t(octant)][i] = weight(steps);
+            hints_.wide[size_t(octant)][i] = weight(steps / 2);
+        }
     }
 
     // The normal density at a distance in steps of the table.
@@ -308,7 +389,7 @@ private:
                 while (at < codes.size() && codes[at] < child) ++at;
                 int count = 0;
                 for (; at < codes.size() && codes[at] == child; ++at) ++count;
-                for (int most : SAMPLE_STEPS) hints_[i].samples[octant] += count >= most;
+                for (int most : SAMPLE_STEPS) hints_.samples[octant][i] += count >= most;
             }
     }
 
@@ -317,9 +398,10 @@ private:
     const int32_t *bell_;
     int class_[CLASSES] = {};
     Level level_;
-    std::vector<Hints> hints_;
+    Hints hints_;
+    Posteriors posteriors_;
     std::vector<int64_t> offset_, spread_;
-    std::vector<uint8_t> filled_;
+    std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
 
 Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
@@ -328,9 +410,9 @@ Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
     return Tree(depth, surface, bell.data());
 }
 
-Output<int64_t> rows_of(const Level &level) {
+Output<int64_t> rows_of(const Level &level, const Surface *surface) {
     Fresh<int64_t> rows(level.size());
-    std::copy(level.nearest.begin(), level.nearest.end(), rows.data.get());
+    for (size_t i = 0; i < level.size(); ++i) rows.data[i] = surface ? surface->given_row(level.nearest[i]) : NOWHERE;
     return rows.give({level.size()});
 }
 
@@ -342,7 +424,7 @@ Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> co
         if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("point_octree: the codes are not sorted");
     if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
         throw std::invalid_argument("point_octree: the codes are not those of a lattice");
-    return rows_of(tree.points());
+    return rows_of(tree.points(), surface);
 }
 
 // (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
@@ -354,7 +436,7 @@ nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, c
     const Level &level = tree.points();
     Fresh<int64_t> codes(level.size());
     std::copy(level.codes.begin(), level.codes.end(), codes.data.get());
-    return nb::make_tuple(codes.give({level.size()}), rows_of(level), 0, size_t(0));
+    return nb::make_tuple(codes.give({level.size()}), rows_of(level, surface), 0, size_t(0));
 }
 
 }  // namespace

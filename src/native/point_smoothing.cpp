@@ -10,6 +10,10 @@
 #include <stdexcept>
 #include <vector>
 
+#if defined(__SSE2__)  // part of every x86-64 processor
+#include <emmintrin.h>
+#endif
+
 #include "arrays.h"
 #include "integers.h"
 
@@ -50,11 +54,180 @@ struct Move {
 // total, largest: of the weights. sum: of weight · distance; deviation_of: the sum of weight · |distance − mean|.
 template <class DeviationOf>
 Move move_of(int64_t total, int64_t largest, int64_t sum, DeviationOf deviation_of) {
-    const int64_t mean = floor_division(sum, std::max<int64_t>(total + largest, 1));
-    const int64_t deviation = deviation_of(mean) / std::max<int64_t>(total, 1);
+    const int64_t mean = floor_quotient(sum, std::max<int64_t>(total + largest, 1));
+    const int64_t deviation = floor_quotient(deviation_of(mean), std::max<int64_t>(total, 1));
     const int64_t gain = std::clamp<int64_t>(GAIN_AT_UNIT / std::max<int64_t>(deviation, 1) - GAIN_LOSS, 0, 256);
     return {std::clamp(mean * gain >> 8, -LARGEST_MOVE, LARGEST_MOVE), deviation};
 }
+
+#if defined(__SSE2__)
+// The same as Neighbourhood in 16-bit numbers, eight references side by side, for frames whose coordinates fit. Weights come
+// from a table of the squared distance.
+class ShortNeighbourhood {
+public:
+    // spacing: of the samples, subunits.
+    ShortNeighbourhood(const PointsOfSamples &of, const Numbers &cells, const Numbers &normals, const Numbers &neighbours,
+                       int64_t spacing)
+        : neighbours_(neighbours.data()), around_(neighbours.shape(1)) {
+        is_usable = (around_ + 1) * PER_SAMPLE <= BLOCKS * LANES && take_origin(cells) && take_normals(normals);
+        if (!is_usable) return;
+        weights_.resize(size_t(WEIGHTS));
+        const double unit = double(spacing * spacing << WEIGHT_BITS);
+        const int64_t least = spacing * spacing / 4 + 1;
+        for (int64_t square = 1; square < WEIGHTS; ++square)
+            weights_[size_t(square)] = int16_t(unit / double((square << 2 * SUBUNIT_BITS) + least));
+        const size_t samples = normals.shape(0);
+        counts_.resize(samples);
+        places_.resize(8 * samples);
+        heights_.resize(8 * samples);
+        for (size_t s = 0; s < samples; ++s) {
+            counts_[s] = uint8_t(std::min(of.size(s), PER_SAMPLE));
+            for (int k = 0; k < counts_[s]; ++k) {
+                const int64_t *place = cells.data() + 3 * size_t(of.reference(s, k));
+                const size_t at = 8 * s + 2 * size_t(k);
+                places_[at] = short_of(place, 0), places_[at + 1] = short_of(place, 1), heights_[at] = short_of(place, 2);
+            }
+        }
+    }
+
+    bool is_usable;  // whether all numbers fit
+
+    void gather(size_t sample) {
+        const int16_t *own = &normals_[4 * sample];
+        size_ = 0;
+        for (size_t k = 0; k <= around_; ++k) {
+            const size_t other = k ? size_t(neighbours_[sample * around_ + k - 1]) : sample;
+            const int16_t *away = &normals_[4 * other];
+            const int32_t cosine = own[0] * away[0] + own[1] * away[1] + own[2] * away[2];
+            const int32_t x = own[0] + away[0], y = own[1] + away[1], z = own[2] + away[2];
+            // four references at once: those that do not count are written over
+            put(near_places_, four(&places_[8 * other]));
+            put(near_heights_, four(&heights_[8 * other]));
+            put(near_normals_, _mm_set1_epi32((x & 0xffff) | y * 65536));
+            put(near_ups_, _mm_set1_epi32(z & 0xffff));
+            size_ += cosine >= LEAST_COSINE << NORMAL_BITS ? counts_[other] : 0;
+        }
+        std::fill_n(counting_, size_, int16_t(-1));
+        std::fill(counting_ + size_, counting_ + (size_ + LANES - 1) / LANES * LANES, int16_t(0));
+    }
+
+    // The move of a point of the frame; references at its place, such as itself, do not count. False if a reference is too far.
+    bool move(const int64_t *place, Move &result) const {
+        const int32_t x = short_of(place, 0), y = short_of(place, 1), z = short_of(place, 2);
+        const __m128i at = _mm_set1_epi32((x & 0xffff) | y * 65536), height = _mm_set1_epi32(z & 0xffff);
+        const __m128i ones = _mm_set1_epi16(1);
+        const size_t blocks = (size_ + LANES - 1) / LANES;
+        __m128i weights[BLOCKS], distances[BLOCKS];
+        __m128i total = _mm_setzero_si128(), largest = total, sum = total, beyond = total;
+        for (size_t b = 0; b < blocks; ++b) {
+            __m128i squares[2], along[2];
+            for (size_t half = 0; half < 2; ++half) {
+                const size_t from = 16 * b + 8 * half;
+                const __m128i apart = _mm_sub_epi16(four(near_places_ + from), at), above = _mm_sub_epi16(four(near_heights_ + from), height);
+                squares[half] = _mm_add_epi32(_mm_madd_epi16(apart, apart), _mm_madd_epi16(above, above));
+                along[half] = _mm_srai_epi32(_mm_add_epi32(_mm_madd_epi16(apart, four(near_normals_ + from)),
+                                                           _mm_madd_epi16(above, four(near_ups_ + from))),
+                                             NORMAL_BITS + 1 - FINE_BITS);
+            }
+            const __m128i counts = four(counting_ + LANES * b);
+            const __m128i square = _mm_and_si128(_mm_packs_epi32(squares[0], squares[1]), counts);
+            const __m128i distance = _mm_and_si128(_mm_packs_epi32(along[0], along[1]), counts);
+            beyond = _mm_or_si128(beyond, _mm_or_si128(_mm_srai_epi16(square, 15), _mm_cmpgt_epi16(square, _mm_set1_epi16(WEIGHTS - 1))));
+            beyond = _mm_or_si128(beyond, _mm_cmpgt_epi16(distance, _mm_set1_epi16(LARGEST)));
+            beyond = _mm_or_si128(beyond, _mm_cmplt_epi16(distance, _mm_set1_epi16(-LARGEST)));
+            if (_mm_movemask_epi8(beyond)) return false;
+            weights[b] = weights_of(square);
+            distances[b] = distance;
+            total = _mm_add_epi32(total, _mm_madd_epi16(weights[b], ones));
+            largest = _mm_max_epi16(largest, weights[b]);
+            sum = _mm_add_epi32(sum, _mm_madd_epi16(weights[b], distance));
+        }
+        largest = _mm_max_epi16(largest, _mm_srli_si128(largest, 8));
+        largest = _mm_max_epi16(largest, _mm_srli_si128(largest, 4));
+        largest = _mm_max_epi16(largest, _mm_srli_si128(largest, 2));
+        result = move_of(all(total), _mm_extract_epi16(largest, 0), all(sum), [&](int64_t mean) {
+            const __m128i middle = _mm_set1_epi16(int16_t(mean));
+            __m128i deviation = _mm_setzero_si128();
+            for (size_t b = 0; b < blocks; ++b) {
+                const __m128i away = _mm_sub_epi16(distances[b], middle);
+                const __m128i size = _mm_max_epi16(away, _mm_sub_epi16(_mm_setzero_si128(), away));
+                deviation = _mm_add_epi32(deviation, _mm_madd_epi16(weights[b], size));
+            }
+            return all(deviation);
+        });
+        return true;
+    }
+
+private:
+    static constexpr size_t LANES = 8, BLOCKS = 7;
+    static constexpr int LARGEST = 1 << 13;    // of normals and distances: then sums of BLOCKS products fit into 32 bits
+    static constexpr int64_t WEIGHTS = 16384;  // entries of the table
+
+    bool take_origin(const Numbers &cells) {
+        if (!cells.size()) return false;
+        for (size_t d = 0; d < 3; ++d) {
+            int64_t low = cells.data()[d], high = low;
+            for (size_t i = d; i < cells.size(); i += 3) low = std::min(low, cells.data()[i]), high = std::max(high, cells.data()[i]);
+            if (high - INT16_MAX > low) return false;
+            origin_[d] = low;
+        }
+        return true;
+    }
+
+    bool take_normals(const Numbers &normals) {
+        normals_.resize(4 * normals.shape(0));
+        for (size_t i = 0; i < normals.size(); ++i) {
+            const int64_t value = normals.data()[i];
+            if (value > LARGEST || value < -LARGEST) return false;
+            normals_[i / 3 * 4 + i % 3] = int16_t(value);
+        }
+        return true;
+    }
+
+    int16_t short_of(const int64_t *place, size_t axis) const { return int16_t(place[axis] - origin_[axis]); }
+
+    static __m128i four(const int16_t *from) { return _mm_loadu_si128(reinterpret_cast<const __m128i *>(from)); }
+    void put(int16_t *pairs, __m128i values) { _mm_storeu_si128(reinterpret_cast<__m128i *>(pairs + 2 * size_), values); }
+
+    static int64_t all(__m128i sums) {
+        std::array<int32_t, 4> lanes;
+        _mm_storeu_si128(reinterpret_cast<__m128i *>(lanes.data()), sums);
+        return int64_t(lanes[0]) + lanes[1] + lanes[2] + lanes[3];
+    }
+
+    __m128i weights_of(__m128i squares) const {
+        const int16_t *table = weights_.data();
+        __m128i result = _mm_cvtsi32_si128(table[_mm_extract_epi16(squares, 0)]);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 1)], 1);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 2)], 2);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 3)], 3);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 4)], 4);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 5)], 5);
+        result = _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 6)], 6);
+        return _mm_insert_epi16(result, table[_mm_extract_epi16(squares, 7)], 7);
+    }
+
+    const int64_t *neighbours_;
+    const size_t around_;
+    int64_t origin_[3];
+    std::vector<uint8_t> counts_;                        // references of each sample
+    std::vector<int16_t> places_, heights_;              // of four references a sample: pairs of x and y, of z and 0
+    std::vector<int16_t> normals_;                       // four numbers a sample
+    std::vector<int16_t> weights_;                       // of a squared distance in lattice units; 0 at the place itself
+    size_t size_ = 0;                                    // of the references gathered
+    static constexpr size_t ROOM = 2 * (LANES * BLOCKS + LANES);
+    int16_t near_places_[ROOM] = {}, near_heights_[ROOM] = {}, near_normals_[ROOM] = {}, near_ups_[ROOM] = {};  // pairs
+    int16_t counting_[ROOM] = {};                        // −1 for a reference, 0 beyond
+};
+#else
+struct ShortNeighbourhood {
+    template <class... Arguments>
+    explicit ShortNeighbourhood(const Arguments &...) {}
+    static constexpr bool is_usable = false;
+    void gather(size_t) {}
+    bool move(const int64_t *, Move &) const { return false; }
+};
+#endif
 
 // The points that those of one sample are compared with.
 class Neighbourhood {
@@ -209,13 +382,21 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
     std::fill_n(moves.data.get(), n, 0);
     std::fill_n(deviations.data.get(), n, 0);
     const PointsOfSamples of(samples.data(), n, m);
+    ShortNeighbourhood near(of, cells, normals, neighbours, spacing);
     Neighbourhood around(cells, normals, neighbours, spacing);
     for (size_t s = 0; s < m; ++s) {
         if (!of.size(s)) continue;
-        around.gather(of, s);
+        bool is_near = near.is_usable;
+        if (is_near) near.gather(s);
+        if (!is_near) around.gather(of, s);
         for (int32_t at = of.first[s]; at < of.first[s + 1]; ++at) {
             const size_t i = size_t(of.points[size_t(at)]);
-            const Move move = around.move(i);
+            Move move;
+            if (is_near && !near.move(cells.data() + 3 * i, move)) {
+                is_near = false;
+                around.gather(of, s);
+            }
+            if (!is_near) move = around.move(i);
             moves.data[i] = move.length;
             deviations.data[i] = move.deviation;
             for (size_t d = 0; d < 3; ++d)

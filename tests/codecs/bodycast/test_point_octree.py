@@ -72,6 +72,7 @@ def coded(
         (7, 100, 400, 50),
         (9, 100, 40, 40),
         (20, 30, 60, 0),
+        (20, 30, 5, 1),
     ],
 )
 def test_compiled_and_numpy_octrees_are_the_same(code_octree, depth, points, samples, far):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,9 +35,14 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.skipif(not native.available(), reason="mocodec._native is not built, or switched off")
-@pytest.mark.parametrize(("points", "missing"), [(1, 0.0), (40, 0.0), (400, 0.3), (4500, 0.0), (50, 1.0)])
-def test_compiled_and_numpy_moves_are_the_same(points: int, missing: float) -> None:
+@pytest.mark.parametrize(
+    ("points", "missing", "scale"),
+    [(1, 0.0, 1), (40, 0.0, 1), (400, 0.3, 1), (4500, 0.0, 1), (50, 1.0, 1), (400, 0.1, 60), (400, 0.1, 300)],
+)
+def test_compiled_and_numpy_moves_are_the_same(points: int, missing: float, scale: int) -> None:
+    """scale: of all coordinates, so that distances or the coordinates themselves do not fit into 16 bits."""
     _, cells, samples, hints = sphere(points, missing)
+    cells, hints = cells * scale, replace(hints, points=hints.points * scale, spacing=hints.spacing * scale)
     ours = point_smoothing.smooth(cells, samples, hints)
     with native.without():
         theirs = point_smoothing.smooth(cells, samples, hints)

@@ -112,9 +112,9 @@ class ColourMemory:
 
     def __init__(self, table: SampleTable) -> None:
         self._neighbours, count = table.neighbours, len(table.points)
-        self._places = np.full((count, KEPT_POINTS, 3), NOT_SEEN, np.int32)
+        self._places = np.full((count, 3, KEPT_POINTS), NOT_SEEN, np.int32)  # coordinates side by side
         self._colours = np.zeros((count, KEPT_POINTS, 3), np.int32)
-        self._places[:, 0], self._colours[:, 0] = table.points, table.colours
+        self._places[:, :, 0], self._colours[:, 0] = table.points, table.colours
         self._seen = np.ones(count, np.int64)
 
     def expected(self, rows: Integers, places: Integers) -> Integers:
@@ -130,7 +130,7 @@ class ColourMemory:
 
     def _expected(self, rows: Integers, places: Integers) -> Integers:
         searched = np.concatenate([rows[:, None], self._neighbours[rows]], axis=1)
-        candidates = self._places[searched].reshape(len(rows), -1, 3).astype(np.int64)
+        candidates = self._places[searched].swapaxes(2, 3).reshape(len(rows), -1, 3).astype(np.int64)
         square = ((candidates - places[:, None]) ** 2).sum(axis=2)
         slots = square.shape[1]
         chosen = np.argpartition(square * slots + np.arange(slots), AVERAGED, axis=1)[:, :AVERAGED]
@@ -150,6 +150,6 @@ class ColourMemory:
         rank = np.arange(len(own)) - np.repeat(first, length)
         last = np.repeat(length, length) - rank <= KEPT_POINTS
         slot = (self._seen[own] + rank) % KEPT_POINTS
-        self._places[own[last], slot[last]] = places[order[last]]
+        self._places[own[last], :, slot[last]] = places[order[last]]
         self._colours[own[last], slot[last]] = colours[order[last]]
         self._seen += np.bincount(rows, minlength=len(self._seen))
