@@ -22,13 +22,19 @@ def test_suffix_in_any_case(tmp_path):
     assert formats.read(tmp_path / "A.TRC").points == 5
 
 
-@pytest.mark.parametrize("name", ["walk.fbx", "walk.obj", "walk"])
+@pytest.mark.parametrize("name", ["walk.obj", "walk"])
 def test_an_unknown_suffix_lists_the_known(tmp_path, name):
     (tmp_path / name).write_bytes(b"?")
     with pytest.raises(BadInput, match=r"\.c3d .*\.bvh .*\.mocz"):
         formats.read(tmp_path / name)
     with pytest.raises(BadInput, match=r"\.c3d"):
         formats.write(tmp_path / name, markers())
+
+
+def test_an_fbx_is_refused_with_what_to_do(tmp_path):
+    (tmp_path / "walk.fbx").write_bytes(b"?")
+    with pytest.raises(BadInput, match=r"neither read nor written.*\.glb or \.bvh"):
+        formats.read(tmp_path / "walk.fbx")
 
 
 def test_a_file_that_is_not_there(tmp_path):

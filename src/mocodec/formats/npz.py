@@ -97,7 +97,8 @@ def read_blocks(
         by_frame = (key, "rotations") if "rotations" in arrays.names else (key,)
         each = block_frames(shape[1])
         head = _motion(Rows(archive, path, by_frame, each), rate, unit, up)
-        unit_m = float(head.source["unit_m"])
+        first = Rows(archive, path, by_frame, each).load(key).astype(np.float64)
+        unit_m = _unit(arrays, key, first, unit)[1]  # not head.source's, which may be of the file that it came from
 
     def parts() -> Iterator[Motion]:
         with reading(path), zipfile.ZipFile(path) as archive:
