@@ -3,38 +3,19 @@
 //     centres of the cubes around ─► where the surface passes a cube ─► expected points of its children ─► bits
 //           ▲ centre of its children ◄────────────────────────────────────────────────────────────────┘
 
-#include <cmath>
 #include <cstring>
 
-#include "bit_arrays.h"
-#include "octree_surface.h"
+#include "octree_coding.h"
 
 namespace {
 
 using namespace point_octree;
 
-constexpr int NO_HINT = 64, FAR = 21;
-constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
-constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
-constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
-constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
 constexpr int CUBES_OF_SAMPLE = 4;
 constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
 constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
 constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
 constexpr int LEAST_ODDS = 16;
-
-// Bits of the numbers from 0 to 255.
-struct BitCounts {
-    uint8_t of[256] = {};
-    BitCounts() {
-        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
-    }
-};
-
-const BitCounts BITS;
-
-int ones(unsigned mask) { return BITS.of[mask & 255]; }
 
 // The root of an integer below 2^52, rounded down.
 int64_t root(int64_t square) { return int64_t(std::sqrt(double(square))); }
@@ -50,17 +31,11 @@ struct Cubes {
 
     size_t size() const { return codes.size(); }
 
-    size_t children() const {
-        size_t count = 0;
-        for (uint8_t mask : known) count += size_t(ones(mask));
-        return count;
-    }
-
     // The cubes of the next level.
     Cubes next() const {
-        const int32_t end = int32_t(children());
+        const int32_t end = int32_t(occupied_octants(known));
         std::vector<int32_t> first(size() + 1, 0);
-        for (size_t i = 0; i < size(); ++i) first[i + 1] = first[i] + ones(known[i]);
+        for (size_t i = 0; i < size(); ++i) first[i + 1] = first[i] + bits_of(known[i]);
         Cubes below;
         below.codes.resize(size_t(end));
         below.places.resize(size_t(end));
@@ -80,7 +55,7 @@ struct Cubes {
                         const size_t parent = bit != side ? i : size_t(neighbours[i][size_t(2 * axis + side)]);
                         const unsigned mask = known[parent];
                         below.neighbours[row][size_t(2 * axis + side)] =
-                            mask >> other & 1 ? first[parent] + ones(mask & ((1u << other) - 1)) : end;
+                            mask >> other & 1 ? first[parent] + bits_of(mask & ((1u << other) - 1)) : end;
                     }
                 }
                 ++row;
@@ -99,8 +74,6 @@ public:
           side_bits_(surface.child_bits(level)),
           spacing_(std::min(surface.spacing(), LARGEST_SPACING)), centres_(cubes.size()),
           noise_(cubes.size(), 4 * side_ * side_), far_(cubes.size(), 0), samples_(cubes.size()), held_(surface.size()) {
-        for (int q = 0; q < CLASSES; ++q)
-            for (int step : DISTANCE_STEPS) steps_[size_t(q)] += step <= q;
         int64_t known = 0, sum = 0;
         for (size_t i = 0; i < cubes.size(); ++i) {
             centres_[i] = Surface::centre_of(cubes.places[i], 2 * side_);
@@ -118,7 +91,8 @@ public:
             density_ = std::min(int64_t(points) * DENSITY * across * across / (samples * 16), LARGEST_DENSITY);
             find_cubes_of_samples();
         }
-        if (2 * side_ > surface.spacing()) count_samples(level);
+        if (2 * side_ > surface.spacing())
+            classify_samples(surface, cubes.codes, level, [&](size_t i, size_t octant, uint8_t kind) { samples_[i][octant] = kind; });
     }
 
     // Sets what is expected of the children of cube i, which has a sample: octants 0, octant_step, 2 octant_step …
@@ -146,10 +120,10 @@ public:
     // The occupied children of cube i are known.
     void learn(size_t i) {
         const unsigned known = cubes_.known[i];
-        const int64_t count = ones(known);
+        const int64_t count = bits_of(known);
         static constexpr unsigned UPPER[] = {0xAA, 0xCC, 0xF0};
         for (size_t d = 0; d < 3; ++d)
-            places_[i][d] = centres_[i][d] - side_ / 2 + int64_t(ones(known & UPPER[d])) * side_ / count;
+            places_[i][d] = centres_[i][d] - side_ / 2 + int64_t(bits_of(known & UPPER[d])) * side_ / count;
         noise_[i] = 4 * side_ * side_ / (6 * count);
     }
 
@@ -227,20 +201,6 @@ private:
         return bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS];
     }
 
-    // Classes of how many samples the children of the cubes hold.
-    void count_samples(int level) {
-        const std::vector<uint64_t> codes = surface_.sample_codes(level + 1);
-        size_t at = 0;
-        for (size_t i = 0; i < cubes_.size(); ++i)
-            for (uint64_t octant = 0; octant < 8; ++octant) {
-                const uint64_t child = cubes_.codes[i] << 3 | octant;
-                while (at < codes.size() && codes[at] < child) ++at;
-                int count = 0;
-                for (; at < codes.size() && codes[at] == child; ++at) ++count;
-                for (int most : SAMPLE_STEPS) samples_[i][size_t(octant)] += count >= most;
-            }
-    }
-
     const Surface &surface_;
     const Cubes &cubes_;
     const int32_t *bell_;
@@ -252,7 +212,7 @@ private:
     std::vector<std::array<uint8_t, 8>> samples_;
     std::vector<Held> held_;
     int64_t usual_ = 0, density_ = 0;
-    std::array<int, CLASSES> steps_{};
+    const std::array<int, CLASSES> steps_ = distance_classes();
 };
 
 // The class of the odds of an octant with `own` expected points, and `others` in those still to come: the binary order and
@@ -276,10 +236,10 @@ public:
     bool code(Coder &coder, const uint64_t *codes, size_t points) {
         for (int level = 0; level < depth_; ++level) {
             std::vector<uint8_t> occupied;
-            if (codes) occupied = occupancy(codes, points, depth_ - level - 1);
+            if (codes) occupied = occupancy(codes, points, cubes_.codes, depth_ - level - 1);
             code_level(coder, level, points, codes ? occupied.data() : nullptr);
             if (is_cut_off(coder)) return false;
-            const size_t count = cubes_.children();
+            const size_t count = occupied_octants(cubes_.known);
             if (!count || count > points) {
                 failed_level = level + 1;
                 failed_cubes = count;
@@ -296,21 +256,6 @@ public:
     size_t failed_cubes = 0;
 
 private:
-    static bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
-    static bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
-
-    // Which children of the cubes hold points. codes: of the points, sorted.
-    std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, int below) const {
-        std::vector<uint8_t> masks(cubes_.size(), 0);
-        for (size_t i = 0, cube = 0; i < points; ++i) {
-            const uint64_t child = codes[i] >> 3 * below;
-            while (cube < cubes_.size() && cubes_.codes[cube] != child >> 3) ++cube;
-            if (cube == cubes_.size()) throw std::invalid_argument("cube_octree: a code is beyond the octree");
-            masks[cube] |= uint8_t(1u << (child & 7));
-        }
-        return masks;
-    }
-
     template <class Coder>
     void code_level(Coder &coder, int level, size_t points, const uint8_t *occupied) {
         if (!surface_) {
@@ -320,7 +265,7 @@ private:
         surface_->attach(cubes_.places, level, cubes_.nearest);
         Passage passage(*surface_, cubes_, level, points, bell_);
         for (size_t i = 0; i < cubes_.size(); ++i) {
-            if (cubes_.nearest[i] >= 0) passage.expect(i, level == depth_ - 1 ? 7 : 1);
+            if (cubes_.nearest[i] >= 0) passage.expect(i, level == depth_ - 1 ? LATTICE_STEP : 1);
             code_cube(coder, i, level, &passage, occupied);
             if (cubes_.nearest[i] >= 0) passage.learn(i);
         }
@@ -328,7 +273,7 @@ private:
 
     template <class Coder>
     void code_cube(Coder &coder, size_t i, int level, const Passage *passage, const uint8_t *occupied) {
-        const int octant_step = level == depth_ - 1 ? 7 : 1, height = depth_ - level, tall = std::min(height, 15);
+        const int octant_step = level == depth_ - 1 ? LATTICE_STEP : 1, height = depth_ - level, tall = std::min(height, 15);
         const bool is_near = passage && cubes_.nearest[i] >= 0;
         const int hint = passage ? 1 + is_near : 0;
         int64_t narrow_left = 0, wide_left = 0;
@@ -342,7 +287,7 @@ private:
         filled = std::min(filled / 2, 3);
         unsigned known = 0;
         for (int octant = 0; octant < 8; octant += octant_step) {
-            const int left = (7 - octant) / octant_step, few = std::min(ones(known), 3);
+            const int left = (7 - octant) / octant_step, few = std::min(bits_of(known), 3);
             int narrow = NO_HINT, wide = NO_HINT, distance = FAR;
             if (is_near) {
                 narrow_left -= passage->narrow[octant];
@@ -391,44 +336,6 @@ private:
     Cubes cubes_;
 };
 
-Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
-    if (bell.shape(0) != BELL_STEPS + 1 || depth < 0 || depth > 20 || (surface && surface->depth() != depth))
-        throw std::invalid_argument("cube_octree: a depth or a table of another size");
-    return Tree(depth, surface, bell.data());
-}
-
-Output<int64_t> rows_of(const Cubes &cubes, const Surface *surface) {
-    Fresh<int64_t> rows(cubes.size());
-    for (size_t i = 0; i < cubes.size(); ++i) rows.data[i] = surface ? surface->given_row(cubes.nearest[i]) : NOWHERE;
-    return rows.give({cubes.size()});
-}
-
-// The sample near each of the sorted distinct codes.
-Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> codes, int depth, const Surface *surface,
-                       Input<int32_t, 1> bell) {
-    Tree tree = tree_of(depth, surface, bell);
-    for (size_t i = 1; i < codes.shape(0); ++i)
-        if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("cube_octree: the codes are not sorted");
-    if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
-        throw std::invalid_argument("cube_octree: the codes are not those of a lattice");
-    return rows_of(tree.points(), surface);
-}
-
-// (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
-nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
-                 Input<int32_t, 1> bell) {
-    Tree tree = tree_of(depth, surface, bell);
-    if (!tree.code(coder, nullptr, points))
-        return nb::make_tuple(nb::none(), nb::none(), tree.failed_level, tree.failed_cubes);
-    const Cubes &cubes = tree.points();
-    Fresh<int64_t> codes(cubes.size());
-    std::copy(cubes.codes.begin(), cubes.codes.end(), codes.data.get());
-    return nb::make_tuple(codes.give({cubes.size()}), rows_of(cubes, surface), 0, size_t(0));
-}
-
 }  // namespace
 
-void bind_cube_octree(nb::module_ &m) {
-    m.def("cube_octree_encode", &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
-    m.def("cube_octree_decode", &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
-}
+void bind_cube_octree(nb::module_ &m) { OctreeFunctions<Tree>::bind(m, "cube_octree"); }

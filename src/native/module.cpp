@@ -8,7 +8,7 @@
 //   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
-//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py
+//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h is what both share
 //   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py

@@ -2,22 +2,12 @@
 //
 //     sorted Morton codes ─► level by level, octant by octant ─► occupancy bits with contexts ─► bit_arrays.h
 
-#include <array>
-#include <cmath>
-
-#include "bit_arrays.h"
-#include "octree_surface.h"
+#include "octree_coding.h"
 
 namespace {
 
 using namespace point_octree;
 
-constexpr int POSTERIORS = 64, NO_HINT = POSTERIORS, FAR = 21;
-constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
-constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
-constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
-constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
-constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
 constexpr size_t BATCH = 32;  // cubes whose contexts are computed together
 
 // What the surface says about the children of the cubes of a level, octant by octant, and what is left of it while the
@@ -56,12 +46,11 @@ struct Level {
 
 // Tables of the numbers from 0 to 255.
 struct Masks {
-    uint8_t bits[256] = {}, few[256] = {};  // bits; the same, at most 3
-    uint8_t inner[8][256] = {};             // of an octant: those beside it in its cube that are known, as contexts have them
+    uint8_t few[256] = {};       // bits, at most 3
+    uint8_t inner[8][256] = {};  // of an octant: those beside it in its cube that are known, as contexts have them
 
     Masks() {
-        for (int mask = 1; mask < 256; ++mask) bits[mask] = uint8_t(bits[mask >> 1] + (mask & 1));
-        for (int mask = 0; mask < 256; ++mask) few[mask] = std::min<uint8_t>(bits[mask], 3);
+        for (unsigned mask = 0; mask < 256; ++mask) few[mask] = uint8_t(std::min(bits_of(mask), 3));
         for (int octant = 0; octant < 8; ++octant)
             for (int mask = 0; mask < 256; ++mask)
                 for (int axis = 0; axis < 3; ++axis)
@@ -73,8 +62,6 @@ struct Masks {
 };
 
 const Masks MASKS;
-
-int bits_of(unsigned mask) { return MASKS.bits[mask & 255]; }
 
 // The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
@@ -122,18 +109,6 @@ Level children_of(const Level &level, bool is_last) {
     return next;
 }
 
-// (n): which children of the cubes of a level hold points. codes: of the points, sorted.
-std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const Level &level, int below) {
-    std::vector<uint8_t> masks(level.size(), 0);
-    for (size_t i = 0, cube = 0; i < points; ++i) {
-        const uint64_t child = codes[i] >> 3 * below;
-        while (cube < level.size() && level.codes[cube] != child >> 3) ++cube;
-        if (cube == level.size()) throw std::invalid_argument("point_octree: a code is beyond the octree");
-        masks[cube] |= uint8_t(1u << (child & 7));
-    }
-    return masks;
-}
-
 // The posteriors of an octant in a batch of cubes, and what is left of their weights. The quotients of floats are exact
 // enough: numerators are below 2^19, and quotients at most POSTERIORS.
 class Posteriors {
@@ -161,10 +136,7 @@ private:
 
 class Tree {
 public:
-    Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {
-        for (int q = 0; q < CLASSES; ++q)
-            for (int step : DISTANCE_STEPS) class_[q] += step <= q;
-    }
+    Tree(int depth, const Surface *surface, const int32_t *bell) : depth_(depth), surface_(surface), bell_(bell) {}
 
     // Codes a frame. codes: of the points, null in the decoder. Returns whether the bytes were a tree of `points` points;
     // `failed_level` and `failed_cubes` say where they were not.
@@ -177,12 +149,11 @@ public:
         level_.nearest = {NOWHERE};
         for (int level = 0; level < depth_; ++level) {
             std::vector<uint8_t> occupied;
-            if (codes) occupied = occupancy(codes, points, level_, depth_ - level - 1);
+            if (codes) occupied = occupancy(codes, points, level_.codes, depth_ - level - 1);
             if (surface_) look_at_surface(level, level == depth_ - 1 ? LATTICE_STEP : 1);
             code_level(coder, depth_ - level, codes ? occupied.data() : nullptr);
             if (is_cut_off(coder)) return false;
-            size_t cubes = 0;
-            for (size_t i = 0; i < level_.size(); ++i) cubes += size_t(bits_of(level_.known[i]));
+            const size_t cubes = occupied_octants(level_.known);
             if (!cubes || cubes > points) {
                 failed_level = level + 1;
                 failed_cubes = cubes;
@@ -199,9 +170,6 @@ public:
     size_t failed_cubes = 0;
 
 private:
-    static bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
-    static bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
-
     // height: levels from the cubes to the points. occupied: masks of the cubes, null in the decoder.
     template <class Coder>
     void code_level(Coder &coder, int height, const uint8_t *occupied) {
@@ -329,7 +297,8 @@ private:
             else
                 weigh(i, distance, step, deviation, side_bits, octant_step);
         }
-        if (2 * side > surface_->spacing()) count_samples(level);
+        if (2 * side > surface_->spacing())
+            classify_samples(*surface_, level_.codes, level, [&](size_t i, size_t octant, uint8_t kind) { hints_.samples[octant][i] = kind; });
     }
 
     // Numbers that doubles hold with their sums, and deviations below which a quotient up to BELL_STEPS, by a reciprocal that is
@@ -353,7 +322,7 @@ private:
         for (int octant = 0; octant < 8; ++octant) steps[octant] = int32_t(deviations[octant]);
         for (int octant = 0; octant < 8; ++octant) quarters[octant] = int32_t(sides[octant]);
         for (int octant = 0; octant < 8; octant += octant_step) {
-            const int kind = class_[quarters[octant]];
+            const int kind = class_[size_t(quarters[octant])];
             hints_.distance[size_t(octant)][i] = uint8_t(away[octant] < 0 ? FAR / 2 - kind : FAR / 2 + kind);
             hints_.narrow[size_t(octant)][i] = uint16_t(bell_[std::min(steps[octant], BELL_STEPS)]);
             hints_.wide[size_t(octant)][i] = uint16_t(bell_[steps[octant] / 2]);
@@ -379,24 +348,10 @@ private:
         return uint16_t(bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS]);
     }
 
-    // Classes of how many samples the children of the cubes hold.
-    void count_samples(int level) {
-        const std::vector<uint64_t> codes = surface_->sample_codes(level + 1);
-        size_t at = 0;
-        for (size_t i = 0; i < level_.size(); ++i)
-            for (uint64_t octant = 0; octant < 8; ++octant) {
-                const uint64_t child = level_.codes[i] << 3 | octant;
-                while (at < codes.size() && codes[at] < child) ++at;
-                int count = 0;
-                for (; at < codes.size() && codes[at] == child; ++at) ++count;
-                for (int most : SAMPLE_STEPS) hints_.samples[octant][i] += count >= most;
-            }
-    }
-
     const int depth_;
     const Surface *surface_;
     const int32_t *bell_;
-    int class_[CLASSES] = {};
+    const std::array<int, CLASSES> class_ = distance_classes();
     Level level_;
     Hints hints_;
     Posteriors posteriors_;
@@ -404,46 +359,10 @@ private:
     std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
 
-Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
-    if (bell.shape(0) != BELL_STEPS + 1 || depth < 0 || depth > 20 || (surface && surface->depth() != depth))
-        throw std::invalid_argument("point_octree: a depth or a table of another size");
-    return Tree(depth, surface, bell.data());
-}
-
-Output<int64_t> rows_of(const Level &level, const Surface *surface) {
-    Fresh<int64_t> rows(level.size());
-    for (size_t i = 0; i < level.size(); ++i) rows.data[i] = surface ? surface->given_row(level.nearest[i]) : NOWHERE;
-    return rows.give({level.size()});
-}
-
-// The sample near each of the sorted distinct codes.
-Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> codes, int depth, const Surface *surface,
-                       Input<int32_t, 1> bell) {
-    Tree tree = tree_of(depth, surface, bell);
-    for (size_t i = 1; i < codes.shape(0); ++i)
-        if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("point_octree: the codes are not sorted");
-    if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
-        throw std::invalid_argument("point_octree: the codes are not those of a lattice");
-    return rows_of(tree.points(), surface);
-}
-
-// (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
-nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
-                 Input<int32_t, 1> bell) {
-    Tree tree = tree_of(depth, surface, bell);
-    if (!tree.code(coder, nullptr, points))
-        return nb::make_tuple(nb::none(), nb::none(), tree.failed_level, tree.failed_cubes);
-    const Level &level = tree.points();
-    Fresh<int64_t> codes(level.size());
-    std::copy(level.codes.begin(), level.codes.end(), codes.data.get());
-    return nb::make_tuple(codes.give({level.size()}), rows_of(level, surface), 0, size_t(0));
-}
-
 }  // namespace
 
 void bind_point_octree(nb::module_ &m) {
     nb::class_<Surface>(m, "OctreeSurface")
         .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>());
-    m.def("point_octree_encode", &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
-    m.def("point_octree_decode", &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+    OctreeFunctions<Tree>::bind(m, "point_octree");
 }

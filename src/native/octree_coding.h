@@ -1,0 +1,125 @@
+// What the two octrees of lattice points share: point_octree.cpp codes them octant by octant, cube_octree.cpp cube by cube.
+// Classes of contexts, counting of cubes and samples, and the functions that Python calls.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <string>
+
+#include "bit_arrays.h"
+#include "octree_surface.h"
+
+namespace point_octree {
+
+constexpr int POSTERIORS = 64, NO_HINT = POSTERIORS, FAR = 21;
+constexpr int BELL_STEPS = 64, BELL_PER_DEVIATION = 16;
+constexpr int DISTANCE_STEPS[] = {1, 2, 3, 4, 5, 7, 9, 12, 16, 24};
+constexpr int CLASSES = 25;  // quarters of a child's side, the last for all beyond
+constexpr int SAMPLE_STEPS[] = {1, 2, 3, 5};
+constexpr int LATTICE_STEP = 7;  // from the first to the second octant of the last level
+
+// Bits of the numbers from 0 to 255.
+struct BitCounts {
+    uint8_t of[256] = {};
+    constexpr BitCounts() {
+        for (int mask = 1; mask < 256; ++mask) of[mask] = uint8_t(of[mask >> 1] + (mask & 1));
+    }
+};
+
+inline constexpr BitCounts BIT_COUNTS;
+
+inline int bits_of(unsigned mask) { return BIT_COUNTS.of[mask & 255]; }
+
+inline size_t occupied_octants(const std::vector<uint8_t> &masks) {
+    size_t count = 0;
+    for (uint8_t mask : masks) count += size_t(bits_of(mask));
+    return count;
+}
+
+// Classes of distances, by quarters of a child's side.
+inline std::array<int, CLASSES> distance_classes() {
+    std::array<int, CLASSES> classes{};
+    for (int q = 0; q < CLASSES; ++q)
+        for (int step : DISTANCE_STEPS) classes[size_t(q)] += step <= q;
+    return classes;
+}
+
+// Which children of the cubes of a level hold points. codes: of the points, sorted; below: levels beneath the children.
+inline std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const std::vector<uint64_t> &cubes, int below) {
+    std::vector<uint8_t> masks(cubes.size(), 0);
+    for (size_t i = 0, cube = 0; i < points; ++i) {
+        const uint64_t child = codes[i] >> 3 * below;
+        while (cube < cubes.size() && cubes[cube] != child >> 3) ++cube;
+        if (cube == cubes.size()) throw std::invalid_argument("octree: a code is beyond the octree");
+        masks[cube] |= uint8_t(1u << (child & 7));
+    }
+    return masks;
+}
+
+// Calls set(cube, octant, class) for the children of the cubes of a level: classes of how many samples they hold.
+template <class Set>
+void classify_samples(const Surface &surface, const std::vector<uint64_t> &cubes, int level, Set set) {
+    const std::vector<uint64_t> codes = surface.sample_codes(level + 1);
+    size_t at = 0;
+    for (size_t i = 0; i < cubes.size(); ++i)
+        for (uint64_t octant = 0; octant < 8; ++octant) {
+            const uint64_t child = cubes[i] << 3 | octant;
+            while (at < codes.size() && codes[at] < child) ++at;
+            int count = 0;
+            for (; at < codes.size() && codes[at] == child; ++at) ++count;
+            uint8_t kind = 0;
+            for (int most : SAMPLE_STEPS) kind = uint8_t(kind + (count >= most));
+            set(i, size_t(octant), kind);
+        }
+}
+
+inline bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
+inline bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
+
+// The functions of Python for a Tree, which has `code`, `failed_level`, `failed_cubes`, and `points` with codes and samples.
+template <class Tree>
+struct OctreeFunctions {
+    static Tree tree_of(int depth, const Surface *surface, const Input<int32_t, 1> &bell) {
+        if (bell.shape(0) != BELL_STEPS + 1 || depth < 0 || depth > 20 || (surface && surface->depth() != depth))
+            throw std::invalid_argument("octree: a depth or a table of another size");
+        return Tree(depth, surface, bell.data());
+    }
+
+    static Output<int64_t> samples_of(const Tree &tree, const Surface *surface) {
+        const std::vector<int32_t> &nearest = tree.points().nearest;
+        Fresh<int64_t> rows(nearest.size());
+        for (size_t i = 0; i < nearest.size(); ++i) rows.data[i] = surface ? surface->given_row(nearest[i]) : NOWHERE;
+        return rows.give({nearest.size()});
+    }
+
+    // The sample near each of the sorted distinct codes.
+    static Output<int64_t> encode(bit_arrays::BitArrayEncoder &coder, Input<uint64_t, 1> codes, int depth,
+                                  const Surface *surface, Input<int32_t, 1> bell) {
+        Tree tree = tree_of(depth, surface, bell);
+        for (size_t i = 1; i < codes.shape(0); ++i)
+            if (codes.data()[i] <= codes.data()[i - 1]) throw std::invalid_argument("octree: the codes are not sorted");
+        if (!tree.code(coder, codes.data(), codes.shape(0)) || tree.points().size() != codes.shape(0))
+            throw std::invalid_argument("octree: the codes are not those of a lattice");
+        return samples_of(tree, surface);
+    }
+
+    // (codes, samples, 0, 0), or (None, None, level, cubes of the level) of bytes that are no tree of this many points.
+    static nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
+                            Input<int32_t, 1> bell) {
+        Tree tree = tree_of(depth, surface, bell);
+        if (!tree.code(coder, nullptr, points))
+            return nb::make_tuple(nb::none(), nb::none(), tree.failed_level, tree.failed_cubes);
+        const std::vector<uint64_t> &found = tree.points().codes;
+        Fresh<int64_t> codes(found.size());
+        std::copy(found.begin(), found.end(), codes.data.get());
+        return nb::make_tuple(codes.give({found.size()}), samples_of(tree, surface), 0, size_t(0));
+    }
+
+    // As NAME_encode and NAME_decode.
+    static void bind(nb::module_ &m, const std::string &name) {
+        m.def((name + "_encode").c_str(), &encode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+        m.def((name + "_decode").c_str(), &decode, nb::arg(), nb::arg(), nb::arg(), nb::arg().none(), nb::arg());
+    }
+};
+
+}  // namespace point_octree
