@@ -1,8 +1,8 @@
 /** Octrees of points on a lattice, cube by cube (docs/payloads/bodycast-points.md, "Octrees cube by cube"). */
 
-import { check } from "../../errors.js";
-import { bitsIn, descend, neighbourCubes } from "./cubes.js";
+import { bitsIn, neighbourCubes } from "./cubes.js";
 import type { MixedBits } from "./mixed.js";
+import { type LatticePoints, readLevels, WEIGHT_SETS } from "./point_octree.js";
 import { BELL, DISTANCE_STEPS, HALF, NORMAL, NO_DISTANCE, NO_HINT, type SurfaceHints } from "./surface_hints.js";
 import { NEIGHBOURS } from "./surface.js";
 
@@ -18,24 +18,12 @@ const MOST_DENSITY = 2 ** 24;
 const MOST_EXPECTED = 2 ** 19;
 const TWO = 2 ** 17;
 const LEAST_ODDS = 2 ** 16;
-const WEIGHT_SETS = 2048;
 
-/** As readPoints of point_octree. */
-export function readPointsByCube(bits: MixedBits, depth: number, points: number, surface: SurfaceHints | undefined): { cells: Int32Array; samples: Int32Array } {
-  let cubes = new Int32Array(3);
-  let samples = Int32Array.of(-1);
-  for (let level = 0; level < depth; level++) {
-    const side = 16 * 2 ** (depth - level - 1);
-    if (surface) samples = surface.nearest(cubes, samples, side, depth) as typeof samples;
-    const children = readLevel(bits, cubes, depth - level, surface && new Passage(surface, cubes, samples, side, points));
-    const next = descend(cubes, children);
-    check(next.parents.length <= points, "bodycast: an octree has too many points");
-    const above = samples;
-    samples = next.parents.map((parent) => above[parent]!) as typeof samples;
-    cubes = next.cubes as typeof cubes;
-  }
-  check(samples.length === points, "bodycast: an octree has another number of points");
-  return { cells: cubes, samples };
+/** The points of an octree whose bits are coded cube by cube. */
+export function readPointsByCube(bits: MixedBits, depth: number, points: number, surface: SurfaceHints | undefined): LatticePoints {
+  return readLevels(depth, points, surface, (cubes, samples, height, side) =>
+    readLevel(bits, cubes, height, surface && new Passage(surface, cubes, samples, side, points)),
+  );
 }
 
 function readLevel(bits: MixedBits, cubes: Int32Array, height: number, passage: Passage | undefined): Uint8Array {

@@ -5,20 +5,34 @@ import { bitsIn, descend, neighbourCubes } from "./cubes.js";
 import type { MixedBits } from "./mixed.js";
 import { type Hints, NO_DISTANCE, NO_HINT, SurfaceHints } from "./surface_hints.js";
 
-const WEIGHT_SETS = 2048;
+export const WEIGHT_SETS = 2048;
 const ALL_OCTANTS = [0, 1, 2, 3, 4, 5, 6, 7];
 const LATTICE_OCTANTS = [0, 7];
 
 /** Lattice coordinates (points, 3) of a frame's points, from its corner; and the sample near each, −1 without one. */
-export function readPoints(bits: MixedBits, depth: number, points: number, surface: SurfaceHints | undefined): { cells: Int32Array; samples: Int32Array } {
+export interface LatticePoints {
+  cells: Int32Array;
+  samples: Int32Array;
+}
+
+/** Reads which children of the cubes of a level are occupied. height: levels from the cubes to the points; side: of a child. */
+export type ReadLevel = (cubes: Int32Array, samples: Int32Array, height: number, side: number) => Uint8Array;
+
+/** The points of an octree whose bits are coded octant by octant. */
+export function readPoints(bits: MixedBits, depth: number, points: number, surface: SurfaceHints | undefined): LatticePoints {
+  return readLevels(depth, points, surface, (cubes, samples, height, side) =>
+    readLevel(bits, cubes, height === 1 ? LATTICE_OCTANTS : ALL_OCTANTS, height, surface?.level(cubes, samples, side)),
+  );
+}
+
+/** The points of an octree, from the root down. */
+export function readLevels(depth: number, points: number, surface: SurfaceHints | undefined, read: ReadLevel): LatticePoints {
   let cubes = new Int32Array(3);
   let samples = Int32Array.of(-1);
   for (let level = 0; level < depth; level++) {
     const side = 16 * 2 ** (depth - level - 1);
     if (surface) samples = surface.nearest(cubes, samples, side, depth) as typeof samples;
-    const hints = surface?.level(cubes, samples, side);
-    const children = readLevel(bits, cubes, level === depth - 1 ? LATTICE_OCTANTS : ALL_OCTANTS, depth - level, hints);
-    const next = descend(cubes, children);
+    const next = descend(cubes, read(cubes, samples, depth - level, side));
     check(next.parents.length <= points, "bodycast: an octree has too many points");
     const above = samples;
     samples = next.parents.map((parent) => above[parent]!) as typeof samples;
