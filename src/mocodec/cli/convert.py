@@ -68,7 +68,7 @@ def command(
 def read(source: str, suffix: str, options: dict[str, Any]) -> tuple[Recording, dict[str, Any]]:
     """The recording for a file with this suffix, and options for its writer (see `decode.decoded_for`)."""
     reader = {name: value for name, value in options.items() if name not in (*output.CHANGES, *output.WRITERS)}
-    if files.is_compressed(source) or (source == "-" and not reader["format_"]):
+    if files.holds_compressed(source, reader["format_"]):
         given = sorted(name for name in files.given(**reader) if name != "format_")
         if given:
             shown = ", ".join(f"--{name.replace('_', '-')}" for name in given)

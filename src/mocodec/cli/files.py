@@ -106,6 +106,11 @@ def is_compressed(name: str) -> bool:
     return is_mocz(name) or is_url(name) or in_archive(name) is not None
 
 
+def holds_compressed(name: str, format_: str | None) -> bool:
+    """`is_compressed`, or standard input that is not said to be of another format."""
+    return is_compressed(name) or (name == "-" and not format_)
+
+
 class StandardInput(BytesIO):
     """The bytes of standard input, with a name for error messages."""
 
@@ -177,7 +182,7 @@ def require_suffix(path: str | None, what: str, suffixes: tuple[str, ...]) -> No
 
 def takes(name: str, format_: str | None, option: str) -> bool:
     """Whether the reader of a file has an option. format_: that of standard input."""
-    if is_compressed(name) or (name == "-" and not format_):
+    if holds_compressed(name, format_):
         return False
     return option in formats.read_options(f"x.{format_.lower().lstrip('.')}" if name == "-" and format_ else name)
 

@@ -59,7 +59,7 @@ def facts_of_source(source: str, **options: Any) -> dict[str, Any]:
 
         with open_archive(within[0]) as archive, archive.entry(within[1]).open() as opened:
             return with_motion(opened.info)
-    if files.is_mocz(source) or files.is_url(source) or (source == "-" and not options.get("format_")):
+    if files.holds_compressed(source, options.get("format_")):
         files.require_no_options(source, files.given(**{**options, "format_": None}))
         with api.open(files.source_of(source)) as opened:
             notes = formats.notes(opened.encoded.about)

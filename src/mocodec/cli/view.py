@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from .. import cloud_plots, plots, viewer
-from ..archive import in_archive, is_archive, open_archive
+from ..archive import is_archive, open_archive
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
@@ -128,7 +128,7 @@ def picture(shown: Shown, original: Shown | None) -> Any:
 
 def read(name: str, names: tuple[str, ...], options: dict[str, Any], opened: ExitStack) -> Shown:
     """A recording to show; notes of its reader are shown on the page and on standard error."""
-    if files.is_mocz(name) or files.is_url(name) or in_archive(name):
+    if files.is_compressed(name):
         return viewer.shown(name, opened)
     both = (name, next((other for other in names if other != name), name))
     return of_path(name, Path(name).name, files.read(name, **compare.options_for(name, both, options)))
