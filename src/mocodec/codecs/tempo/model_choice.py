@@ -151,12 +151,12 @@ def without_model(like: Motion) -> Choice:
 
 def _priced(candidate: Choice, recording: Recording, numbers: range) -> tuple[float, Choice]:
     """Bytes, with the squared errors of points at their price in bits, from some of the chunks; and the candidate."""
-    sample = [recording.chunks[i] for i in numbers]
-    encoders = [ChunkEncoder(candidate.model, s) for s in sample]
+    model, chunks = candidate.model, recording.chunks
+    encoders = [ChunkEncoder(model, chunks[i], spectrum=recording.spectrum(model, i)) for i in numbers]
     price_of_error = 1 / (quantise.SLOPE * float(step_size(recording.step)) ** 2)
     trials = list(parallel.over(lambda e: e.trial(recording.step), encoders))
     bits = sum(t.quantised.bits + price_of_error * t.squared for t in trials)
-    scale = recording.frames / max(1, sum(map(len, sample)))
+    scale = recording.frames / max(1, sum(e.frames for e in encoders))
     spectra = {i: e.spectrum for i, e in zip(numbers, encoders, strict=True) if e.spectrum is not None}
     return len(candidate.header.pack()) + scale * bits / 8, replace(candidate, spectra=spectra)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ....motion import Motion
 from ....typing import Floats
+from ..coding.rows import POSE
 from ..pose import heading
 from .coordinates import PointCoordinates
 from .model import Model
@@ -45,6 +46,23 @@ class Recording:
     def components(self) -> Components:
         """Of its positions about the mean pose."""
         return Components.of_positions(self.chunks, PointCoordinates(self.mean_pose), self.like.rate)
+
+    def spectrum(self, model: Model, number: int) -> Floats | None:
+        """Coefficients (frames, rows) of a chunk in a model whose basis is that of the components, from their spectra;
+        None for other models.
+
+        The model's pose differs from the mean pose by its rounding only, and so the headings are the same.
+        """
+        pose = model.coordinates.pose
+        if model.statistics.completion is None or not isinstance(model.coordinates, PointCoordinates):
+            return None
+        known = self.components
+        out = np.empty((len(self.chunks[number]), model.rows))
+        out[:, :POSE] = known.moves[number]
+        spectrum = known.spectra[number].copy()
+        spectrum[:1] += (self.mean_pose - pose).ravel() * np.sqrt(len(spectrum))
+        model.statistics.completion.components(spectrum, out[:, POSE:])
+        return out
 
     def with_step(self, step: int) -> Recording:
         """The recording for another step, with what is known of it already."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .... import parallel
 from ....errors import Corrupt
 from ....fields import Record, array, count, raw, sized
 from ....stages import basis
@@ -117,19 +118,26 @@ class Components(NamedTuple):
     """What a basis is rounded from, the same for every step.
 
     spectra (frames, dimensions), one a chunk. principal: the components, strongest first, and their variances.
+    moves (frames, POSE), one a chunk: coefficients of heading and place, for positions.
     """
 
     spectra: Sequence[Floats]
     principal: basis.Principal
+    moves: Sequence[Floats] = ()
 
     @classmethod
-    def of(cls, spectra: Sequence[Floats]) -> Components:
-        return cls(spectra, _principal(spectra, sum(map(len, spectra))))
+    def of(cls, spectra: Sequence[Floats], moves: Sequence[Floats] = ()) -> Components:
+        return cls(spectra, _principal(spectra, sum(map(len, spectra))), moves)
 
     @classmethod
     def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
         """Of chunks (frames, points, 3), y up."""
-        return cls.of([coordinate_spectrum(p, coordinates, rate, np.empty((len(p), POSE))) for p in positions])
+        moves = [np.empty((len(p), POSE)) for p in positions]
+
+        def spectrum(number: int) -> Floats:
+            return coordinate_spectrum(positions[number], coordinates, rate, moves[number])
+
+        return cls.of(list(parallel.over(spectrum, range(len(positions)))), moves)
 
 
 def fit(components: Components, prior: Prior, rate: float, step: int, similar: Integers | None = None) -> StoredBasis:
@@ -146,8 +154,7 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
     shapes = _shapes(prior.joints.statistics, count + 1)
     gains = _gains([s @ vectors for s in spectra], rate, shapes[:count])
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
-    packed = basis.pack(vectors, precision, similar)
-    stored = basis.unpack(packed, len(vectors), precision, similar)
+    packed, stored = basis.pack_rounded(vectors, precision, similar)
     last = gains[-1:]
     if others := len(vectors) - count:
         rest = [_squares_beside(stored, s)[:, None] for s in spectra]
