@@ -59,7 +59,7 @@ NEAR_BY = 1.25
 """Scales that differ by less than this factor share their principal components."""
 
 USUAL_MEAN_M = 0.028
-"""A usual mean error at the paper's tolerances, metres; errors are nearly proportional to the scale of the tolerances."""
+"""A usual mean error at the paper's tolerances, metres: errors are nearly proportional to their scale."""
 
 Fit = Callable[[float], list[SegmentModel]]
 """The models of all segments at a scale of the tolerances."""
@@ -339,7 +339,8 @@ def steer(
 ) -> list[SegmentModel]:
     """Search for the scale of the tolerances at which `measure` of the fitted models is largest, but at most 1.
 
-    first: scale to try. grows: the measure grows with the scale; False: it falls. Raises CannotEncode if it exceeds 1 at every scale tried.
+    first: the scale to begin with. grows: the measure grows with the scale; False: it falls. Raises CannotEncode if it
+    exceeds 1 at every scale tried.
     """
 
     def tried(log_scale: float) -> tuple[float, list[SegmentModel]]:
