@@ -99,7 +99,9 @@ def test_lasting_corrections_are_those_of_numpy(frames: int, points: int, scale:
     if native.kernel("lasting_corrections") is None:
         pytest.skip("the compiled module is not built")
     random = np.random.default_rng(frames)
-    error = scale * np.cumsum(random.normal(0, 0.2, (frames, points, 3)), axis=0) + random.normal(0, 0.3, (1, points, 3))
+    error = scale * np.cumsum(random.normal(0, 0.2, (frames, points, 3)), axis=0) + random.normal(
+        0, 0.3, (1, points, 3)
+    )
     error[:, -1] *= 0.01
     nearest = np.rint(error).astype(np.int64)
     outside = (error**2).sum(axis=2) > 0.75
