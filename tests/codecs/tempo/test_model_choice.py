@@ -61,4 +61,4 @@ def test_a_still_recording_gets_a_basis_of_its_own():
     recording = Recording([positions], Motion(positions, 100.0, tuple(f"m{i}" for i in range(12)), up="y"), -240)
     assert recording.is_still
     assert model_choice.choose(recording).header.model == "points-stored"
-    assert not recording.with_step(-400).is_still
+    assert not recording.with_step(-500).is_still
