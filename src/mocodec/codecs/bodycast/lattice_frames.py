@@ -59,7 +59,10 @@ class LatticeGrid:
 
     def shifted_positions(self, cells: Integers, shifts: Integers, shift_bits: int) -> Floats:
         """The places (n, 3) of cells after shifts (n, 3) of 2^-shift_bits units, metres."""
-        return lattice.positions((cells + self.corner << shift_bits) + shifts, self.step_m / (1 << shift_bits))
+        places = cells + self.corner
+        places <<= shift_bits
+        places += shifts
+        return lattice.positions(places, self.step_m / (1 << shift_bits))
 
     def places(self, cells: Integers) -> Integers:
         """Cells (n, 3) as places in 2^-PLACE_BITS metres, rounded down, at most MAX_PLACE_M from the origin."""
