@@ -72,7 +72,7 @@ def test_a_body_and_what_its_frames_teach(psnr: float | None, bound: float, thor
     clouds = replace(sequences.record(performance, 250, seed=1), normals=None)
     codec = Bodycast(max_error=bound, psnr=psnr, skeleton=performance.skeleton(), thorough=thorough)
     encoded = codec.encode(clouds)
-    assert kind_of(encoded) == (CUBED if thorough else SMOOTHED)
+    assert kind_of(encoded) == CUBED
     compare(encoded, coloured=True)
 
 
