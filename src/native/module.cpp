@@ -10,6 +10,7 @@
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
 //   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h is what both share
 //   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
+//   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
 //   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
@@ -57,7 +58,7 @@ namespace nb = nanobind;
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours)         \
-    PART(reference_surface) PART(ppca) PART(point_choice) PART(clip_synthesis) PART(clip_lengths)
+    PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);
 PARTS(DECLARE)

@@ -14,7 +14,7 @@
 #include <emmintrin.h>
 #endif
 
-#include "arrays.h"
+#include "bit_arrays.h"
 #include "integers.h"
 
 namespace {
@@ -429,9 +429,35 @@ Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samp
     return moves.give({k});
 }
 
+constexpr uint32_t STAY_CONTEXTS = 1 << 20, STAY_WEIGHTS = 1024, DEVIATIONS = 16;
+
+bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
+bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
+
+// moves, deviations (n); stays (n): in the encoder. (n): whether points stay, 1 where nothing moves; None of bytes that are cut off.
+template <class Coder>
+nb::object code_stays(Coder &coder, Input<int64_t, 1> moves, Input<int64_t, 1> deviations, Input<uint8_t, 1> stays) {
+    const size_t n = moves.shape(0);
+    if (deviations.shape(0) != n || (stays.shape(0) && stays.shape(0) != n)) throw std::invalid_argument("code_stays: shapes differ");
+    Fresh<uint8_t> result(n);
+    for (size_t i = 0; i < n; ++i) {
+        result.data[i] = 1;
+        if (!moves.data()[i]) continue;
+        const uint32_t length = uint32_t(std::abs(moves.data()[i])), coarse = length >> 3;
+        const uint32_t around = uint32_t(std::min<int64_t>(deviations.data()[i] >> 4, DEVIATIONS - 1));
+        const uint32_t kinds[bits::INPUTS] = {coarse, 32 + around, 64 + coarse * DEVIATIONS + around, 1024 + (length >> 1), 2048};
+        uint32_t contexts[bits::INPUTS];
+        for (int k = 0; k < bits::INPUTS; ++k) contexts[k] = STAY_CONTEXTS + kinds[k];
+        result.data[i] = uint8_t(coder.code(contexts, STAY_WEIGHTS, stays.shape(0) ? stays.data()[i] : 0));
+    }
+    return is_cut_off(coder) ? nb::none() : nb::cast(result.give({n}));
+}
+
 }  // namespace
 
 void bind_point_smoothing(nb::module_ &m) {
+    m.def("code_stays", &code_stays<bit_arrays::BitArrayEncoder>);
+    m.def("code_stays", &code_stays<bit_arrays::BitArrayDecoder>);
     m.def("smooth_points", &smooth_points);
     m.def("moves_of_candidates", &moves_of_candidates);
 }

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import native
+from .. import native, parallel
 from ..entropy import coder, varint
 from ..errors import Corrupt
 from ..typing import Booleans, Floats, Integers
@@ -138,7 +138,7 @@ def split(positions: Floats, tolerance: float | None = None, bones: bool = False
     """
     missing = np.isnan(positions[..., 0])
     nothing = np.zeros(missing.shape, bool)
-    same = _equal(positions[1:], positions[:-1]) & ~missing[1:]
+    same = _equal_to_before(positions) & ~missing[1:]
     moves = (~same & ~(missing[1:] | missing[:-1])).any(axis=1)
     if not (same.any(axis=1) & moves).any():  # whole frames that repeat are no frozen samples
         return Split(positions, missing, nothing, nothing, tolerance, holds)
@@ -246,7 +246,7 @@ def _runs_of(mask: Booleans, positions: Floats, same: Booleans | None = None) ->
 
     same (frames − 1, points): samples equal to the one before, if they are known.
     """
-    same = _equal(positions[1:], positions[:-1]) if same is None else same
+    same = _equal_to_before(positions) if same is None else same
     begins = mask.copy()
     begins[1:] &= ~(mask[:-1] & same)
     ends = mask.copy()
@@ -267,7 +267,15 @@ def _bits(positions: Floats) -> Integers:
 
 def _equal(a: Floats, b: Floats) -> Booleans:
     """Where points (…, 3) have the same bits: −0 differs from 0."""
-    return (_bits(a) == _bits(b)).all(axis=-1)
+    same = _bits(a) == _bits(b)
+    return same[..., 0] & same[..., 1] & same[..., 2]
+
+
+def _equal_to_before(positions: Floats) -> Booleans:
+    """Which samples (frames − 1, points) of all frames but the first are equal to those of the frame before."""
+    blocks = parallel.blocks(max(0, len(positions) - 1))
+    found = [positions[:0, :, 0] != 0, *parallel.over(lambda b: _equal(positions[1:][b], positions[:-1][b]), blocks)]
+    return np.concatenate(found)
 
 
 def restore(positions: Floats, data: bytes) -> Floats:

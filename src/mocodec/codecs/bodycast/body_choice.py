@@ -12,7 +12,6 @@ import numpy as np
 
 from ...typing import Booleans, Floats, Integers
 from ..clouds.raw_frames import Cloud
-from .body_model import pack_model
 from .encoder import BodyEncoder
 from .point_encoder import PointEncoder, PointTarget
 from .point_scene import ChunkBodies
@@ -46,7 +45,7 @@ def bodies_pay(
         return False
     trial = _Trial(bodies, frames, with_bodies[0], coloured)
     filled = sum(any(present) for present in zip(*(body.is_present for body in bodies), strict=True))
-    once = sum(len(pack_model(body.model)) for body in bodies) + filled * trial.pose_bytes
+    once = sum(len(body.packed_model) for body in bodies) + filled * trial.pose_bytes
     share = 0.0
     for runs in (trial.present[:FIRST_FRAMES],), _both_ends(trial.present):
         beside, alone = (_recording_bytes(own, len(with_bodies), filled) for own in trial.frame_bytes(runs, target))

@@ -29,7 +29,7 @@ from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
 from . import exact_points, lattice_frames, residual_scale
 from .body_choice import absences, bodies_pay, bytes_alone
-from .body_model import MAX_POINTS, pack_model, unpack_models
+from .body_model import MAX_POINTS, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
 from .encoder import BodyEncoder, CodingParameters
@@ -115,7 +115,7 @@ class Bodycast:
         with progress.phase(0.0, 0.6):
             is_tracked = not self._is_smaller_alone(frames, spans, coloured)
             bodies = self._bodies(frames, clouds.up, coloured) if is_tracked else []
-        shared = tuple(pack_model(body.model) for body in bodies)
+        shared = tuple(body.packed_model for body in bodies)
         settings = self._stored_settings()
         if not self._has_target and self._codes_points(bodies):
             settings["max_error"] = self._bound_of_residual(bodies, frames, spans, coloured)
@@ -292,7 +292,7 @@ class Bodycast:
         settings: Mapping[str, Any],
     ) -> list[bytes]:
         """The payload of each chunk with all its points. settings: with the targets. Raises CannotEncode."""
-        shared_bytes = sum(len(pack_model(body.model)) for body in bodies)
+        shared_bytes = sum(len(body.packed_model) for body in bodies)
         coded = [[body.encode_chunk(span) for body in bodies] for span in spans]
         absent = [absences(bodies, span) for span in spans]
         empty = [

@@ -13,7 +13,7 @@ from ...geometry.body_matching import FramePoints
 from ...typing import Bytes, Integers
 from ..clouds.raw_frames import Cloud
 from . import video
-from .body_model import MAX_POINTS, BodyModel
+from .body_model import MAX_POINTS, BodyModel, pack_model
 from .chunk_payload import BodyStreams
 from .point_scene import SurfaceTexture
 from .pose_stream import PoseSequence, PoseSteps, pack_poses, unpack_poses
@@ -75,6 +75,11 @@ class BodyEncoder:
     def texture(self) -> SurfaceTexture:
         """What points are coded from; after `build_model`."""
         return SurfaceTexture(self.model)
+
+    @cached_property
+    def packed_model(self) -> bytes:
+        """The model as bytes; after `build_model`."""
+        return pack_model(self.model)
 
     @property
     def is_explained(self) -> bool:

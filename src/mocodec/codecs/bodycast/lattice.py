@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from ... import native
 from ...typing import Floats, Integers
 
 ROUNDING = 1e-9  # share of the bound that is left for the rounding of floats
@@ -32,6 +33,8 @@ def bound_of_step(step_m: float) -> float:
 
 def nearest(points: Floats, step_m: float) -> Integers:
     """The lattice point (n, 3) nearest to each of the points (n, 3)."""
+    if (kernel := native.kernel("nearest_lattice_points")) is not None:
+        return np.asarray(kernel(points, step_m))
     scaled = points / step_m
     even = 2 * np.round(scaled / 2)
     odd = 2 * np.round((scaled - 1) / 2) + 1

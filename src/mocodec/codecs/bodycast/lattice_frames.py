@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import native
 from ...errors import CannotEncode
 from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud
@@ -38,6 +39,8 @@ class LatticeFrame(NamedTuple):
 
     def own_distances(self, decoded: Floats) -> Floats:
         """(m,): the distance of each original from its own decoded point, metres. decoded (n, 3): of the codes."""
+        if (kernel := native.kernel("own_distances")) is not None:
+            return np.asarray(kernel(self.originals, decoded, self.rows))
         return np.sqrt(lattice.squares(self.originals - decoded[self.rows]))
 
     def with_cells(self, cells: Integers) -> LatticeFrame:
@@ -59,12 +62,17 @@ class LatticeGrid:
 
     def shifted_positions(self, cells: Integers, shifts: Integers, shift_bits: int) -> Floats:
         """The places (n, 3) of cells after shifts (n, 3) of 2^-shift_bits units, metres."""
-        return lattice.positions((cells + self.corner << shift_bits) + shifts, self.step_m / (1 << shift_bits))
+        step_m = self.step_m / (1 << shift_bits)
+        if (kernel := native.kernel("shifted_positions")) is not None:
+            return np.asarray(kernel(cells, self.corner, shifts, shift_bits, step_m))
+        return lattice.positions((cells + self.corner << shift_bits) + shifts, step_m)
 
     def places(self, cells: Integers) -> Integers:
         """Cells (n, 3) as places in 2^-PLACE_BITS metres, rounded down, at most MAX_PLACE_M from the origin."""
         limit = float(MAX_PLACE_M << PLACE_BITS)
         scale = self.step_m * (1 << PLACE_BITS)
+        if (kernel := native.kernel("places_of_cells")) is not None:
+            return np.asarray(kernel(cells, self.corner, scale, limit))
         return np.floor(np.clip((cells + self.corner) * scale, -limit, limit)).astype(np.int64)
 
 

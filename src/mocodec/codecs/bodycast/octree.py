@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import native
 from ...errors import Corrupt
 from ...typing import AnyInteger, Integers
 from .binary_coder import BinaryDecoder, BinaryEncoder, ContextCounts
@@ -45,6 +46,8 @@ class OctreeContexts(NamedTuple):
 
 def morton_codes(cells: Integers) -> Integers:
     """Morton codes (n,) of cells (n, 3), coordinates 0 to 2^20 − 1; x is the lowest bit of each three."""
+    if (kernel := native.kernel("morton_codes")) is not None:
+        return np.asarray(kernel(cells))
     result = np.zeros(len(cells), np.int64)
     for axis in range(3):
         v = cells[:, axis].astype(np.int64)
@@ -56,6 +59,8 @@ def morton_codes(cells: Integers) -> Integers:
 
 def cells_of_codes(code: Integers) -> Integers:
     """The inverse of `morton_codes`."""
+    if (kernel := native.kernel("cells_of_codes")) is not None:
+        return np.asarray(kernel(code))
     result = np.empty((len(code), 3), np.int64)
     for axis in range(3):
         v = code >> axis & SPREAD_STEPS[-1][1]

@@ -270,17 +270,18 @@ class _OctreeOfFrame:
     def encode(
         self, coder: BitEncoder, frame: LatticeFrame, bound_m: float | None, choice: ReferenceChoice
     ) -> tuple[BitEncoder, Reference, LocatedPoints]:
-        """Code the points with the shortest choice of references. The coder to go on with."""
+        """Code the points with the best choice of references. The coder to go on with."""
         cells, has_bodies, depth = octree.cells_of_codes(frame.codes), self.hints is not None, self.grid.depth
+        before = coder.size
         candidates = choice.candidates(self.earlier, cells, depth, has_bodies)
         tried = list[tuple[BitEncoder, _Seen, Integers]]()
         for reference in candidates:
             trial, seen = coder.copy() if len(candidates) > 1 else coder, self._seen(reference)
             _, nearest = self.code_octree(trial, frame.codes, depth, len(frame.codes), seen.hints)
             tried.append((trial, seen, nearest))
-        best, seen, nearest = min(tried, key=lambda one: one[0].size)
-        choice.keep(seen.reference)
-        return best, seen.reference, self._keep(best, frame, bound_m, cells, nearest, seen)
+        best = choice.keep_best(candidates, [trial.size - before for trial, *_ in tried], has_bodies)
+        coder, seen, nearest = tried[best]
+        return coder, seen.reference, self._keep(coder, frame, bound_m, cells, nearest, seen)
 
     def decode(self, coder: BitDecoder, count: int, reference: Reference) -> LocatedPoints:
         """The points (count,). Raises Corrupt."""

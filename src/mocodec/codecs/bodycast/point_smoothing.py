@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ... import native
-from ...entropy.bit_arrays import BitCoder
+from ...entropy.bit_arrays import CUT_OFF, BitCoder
+from ...errors import Corrupt
 from ...typing import Booleans, Integers
 from .surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 
@@ -129,6 +130,12 @@ def code_stays(coder: BitCoder, smoothed: SmoothedPoints, stays: Booleans | None
 
     Points that do not move have no bit, and stay. Raises Corrupt in the decoder.
     """
+    if (kernel := native.kernel("code_stays")) is not None and coder.compiled is not None:
+        wanted = np.zeros(0, np.uint8) if stays is None else stays.view(np.uint8)
+        found = kernel(coder.compiled, smoothed.moves, smoothed.deviations, wanted)
+        if found is None:
+            raise Corrupt(CUT_OFF)
+        return np.asarray(found).view(bool)
     rows = np.flatnonzero(smoothed.moves)
     length = np.abs(smoothed.moves[rows])
     coarse, around = length >> 3, np.minimum(smoothed.deviations[rows] >> 4, DEVIATIONS - 1)

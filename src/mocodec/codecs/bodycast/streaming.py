@@ -24,7 +24,7 @@ from ...geometry.articulation import Pose
 from ...typing import Bytes, Floats, Integers
 from ..clouds.raw_frames import Cloud, is_usable, no_points
 from . import video
-from .body_model import pack_model, unpack_model
+from .body_model import unpack_model
 from .codec import Bodycast
 from .decoder import BodyDecoder
 from .encoder import BodyEncoder
@@ -116,7 +116,7 @@ class Sender:
         body.build_model(codec.parameters, len(points), colours is not None, is_only_body=True)
         body.clouds.clear()
         self._sums = CellSums.from_planes(body.model.atlas, body.planes, FIRST_WEIGHT)
-        self.model = with_checksum(varint.write([MODEL]) + pack_model(body.model))
+        self.model = with_checksum(varint.write([MODEL]) + body.packed_model)
         return body
 
     def _picture(self, body: BodyEncoder, cloud: Cloud, frame: int, pose: Pose) -> list[bytes]:

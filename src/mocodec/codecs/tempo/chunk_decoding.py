@@ -85,7 +85,7 @@ def _decode_compiled(model: Model, chunk: Chunk, out: Floats, start: int, up: st
 @cache
 def _axes(up: str) -> tuple[int, ...]:
     """The axes of a motion that x, y and z of positions with y up are."""
-    return tuple(int(axis) for axis in heading.to_y_up(np.arange(3.0), up))
+    return tuple(int(axis) for axis in heading.to_y_up(np.arange(3.0)[None], up)[0])
 
 
 def _put(chunk: Chunk, decoded: Floats, out: Floats, start: int) -> None:

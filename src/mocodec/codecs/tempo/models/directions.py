@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from .... import parallel
 from ....errors import Corrupt
 from ....fields import Record, array, flag, raw, signed, sized
 from ....motion import Motion, Skeleton
@@ -238,9 +239,9 @@ def fit_stored(recording: Recording) -> Iterator[FittedModel]:
 
 def _fit_tree(recording: Recording) -> tuple[StoredDirections, DirectionCoordinates] | None:
     skeleton, known = recording.like.skeleton, prior.for_directions()
-    centred = np.concatenate([c[:: max(1, len(c) // POSE_FRAMES)] for c in recording.chunks])
-    pose = heading.mean_pose(centred - centred.mean(axis=1, keepdims=True))
-    aligned = [_aligned_sample(c, pose) for c in recording.chunks]
+    sample = [chunk[:: max(1, len(chunk) // POSE_FRAMES)] for chunk in recording.chunks]
+    pose = heading.mean_pose(heading.centred(sample))
+    aligned = list(parallel.over(lambda chunk: _aligned_sample(chunk, pose), recording.chunks))
     every = np.concatenate(aligned)
     tolerance = _tolerance(recording.step)
     for parents, of_skeleton in tree_fitting.trees(every, skeleton, tolerance):
@@ -277,8 +278,7 @@ def _tolerance(step: int) -> float:
 
 
 def _aligned_sample(chunk: Floats, pose: Floats) -> Floats:
-    some = chunk[:: max(1, len(chunk) // SAMPLED_FRAMES)]
-    return heading.align(some - some.mean(axis=1, keepdims=True), pose)
+    return heading.align(heading.centred([chunk[:: max(1, len(chunk) // SAMPLED_FRAMES)]]), pose)
 
 
 def unpack_stored(data: bytes, known: Prior, like: Motion) -> FittedModel:

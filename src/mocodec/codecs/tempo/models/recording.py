@@ -38,8 +38,9 @@ class Recording:
     @cached_property
     def mean_pose(self) -> Floats:
         """Of at most about `POSE_FRAMES` frames, (points, 3), metres, centred, each frame turned to it."""
-        some = np.concatenate(self.chunks)[:: max(1, self.frames // POSE_FRAMES)]
-        return heading.mean_pose(some - some.mean(axis=1, keepdims=True))
+        every, starts = max(1, self.frames // POSE_FRAMES), np.cumsum([0, *map(len, self.chunks)])
+        some = [chunk[-start % every :: every] for chunk, start in zip(self.chunks, starts[:-1], strict=True)]
+        return heading.mean_pose(heading.centred(some))
 
     @cached_property
     def components(self) -> Components:

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .... import parallel
 from ....errors import Corrupt
 from ....motion import Motion, Skeleton
 from ....typing import Floats, Integers
@@ -58,10 +59,11 @@ def match(chunks: Sequence[Floats], like: Motion, step: int, prior: Prior) -> Ma
         return None
     if sum(map(len, chunks)) < tree_fitting.FEWEST_FRAMES:
         return None
-    some = (r[:: max(1, len(r) // SAMPLED_FRAMES)] for r in chunks)
-    centred = [r - r.mean(axis=1, keepdims=True) for r in some]
-    pose = heading.mean_pose(np.concatenate(centred))
-    aligned = [heading.align(c, pose) for c in centred]
+    some = [r[:: max(1, len(r) // SAMPLED_FRAMES)] for r in chunks]
+    centred = heading.centred(some)
+    pose = heading.mean_pose(centred)
+    stops = np.cumsum([len(r) for r in some])
+    aligned = list(parallel.over(lambda c: heading.align(c, pose), np.split(centred, stops[:-1])))
     tolerance = float(STRETCH_STEPS * step_size(step))
     every = np.concatenate(aligned)
     for parents, of_skeleton in tree_fitting.trees(every, like.skeleton, tolerance):

@@ -12,10 +12,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from .... import parallel
 from ....errors import Corrupt
 from ....fields import Record, array, count, raw, sized
 from ....stages import basis
@@ -39,6 +41,8 @@ FITTED_HZ = (0.3, 2.0)
 """Gains are measured between these frequencies."""
 LEAST_REST = 1e-6
 """Of sums of squares: a smaller difference between two of them is rounding for the most part."""
+MOST_MOMENTS = 1 << 22
+"""Numbers of matrices that are computed side by side before they are summed."""
 GAIN_FREQUENCY = 5
 """Index into `BANDS_MHZ` (1 Hz): shapes are relative to their value there."""
 
@@ -129,7 +133,11 @@ class Components(NamedTuple):
     @classmethod
     def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
         """Of chunks (frames, points, 3), y up."""
-        return cls.of([coordinate_spectrum(p, coordinates, rate, np.empty((len(p), POSE))) for p in positions])
+
+        def spectrum(chunk: Floats) -> Floats:
+            return coordinate_spectrum(chunk, coordinates, rate, np.empty((len(chunk), POSE)))
+
+        return cls.of(list(parallel.over(spectrum, positions)))
 
 
 def fit(components: Components, prior: Prior, rate: float, step: int, similar: Integers | None = None) -> StoredBasis:
@@ -143,20 +151,21 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
     strength = contexts.OCTAVE / 2 * np.log2(np.maximum(variances, 1e-30))
     count = int(np.clip((strength > noise + WEAKEST).sum(), 1, min(len(strength), frames)))
     vectors = components.principal.vectors(count)
-    shapes = _shapes(prior.joints.statistics, count + 1)
-    gains = _gains([s @ vectors for s in spectra], rate, shapes[:count])
+    known, lengths = prior.joints.statistics, [len(s) for s in spectra]
+    fitted = np.concatenate([s[_fitted_frequencies(len(s), rate)] for s in spectra])
+    gains = _gains(fitted @ vectors, lengths, rate, known, np.arange(count))
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
     packed = basis.pack(vectors, precision, similar)
     stored = basis.unpack(packed, len(vectors), precision, similar)
     last = gains[-1:]
     if others := len(vectors) - count:
-        rest = [_squares_beside(stored, s)[:, None] for s in spectra]
-        last = _gains([np.sqrt(squares / others) for squares in rest], rate, shapes[-1:])
+        rest = np.sqrt(_squares_beside(stored, fitted) / others)
+        last = _gains(rest[:, None], lengths, rate, known, np.array([count]))
     return StoredBasis(np.rint(np.append(gains, last) / GAIN_UNIT).astype(np.int64), precision, packed, stored)
 
 
 def _squares_beside(stored: Floats, spectrum: Floats) -> Floats:
-    """Sums of squares (frames,) of what orthonormal columns (dimensions, k) leave of a spectrum (frames, …)."""
+    """Sums of squares (n,) of what orthonormal columns (dimensions, k) leave of rows (n, dimensions) of spectra."""
     inside = spectrum @ stored
     squares = np.einsum("ij,ij->i", spectrum, spectrum)
     rest = squares - np.einsum("ij,ij->i", inside, inside)
@@ -172,8 +181,18 @@ def _principal(spectra: Sequence[Floats], frames: int) -> basis.Principal:
         found = basis.principal_of_rows(np.concatenate(spectra) / np.sqrt(frames))
         if len(found.variances):
             return found
-    vectors, variances = basis.fit(np.asarray(sum(s.T @ s for s in spectra)) / frames)
+    vectors, variances = basis.fit(_moments(spectra) / frames)
     return basis.Principal(variances, lambda count: vectors[:, :count])
+
+
+def _moments(spectra: Sequence[Floats]) -> Floats:
+    """Σ sᵀ s of spectra (frames, dimensions), summed in their order."""
+    out = np.zeros((spectra[0].shape[1],) * 2)
+    together = max(1, MOST_MOMENTS // out.size)
+    for first in range(0, len(spectra), together):
+        for moments in parallel.over(lambda s: s.T @ s, spectra[first : first + together]):
+            out += moments
+    return out
 
 
 def _shapes(known: Statistics, count: int) -> Integers:
@@ -183,16 +202,31 @@ def _shapes(known: Statistics, count: int) -> Integers:
     return spreads[rank] - spreads[rank][:, GAIN_FREQUENCY : GAIN_FREQUENCY + 1]
 
 
-def _gains(curves: Sequence[Floats], rate: float, shapes: Integers) -> Floats:
-    """How much stronger than their shapes components' spectra (frames, components), one a chunk, are, 1/32 octave."""
-    measured, expected = np.full(len(shapes), 1e-9), np.full(len(shapes), 1e-9)
-    for length, chunks in Counter(map(len, curves)).items():
-        hertz = np.arange(length) * rate / (2 * length)
-        here = (hertz > FITTED_HZ[0]) & (hertz < FITTED_HZ[1])
-        known, which = np.unique(shapes, axis=0, return_inverse=True)
-        levels = [2.0 ** (np.interp(hertz[here] * 1000, contexts.BANDS_MHZ, s) / contexts.OCTAVE) for s in known]
-        expected += chunks * np.array([level.sum() for level in levels])[which.ravel()]
-        for c in curves:
-            if len(c) == length:
-                measured += np.abs(c[here]).sum(axis=0) / np.sqrt(rate / 120)
+def _fitted_frequencies(frames: int, rate: float) -> slice:
+    """The frequencies of a chunk that lie between those of FITTED_HZ."""
+    hertz = np.arange(frames) * rate / (2 * frames)
+    inside = np.flatnonzero((hertz > FITTED_HZ[0]) & (hertz < FITTED_HZ[1]))
+    return slice(int(inside[0]), int(inside[-1]) + 1) if len(inside) else slice(0, 0)
+
+
+@lru_cache(maxsize=32)
+def _usual_levels(known: Statistics, frames: int, rate: float) -> Floats:
+    """Sums (ranks,) of the prior's spectra over the fitted frequencies of a chunk, relative to their value at 1 Hz."""
+    at = (np.arange(frames) * rate / (2 * frames))[_fitted_frequencies(frames, rate)] * 1000
+    logs = np.array([np.interp(at, contexts.BANDS_MHZ, shape) for shape in _shapes(known, len(known.spreads) - POSE)])
+    return (2.0 ** (logs / contexts.OCTAVE)).sum(axis=1)
+
+
+def _gains(curves: Floats, lengths: Sequence[int], rate: float, known: Statistics, ranks: Integers) -> Floats:
+    """How much stronger components (ranks,) are than the prior's of the same rank, 1/32 octave.
+
+    curves (fitted frequencies of all chunks, ranks): their spectra. lengths: frames of each chunk.
+    """
+    measured, expected = np.full(len(ranks), 1e-9), np.full(len(ranks), 1e-9)
+    fitted = {length: _fitted_frequencies(length, rate) for length in set(lengths)}
+    of_length = np.repeat(lengths, [fitted[length].stop - fitted[length].start for length in lengths])
+    for length, chunks in Counter(lengths).items():
+        levels = _usual_levels(known, length, rate)
+        expected += chunks * levels[np.minimum(ranks, len(levels) - 1)]
+        measured += np.abs(curves[of_length == length]).sum(axis=0) / np.sqrt(rate / 120)
     return contexts.OCTAVE * np.log2(measured / expected)

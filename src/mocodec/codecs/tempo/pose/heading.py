@@ -10,8 +10,11 @@ Inside tempo y is up; x and z are horizontal.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from .... import parallel
 from ....typing import Floats
 
 
@@ -20,7 +23,14 @@ def to_y_up(positions: Floats, up: str) -> Floats:
     if up == "y":
         return positions
     order = (1, 2, 0) if up == "z" else (2, 0, 1)
-    return positions[..., order]
+    out = np.empty(positions.shape, positions.dtype)
+
+    def turn(block: slice) -> None:
+        for axis, source in enumerate(order):
+            out[block, ..., axis] = positions[block, ..., source]
+
+    list(parallel.over(turn, parallel.blocks(len(positions))))
+    return out
 
 
 def from_y_up(positions: Floats, up: str) -> Floats:
@@ -29,6 +39,24 @@ def from_y_up(positions: Floats, up: str) -> Floats:
         return positions
     order = (2, 0, 1) if up == "z" else (1, 2, 0)
     return positions[..., order]
+
+
+def centred(pieces: Sequence[Floats]) -> Floats:
+    """Pieces of motion (frames, points, 3), one after the other, less the mean of each frame: (all frames, points, 3).
+
+    In the order of memory of (3, frames, points), along which NumPy is fastest.
+    """
+    stops = np.cumsum([len(piece) for piece in pieces]).tolist()
+    out = np.empty((3, stops[-1], pieces[0].shape[1]))
+
+    def centre(number: int) -> None:
+        piece, stop = pieces[number], stops[number]
+        for axis, of_axis in enumerate(out[:, stop - len(piece) : stop]):
+            along = piece[..., axis]
+            np.subtract(along, along.mean(axis=1, keepdims=True), out=of_axis)
+
+    list(parallel.over(centre, range(len(pieces))))
+    return np.moveaxis(out, 0, 2)
 
 
 def heading(centred: Floats, mean_pose: Floats) -> Floats:
@@ -58,12 +86,30 @@ def align(centred: Floats, mean_pose: Floats) -> Floats:
 
 
 def mean_pose(centred: Floats, rounds: int = 10) -> Floats:
-    """The mean (points, 3) of all frames, each rotated to it (generalised Procrustes analysis)."""
-    x, z = np.ascontiguousarray(centred[..., 0]), np.ascontiguousarray(centred[..., 2])
+    """The mean (points, 3) of all frames, each rotated to it (generalised Procrustes analysis).
+
+    Work is done in blocks of frames, whose sums do not depend on the number of threads.
+    """
+    horizontal = [
+        (np.ascontiguousarray(centred[block, :, 0]), np.ascontiguousarray(centred[block, :, 2]))
+        for block in parallel.blocks(len(centred))
+    ]
     height = centred[..., 1].mean(axis=0)
     pose = centred[len(centred) // 2]
     for _ in range(rounds):
-        angle = _headings(x, z, pose)
-        c, s = np.cos(angle) / len(centred), np.sin(angle) / len(centred)
-        pose = np.stack([c @ x - s @ z, height, c @ z + s @ x], axis=1)
+        facing = pose[:, ::2].copy()
+        x, z = np.zeros(facing.T.shape)
+        for of_x, of_z in parallel.over(lambda block, facing=facing: _rotated_sums(*block, facing), horizontal):
+            x, z = x + of_x, z + of_z
+        pose = np.stack([x / len(centred), height, z / len(centred)], axis=1)
     return pose
+
+
+def _rotated_sums(x: Floats, z: Floats, facing: Floats) -> Floats:
+    """Sums (2, points) over frames of x and z (frames, points), rotated to a pose whose x and z are `facing`."""
+    along_x, along_z = x @ facing, z @ facing
+    turn = np.stack([along_x[:, 0] + along_z[:, 1], along_x[:, 1] - along_z[:, 0]])  # cosine and sine, times a length
+    length = np.sqrt((turn**2).sum(axis=0))
+    turn = np.where(length > 0, turn / np.maximum(length, 1e-300), [[1.0], [0.0]])
+    of_x, of_z = turn @ x, turn @ z
+    return np.stack([of_x[0] - of_z[1], of_z[0] + of_x[1]])

@@ -1,0 +1,158 @@
+// Points on a lattice: cells, places and distances, for codecs/bodycast/lattice_frames.py, lattice.py, octree.py and
+// integer_surface.py, which define the results. Floats by NumPy's operations in its order.
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "octree_surface.h"
+
+namespace {
+
+using Numbers = Input<int64_t, 2>;
+using Values = Input<double, 2>;
+
+void require(bool good) {
+    if (!good) throw std::invalid_argument("lattice_frames: shapes differ, or a row lies beyond the points");
+}
+
+double square(double x, double y, double z) { return x * x + y * y + z * z; }
+
+// The nearest integer, of two the even one. Adding 1.5 · 2^52 leaves no bits below 1.
+double rounded(double value) {
+    constexpr double ALIGNED = 6755399441055744.0;
+    return std::abs(value) < 1e15 ? (value + ALIGNED) - ALIGNED : std::nearbyint(value);
+}
+
+// Numbers beyond 64 bits become the least, as NumPy does on most processors.
+int64_t whole(double value) {
+    return std::abs(value) < 9.2e18 ? int64_t(value) : std::numeric_limits<int64_t>::min();
+}
+
+double rounded_down(double value) {
+    if (!(std::abs(value) < 9e15)) return std::floor(value);
+    const double cut = double(int64_t(value));
+    return cut - (cut > value);
+}
+
+// points (n, 3): the nearest lattice point to each.
+Output<int64_t> nearest_lattice_points(Values points, double step) {
+    const size_t n = points.shape(0);
+    require(points.shape(1) == 3);
+    Fresh<int64_t> cells(3 * n);
+    for (size_t i = 0; i < n; ++i) {
+        double even[3], odd[3], from_even[3], from_odd[3];
+        for (size_t d = 0; d < 3; ++d) {
+            const double scaled = points.data()[3 * i + d] / step;
+            even[d] = 2 * rounded(scaled / 2);
+            odd[d] = 2 * rounded((scaled - 1) / 2) + 1;
+            from_even[d] = scaled - even[d];
+            from_odd[d] = scaled - odd[d];
+        }
+        const bool is_odd = square(from_odd[0], from_odd[1], from_odd[2]) < square(from_even[0], from_even[1], from_even[2]);
+        for (size_t d = 0; d < 3; ++d) cells.data[3 * i + d] = whole(is_odd ? odd[d] : even[d]);
+    }
+    return cells.give({n, 3});
+}
+
+// originals (m, 3), decoded (n, 3), rows (m) of `decoded`: the distance of each original from its own decoded point.
+Output<double> own_distances(Values originals, Values decoded, Input<int64_t, 1> rows) {
+    const size_t m = originals.shape(0), n = decoded.shape(0);
+    require(originals.shape(1) == 3 && decoded.shape(1) == 3 && rows.shape(0) == m);
+    Fresh<double> distances(m);
+    for (size_t i = 0; i < m; ++i) {
+        const int64_t row = rows.data()[i];
+        require(row >= 0 && size_t(row) < n);
+        const double *a = originals.data() + 3 * i, *b = decoded.data() + 3 * size_t(row);
+        distances.data[i] = std::sqrt(square(a[0] - b[0], a[1] - b[1], a[2] - b[2]));
+    }
+    return distances.give({m});
+}
+
+// cells, shifts (n, 3), corner (3): places of the cells after shifts of 2^-bits units. step: of the shifts, metres.
+Output<double> shifted_positions(Numbers cells, Input<int64_t, 1> corner, Numbers shifts, int bits, double step) {
+    const size_t n = cells.shape(0);
+    require(cells.shape(1) == 3 && corner.shape(0) == 3 && shifts.shape(0) == n && shifts.shape(1) == 3 && bits >= 0 && bits < 32);
+    Fresh<double> places(3 * n);
+    for (size_t i = 0; i < n; ++i)
+        for (size_t d = 0; d < 3; ++d) {
+            const uint64_t cell = uint64_t(cells.data()[3 * i + d] + corner.data()[d]) << bits;
+            places.data[3 * i + d] = double(int64_t(cell + uint64_t(shifts.data()[3 * i + d]))) * step;
+        }
+    return places.give({n, 3});
+}
+
+// cells (n, 3), corner (3): their places in units of 1 / scale, rounded down, at most `limit` from the origin.
+Output<int64_t> places_of_cells(Numbers cells, Input<int64_t, 1> corner, double scale, double limit) {
+    const size_t n = cells.shape(0);
+    require(cells.shape(1) == 3 && corner.shape(0) == 3);
+    Fresh<int64_t> places(3 * n);
+    for (size_t i = 0; i < n; ++i)
+        for (size_t d = 0; d < 3; ++d) {
+            const double place = double(cells.data()[3 * i + d] + corner.data()[d]) * scale;
+            places.data[3 * i + d] = int64_t(rounded_down(std::min(std::max(place, -limit), limit)));
+        }
+    return places.give({n, 3});
+}
+
+// cells (n, 3) of coordinates 0 to 2^20 − 1, as octree.morton_codes.
+Output<int64_t> morton_codes(Numbers cells) {
+    const size_t n = cells.shape(0);
+    require(cells.shape(1) == 3);
+    Fresh<int64_t> codes(n);
+    for (size_t i = 0; i < n; ++i) {
+        const int64_t *cell = cells.data() + 3 * i;
+        codes.data[i] = int64_t(point_octree::morton_code(cell[0], cell[1], cell[2]));
+    }
+    return codes.give({n});
+}
+
+// The inverse of spread_bits: every third bit.
+int64_t gathered_bits(uint64_t v) {
+    v &= 0x1249249249249249;
+    v = (v | v >> 2) & 0x10C30C30C30C30C3;
+    v = (v | v >> 4) & 0x100F00F00F00F00F;
+    v = (v | v >> 8) & 0x1F0000FF0000FF;
+    v = (v | v >> 16) & 0x1F00000000FFFF;
+    return int64_t((v | v >> 32) & 0x1FFFFF);
+}
+
+// The inverse of `morton_codes`.
+Output<int64_t> cells_of_codes(Input<int64_t, 1> codes) {
+    const size_t n = codes.shape(0);
+    Fresh<int64_t> cells(3 * n);
+    for (size_t i = 0; i < n; ++i)
+        for (size_t d = 0; d < 3; ++d) cells.data[3 * i + d] = gathered_bits(uint64_t(codes.data()[i]) >> d);
+    return cells.give({n, 3});
+}
+
+// points (m, 3), neighbours (m, k): the median of the squared distances of points from the first of their neighbours.
+int64_t median_gap(Numbers points, Numbers neighbours) {
+    const size_t m = points.shape(0);
+    require(points.shape(1) == 3 && neighbours.shape(0) == m && neighbours.shape(1) > 0 && m > 0);
+    std::vector<int64_t> gaps(m);
+    for (size_t i = 0; i < m; ++i) {
+        const int64_t row = neighbours.data()[neighbours.shape(1) * i];
+        require(row >= 0 && size_t(row) < m);
+        uint64_t sum = 0;
+        for (size_t d = 0; d < 3; ++d) {
+            const uint64_t apart = uint64_t(points.data()[3 * size_t(row) + d]) - uint64_t(points.data()[3 * i + d]);
+            sum += apart * apart;
+        }
+        gaps[i] = int64_t(sum);
+    }
+    std::nth_element(gaps.begin(), gaps.begin() + std::ptrdiff_t(m / 2), gaps.end());
+    return gaps[m / 2];
+}
+
+}  // namespace
+
+void bind_lattice_frames(nb::module_ &m) {
+    m.def("nearest_lattice_points", &nearest_lattice_points);
+    m.def("own_distances", &own_distances);
+    m.def("shifted_positions", &shifted_positions);
+    m.def("places_of_cells", &places_of_cells);
+    m.def("morton_codes", &morton_codes);
+    m.def("cells_of_codes", &cells_of_codes);
+    m.def("median_gap", &median_gap);
+}
