@@ -15,7 +15,7 @@ constexpr int CUBES_OF_SAMPLE = 4;
 constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
 constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
 constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
-constexpr int64_t BEYOND = int64_t(1) << 40;  // distances in which children differ no more
+constexpr int64_t BEYOND = int64_t(1) << 40;  // distance from which on all classes and weights are the same
 constexpr int LEAST_ODDS = 16;
 
 // A byte for each bit of the numbers from 0 to 255, the lowest first.
@@ -237,7 +237,7 @@ private:
         variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
     }
 
-    // The distances of the children from the surface, those beyond BEYOND as BEYOND.
+    // The distances of the children from the surface, at most BEYOND.
     template <int COUNT>
     void find_distances(size_t i, int32_t own, int64_t offset, double *away) const {
         Place first;

@@ -47,7 +47,7 @@ class Effort(NamedTuple):
     iterations: int
 
 
-NONE, USUAL, THOROUGH = Effort(1, 0), Effort(1.06, 1), Effort(1.2, 2)
+NONE, USUAL, THOROUGH = Effort(1, 0), Effort(1.06, 1), Effort(1.12, 2)
 
 
 class _Choices(NamedTuple):

@@ -78,7 +78,9 @@ class PointEncoder:
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
         if target.mean_error is not None:
-            return point_targets.bound_of_mean(target.mean_error, self._mean_error)
+            has_bodies = any(bodies.textures for bodies in self.bodies)
+            share = point_targets.BODY_MEAN_PER_BOUND if has_bodies else point_targets.MEAN_PER_BOUND
+            return point_targets.bound_of_mean(target.mean_error, self._mean_error, target.mean_error / share)
         if target.size is not None:
             return point_targets.finest_that_fits(
                 target.size, lambda bound: sum(map(len, self.coded(bound))), target.beside

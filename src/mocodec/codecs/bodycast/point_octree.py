@@ -116,8 +116,8 @@ def _code_compiled(
 
 
 def samples_of_points(codes: Integers, surface: SurfaceHints) -> Integers:
-    """(points,): a sample of the surface near each of the sorted distinct Morton codes, −1 without one, as `code_octree`
-    returns them.
+    """(points,): a sample of the surface near each of the sorted distinct Morton codes, −1 without one: those that
+    `code_octree` returns.
     """
     if native.kernel("OctreeSurface") is not None:
         return np.asarray(surface.compiled.samples_of_points(codes.astype(np.uint64)))
