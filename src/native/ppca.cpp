@@ -81,7 +81,7 @@ void product(const Left &left, const Matrix &right, size_t count, size_t rows, M
 // Jacobi rotations. A matrix that is almost diagonal takes one or two sweeps.
 void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
     constexpr int SWEEPS = 40;
-    constexpr double RELATIVE = 1e-15, ABSOLUTE = 1e-17;
+    constexpr double RELATIVE = 1e-13, ABSOLUTE = 1e-17;
     std::fill(vectors.of.begin(), vectors.of.end(), 0.0);
     for (size_t i = 0; i < n; ++i) vectors[i][i] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; ++sweep) {
@@ -112,14 +112,27 @@ void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
     }
 }
 
+// The squared length of a row of a matrix.
+double square(const double *row, size_t stride) {
+    Four sums[2] = {Four{} * 0.0, Four{} * 0.0};
+    for (size_t i = 0; i < stride; i += COLUMNS)
+        for (size_t j = 0; j < 2; ++j) {
+            Four part;
+            load(part, row + i + 4 * j);
+            sums[j] += part * part;
+        }
+    const Four sum = sums[0] + sums[1];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 // segment._search, from one start.
 class Search {
 public:
     Search(const Input<double, 2> &poses, size_t leading, double still, nb::callable decompose)
         : dimensions_(poses.shape(1)), leading_(leading), still_(still * still), decompose_(decompose),
           poses_(poses.data()), squares_(dimensions_, dimensions_),
-          covariance_(dimensions_, dimensions_), directions_(dimensions_, leading), image_(dimensions_, leading),
-          gram_(leading, leading), vectors_(leading, leading), turn_(leading, leading),
+          directions_(dimensions_, leading), image_(dimensions_, leading),
+          gram_(leading, leading), vectors_(leading, leading), turn_(leading, leading), away_(0, dimensions_),
           total_(dimensions_, 0.0), mean_(dimensions_, 0.0) {}
 
     // Frames [from, to) become a part of the model of `count` frames.
@@ -132,12 +145,8 @@ public:
         }
         for (size_t i = 0; i < dimensions_; ++i) total_[i] += sum[i];
         product(columns_of(rows), rows, to - from, dimensions_, squares_, true);
-        trace_ = 0;
-        for (size_t i = 0; i < dimensions_; ++i) mean_[i] = total_[i] / double(count);
-        for (size_t i = 0; i < dimensions_; ++i) {
-            for (size_t j = 0; j < dimensions_; ++j) covariance_[i][j] = squares_[i][j] / double(count) - mean_[i] * mean_[j];
-            trace_ += covariance_[i][i];
-        }
+        trace_ = 0, count_ = double(count);
+        for (size_t i = 0; i < dimensions_; ++i) mean_[i] = total_[i] / count_, trace_ += squares_[i][i] / count_ - mean_[i] * mean_[i];
     }
 
     // segment._leading.
@@ -148,20 +157,20 @@ public:
     }
 
     // segment._distance of the frames [from, to).
-    double distance(size_t from, size_t to, double kept) const {
+    double distance(size_t from, size_t to, double kept) {
         size_t p = 0;
         double sum = 0;
         while (p < variances_.size() && sum + variances_[p] < kept * trace_) sum += variances_[p++];
         p = std::min({p + 1, variances_.size(), std::max<size_t>(dimensions_ - 1, 1)});
         sum = std::accumulate(variances_.begin(), variances_.begin() + long(p), 0.0);
         const double rest = (trace_ - sum) / double(std::max<size_t>(dimensions_ - p, 1));
-        Matrix away(to - from, dimensions_);
+        Matrix &away = away_;  // rows are zero behind their dimensions
+        if (away.of.size() < padded(to - from) * away.stride) away = Matrix(to - from, dimensions_);
         double energy = 0;
         for (size_t t = from; t < to; ++t) {
-            double *off = away[t - from], of_frame = 0;
+            double *off = away[t - from];
             for (size_t i = 0; i < dimensions_; ++i) off[i] = poses_[t * dimensions_ + i] - mean_[i];
-            for (size_t i = 0; i < dimensions_; ++i) of_frame += off[i] * off[i];
-            energy += of_frame;
+            energy += square(off, away.stride);
         }
         double along = 0, within = 0;
         if (p) {
@@ -180,7 +189,8 @@ public:
 private:
     void decompose() {
         Fresh<double> copy(dimensions_ * dimensions_);
-        for (size_t i = 0; i < dimensions_; ++i) std::copy_n(covariance_[i], dimensions_, &copy.data[i * dimensions_]);
+        for (size_t i = 0; i < dimensions_; ++i)
+            for (size_t j = 0; j < dimensions_; ++j) copy.data[i * dimensions_ + j] = squares_[i][j] / count_ - mean_[i] * mean_[j];
         nb::object found = decompose_(copy.give({dimensions_, dimensions_}));
         const auto variances = nb::cast<Input<double, 1>>(found[0]);
         const auto directions = nb::cast<Input<double, 2>>(found[1]);
@@ -192,9 +202,14 @@ private:
         for (size_t i = 0; i < dimensions_; ++i) std::copy_n(directions.data() + i * count, count, directions_[i]);
     }
 
-    // One step of subspace iteration from the directions of the last model.
+    // One step of subspace iteration from the directions of the last model: the covariance is squares / count less the mean's.
     void follow() {
-        product(rows_of(covariance_), directions_, dimensions_, dimensions_, image_);
+        product(rows_of(squares_), directions_, dimensions_, dimensions_, image_);
+        along_mean_.assign(image_.stride, 0.0);
+        for (size_t i = 0; i < dimensions_; ++i)
+            for (size_t k = 0; k < image_.stride; ++k) along_mean_[k] += mean_[i] * directions_[i][k];
+        for (size_t i = 0; i < dimensions_; ++i)
+            for (size_t k = 0; k < image_.stride; ++k) image_[i][k] = image_[i][k] / count_ - mean_[i] * along_mean_[k];
         product(columns_of(image_), image_, dimensions_, leading_, gram_);
         diagonalise(gram_, vectors_, leading_);
         std::vector<size_t> order(leading_);
@@ -216,9 +231,9 @@ private:
     const double still_;
     nb::callable decompose_;
     const double *poses_;
-    Matrix squares_, covariance_, directions_, image_, gram_, vectors_, turn_;
-    std::vector<double> total_, mean_, variances_;
-    double trace_ = 0;
+    Matrix squares_, directions_, image_, gram_, vectors_, turn_, away_;
+    std::vector<double> total_, mean_, variances_, along_mean_;
+    double trace_ = 0, count_ = 0;
 };
 
 // segment._search in poses (frames, dimensions) from frame 0: H after each growth, and the number of the growth before which to

@@ -41,6 +41,7 @@ def closest_within(
     margin: float = 0.1,
     tries: int = 24,
     whole: bool = True,
+    close: float = 0.0,
 ) -> Trial[Result] | None:
     """The trial farthest towards larger values whose value is at most 1, or None where no trial has one.
 
@@ -48,7 +49,7 @@ def closest_within(
     with the setting. stride(logarithm of the value): how far to go, in settings, while all values are on one side of
     the limit. farthest: from start. Between two sides, the secant through the logarithms aims at `aim`, and stays away
     from the ends of the bracket by `margin` of its width. A value from `near` to 1 ends the search. whole: whether
-    settings are whole numbers.
+    settings are whole numbers. close: width of a bracket that ends the search, where they are not: values may jump.
     """
     best: Trial[Result] | None = None
     inside: tuple[float, float] | None = None  # setting and logarithm of the last value on either side of the limit
@@ -64,7 +65,7 @@ def closest_within(
         else:
             outside = here
         if inside and outside:
-            if whole and abs(inside[0] - outside[0]) <= 1:
+            if abs(inside[0] - outside[0]) <= (1 if whole else close):
                 break
             setting = _between(inside, outside, math.log(aim), margin, whole)
         else:

@@ -135,3 +135,17 @@ def test_a_still_beginning_does_not_choose_the_stride() -> None:
     later = sum(len(c.payload) for c in whole.chunks if c.start >= 600)
     frames = sum(c.frames for c in whole.chunks if c.start >= 600)
     assert later / frames <= 1.03 * after.payload_bytes / 1800
+
+
+def test_trials_in_vain_rule_out_others_with_higher_estimates() -> None:
+    outcomes = engine_choice.Outcomes()
+    outcomes.learn(0.8, 0.9)
+    for _ in range(engine_choice.IN_VAIN):
+        assert not outcomes.rule_out(1.0)
+        outcomes.learn(0.9, 1.1)
+    assert not outcomes.rule_out(0.85)
+    assert not outcomes.rule_out(0.7)
+    ruled_out = [outcomes.rule_out(1.0) for _ in range(engine_choice.TRIED_EVERY)]
+    assert ruled_out == [True] * (engine_choice.TRIED_EVERY - 1) + [False]
+    outcomes.learn(1.0, 0.9)
+    assert not outcomes.rule_out(0.95)

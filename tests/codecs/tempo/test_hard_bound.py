@@ -31,6 +31,27 @@ def test_most_chunks_are_tried_once_or_twice(monkeypatch: pytest.MonkeyPatch) ->
     assert error(motion, Tempo.decode(encoded)).max() <= 0.01
 
 
+def test_a_block_begins_with_the_step_of_the_block_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    offsets, within = list[int](), chunk.ChunkEncoder.within_bound
+
+    def recorded(encoder: chunk.ChunkEncoder, bound: float, offset: int, *most_bits: float) -> chunk.Draft:
+        offsets.append(offset)
+        return within(encoder, bound, offset, *most_bits)
+
+    monkeypatch.setattr(chunk.ChunkEncoder, "within_bound", recorded)
+    motion = named_points(1200)
+    source = prepare(motion.positions, motion.up)
+    model = model_choice.choose(Recording([source.smooth], motion, -200), "points-prior").model
+    earlier = hard_bound.Earlier()
+    for first in (0, 600):
+        offsets.clear()
+        begin = earlier.begin
+        bounds = [(start, start + 100) for start in range(first, first + 600, 100)]
+        hard_bound.to_bound(chunk.encoders(model, source, bounds), 0.01, earlier=earlier)
+        assert offsets[0] == (chunk.FIRST_OFFSET if begin is None else begin[0])
+    assert len(offsets) <= 3 + 2 * (len(bounds) - 1)
+
+
 def test_a_step_whose_coefficients_take_too_many_bits_is_given_up() -> None:
     motion = named_points(300)
     source = prepare(motion.positions, motion.up)

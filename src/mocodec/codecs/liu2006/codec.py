@@ -29,7 +29,7 @@ from ...typing import Floats
 from .. import base, rescue
 from . import body_poses, decoding, marker_groups, segment_model
 from .marker_groups import MarkerGroups
-from .segment_model import SegmentModel
+from .segment_model import PrincipalComponents, SegmentModel
 
 MEANS_PER_BOUND = (0.5, 10.0, 40.0)
 """With `max_error`, mean errors of the method in parts of the bound; the residual layer corrects the rest. They are
@@ -47,11 +47,24 @@ total error.
 """
 
 ATTEMPTS = 10
-NEAR_ENOUGH = 0.98
-AIM = 0.99
+NEAR_ENOUGH = 0.985
+AIM = 0.995
+CLOSE = 0.01
 FARTHEST = 25.0
-"""The search for a target: most attempts, the measure that ends it, the measure that it aims at, and the largest
-logarithm of a scale."""
+"""The search for a target: most attempts, the measure that ends it, the measure that it aims at, the distance of two
+logarithms of scales, one on either side of the target, that ends it (errors jump where a component is left out), and
+the largest change of a logarithm."""
+
+NEAR_BY = 1.25
+"""Scales that differ by less than this factor share their principal components."""
+
+USUAL_MEAN_M = 0.028
+"""A usual mean error at the paper's tolerances, metres: errors are nearly proportional to their scale."""
+
+Fit = Callable[[float], list[SegmentModel]]
+"""The models of all segments at a scale of the tolerances."""
+Components = list[list[PrincipalComponents]]
+"""Of each segment and PCA group."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +126,8 @@ class Liu2006:
         markers = marker_groups.assign(moving, self.normalisation_markers, self.foot_markers)
         segments = self.segment_motion(positions, markers, motion.up).segments
 
-        def fit(scale: float) -> list[SegmentModel]:
-            return self.fit_segments(positions, markers, segments, motion.up, scale)
+        def fitting() -> Fit:
+            return self._fitting(positions, markers, segments, motion.up)
 
         known = lattice.neighbours(positions) if self.max_error is not None and lattice.is_fast() else None
 
@@ -127,10 +140,11 @@ class Liu2006:
 
         if self.ratio is not None:
             allowed = motion.raw_bytes / self.ratio
-            return encoded(steer(fit, lambda models: encoded(models).payload_bytes / allowed, grows=False))
+            return encoded(steer(fitting(), lambda models: encoded(models).payload_bytes / allowed, 1.0, grows=False))
 
         def to_mean(target: float) -> Encoded[Motion]:
-            return encoded(steer(fit, lambda models: mean_error(models) / target, grows=True))
+            first = target / USUAL_MEAN_M
+            return encoded(steer(fitting(), lambda models: mean_error(models) / target, first, grows=True))
 
         if self.mean_error is not None:
             try:
@@ -142,7 +156,9 @@ class Liu2006:
                 return dataclasses.replace(bounded.encode(motion), settings=base.settings(self))
             rescue.require_kept(motion, {"mean_error": self.mean_error}, result, Liu2006.decode)
             return result
-        return _smallest_within(self.max_error, to_mean) if self.max_error is not None else encoded(fit(1.0))
+        if self.max_error is not None:
+            return _smallest_within(self.max_error, to_mean)
+        return encoded(self.fit_segments(positions, markers, segments, motion.up, 1.0))
 
     def segment_motion(self, positions: Floats, markers: MarkerGroups, up: str) -> segment.Segmentation:
         """Normalise, and cut where the distribution of poses changes: sections 3.1 and 3.2."""
@@ -157,16 +173,36 @@ class Liu2006:
         )
         return segment.Segmentation(segment.no_longer_than(found.segments, longest), found.curves)
 
+    def _fitting(self, positions: Floats, markers: MarkerGroups, segments: Sequence[slice], up: str) -> Fit:
+        """`fit_segments` at any scale. The principal components are those of the poses at a scale near by, if there was
+        one before: poses depend on the scale only by the errors of the normalisation markers."""
+        components, scale_of_components = Components(), np.inf
+
+        def fit(scale: float) -> list[SegmentModel]:
+            nonlocal components, scale_of_components
+            models, poses = self._normalised(positions, markers, segments, up, scale)
+            if not 1 / NEAR_BY < scale / scale_of_components < NEAR_BY:
+                components = [[segment_model.principal_components(group[one]) for group in poses] for one in segments]
+                scale_of_components = scale
+            return self._fit_models(models, poses, components, markers, scale)
+
+        return fit
+
     def fit_segments(
         self, positions: Floats, markers: MarkerGroups, segments: Sequence[slice], up: str, scale: float
     ) -> list[SegmentModel]:
-        """Key frames and PCA models of every segment, with all tolerances times `scale`: sections 3.3 and 3.4.
+        """Key frames and PCA models of every segment, with all tolerances times `scale`: sections 3.3 and 3.4."""
+        return self._fitting(positions, markers, segments, up)(scale)
+
+    def _normalised(
+        self, positions: Floats, markers: MarkerGroups, segments: Sequence[slice], up: str, scale: float
+    ) -> tuple[list[SegmentModel], list[Floats]]:
+        """Models of the normalisation markers alone, and the poses (frames, dimensions) of each PCA group.
 
         Departure from the paper: poses are normalised by the decoded normalisation markers, not the captured ones, so
         errors of these markers do not turn the body. See docs/papers/liu2006.md.
         """
         captured = positions[:, markers.normalisation]
-        fineness = self.fineness or self._default_fineness
         tolerance = scale * self.normalisation_tolerance * captured.shape[1]
         models = [
             SegmentModel(
@@ -174,24 +210,45 @@ class Liu2006:
                 one.stop,
                 before=0,
                 after=0,
-                markers=segment_model.fit_normalisation_markers(captured[one], tolerance, fineness),
+                markers=segment_model.fit_normalisation_markers(captured[one], tolerance, self._fineness),
                 groups=(),
             )
             for one in segments
         ]
         if not markers.pca_groups:
-            return models
+            return models, []
         decoded = np.concatenate([model.normalisation(model.start, model.stop) for model in models])
         frame = body_frame.from_markers(decoded, up)
-        group_poses = [body_poses.to_body(positions, columns, frame) for columns in markers.pca_groups]
-        return [self._fit_groups(model, group_poses, markers, scale, fineness) for model in progress.over(models)]
+        return models, [body_poses.to_body(positions, columns, frame) for columns in markers.pca_groups]
+
+    def _fit_models(
+        self,
+        models: list[SegmentModel],
+        poses: list[Floats],
+        components: Components,
+        markers: MarkerGroups,
+        scale: float,
+    ) -> list[SegmentModel]:
+        """`models` with a PCA model of each group, from `_normalised`. components: of each segment and group."""
+        if not poses:
+            return models
+        return [
+            self._fit_groups(model, poses, of_segment, markers, scale)
+            for model, of_segment in progress.over(list(zip(models, components, strict=True)))
+        ]
 
     @property
-    def _default_fineness(self) -> float:
-        return FINENESS_WITH_TARGET if self.max_error or self.mean_error or self.ratio else FINENESS
+    def _fineness(self) -> float:
+        has_target = self.max_error or self.mean_error or self.ratio
+        return self.fineness or (FINENESS_WITH_TARGET if has_target else FINENESS)
 
     def _fit_groups(
-        self, model: SegmentModel, group_poses: list[Floats], markers: MarkerGroups, scale: float, fineness: float
+        self,
+        model: SegmentModel,
+        group_poses: list[Floats],
+        components: Sequence[PrincipalComponents],
+        markers: MarkerGroups,
+        scale: float,
     ) -> SegmentModel:
         """`model` with a PCA model of each group, which reaches half a blend into the neighbouring segments."""
         margin = self.blend_frames // 2
@@ -201,11 +258,12 @@ class Liu2006:
             segment_model.fit_poses(
                 poses[first:last],
                 own,
+                known,
                 pca_tolerance=scale * (self.foot_tolerance if columns is markers.feet else self.pca_tolerance),
                 spline_tolerance=scale * self.spline_tolerance * len(columns),
-                fineness=fineness,
+                fineness=self._fineness,
             )
-            for columns, poses in zip(markers.pca_groups, group_poses, strict=True)
+            for columns, poses, known in zip(markers.pca_groups, group_poses, components, strict=True)
         ]
         return dataclasses.replace(model, before=own.start, after=last - model.stop, groups=tuple(fitted))
 
@@ -274,11 +332,15 @@ def _pack_residual(
 
 
 def steer(
-    fit: Callable[[float], list[SegmentModel]], measure: Callable[[list[SegmentModel]], float], grows: bool
+    fit: Fit,
+    measure: Callable[[list[SegmentModel]], float],
+    first: float,
+    grows: bool,
 ) -> list[SegmentModel]:
     """Search for the scale of the tolerances at which `measure` of the fitted models is largest, but at most 1.
 
-    grows: the measure grows with the scale; False: it falls. Raises CannotEncode if it exceeds 1 at every scale tried.
+    first: the scale to begin with. grows: the measure grows with the scale; False: it falls. Raises CannotEncode if it
+    exceeds 1 at every scale tried.
     """
 
     def tried(log_scale: float) -> tuple[float, list[SegmentModel]]:
@@ -287,7 +349,7 @@ def steer(
 
     found = search.closest_within(
         progress.attempts(tried),
-        0.0,
+        float(np.log(first)),
         rising=grows,
         stride=lambda log: min(abs(np.log(AIM) - log), 3.0) * (1 if grows else 2),
         farthest=FARTHEST,
@@ -296,6 +358,7 @@ def steer(
         margin=0.05,
         tries=ATTEMPTS,
         whole=False,
+        close=CLOSE,
     )
     if found is None:
         raise CannotEncode("liu2006 cannot reach the target: ask for a larger error or a lower ratio")

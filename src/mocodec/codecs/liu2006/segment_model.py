@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,12 +93,16 @@ class PcaModel:
     def place(self, start: int, columns: Integers, frame: body_frame.BodyFrame, positions: Floats) -> bool:
         """Poses from frame `start` of the track on into these columns of positions (frames, points, 3), in one compiled
         call; False without the compiled module."""
-        if self.track.compiled is None:
+        if self.compiled is None:
             return False
-        self.track.compiled.place(
-            start, self.basis, self.mean, columns, frame.origin, frame.heading, frame.up, positions
-        )
+        self.compiled.place(start, columns, frame.origin, frame.heading, frame.up, positions)
         return True
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The poses of the compiled module, None without."""
+        kernel = native.kernel("PoseSpline")
+        return None if kernel is None else kernel(self.track.keys.by_level, self.track.values, self.basis, self.mean)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,31 +145,50 @@ def fit_normalisation_markers(markers: Floats, tolerance: float, fineness: float
     return KeyframeTrack(keys, rung, numbers, values)
 
 
-def fit_poses(poses: Floats, own: slice, pca_tolerance: float, spline_tolerance: float, fineness: float) -> PcaModel:
+class PrincipalComponents(NamedTuple):
+    """Of poses (frames, dimensions): vectors (dimensions, dimensions), strongest first; variances (dimensions,)."""
+
+    vectors: Floats
+    variances: Floats
+
+
+def principal_components(poses: Floats) -> PrincipalComponents:
+    """Of poses (frames, dimensions): section 3.3."""
+    centred = poses - poses.mean(axis=0)
+    return PrincipalComponents(*basis.fit(centred.T @ centred / len(centred)))
+
+
+def fit_poses(
+    poses: Floats,
+    own: slice,
+    components: PrincipalComponents,
+    pca_tolerance: float,
+    spline_tolerance: float,
+    fineness: float,
+) -> PcaModel:
     """PCA and key frames of one group: sections 3.3 and 3.4.
 
     poses (frames, 3 × markers): those of a segment and its blend margins, metres; `own` selects the segment's frames.
     pca_tolerance: largest error of the discarded components, metres, root mean square over frames and markers.
     spline_tolerance: largest error of the interpolated projections in any frame, metres, L2 norm. fineness: the
-    quantisation step as a fraction of spline_tolerance.
+    quantisation step as a fraction of spline_tolerance. components: of these poses, or of almost the same.
     """
     mean = poses[own].mean(axis=0)
-    centred = poses[own] - mean
-    components, variances = basis.fit(centred.T @ centred / len(centred))
+    vectors, variances = components
     k = components_needed(variances, pca_tolerance, len(mean) // 3)
-    components, variances = components[:, :k], variances[:k]
+    vectors, variances = vectors[:, :k], variances[:k]
 
-    keys = spline.keyframes((poses - mean) @ components, spline_tolerance)
+    keys = spline.keyframes((poses - mean) @ vectors, spline_tolerance)
     rung = quantise.rung(spline_tolerance * fineness)
     model_step = _model_step(rung, keys)
     mean_numbers = quantise.forward(mean, model_step)
     mean = quantise.inverse(mean_numbers, model_step)
     precision = np.maximum.accumulate(basis.precisions(variances, model_step)[::-1])[::-1]
-    rounded = basis.rounded(components, precision)
+    rounded = basis.rounded(vectors, precision)
 
     projections = (poses[keys.by_level] - mean) @ rounded
     numbers, values = spline.differences(keys, projections, quantise.step(rung))
-    return PcaModel(mean_numbers, mean, components, precision, rounded, KeyframeTrack(keys, rung, numbers, values))
+    return PcaModel(mean_numbers, mean, vectors, precision, rounded, KeyframeTrack(keys, rung, numbers, values))
 
 
 def components_needed(variances: Floats, tolerance: float, markers: int) -> int:

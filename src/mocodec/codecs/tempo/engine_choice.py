@@ -8,6 +8,7 @@ The sample decides before a model is fitted, since fitting takes longest where t
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -50,6 +51,9 @@ TRIED_EVERY = 5
 """The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
 """Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
+REMEMBERED, IN_VAIN, VAIN_SAVING = 32, 4, 0.03
+"""Of a recording in blocks, so many of the last trials of the lattice engine are remembered. So many in vain at lower
+estimates, with none of use at a higher one, rule another trial out; a trial is in vain below this saving."""
 LEAST_BITS = 0.38
 """Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
 transform takes at least as many bits for a chunk."""
@@ -179,3 +183,31 @@ class EngineTrials:
         self._chunks += 1
         self._transform_bytes = MEMORY * self._transform_bytes + transform_bytes
         self._lattice_bytes = MEMORY * self._lattice_bytes + lattice_bytes
+
+
+class Outcomes:
+    """Trials of the lattice engine in the blocks of a recording: whether another one is likely to be as useless.
+
+    The bytes of the engine over its estimate differ between recordings and bounds, by half or more, but not between
+    chunks of one recording that have about the same estimate.
+    """
+
+    def __init__(self) -> None:
+        self._tried = deque[tuple[float, bool]](maxlen=REMEMBERED)
+        """Estimate over the transform's bytes, and whether the trial was in vain."""
+        self._ruled_out = 0
+
+    def rule_out(self, estimate: float) -> bool:
+        """Whether the next chunk is not tried. estimate: over the transform's bytes.
+
+        One in TRIED_EVERY of the chunks that are ruled out is tried nevertheless, since the motion may have changed.
+        """
+        lower = sum(in_vain for tried, in_vain in self._tried if tried <= estimate)
+        if lower < IN_VAIN or not all(in_vain for tried, in_vain in self._tried if tried >= estimate):
+            return False
+        self._ruled_out += 1
+        return self._ruled_out % TRIED_EVERY != 0
+
+    def learn(self, estimate: float, lattice: float) -> None:
+        """The outcome of a trial: estimate and bytes of the engine over the transform's bytes."""
+        self._tried.append((estimate, lattice > 1 - VAIN_SAVING))

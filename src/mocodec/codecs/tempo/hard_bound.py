@@ -16,7 +16,7 @@ once.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -28,10 +28,11 @@ from ...typing import Floats
 from . import chunk, chunk_decoding, compiled_chunks
 from .chunk import BATCH, FIRST_OFFSET, TRANSFORM, ChunkEncoder, Draft, OnLattice, Payload, grid_step
 from .coding import direct
-from .engine_choice import LEAST_SAVING, EngineTrials, LatticePlan
+from .engine_choice import FEWEST_FRAMES, LEAST_SAVING, EngineTrials, LatticePlan, Outcomes
 
 SEARCHED = 4
-"""At most this many chunks are searched, whatever the length of the recording."""
+"""At most this many chunks are searched, whatever the length of the recording; one where an earlier block shows where
+to begin."""
 BEST_OFFSET, BEST_SLOPE = 31.2, -8.6
 """Offsets are log₂ of the step in bounds, 1/32 octave."""
 STRIDE, NEAR = 8, 5
@@ -46,11 +47,25 @@ step has measured what the compiled module decodes."""
 
 @dataclass(frozen=True)
 class Searched:
-    """A chunk's draft, its offset, and how far this is from the predicted one."""
+    """A chunk, its draft, the offset of its step, and how far this is from the predicted one."""
 
+    encoder: ChunkEncoder
     draft: Draft
     offset: int
     beside: float
+
+
+@dataclass
+class Earlier:
+    """What earlier blocks of a recording show for the next one.
+
+    begin: where a search begins, the last one's offset and how far it was from the predicted one; side: where it ends,
+    with an offset to this side. lattice: outcomes of trials of the lattice engine.
+    """
+
+    begin: tuple[int, float] | None = None
+    side: int = STRIDE
+    lattice: Outcomes = field(default_factory=Outcomes)
 
 
 @dataclass(frozen=True)
@@ -66,25 +81,29 @@ class Packed:
 
 
 def to_bound(
-    encoders: Sequence[ChunkEncoder], bound: float, plan: LatticePlan | None = None, model_bytes: int = 0
+    encoders: Sequence[ChunkEncoder],
+    bound: float,
+    plan: LatticePlan | None = None,
+    model_bytes: int = 0,
+    earlier: Earlier | None = None,
 ) -> list[bytes]:
     """Payloads that decode to within the bound (metres) at every sample.
 
     plan: how the lattice engine is used, None to leave it out. model_bytes: what the transform needs beside the chunks;
-    each chunk that it codes is charged with its share. One that exceeds the bound after all is replaced by the direct
-    engine's, which never does.
+    each chunk that it codes is charged with its share. earlier: of the same recording, updated with these chunks. A
+    payload that exceeds the bound after all is replaced by the direct engine's, which never does.
     """
-    every = -(-len(encoders) // SEARCHED)
     has_transform = encoders[0].model.rows > 0
-    searched = list(parallel.over(lambda e: _search(e, bound), encoders[::every])) if has_transform else []
-    on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, encoders)
+    searched = _searched(encoders, bound, earlier) if has_transform else []
+    every = -(-len(encoders) // max(1, len(searched)))
+    on_lattice = None if plan is None else _LatticeTrials(plan, bound, model_bytes, encoders, earlier)
     payloads: list[bytes] = []
     for first in range(0, len(encoders), BATCH):
         batch = encoders[first : first + BATCH]
 
         def drafted(number: int) -> Draft | Packed:
             before, encoder = searched[number // every], encoders[number]
-            draft = before.draft if number % every == 0 else _near(encoder, bound, before)
+            draft = before.draft if encoder is before.encoder else _near(encoder, bound, before)
             alone = plan is None or _takes_few_bits(encoder, draft, plan)
             if draft.numbers is None or not alone or not compiled_chunks.decodes(encoder.model, encoder.frames):
                 return draft
@@ -117,22 +136,42 @@ def _predicted(encoder: ChunkEncoder, bits: float) -> float:
     return float(np.clip(BEST_OFFSET + BEST_SLOPE * np.log2(of_coordinate), LEAST_OFFSET, MOST_OFFSET))
 
 
-def _search(encoder: ChunkEncoder, bound: float) -> Searched:
-    """The cheapest of the first offset, the one that its bits predict, and one to either side."""
-    tried = {FIRST_OFFSET: encoder.within_bound(bound, FIRST_OFFSET)}
+def _searched(encoders: Sequence[ChunkEncoder], bound: float, earlier: Earlier | None) -> list[Searched]:
+    """Chunks that others follow: of equally many consecutive chunks one each."""
+    if earlier is None or earlier.begin is None:
+        every = -(-len(encoders) // SEARCHED)
+        found = list(parallel.over(lambda e: _search(e, bound), encoders[::every]))
+    else:
+        longest = max(encoders, key=lambda e: e.frames)
+        found = [_search(longest, bound, earlier.begin, (earlier.side,))]
+        earlier.side = -earlier.side
+    if earlier is not None and found[-1].draft.numbers is not None:
+        earlier.begin = found[-1].offset, found[-1].beside
+    return found
+
+
+def _search(
+    encoder: ChunkEncoder,
+    bound: float,
+    begin: tuple[int, float] = (FIRST_OFFSET, 0.0),
+    sides: tuple[int, ...] = (STRIDE, -STRIDE),
+) -> Searched:
+    """The cheapest of the first offset, the one that its bits predict, and one to a side. begin: the first offset, and
+    what is added to the predicted one."""
+    first, beside = begin
+    tried = {first: encoder.within_bound(bound, first)}
 
     def cheaper(at: int, other: int) -> int:
         if other not in tried:
             tried[other] = encoder.within_bound(bound, other, tried[at].bits)
         return other if tried[other].numbers is not None and tried[other].bits < tried[at].bits else at
 
-    at = FIRST_OFFSET
+    at = first
     if tried[at].numbers is not None:
-        at = cheaper(at, round(_predicted(encoder, tried[at].bits)))
-        begin = at
-        at = cheaper(begin, begin + STRIDE)
-        at = cheaper(begin, begin - STRIDE) if at == begin else at
-    return Searched(tried[at], at, at - _predicted(encoder, tried[at].bits))
+        near = at = cheaper(at, round(_predicted(encoder, tried[at].bits) + beside))
+        for side in sides:
+            at = cheaper(near, near + side) if at == near else at
+    return Searched(encoder, tried[at], at, at - _predicted(encoder, tried[at].bits))
 
 
 def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
@@ -148,9 +187,18 @@ def _near(encoder: ChunkEncoder, bound: float, before: Searched) -> Draft:
 class _LatticeTrials:
     """The lattice engine, for the chunks that it may make smaller."""
 
-    def __init__(self, plan: LatticePlan, bound: float, model_bytes: int, encoders: Sequence[ChunkEncoder]) -> None:
+    def __init__(
+        self,
+        plan: LatticePlan,
+        bound: float,
+        model_bytes: int,
+        encoders: Sequence[ChunkEncoder],
+        earlier: Earlier | None,
+    ) -> None:
         self._plan, self._bound, self._model_bytes, self._chunks = plan, bound, model_bytes, len(encoders)
         self._trials = EngineTrials()
+        self._outcomes = None if earlier is None else earlier.lattice
+        self._estimates: dict[ChunkEncoder, float] = {}  # over the transform's bytes
         self._typical = encoders[len(encoders) // 2]
         self._number = 0
 
@@ -168,15 +216,21 @@ class _LatticeTrials:
         stride, of_typical = self._best if tried else (0, None)
 
         def on_lattice(i: int) -> OnLattice | None:
-            return of_typical if encoders[i] is self._typical else self._of_stride(encoders[i], stride)
+            known = of_typical if encoders[i] is self._typical else None
+            return known or self._of_stride(encoders[i], stride)
 
         for i, one in zip(tried, parallel.over(on_lattice, tried), strict=True):
             found[i], draft = one, drafts[i]
             if draft is None:
                 progress.report((first + i + 1) / self._chunks)
             if one is not None and draft is not None and draft.numbers is not None:
-                self._trials.learn(draft.bits / 8 + self.share, len(one.payload))
+                self._learn(encoders[i], draft.bits / 8 + self.share, len(one.payload))
         return found
+
+    def _learn(self, encoder: ChunkEncoder, transform_bytes: float, lattice_bytes: int) -> None:
+        self._trials.learn(transform_bytes, lattice_bytes)
+        if self._outcomes is not None and encoder.frames >= FEWEST_FRAMES:
+            self._outcomes.learn(self._estimates.pop(encoder), lattice_bytes / max(1.0, transform_bytes))
 
     def _tries(self, encoder: ChunkEncoder, draft: Draft | None) -> bool:
         """Whether the next chunk is tried."""
@@ -186,20 +240,26 @@ class _LatticeTrials:
         if _takes_few_bits(encoder, draft, self._plan) or not self._trials.tries_lattice(number):
             return False
         estimate = encoder.estimate_on_lattice(self._bound, self._plan.stride)
-        return estimate <= self._plan.unlikely * (draft.bits / 8 + self.share)
+        transform_bytes = draft.bits / 8 + self.share
+        if estimate > self._plan.unlikely * transform_bytes:
+            return False
+        if self._outcomes is None or encoder.frames < FEWEST_FRAMES:
+            return True
+        self._estimates[encoder] = estimate / max(1.0, transform_bytes)
+        return not self._outcomes.rule_out(self._estimates[encoder])
 
     def _of_stride(self, encoder: ChunkEncoder, stride: int) -> OnLattice | None:
         return encoder.on_lattice(self._bound, self._plan.neighbours, stride)
 
     @cached_property
     def _best(self) -> tuple[int, OnLattice | None]:
-        """The stride for all chunks, and the middle chunk in it.
+        """The stride for all chunks, and the middle chunk in it if it was coded to find the stride.
 
         It is the sample's stride, or a longer one where the chunk is smaller: longer strides have more weights to
         learn, which pays in a whole chunk.
         """
         stride = self._plan.stride
-        best = self._of_stride(self._typical, stride)
+        best = self._of_stride(self._typical, stride) if stride < lattice.USUAL_STRIDE else None
         while best is not None and stride < lattice.USUAL_STRIDE:
             longer = self._of_stride(self._typical, stride + 1)
             if longer is None or len(longer.payload) >= len(best.payload):

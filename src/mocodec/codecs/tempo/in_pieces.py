@@ -67,6 +67,7 @@ class PieceEncoder:
         self._bound = bound
         self.about = about(sample, has_rotations=self._rotations is not None)
         self._plan, self._steady = None, None
+        self._earlier = hard_bound.Earlier()
         self._fit(replace(sample, rotations=None), list(cuts))
         self._waiting: list[Motion] = []
         self._start = 0
@@ -165,7 +166,7 @@ class PieceEncoder:
             step = target.step_for_bound(self._bound)
             for encoder in encoders:
                 encoder.refill_gaps(step)
-            return hard_bound.to_bound(encoders, self._bound, self._plan)
+            return hard_bound.to_bound(encoders, self._bound, self._plan, earlier=self._earlier)
         for encoder in encoders:
             encoder.refill_gaps(self._steady.step)
         return self._steady.payloads(encoders)

@@ -128,7 +128,8 @@ def _in_order_tried(names: Sequence[str]) -> list[str]:
 def _clearly_cheapest(recording: Recording, names: Sequence[str], number: int) -> Choice | None:
     """The model that is by far the cheapest for one chunk; None where this chunk does not decide."""
     candidates = [candidate for name in names for candidate in _fitted(name, recording)]
-    priced = sorted((_priced(c, recording, range(number, number + 1)) for c in candidates), key=lambda each: each[0])
+    tried = parallel.over(lambda c: _priced(c, recording, range(number, number + 1)), candidates)
+    priced = sorted(tried, key=lambda each: each[0])
     is_clear = len(priced) == 1 or (priced and priced[0][0] < CLEARLY * priced[1][0])
     return priced[0][1] if is_clear else None
 

@@ -113,8 +113,7 @@ def _named(recording: Recording, known: Prior, columns: Integers) -> NamedDirect
     """With the proportions of the skeleton, or measured ones, whichever fit the positions first."""
     each = max(1, min(SAMPLED_FRAMES, MOST_SAMPLED // len(recording.chunks)))
     sampled = (r[:: max(1, len(r) // each)] for r in recording.chunks[:: max(1, len(recording.chunks) // MOST_SAMPLED)])
-    poses = np.concatenate([r[:, columns] for r in sampled])
-    poses = poses - poses.mean(axis=1, keepdims=True)
+    poses = heading.centred([r[:, columns] for r in sampled])
     tolerance = _tolerance(recording.step)
 
     def candidates() -> Iterator[NamedDirections]:

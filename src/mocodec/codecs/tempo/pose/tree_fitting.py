@@ -87,9 +87,10 @@ def _spanning(usual: Floats, rigid: Booleans) -> tuple[int, ...] | None:
 def represents(tree: BoneTree, poses: Floats, tolerance_m: float) -> bool:
     """Whether poses (frames, points, 3), in the tree's order, come back from their bone directions within the
     tolerance, in nearly all samples."""
-    centred = poses - poses.mean(axis=1, keepdims=True)
-    decoded = bone_directions.inverse(tree, bone_directions.forward(tree, centred))
-    off = np.sqrt(((decoded - centred) ** 2).sum(axis=2))
+    centred = np.ascontiguousarray(poses.T)  # NumPy's loops run along the frames
+    centred -= centred.mean(axis=1, keepdims=True)
+    decoded = bone_directions.inverse(tree, bone_directions.forward(tree, centred.T)).T
+    off = np.sqrt(((decoded - centred) ** 2).sum(axis=0))
     return bool((off > tolerance_m).mean() < LOOSE_SHARE)
 
 
