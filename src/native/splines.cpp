@@ -31,18 +31,33 @@ public:
         if (count > 2 && k) bend();
     }
 
+    // At a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
+    struct Weights {
+        size_t left;
+        double of[4];
+    };
+
+    // Of two keys or more.
+    Weights weights(int64_t t) {
+        if (t < key_[left_] || t >= key_[left_ + 1])  // frames mostly ascend
+            left_ = std::clamp<size_t>(size_t(std::upper_bound(key_, key_ + count_, t) - key_), 1, count_ - 1) - 1;
+        const double b = double(t - key_[left_]) / width_[left_], a = 1.0 - b, bend = width_[left_] * width_[left_] / 6;
+        return {left_, {a, b, (a * a * a - a) * bend, (b * b * b - b) * bend}};
+    }
+
     void at(int64_t t, double *out) {
         if (count_ < 2) {
             std::copy_n(values_.data(), k_, out);
             return;
         }
-        if (t < key_[left_] || t >= key_[left_ + 1])  // frames mostly ascend
-            left_ = std::clamp<size_t>(size_t(std::upper_bound(key_, key_ + count_, t) - key_), 1, count_ - 1) - 1;
-        const double b = double(t - key_[left_]) / width_[left_], a = 1.0 - b, bend = width_[left_] * width_[left_] / 6;
-        const double of_left = (a * a * a - a) * bend, of_right = (b * b * b - b) * bend;
-        const double *v = &values_[left_ * k_], *c = &curvature_[left_ * k_];
+        const Weights weight = weights(t);
+        const double a = weight.of[0], b = weight.of[1], of_left = weight.of[2], of_right = weight.of[3];
+        const double *v = value(weight.left), *c = curvature(weight.left);
         for (size_t i = 0; i < k_; ++i) out[i] = a * v[i] + b * v[k_ + i] + of_left * c[i] + of_right * c[k_ + i];
     }
+
+    const double *value(size_t key) const { return &values_[key * k_]; }
+    const double *curvature(size_t key) const { return &curvature_[key * k_]; }
 
 private:
     // spline._curvature: LAPACK's ptsv.
@@ -113,13 +128,31 @@ ALWAYS_INLINE void multiply(const double *curves, size_t k, const double *basis,
         }
 }
 
+// to (columns) = the sum of two values and two curvatures, each (2, columns), by Spline::Weights.
+ALWAYS_INLINE void combine(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
+    for (size_t column = 0; column < columns; column += 4) {
+        Four left, right, bend_left, bend_right;
+        load(left, values + column), load(right, values + columns + column);
+        load(bend_left, curvatures + column), load(bend_right, curvatures + columns + column);
+        store(left * weights[0] + right * weights[1] + bend_left * weights[2] + bend_right * weights[3], to + column);
+    }
+}
+
 void multiply_anywhere(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
     multiply(curves, k, basis, mean, columns, to);
+}
+
+void combine_anywhere(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
+    combine(values, curvatures, weights, columns, to);
 }
 
 #ifdef HAS_AVX2_TWIN
 WITH_AVX2 void multiply_with_avx2(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
     multiply(curves, k, basis, mean, columns, to);
+}
+
+WITH_AVX2 void combine_with_avx2(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
+    combine(values, curvatures, weights, columns, to);
 }
 #endif
 
@@ -129,6 +162,14 @@ void product(const double *curves, size_t k, const double *basis, const double *
     if (has_avx2) return multiply_with_avx2(curves, k, basis, mean, columns, to);
 #endif
     multiply_anywhere(curves, k, basis, mean, columns, to);
+}
+
+void weighted_sum(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return combine_with_avx2(values, curvatures, weights, columns, to);
+#endif
+    combine_anywhere(values, curvatures, weights, columns, to);
 }
 
 // The spline of a segment_model.KeyframeTrack: key frames (keys) and values (keys, k) by level.
@@ -145,23 +186,8 @@ public:
         return out.give({count, k_});
     }
 
-    // Poses mean + curves basisᵀ of the frames from `start`, placed by body_frames.h. basis (3 columns, k); mean (3 columns,).
-    void place(int64_t start, Input<double, 2> basis, Input<double, 1> mean, Input<int64_t, 1> columns, Input<double, 2> origin,
-               Input<double, 2> heading, size_t up, InPlace<double, 3> positions) {
-        const body_frames::World world(columns, origin, heading, up, positions);
-        const size_t rows = 3 * columns.shape(0), padded = (rows + PANEL - 1) / PANEL * PANEL, frames = positions.shape(0);
-        if (basis.shape(0) != rows || basis.shape(1) != k_ || mean.shape(0) != rows) throw std::invalid_argument("place: shapes differ");
-        std::vector<double> turned(k_ * padded, 0.0), of_mean(padded, 0.0), curves(BATCH * k_), poses(BATCH * padded);
-        for (size_t i = 0; i < rows; ++i)
-            for (size_t c = 0; c < k_; ++c) turned[c * padded + i] = basis.data()[i * k_ + c];
-        std::copy_n(mean.data(), rows, of_mean.data());
-        for (size_t first = 0; first < frames; first += BATCH) {
-            const size_t count = std::min(BATCH, frames - first);
-            for (size_t t = 0; t < count; ++t) spline_.at(start + int64_t(first + t), curves.data() + t * k_);
-            product(curves.data(), k_, turned.data(), of_mean.data(), padded, poses.data());
-            for (size_t t = 0; t < count; ++t) world.place(first + t, poses.data() + t * padded);
-        }
-    }
+    Spline &spline() { return spline_; }
+    const Frames &keys() const { return keys_; }
 
 private:
     Spline sorted(const Input<int64_t, 1> &by_level, const Input<double, 2> &values) {
@@ -177,6 +203,62 @@ private:
     Frames keys_;
     size_t k_;
     Spline spline_;
+};
+
+// Poses of a segment_model.PcaModel: mean (dimensions,) + spline basisᵀ, basis (dimensions, k). A spline is linear in its values:
+// where there are few, they are multiplied by the basis, not those of each frame.
+class PoseSpline {
+public:
+    PoseSpline(Input<int64_t, 1> by_level, Input<double, 2> values, Input<double, 2> basis, Input<double, 1> mean)
+        : track_(by_level, values), k_(values.shape(1)), rows_(basis.shape(0)), padded_((rows_ + PANEL - 1) / PANEL * PANEL),
+          basis_(k_ * padded_, 0.0), mean_(padded_, 0.0) {
+        if (basis.shape(1) != k_ || mean.shape(0) != rows_) throw std::invalid_argument("PoseSpline: shapes differ");
+        for (size_t i = 0; i < rows_; ++i)
+            for (size_t c = 0; c < k_; ++c) basis_[c * padded_ + i] = basis.data()[i * k_ + c];
+        std::copy_n(mean.data(), rows_, mean_.data());
+        const size_t keys = track_.keys().size(), frames = size_t(track_.keys().back() - track_.keys().front()) + 1;
+        if (keys < 2 || 2 * keys * k_ + 4 * frames >= frames * k_) return;
+        const std::vector<double> zero(padded_, 0.0);
+        of_keys_ = products(keys, [&](size_t i) { return track_.spline().value(i); }, mean_.data());
+        bends_ = products(keys, [&](size_t i) { return track_.spline().curvature(i); }, zero.data());
+    }
+
+    // The frames from `start` on, placed by body_frames.h.
+    void place(int64_t start, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading, size_t up,
+               InPlace<double, 3> positions) {
+        const body_frames::World world(columns, origin, heading, up, positions);
+        if (rows_ != 3 * columns.shape(0)) throw std::invalid_argument("place: shapes differ");
+        const size_t frames = positions.shape(0);
+        std::vector<double> curves(BATCH * k_), poses(BATCH * padded_);
+        for (size_t first = 0; first < frames; first += BATCH) {
+            const size_t count = std::min(BATCH, frames - first);
+            if (of_keys_.empty()) {
+                for (size_t t = 0; t < count; ++t) track_.spline().at(start + int64_t(first + t), curves.data() + t * k_);
+                product(curves.data(), k_, basis_.data(), mean_.data(), padded_, poses.data());
+            } else
+                for (size_t t = 0; t < count; ++t) {
+                    const Spline::Weights at = track_.spline().weights(start + int64_t(first + t));
+                    weighted_sum(&of_keys_[at.left * padded_], &bends_[at.left * padded_], at.of, padded_, &poses[t * padded_]);
+                }
+            for (size_t t = 0; t < count; ++t) world.place(first + t, poses.data() + t * padded_);
+        }
+    }
+
+private:
+    // offset + row(i) basisᵀ of each key i, (keys, padded_), and rows without meaning behind.
+    template <class Row>
+    std::vector<double> products(size_t keys, Row row, const double *offset) const {
+        std::vector<double> out((keys + BATCH - 1) / BATCH * BATCH * padded_), rows(BATCH * k_, 0.0);
+        for (size_t first = 0; first < keys; first += BATCH) {
+            for (size_t i = 0; i < std::min(BATCH, keys - first); ++i) std::copy_n(row(first + i), k_, &rows[i * k_]);
+            product(rows.data(), k_, basis_.data(), offset, padded_, &out[first * padded_]);
+        }
+        return out;
+    }
+
+    TrackSpline track_;
+    size_t k_, rows_, padded_;
+    std::vector<double> basis_, mean_, of_keys_, bends_;  // basis (k, padded)
 };
 
 // spline.evenly
@@ -355,9 +437,10 @@ std::optional<nb::tuple> spline_differences(Input<int64_t, 1> by_level, Input<in
 void bind_splines(nb::module_ &m) {
     nb::class_<TrackSpline>(m, "TrackSpline")
         .def(nb::init<Input<int64_t, 1>, Input<double, 2>>())
-        .def("at", &TrackSpline::at)
-        .def("place", &TrackSpline::place, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(),
-             nb::arg().noconvert());
+        .def("at", &TrackSpline::at);
+    nb::class_<PoseSpline>(m, "PoseSpline")
+        .def(nb::init<Input<int64_t, 1>, Input<double, 2>, Input<double, 2>, Input<double, 1>>())
+        .def("place", &PoseSpline::place, nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg(), nb::arg().noconvert());
     m.def("spline_interpolate", &spline_interpolate);
     m.def("spline_keyframes", &spline_keyframes);
     m.def("spline_splits", &spline_splits);

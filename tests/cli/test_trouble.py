@@ -8,13 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mocodec as mc
-from mocodec import cli
+from mocodec import cli, formats
 from mocodec.cli import compare, files
 
 from .conftest import LOSSY, Command, Result, restore_sigint
@@ -42,6 +43,8 @@ def assert_one_line(result: Result, code: int) -> None:
         ["encode", "walk.trc", "-o", "x.mocz", "--ratio", "0"],
         ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no_such=1"],
         ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "no equals sign"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--thorough"],
+        ["encode", "walk.trc", "-o", "x.mocz", "--residual", "exact"],
         ["encode", "walk.trc", "-o", "x.trc"],
         ["encode", "walk.trc", "-o", "x.mocz", "--codec", LOSSY, "--set", "blend_frames=a,b"],
         ["decode", "walk.trc", "-o", "x.npz"],
@@ -214,6 +217,26 @@ def test_interrupt_is_quiet(walk_trc: Path) -> None:
     _, err = process.communicate(timeout=30)
     assert err.decode().splitlines() == ["mocodec: interrupted"]
     assert process.returncode == cli.INTERRUPTED
+
+
+def test_an_option_of_another_codec_names_the_codecs_that_take_it(command: Command, walk_trc: Path) -> None:
+    result = command("encode", walk_trc, "-o", "x.mocz", "--thorough")
+    assert "--thorough is for bodycast; this recording is coded by tempo" in result.err
+    result = command("encode", walk_trc, "-o", "x.mocz", "--codec", LOSSY, "--chunk-seconds", "1")
+    assert "--chunk-seconds is for tempo and lossless" in result.err
+
+
+def test_info_shows_a_note_once(command: Command, walk_trc: Path) -> None:
+    result = command("info", walk_trc)
+    assert (result.out.count("guessed: up"), result.err) == (1, "")
+
+
+def test_a_rate_that_no_model_reaches_is_no_internal_error(walk: mc.Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MOCODEC_STRICT", "0")
+    decoded = mc.decode(mc.encode(replace(walk, rate=1e30), max_error=0.002), mc.Motion)
+    notes = " ".join(formats.notes(decoded))
+    assert "correct the rate (--rate)" in notes
+    assert "internal error" not in notes
 
 
 def test_extras_that_exceed_a_size_are_named(walk: mc.Motion, tmp_path: Path, command: Command) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from mocodec import not_kept
 from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.lien2006 import Lien2006
 from mocodec.errors import CannotEncode
@@ -31,3 +33,9 @@ def test_points_far_from_the_origin_are_ignored(codec, far):
     assert measures.d1(clouds, decoded, 3) < 0.06
     with pytest.raises(CannotEncode, match="no body"):
         codec.encode(PointClouds([points * far for points in clouds.positions[:2]], 15.0))
+
+
+def test_normals_are_named_as_not_kept():
+    points = np.zeros((4, 3))
+    assert not_kept(PointClouds([points], 15.0)) == []
+    assert not_kept(PointClouds([points], 15.0, normals=[points + 1])) == ["the normals of the points"]

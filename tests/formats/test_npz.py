@@ -13,6 +13,7 @@ import pytest
 import mocodec as mc
 from mocodec import BadInput, formats
 from mocodec.cli import run
+from mocodec.formats import numpy_files
 
 from .samples import BVH, markers
 
@@ -196,3 +197,21 @@ def test_every_prefix_of_an_archive_is_read_or_one_line(tmp_path):
         with contextlib.suppress(BadInput):
             frames.add(len(formats.read(tmp_path / "y.npz", salvage=True)))
     assert {1, 5, 9} <= frames
+
+
+def test_names_that_are_objects_are_left_out_with_a_note(tmp_path):
+    names = np.array(["a", "b"], dtype=object)
+    np.savez(tmp_path / "x.npz", positions=np.ones((3, 2, 3)), rate=30.0, names=names)
+    motion = formats.read(tmp_path / "x.npz")
+    assert motion.names == ("P1", "P2")
+    assert any("'names' holds Python objects" in note for note in formats.notes(motion))
+
+
+def test_pieces_have_the_unit_of_their_own_array_and_read_it_once(tmp_path, monkeypatch):
+    read = []
+    load = numpy_files.Rows.load
+    monkeypatch.setattr(numpy_files.Rows, "load", lambda rows, name: read.append(name) or load(rows, name))
+    np.savez(tmp_path / "x.npz", positions=np.full((9, 2, 3), 1000.0), rate=30.0, unit="mm")
+    blocks = formats.read_blocks(tmp_path / "x.npz")
+    assert read.count("positions") == 1
+    assert np.allclose(next(iter(blocks.parts())).positions, 1.0)

@@ -287,3 +287,19 @@ def test_csv_files_that_cannot_be_read(tmp_path, text, says):
     with pytest.raises(BadInput, match=says) as error:
         read_text(tmp_path, "a.csv", text)
     assert "\n" not in str(error.value)
+
+
+def test_motive_without_words_beside_its_rows(tmp_path):
+    rows = [
+        "Format Version,1.23,Take Name,Walk,Export Frame Rate,100,Length Units,Meters",
+        *(f",,{cells}" for cells in ("Marker,Marker,Marker", "Anna:hip,Anna:hip,Anna:hip", "7,7,7")),
+        ",,Position,Position,Position",
+        "Frame,Time (Seconds),X,Y,Z",
+        "0,0.00,1,2,3",
+        "1,0.01,2,3,4",
+    ]
+    path = tmp_path / "take.csv"
+    path.write_text("\n".join(rows) + "\n")
+    motion = formats.read(path)
+    assert motion.names == ("Anna:hip",)
+    assert motion.positions[1, 0].tolist() == [2, 3, 4]

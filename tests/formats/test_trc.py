@@ -67,6 +67,7 @@ def test_columns_without_names_are_points(tmp_path):
     [
         ("BVH", "not a TRC"),
         ("PathFileType\t4\n", "no line of marker names"),
+        ("PathFileType\t4\nFrame#\tTime\tLASI\n1\t0\t1\t2\t3\n", "its header is incomplete"),
         (file("1\t0\t1\t2\t3\t4\t5\t6\n"), "cut off"),
         (file("1\t0\t1\t2\t3\t4\t5\tx\n2\t0\t1\t2\t3\t4\t5\t6\n"), "'x'"),
         (file("1\t0\t1 1\t2\t3\t4\t5\t6\n2\t0\t1\t2\t3\t4\t5\t6\n"), "more than one number"),

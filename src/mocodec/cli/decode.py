@@ -62,7 +62,7 @@ def command(
         if salvage:
             raise click.UsageError("--salvage works on one file at a time")
         refuse_file(output)
-        found = many.find(sources, (files.SUFFIX,))
+        found = many.find_readable("decode", sources, (files.SUFFIX,))
         suffixes = {source.path: suffix_of(source.path, format_) for source in found}
         given = {name: list(value) if isinstance(value, tuple) else value for name, value in options.items() if value}
         work = many.Settings({"format_": format_, **given}, jobs, again, as_json, quiet)

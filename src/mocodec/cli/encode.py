@@ -124,9 +124,8 @@ def command(
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     chosen |= files.given(signal_error=signal_error, prior=prior)
     if many.is_many(sources, output):
-        found = many.find(sources, formats.FORMATS)
-        if found:
-            refuse_file(output)
+        found = many.find_readable("encode", sources, formats.FORMATS)
+        refuse_file(output)
         refuse_settings(codec, settings, targets)
         outputs = many.output_names(found, {source.path: files.SUFFIX for source in found})
         work = many.Settings({**chosen, **files.given(pieces=pieces, **options)}, jobs, again, as_json, quiet)

@@ -216,6 +216,11 @@ def note(name: str, text: str) -> None:
             shown.append(noted)
 
 
+def clear_notes() -> None:
+    """Drop the notes that were left for `run`, for a command that prints them itself."""
+    click.get_current_context().obj.pop("notes", None)
+
+
 def echo(text: str, err: bool = False) -> None:
     """Print text on standard output or error; control characters, which files may put into names, are replaced."""
     click.echo("\n".join(map(printable, text.split("\n"))), err=err)

@@ -31,9 +31,10 @@ def command(sources: tuple[str, ...], as_json: bool, jobs: int, **options: Any) 
     Of several files, or of a folder, a table shows the main facts; --json has all of them.
     """
     if many.is_many(sources):
-        found = many.find(sources, (files.SUFFIX, *formats.FORMATS))
+        found = many.find_readable("info", sources, (files.SUFFIX, *formats.FORMATS))
         return many.run("info", found, {}, "", many.Settings(files.given(**options), jobs, as_json=as_json))
     facts = facts_of_source(sources[0], **options)
+    files.clear_notes()  # they are among the facts
     if as_json:
         files.echo(json.dumps(facts, indent=2))
     else:

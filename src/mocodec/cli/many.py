@@ -112,6 +112,18 @@ def find(arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
     return sorted(sources, key=lambda source: source.name)
 
 
+def find_readable(command: str, arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
+    """As `find`. Raises a usage error where nothing is found, which says what to do with other files in the folders."""
+    found = find(arguments, suffixes)
+    if not found:
+        names = [name for folder in arguments if Path(folder).is_dir() for name in os.listdir(folder)]
+        present = sorted({Path(name).suffix.lower() for name in names})
+        hints = dict.fromkeys(f"; {suffix}: {formats.OTHERS[suffix]}" for suffix in present if suffix in formats.OTHERS)
+        where = f"{', '.join(arguments)}: there is no file that `mocodec {command}` reads"
+        raise click.UsageError(where + "".join(hints))
+    return found
+
+
 def refuse_frames(paths: Sequence[str]) -> None:
     """Raises a usage error for several .ply files of one folder: they are frames of one recording."""
     folders = [os.path.dirname(path) for path in paths if path.lower().endswith(".ply")]
@@ -158,8 +170,6 @@ def run(
     `folder`; empty for commands that write nothing. each: further options of a source, by its path.
     """
     started = time.monotonic()
-    if not sources:
-        raise click.UsageError(f"there is no file that `mocodec {command}` reads")
     journal = Journal(folder, command, settings.options) if outputs else None
     records: list[dict[str, Any]] = []
     tasks: list[Task] = []

@@ -45,7 +45,7 @@ def command(sources: tuple[str, ...], against: str | None, as_json: bool, jobs: 
     if many.is_many(sources):
         if against is not None and not Path(against).is_dir():
             raise click.UsageError(f"{against}: of many files, --against names the folder that they were encoded from")
-        found = many.find(sources, (files.SUFFIX,))
+        found = many.find_readable("verify", sources, (files.SUFFIX,))
         originals = {} if against is None else original_of(found, against)
         chosen = {"against": against, **files.given(**options)}
         each = {path: {"original": original} for path, original in originals.items()}

@@ -19,6 +19,7 @@ GAP_CHUNK_SAMPLES = 1 << 22
 """The most frames, and frames × points, of a chunk of a motion without samples."""
 
 LARGEST_M = 1e12
+LARGEST_HZ = 1e9
 """Positions beyond are coded by lossless only."""
 
 
@@ -68,7 +69,7 @@ def require_frames(motion: Motion) -> None:
 def not_kept(codec: Codec[Any], recording: Recording) -> list[str]:
     """What a codec will not keep of a recording, in words: known before encoding."""
     if not isinstance(recording, Motion):
-        return []
+        return ["the normals of the points"] if recording.normals is not None else []
     lost: list[str] = []
     if recording.rotations is not None:
         lost_rotations = getattr(codec, "lost_rotations", None)
@@ -83,6 +84,15 @@ def has_samples(motion: Motion) -> bool:
     """Whether any point is present in any frame; force plates may be recorded without points."""
     positions = motion.positions  # mostly the first frame tells
     return bool(positions.size) and not (np.isnan(positions[0]).all() and np.isnan(positions).all())
+
+
+def require_usual_rate(codec: Codec[Motion], rate: float) -> None:
+    """Raises CannotEncode for a rate, hertz, that integer frequencies do not reach: a damaged number."""
+    if rate > LARGEST_HZ:
+        raise CannotEncode(
+            f"{codec.name} models motion at up to {LARGEST_HZ:g} Hz, and this one has {rate:.3g} Hz; "
+            "correct the rate (--rate), or use the codec lossless"
+        )
 
 
 def require_usual_lengths(codec: Codec[Motion], positions: Floats) -> None:

@@ -66,7 +66,7 @@ def _joined(part: FileRange, block: bytes) -> ByteSource:
 
 def is_url(path: str) -> bool:
     """Whether this is a URL; a path otherwise."""
-    return re.match(r"[a-z][a-z0-9+.-]+://", path, re.IGNORECASE) is not None
+    return "://" in path and re.match(r"[a-z][a-z0-9+.-]+://", path, re.IGNORECASE) is not None
 
 
 class InMemory:

@@ -51,7 +51,7 @@ def unpack(cursor: Cursor) -> tuple[str, ...]:
         raise cursor.corrupt("names have a reserved form")
     if len(prefix) * count > MAX_TEXT_BYTES:
         raise cursor.corrupt("names are too long")
-    return tuple(prefix + name for name in rest)
+    return tuple([prefix + name for name in rest] if prefix else rest)
 
 
 def _common_prefix(names: Sequence[str]) -> str:

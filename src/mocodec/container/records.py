@@ -225,13 +225,14 @@ def _read_runs(cursor: Cursor, _: Mapping[str, Any]) -> Integers:
     count = cursor.count()  # each chunk's length, at least a byte, follows
     plain, ends = cursor.plain(2 * count)
     frames: list[int] = []
-    runs, sizes = plain[: len(plain) // 2 * 2].reshape(-1, 2).T
-    needed = int(np.searchsorted(np.cumsum(runs), count)) + 1
-    if count and needed <= len(runs):  # all that follow; the loop finds what is wrong with others
-        within = sizes[:needed].min() > 0 and sizes[:needed].max() <= MAX_CHUNK_FRAMES
-        if within and runs[:needed].min() > 0 and runs[:needed].sum() == count:
+    chunks = plain[: len(plain) // 2 * 2 : 2].cumsum()
+    needed = int(chunks.searchsorted(count)) + 1
+    if count and needed <= len(chunks) and chunks[needed - 1] == count:  # the loop finds what is wrong with others
+        used = plain[: 2 * needed]
+        runs, sizes = used[::2], used[1::2]
+        if used.min() > 0 and sizes.max() <= MAX_CHUNK_FRAMES:
             cursor.at = int(ends[2 * needed - 1])
-            return np.repeat(sizes[:needed], runs[:needed])
+            return sizes.repeat(runs)
     while len(frames) < count:
         run, each = cursor.varint(), cursor.varint()
         if not 0 < run <= count - len(frames) or not 0 < each <= MAX_CHUNK_FRAMES:

@@ -12,6 +12,7 @@ one bit. All arithmetic is on integers. The lossless codec stores exact offsets 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -113,7 +114,9 @@ def unpack(cursor: Cursor, point_names: Sequence[str]) -> Skeleton:
         _last_read[key] = cursor.data[start : cursor.at], skeleton
     else:
         cursor.at += len(stored)
-    return replace(skeleton, offsets=skeleton.offsets.copy())
+    found = copy(skeleton)  # `replace` would test the tree again
+    object.__setattr__(found, "offsets", skeleton.offsets.copy())
+    return found
 
 
 KEY_BYTES, MOST_KEPT = 8, 64

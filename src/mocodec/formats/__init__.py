@@ -54,9 +54,14 @@ IMAGES = "mocodec.formats.rgbd"
 """Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
 PICKLE = "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
+CAPTURE = "it is not read; export a .c3d from the program that captured it"
+POINTS = "of point clouds .ply is read, a folder with a file for each frame; convert these files to it"
 OTHERS = {
     **dict.fromkeys(PICKLES, PICKLE),
     ".fbx": "an FBX is neither read nor written; programs that export it export .glb or .bvh too",
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "a USD is neither read nor written; export a .glb from it"),
+    **dict.fromkeys((".tak", ".mcp", ".tsv", ".trb", ".mvnx"), CAPTURE),
+    **dict.fromkeys((".pcd", ".xyz", ".pts", ".las", ".laz", ".e57", ".drc"), POINTS),
     ".asf": "an .asf is the skeleton of an .amc: name the .amc, with asf= (--asf) if they are apart",
 }
 """What to do with files of other suffixes."""

@@ -281,12 +281,13 @@ def _motive(rows: list[list[str]]) -> _Columns:
         raise BadInput("its header has no row that begins with Frame")
     width = len(rows[axes_at])
     head = {row[1].lower(): [*row, *[""] * (width - len(row))] for row in rows[1:axes_at] if len(row) > 1 and row[1]}
-    names = head.get("name", [""] * width)
+    unlabelled = [[*row, *[""] * (width - len(row))] for row in rows[1 : axes_at - 1] if not any(row[:2])]
+    names = head.get("name") or (unlabelled[1] if len(unlabelled) > 1 else [""] * width)  # below the row of types
     what = [*rows[axes_at - 1], *[""] * (width - len(rows[axes_at - 1]))]
     axes = rows[axes_at]
     labels = [f"{name}.{kind}.{axis}" if kind else axis for name, kind, axis in zip(names, what, axes, strict=True)]
     points = [
-        Point(names[c], (c, c + 1, c + 2))
+        Point(names[c] or f"P{c}", (c, c + 1, c + 2))
         for c in range(width - 2)
         if axes[c : c + 3] == ["X", "Y", "Z"] and what[c].lower() == "position"
     ]

@@ -96,9 +96,7 @@ def read_blocks(
             raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {shape}")
         by_frame = (key, "rotations") if "rotations" in arrays.names else (key,)
         each = block_frames(shape[1])
-        head = _motion(Rows(archive, path, by_frame, each), rate, unit, up)
-        first = Rows(archive, path, by_frame, each).load(key).astype(np.float64)
-        unit_m = _unit(arrays, key, first, unit)[1]  # not head.source's, which may be of the file that it came from
+        head, unit_m = _motion_and_unit(Rows(archive, path, by_frame, each), rate, unit, up)
 
     def parts() -> Iterator[Motion]:
         with reading(path), zipfile.ZipFile(path) as archive:
@@ -126,31 +124,17 @@ def _recording(
 
 
 def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: str | None) -> Motion:
-    path = arrays.path
-    key = arrays.first(POSITIONS)
-    if key is None:
-        if "betas" in arrays.names:
-            raise BadInput(f"{path}: has the shape of a body (betas) and no motion: no poses, no positions")
-        present = ", ".join(arrays.names) or "none"
-        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {present}")
-    positions = arrays.load(key)
-    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
-        raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
-    positions = positions.astype(np.float64)
-    if rate is None:
-        rate_key = arrays.first(RATES)
-        if rate_key is None:
-            raise BadInput(f"{path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
-        rate = float(arrays.single(rate_key))
+    return _motion_and_unit(arrays, rate, unit, up)[0]
+
+
+def _motion_and_unit(
+    arrays: Archive, rate: float | None, unit: str | float | None, up: str | None
+) -> tuple[Motion, float]:
+    """The motion, and the metres of one unit of its array, which the source of another file does not say."""
+    key, positions = _positions(arrays)
+    rate = _rate(arrays) if rate is None else rate
     notes: list[str] = []
-    names: tuple[str, ...] = ()
-    names_key = arrays.first(NAMES)
-    if names_key is not None:
-        texts = arrays.load(names_key).reshape(-1)
-        if texts.dtype.kind in "US" and len(texts) == positions.shape[1]:
-            names = tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in texts.tolist())
-        else:
-            notes.append(f"{names_key!r} is no list of {positions.shape[1]} names: it is left out")
+    names = _names(arrays, positions.shape[1], notes)
     gaps = np.isnan(positions).any(axis=2)
     if key == "markers":
         gaps |= (positions == 0).all(axis=2)
@@ -166,23 +150,70 @@ def _motion(arrays: Archive, rate: float | None, unit: str | float | None, up: s
     if up is None:
         up = guess_up(positions)
         source["up_guessed"] = True
-    skeleton, rotations = None, None
-    if {"parents", "offsets"} <= arrays.names.keys():
-        parents = arrays.load("parents").reshape(-1).astype(int).tolist()
-        joint_names = names or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
-        skeleton = Skeleton(joint_names, tuple(parents), arrays.load("offsets").astype(np.float64), _limits(arrays))
-        if "rotations" in arrays.names:
-            rotations = arrays.load("rotations").astype(np.float64)
-    elif not names and (tree := smpl.tree_of(positions)) is not None:
+    skeleton, rotations = _skeleton(arrays, names, positions.shape[1])
+    if skeleton is None and not names and (tree := smpl.tree_of(positions)) is not None:
         names, skeleton = tree.names, smpl.measured(tree, positions)
     if "source" in arrays.names:
-        source = json.loads(str(arrays.single("source")))
-        if not isinstance(source, dict):
-            raise BadInput(f"{path}: its 'source' is not a JSON object")
-        source = _checked_source(source)
+        source = _stored_source(arrays)
     elif notes:
         source["notes"] = notes
-    return Motion(positions, rate, names, up, skeleton, rotations, source)
+    return Motion(positions, rate, names, up, skeleton, rotations, source), unit_m
+
+
+def _positions(arrays: Archive) -> tuple[str, Floats]:
+    """The name of the array of positions, and its numbers (frames, points, 3). Raises BadInput without one."""
+    path, key = arrays.path, arrays.first(POSITIONS)
+    if key is None:
+        if "betas" in arrays.names:
+            raise BadInput(f"{path}: has the shape of a body (betas) and no motion: no poses, no positions")
+        present = ", ".join(arrays.names) or "none"
+        raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {present}")
+    positions = arrays.load(key)
+    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
+        raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
+    return key, positions.astype(np.float64)
+
+
+def _rate(arrays: Archive) -> float:
+    """The rate that the arrays declare, hertz. Raises BadInput without one."""
+    key = arrays.first(RATES)
+    if key is None:
+        raise BadInput(f"{arrays.path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
+    return float(arrays.single(key))
+
+
+def _names(arrays: Archive, points: int, notes: list[str]) -> tuple[str, ...]:
+    """The names of the points; none, with a note, where the array is no list of names."""
+    key = arrays.first(NAMES)
+    if key is None:
+        return ()
+    if arrays.header(key).dtype.hasobject:
+        notes.append(f"{key!r} holds Python objects, which are not opened: it is left out")
+        return ()
+    texts = arrays.load(key).reshape(-1)
+    if texts.dtype.kind not in "US" or len(texts) != points:
+        notes.append(f"{key!r} is no list of {points} names: it is left out")
+        return ()
+    return tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in texts.tolist())
+
+
+def _skeleton(arrays: Archive, names: tuple[str, ...], points: int) -> tuple[Skeleton | None, Floats | None]:
+    """The skeleton and the rotations (frames, joints, 4) that mocodec writes; None for what is not there."""
+    if not {"parents", "offsets"} <= arrays.names.keys():
+        return None, None
+    parents = arrays.load("parents").reshape(-1).astype(int).tolist()
+    joint_names = names or tuple(f"P{i + 1}" for i in range(points))
+    offsets = arrays.load("offsets").astype(np.float64)
+    rotations = arrays.load("rotations").astype(np.float64) if "rotations" in arrays.names else None
+    return Skeleton(joint_names, tuple(parents), offsets, _limits(arrays)), rotations
+
+
+def _stored_source(arrays: Archive) -> dict[str, Any]:
+    """The source that mocodec writes, checked. Raises BadInput."""
+    source = json.loads(str(arrays.single("source")))
+    if not isinstance(source, dict):
+        raise BadInput(f"{arrays.path}: its 'source' is not a JSON object")
+    return _checked_source(source)
 
 
 def _checked_source(source: dict[str, Any]) -> dict[str, Any]:
@@ -221,11 +252,7 @@ def _clouds(arrays: Archive, rate: float | None, unit: str | float | None, up: s
             raise BadInput(f"{arrays.path}: {name!r} must be {np.dtype(dtype)} {points.shape}, like the points")
         return np.split(values.astype(dtype), ends)
 
-    if rate is None:
-        rate_key = arrays.first(RATES)
-        if rate_key is None:
-            raise BadInput(f"{arrays.path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
-        rate = float(arrays.single(rate_key))
+    rate = _rate(arrays) if rate is None else rate
     if unit is None:
         unit = str(arrays.single("unit")) if "unit" in arrays.names else "m"
     units, unit_m = unit_option(unit)

@@ -95,7 +95,9 @@ def motion_of(
         if not lines[0].startswith("PathFileType"):
             raise BadInput("not a TRC: it does not begin with PathFileType")
         names_at = next((i for i, line in enumerate(lines[:20]) if NAMES.match(line)), None)
-        if names_at is None or not 3 <= names_at < len(lines) - 1:
+        if names_at is not None and names_at < 3:
+            raise BadInput("its header is incomplete: keys (DataRate, …) and their values come before the marker names")
+        if names_at is None or names_at == len(lines) - 1:
             raise BadInput("cut off or not a TRC: it has no line of marker names")
         header = _header(lines[1], lines[2])
         units, unit_m = _unit(header.units, unit)

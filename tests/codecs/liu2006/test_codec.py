@@ -116,8 +116,10 @@ def with_constant_pose(segment: segment_model.SegmentModel, coordinate: float) -
 
 
 @pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
-def test_the_compiled_module_decodes_the_same_positions() -> None:
-    encoded = Liu2006(**SHORT_SEGMENTS).encode(two_motions())
+@pytest.mark.parametrize("mean_error", [None, 0.0001])
+def test_the_compiled_module_decodes_the_same_positions(mean_error: float | None) -> None:
+    """With few key frames and with many, whose poses are computed in different orders."""
+    encoded = Liu2006(**SHORT_SEGMENTS, mean_error=mean_error).encode(two_motions())
     assert len(encoded.chunks) > 1
     start = encoded.chunks[1].start
     for frames in (None, slice(start - 5, start + 9), slice(start, start + 1)):

@@ -45,7 +45,10 @@ def rgb_from_ycocg(values: Integers) -> Bytes:
     y, co, cg = values.T
     half = y - (cg >> 1)
     blue = half - (co >> 1)
-    return np.clip(np.stack([blue + co, cg + half, blue], axis=1), 0, 255).astype(np.uint8)
+    rgb = np.empty((len(blue), 3), np.uint8)
+    for column, channel in enumerate((blue + co, cg + half, blue)):
+        rgb[:, column] = np.clip(channel, 0, 255)
+    return rgb
 
 
 def quantise(colours: Bytes, predicted: Integers, step: int) -> Integers:

@@ -310,25 +310,31 @@ class _OctreeOfFrame:
         """What the next frames and the colours need. frame, bound_m: None in the decoder. nearest (n,): the sample near
         each point. Raises Corrupt.
         """
-        points, table = self.grid.places(cells), self.scene.table
         bodies = 0 if seen.reference.hides_bodies else len(self.surface.rows)
-        of_bodies = np.where(nearest < bodies, nearest, -1)
-        if len(cells) and of_bodies.min() >= 0:
-            samples, places = self.surface.rows[nearest], table.canonical(self.surface, points, nearest)
-        else:
-            samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
-            known = np.flatnonzero(of_bodies >= 0)
-            samples[known] = self.surface.rows[nearest[known]]
-            places[known] = table.canonical(self.surface, points[known], nearest[known])
-        self.scene.learn(self.surface, points, of_bodies)
-        self.earlier.move(seen.reference.motion)
-        self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
+        samples, places = self._learn(cells, np.where(nearest < bodies, nearest, -1), seen.reference)
         if self.scene.smooths:
             positions = self._moved(coder, frame, bound_m, cells, nearest, seen.hints)
         else:
             positions = self.grid.positions(cells)
         others = np.where(nearest < bodies, -1, nearest - bodies)
         return LocatedPoints(cells, samples, places, seen.references, others, positions)
+
+    def _learn(self, cells: Integers, of_bodies: Integers, reference: Reference) -> tuple[Integers, Integers]:
+        """Keep the points for later frames. of_bodies (n,): the sample of a body near each, −1 without one. Returns
+        `samples` and `places` of `LocatedPoints`.
+        """
+        points, table = self.grid.places(cells), self.scene.table
+        if len(cells) and of_bodies.min() >= 0:
+            samples, places = self.surface.rows[of_bodies], table.canonical(self.surface, points, of_bodies)
+        else:
+            samples, places = np.full(len(cells), -1), np.zeros((len(cells), 3), np.int64)
+            known = np.flatnonzero(of_bodies >= 0)
+            samples[known] = self.surface.rows[of_bodies[known]]
+            places[known] = table.canonical(self.surface, points[known], of_bodies[known])
+        self.scene.learn(self.surface, points, of_bodies)
+        self.earlier.move(reference.motion)
+        self.earlier.add(cells, reference_points.explained_points(self.surface, points, of_bodies))
+        return samples, places
 
     def _moved(
         self,
@@ -340,15 +346,16 @@ class _OctreeOfFrame:
         hints: SurfaceHints | None,
     ) -> Floats:
         """The decoded points (n, 3), metres: those of the lattice, moved to the surface where that keeps the bound."""
+        if hints is None:
+            return self.grid.positions(cells)
         smoothed, stays = point_smoothing.smooth(cells, nearest, hints), None
-        moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
         if frame is not None and bound_m is not None:
-            away = frame.own_distances(moved)
+            moved = self.grid.shifted_positions(cells, smoothed.shifts, point_smoothing.FINE_BITS)
             stays = np.zeros(len(cells), bool)
-            stays[frame.rows[away > bound_m * (1 - lattice.ROUNDING)]] = True
-        stays = np.flatnonzero(point_smoothing.code_stays(coder, smoothed, stays))
-        moved[stays] = self.grid.shifted_positions(cells[stays], 0 * cells[stays], point_smoothing.FINE_BITS)
-        return moved
+            stays[frame.rows[frame.own_distances(moved) > bound_m * (1 - lattice.ROUNDING)]] = True
+        stays = point_smoothing.code_stays(coder, smoothed, stays)
+        shifts = np.where(stays[:, None], 0, smoothed.shifts)
+        return self.grid.shifted_positions(cells, shifts, point_smoothing.FINE_BITS)
 
 
 class ColoursOfChunk:

@@ -93,12 +93,16 @@ class PcaModel:
     def place(self, start: int, columns: Integers, frame: body_frame.BodyFrame, positions: Floats) -> bool:
         """Poses from frame `start` of the track on into these columns of positions (frames, points, 3), in one compiled
         call; False without the compiled module."""
-        if self.track.compiled is None:
+        if self.compiled is None:
             return False
-        self.track.compiled.place(
-            start, self.basis, self.mean, columns, frame.origin, frame.heading, frame.up, positions
-        )
+        self.compiled.place(start, columns, frame.origin, frame.heading, frame.up, positions)
         return True
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The poses of the compiled module, None without."""
+        kernel = native.kernel("PoseSpline")
+        return None if kernel is None else kernel(self.track.keys.by_level, self.track.values, self.basis, self.mean)
 
 
 @dataclass(frozen=True, eq=False)

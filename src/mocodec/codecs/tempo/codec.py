@@ -25,7 +25,7 @@ from ...motion import Motion
 from ...stages import lattice
 from ...typing import Booleans, Floats
 from .. import rescue
-from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, settings
+from ..base import decode_gaps, encode_gaps, has_samples, require_usual_lengths, require_usual_rate, settings
 from ..lossless import Lossless
 from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, mean_targets, model_choice, repeats, target
 from .chunk import DIRECT, LATTICE, TRANSFORM, ChunkEncoder, Payload
@@ -240,6 +240,7 @@ class Tempo:
         bones = motion.skeleton is not None
         source = prepare(motion.positions, motion.up, self._frozen_tolerance, bones, self.mean_error is None)
         require_usual_lengths(self, source.positions)
+        require_usual_rate(self, motion.rate)
         return source, self._lattice_plan(motion, source, kinds)
 
     def _encode_prepared(

@@ -20,7 +20,7 @@ from ...errors import BadInput, Corrupt
 from ...motion import Motion
 from ...stages import lattice
 from ...typing import Floats
-from ..base import has_samples, require_usual_lengths, settings
+from ..base import has_samples, require_usual_lengths, require_usual_rate, settings
 from . import chunk, chunk_decoding, engine_choice, fallback, hard_bound, model_choice, steady, target
 from .chunk import ChunkEncoder
 from .codec import DEFAULT_MAX_ERROR, FALLBACK_MODEL, FROZEN_SHARE, LATTICE_CHUNKS, MOST_CHUNK_SECONDS, Tempo
@@ -188,6 +188,7 @@ class PieceEncoder:
         source = prepare(motion.positions, motion.up, tolerance, bones, holds)
         if has_samples(motion):
             require_usual_lengths(self._codec, source.positions)
+            require_usual_rate(self._codec, motion.rate)
         return source
 
     def _lattice_plan(self, sample: Motion, source: Prepared, step: int) -> LatticePlan | None:
