@@ -6,11 +6,15 @@
 #include <vector>
 
 #include "arrays.h"
+#include "vectors.h"
 
 namespace {
 
-// basis._mirror, of rows i … n − 1 of column i of `entries` (n, k).
-void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, std::vector<double> &u) {
+constexpr size_t WIDTH = 16;  // columns that are reflected together: their sums stay in registers
+
+// basis._mirror, of rows i … n − 1 of column i of `entries` (n, k). Sums here and below are from the first row to the last, as
+// in NumPy: bytes depend on them.
+void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, double *u) {
     double squares = 0;
     for (size_t r = i; r < n; ++r) {
         u[r] = double(entries[r * k + i]);
@@ -18,7 +22,7 @@ void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, std::vector
     }
     double norm = std::sqrt(squares);
     if (norm == 0 || u[i] > 0) {
-        std::fill(u.begin() + long(i), u.end(), 0.0);
+        std::fill(u + i, u + n, 0.0);
         norm = 1.0;
         u[i] = -1.0;
     }
@@ -30,23 +34,143 @@ void mirror_of(const int64_t *entries, size_t n, size_t k, size_t i, std::vector
     for (size_t r = i; r < n; ++r) u[r] /= norm;
 }
 
-// basis._decompose: rounded entries (n, k) of an orthonormal basis (n, k) in multiples of 1 / scales (k). Sums are from the first
-// row to the last, as there: bytes depend on them.
+// A row of a panel of columns, in registers.
+struct Row {
+    Four a, b, c, d;
+};
+
+ALWAYS_INLINE void clear(Row &row) { row.a = row.b = row.c = row.d = Four{} * 0.0; }
+
+ALWAYS_INLINE void read(Row &row, const double *from) {
+    load(row.a, from), load(row.b, from + 4), load(row.c, from + 8), load(row.d, from + 12);
+}
+
+ALWAYS_INLINE void write(const Row &row, double *to) {
+    store(row.a, to), store(row.b, to + 4), store(row.c, to + 8), store(row.d, to + 12);
+}
+
+ALWAYS_INLINE void add(Row &sum, const Row &row, double times) {
+    sum.a += row.a * times, sum.b += row.b * times, sum.c += row.c * times, sum.d += row.d * times;
+}
+
+ALWAYS_INLINE void subtract(Row &from, const Row &row, double times) {
+    from.a = from.a - row.a * times, from.b = from.b - row.b * times;
+    from.c = from.c - row.c * times, from.d = from.d - row.d * times;
+}
+
+// uᵀ of rows i … n − 1 of a panel (n, WIDTH).
+ALWAYS_INLINE void sums_along(const double *u, size_t i, size_t n, const double *panel, Row &sums) {
+    Row row;
+    clear(sums);
+    for (size_t r = i; r < n; ++r) read(row, panel + r * WIDTH), add(sums, row, u[r]);
+}
+
+// I − 2uuᵀ of rows i … n − 1, where `along` is uᵀ of them.
+ALWAYS_INLINE void reflect(const double *u, size_t i, size_t n, const Row &along, double *panel) {
+    Row row;
+    for (size_t r = i; r < n; ++r) {
+        read(row, panel + r * WIDTH);
+        subtract(row, along, 2 * u[r]);
+        write(row, panel + r * WIDTH);
+    }
+}
+
+// The same by the mirrors (k, n) from 0 up to count, or from count down to 0. One pass over the rows reflects them and sums
+// what the next reflection needs.
+ALWAYS_INLINE void reflect_all(const double *mirrors, size_t n, size_t count, bool downwards, double *panel) {
+    if (!count) return;
+    size_t i = downwards ? count - 1 : 0;
+    Row along, next, row;
+    sums_along(mirrors + i * n, i, n, panel, along);
+    for (size_t left = count - 1; left--;) {
+        const double *const u = mirrors + i * n, *const v = downwards ? u - n : u + n;
+        clear(next);
+        if (downwards) {
+            read(row, panel + (i - 1) * WIDTH), add(next, row, v[i - 1]);
+        } else {
+            read(row, panel + i * WIDTH), subtract(row, along, 2 * u[i]), write(row, panel + i * WIDTH);
+        }
+        for (size_t r = downwards ? i : i + 1; r < n; ++r) {
+            read(row, panel + r * WIDTH);
+            subtract(row, along, 2 * u[r]);
+            write(row, panel + r * WIDTH);
+            add(next, row, v[r]);
+        }
+        along = next;
+        i = downwards ? i - 1 : i + 1;
+    }
+    reflect(mirrors + i * n, i, n, along, panel);
+}
+
+// Columns first … of a matrix (n, k) as a panel, and back.
+void read_panel(const double *matrix, size_t n, size_t k, size_t first, double *panel) {
+    const size_t count = std::min(WIDTH, k - first);
+    for (size_t r = 0; r < n; ++r) std::copy_n(matrix + r * k + first, count, panel + r * WIDTH);
+}
+
+void write_panel(const double *panel, size_t n, size_t k, size_t first, double *matrix) {
+    const size_t count = std::min(WIDTH, k - first);
+    for (size_t r = 0; r < n; ++r) std::copy_n(panel + r * WIDTH, count, matrix + r * k + first);
+}
+
+// basis._decompose: each panel by the mirrors of the columns before it, then its columns one by one.
+ALWAYS_INLINE void decompose(const double *basis, const double *scales, size_t n, size_t k, int64_t *entries) {
+    std::vector<double> mirrors(n * k), panel(n * WIDTH);
+    for (size_t first = 0; first < k; first += WIDTH) {
+        read_panel(basis, n, k, first, panel.data());
+        reflect_all(mirrors.data(), n, first, false, panel.data());
+        for (size_t i = first; i < std::min(k, first + WIDTH); ++i) {
+            const double *rest = panel.data() + (i - first);
+            const double sign = rest[i * WIDTH] > 0 ? -1 : 1;
+            for (size_t r = i; r < n; ++r) entries[r * k + i] = int64_t(std::nearbyint(sign * rest[r * WIDTH] * scales[i]));
+            double *u = mirrors.data() + i * n;
+            mirror_of(entries, n, k, i, u);
+            Row along;  // columns up to i are not read again
+            sums_along(u, i, n, panel.data(), along);
+            reflect(u, i, n, along, panel.data());
+        }
+    }
+}
+
+// basis._compose, of k ≤ n columns. A mirror leaves a column of the identity before it as it is.
+ALWAYS_INLINE void compose(const int64_t *entries, size_t n, size_t k, double *basis) {
+    std::vector<double> mirrors(n * k), panel(n * WIDTH);
+    for (size_t i = 0; i < k; ++i) mirror_of(entries, n, k, i, mirrors.data() + i * n);
+    for (size_t first = 0; first < k; first += WIDTH) {
+        const size_t last = std::min(k, first + WIDTH);
+        std::fill(panel.begin(), panel.end(), 0.0);
+        for (size_t i = first; i < last; ++i) panel[i * WIDTH + i - first] = 1.0;
+        reflect_all(mirrors.data(), n, last, true, panel.data());
+        write_panel(panel.data(), n, k, first, basis);
+    }
+}
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void decompose_with_avx2(const double *basis, const double *scales, size_t n, size_t k, int64_t *entries) {
+    decompose(basis, scales, n, k, entries);
+}
+
+WITH_AVX2 void compose_with_avx2(const int64_t *entries, size_t n, size_t k, double *basis) { compose(entries, n, k, basis); }
+
+bool has_avx2() {
+    static const bool found = processor_has_avx2();
+    return found;
+}
+#endif
+
+// basis._decompose: rounded entries (n, k) of an orthonormal basis (n, k) in multiples of 1 / scales (k).
 Output<int64_t> basis_decompose(Input<double, 2> basis, Input<double, 1> scales) {
     const size_t n = basis.shape(0), k = basis.shape(1);
     if (scales.shape(0) != k || k > n) throw std::invalid_argument("basis_decompose: shapes differ");
-    std::vector<double> rest(basis.data(), basis.data() + n * k), u(n), along(k);
     Fresh<int64_t> out(n * k);
-    std::fill_n(out.data.get(), n * k, 0);
-    for (size_t i = 0; i < k; ++i) {
-        const double sign = rest[i * k + i] > 0 ? -1 : 1;
-        for (size_t r = i; r < n; ++r) out.data[r * k + i] = int64_t(std::nearbyint(sign * rest[r * k + i] * scales.data()[i]));
-        mirror_of(out.data.get(), n, k, i, u);
-        std::fill(along.begin(), along.end(), 0.0);
-        for (size_t r = i; r < n; ++r)
-            for (size_t c = i + 1; c < k; ++c) along[c] += u[r] * rest[r * k + c];
-        for (size_t r = i; r < n; ++r)
-            for (size_t c = i + 1; c < k; ++c) rest[r * k + c] -= 2 * u[r] * along[c];
+    {
+        nb::gil_scoped_release release;
+        std::fill_n(out.data.get(), n * k, 0);
+#ifdef HAS_AVX2_TWIN
+        if (has_avx2()) decompose_with_avx2(basis.data(), scales.data(), n, k, out.data.get());
+        else
+#endif
+            decompose(basis.data(), scales.data(), n, k, out.data.get());
     }
     return out.give({n, k});
 }
@@ -54,18 +178,15 @@ Output<int64_t> basis_decompose(Input<double, 2> basis, Input<double, 1> scales)
 // basis._compose
 Output<double> basis_compose(Input<int64_t, 2> entries) {
     const size_t n = entries.shape(0), k = entries.shape(1);
+    if (k > n) throw std::invalid_argument("basis_compose: more columns than rows");
     Fresh<double> out(n * k);
-    double *basis = out.data.get();
-    std::fill_n(basis, n * k, 0.0);
-    for (size_t i = 0; i < std::min(n, k); ++i) basis[i * k + i] = 1.0;
-    std::vector<double> u(n), along(k);
-    for (size_t i = std::min(n, k); i-- > 0;) {
-        mirror_of(entries.data(), n, k, i, u);
-        std::fill(along.begin(), along.end(), 0.0);
-        for (size_t r = i; r < n; ++r)
-            for (size_t c = i; c < k; ++c) along[c] += u[r] * basis[r * k + c];
-        for (size_t r = i; r < n; ++r)
-            for (size_t c = i; c < k; ++c) basis[r * k + c] -= 2 * u[r] * along[c];
+    {
+        nb::gil_scoped_release release;
+#ifdef HAS_AVX2_TWIN
+        if (has_avx2()) compose_with_avx2(entries.data(), n, k, out.data.get());
+        else
+#endif
+            compose(entries.data(), n, k, out.data.get());
     }
     return out.give({n, k});
 }

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocodec import metrics
+from mocodec import metrics, native
 from mocodec.errors import CannotEncode, Corrupt
 from mocodec.stages import bounded, gaps, lattice
 from mocodec.testing import corruption
@@ -92,6 +92,22 @@ def test_the_lattice_engine_codes_errors_far_beyond_the_bound(monkeypatch: pytes
             assert bounded.unpack(bad, prediction, 0.01, packed_gaps).shape == prediction.shape
         except Corrupt:
             continue
+
+
+@pytest.mark.parametrize(("frames", "points", "scale"), [(1, 1, 2.0), (300, 7, 0.8), (128, 3, 0.4), (129, 5, 3.0)])
+def test_lasting_corrections_are_those_of_numpy(frames: int, points: int, scale: float):
+    if native.kernel("lasting_corrections") is None:
+        pytest.skip("the compiled module is not built")
+    random = np.random.default_rng(frames)
+    error = scale * np.cumsum(random.normal(0, 0.2, (frames, points, 3)), axis=0) + random.normal(
+        0, 0.3, (1, points, 3)
+    )
+    error[:, -1] *= 0.01
+    nearest = np.rint(error).astype(np.int64)
+    outside = (error**2).sum(axis=2) > 0.75
+    compiled = bounded._lasting_corrections(error, nearest, outside)
+    with native.without():
+        np.testing.assert_array_equal(compiled, bounded._lasting_corrections(error, nearest, outside))
 
 
 def test_a_bound_below_the_precision_of_floats_is_refused():

@@ -123,11 +123,14 @@ class Completion:
         missing[np.arange(len(missing)), np.arange(self.count, len(self.moved))] += 1.0
         return whole
 
-    def components(self, rows: Floats) -> Floats:
-        """rows (…, n) times all columns, the known ones first: fewer steps than by `completed` where these are few."""
+    def components(self, rows: Floats, out: Floats) -> None:
+        """rows (m, n) times all columns, the known ones first, into `out` (m, n): fewer steps than by `completed` where
+        these are few."""
         moved = rows @ self.moved
-        known = moved + rows[..., : self.count] * self.signs
-        return np.concatenate([known, rows[..., self.count :] + moved @ self.across], axis=-1)
+        np.matmul(moved, self.across, out=out[:, self.count :])
+        out[:, self.count :] += rows[:, self.count :]
+        np.multiply(rows[:, : self.count], self.signs, out=out[:, : self.count])
+        out[:, : self.count] += moved
 
 
 def _signs_of_reflections(corner: Floats) -> Floats:
@@ -165,6 +168,12 @@ def pack(basis: Floats, precision: Integers, alike: Integers | None = None) -> b
     alike: as `pack_each` takes them.
     """
     return pack_each(basis, precision, [alike])[0]
+
+
+def pack_rounded(basis: Floats, precision: Integers, alike: Integers | None = None) -> tuple[bytes, Floats]:
+    """`pack`, and what `unpack` makes of it."""
+    entries = _decompose(basis, precision)
+    return _pack_entries(entries, alike), _compose(entries, len(basis))
 
 
 def pack_each(basis: Floats, precision: Integers, alikes: Sequence[Integers | None]) -> list[bytes]:

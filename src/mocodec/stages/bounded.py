@@ -23,6 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from .. import native
 from ..entropy import coder, varint
 from ..errors import CannotEncode, Corrupt
 from ..typing import Booleans, Floats, Integers
@@ -128,6 +129,8 @@ def _lasting_corrections(error: Floats, nearest: Integers, outside: Booleans) ->
     error is beyond the bound. A correction stays until it is no longer valid; then comes the lattice point of
     `NEIGHBOURS` that is valid for the most frames from there on. All blocks of all points are computed side by side.
     """
+    if (kernel := native.kernel("lasting_corrections")) is not None:
+        return kernel(error, nearest, outside.astype(np.uint8), NEIGHBOURS, BLOCK)
     frames, points, _ = error.shape
     blocks = -(-frames // BLOCK)
     pad = ((0, blocks * BLOCK - frames), (0, 0), (0, 0))

@@ -35,6 +35,8 @@ SCALES, EXTENTS = (0.25, 4.0), (0.05, 5.0)
 POSING_ROUNDS = 6
 KEPT_GUESSES, KEPT_ROUNDS, LAST_ROUNDS = 4, 3, 5
 """The best first guesses are refined for some rounds, and the best of these for more."""
+ALIKE_M = 0.02
+"""Poses whose points are nearer to each other than this lead to the same guesses."""
 NEAR_BONE_M = 0.12
 """Usual distance of a point from its bone."""
 UNEXPLAINED, LEAST_UNEXPLAINED = 0.05, 1e-3
@@ -72,7 +74,8 @@ def fit(
     pose = heading.mean_pose(centred)
     aligned = heading.align(centred[:: max(1, len(centred) // SAMPLE_FRAMES)], pose)
     tallest = aligned[np.ptp(aligned[..., 1], axis=1).argmax()]
-    guesses = [g for p in (pose, tallest) for g in _guesses(p, bones)]
+    poses = [pose] if np.abs(tallest - pose).max() < ALIKE_M else [pose, tallest]
+    guesses = [g for p in poses for g in _guesses(p, bones)]
     if not guesses:
         return None
     moved = aligned - pose

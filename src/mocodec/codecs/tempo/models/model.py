@@ -114,7 +114,7 @@ class Model:
         out = np.zeros((frames, self.rows))
         spectrum = coordinate_spectrum(positions, self.coordinates, self.rate, out)
         if self.statistics.completion is not None:
-            out[:, POSE:] = self.statistics.completion.components(spectrum)
+            self.statistics.completion.components(spectrum, out[:, POSE:])
             return out
         for band, of_band in zip(self.bands(frames), self.statistics.bases, strict=True):
             out[band, POSE:] = spectrum[band] @ of_band.T

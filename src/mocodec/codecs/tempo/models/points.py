@@ -30,8 +30,8 @@ POSE_COARSER = 64
 """The mean pose is rounded to steps of Δ/√frames, made coarser by this (1/32 octave)."""
 FINER_STEPS = (0, 32)
 """A stored basis is rounded for the step, or for one finer by this (1/32 octave)."""
-MOST_OF_MARKERS = 400
-"""No marker set has more points. Of more, the finer basis is fitted first."""
+MANY_POINTS = 400
+"""Of more points the finer basis is fitted first."""
 
 NEAREST_BLOCK = 64
 """Points worked on at a time."""
@@ -134,7 +134,7 @@ class StoredPoints:
 
 def fit_stored(recording: Recording) -> Iterator[FittedModel]:
     if recording.frames >= 2 and 3 * recording.like.points <= stored_basis.MOST_DIMENSIONS:
-        steps = FINER_STEPS if recording.like.points <= MOST_OF_MARKERS else FINER_STEPS[::-1]
+        steps = FINER_STEPS if recording.like.points <= MANY_POINTS else FINER_STEPS[::-1]
         for finer in steps:
             yield stored_points(recording, recording.step - finer)
 

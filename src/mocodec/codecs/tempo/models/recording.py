@@ -11,6 +11,7 @@ import numpy as np
 
 from ....motion import Motion
 from ....typing import Floats
+from ..coding.rows import POSE, step_size
 from ..pose import heading
 from .coordinates import PointCoordinates
 from .model import Model
@@ -18,6 +19,10 @@ from .stored_basis import Components
 
 POSE_FRAMES = 2000
 """Enough for the mean pose of a recording."""
+
+
+STILL_STEPS = 2.0
+"""In a still recording, points are on average (root mean square) nearer than so many steps to the mean pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,29 @@ class Recording:
     def components(self) -> Components:
         """Of its positions about the mean pose."""
         return Components.of_positions(self.chunks, PointCoordinates(self.mean_pose), self.like.rate)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether its points hardly move about the mean pose."""
+        squared = float(self.components.principal.variances.sum()) / self.like.points
+        return squared < (STILL_STEPS * float(step_size(self.step))) ** 2
+
+    def spectrum(self, model: Model, number: int) -> Floats | None:
+        """Coefficients (frames, rows) of a chunk in a model whose basis is that of the components, from their spectra;
+        None for other models.
+
+        The model's pose differs from the mean pose by its rounding only, and so the headings are the same.
+        """
+        pose = model.coordinates.pose
+        if model.statistics.completion is None or not isinstance(model.coordinates, PointCoordinates):
+            return None
+        known = self.components
+        out = np.empty((len(self.chunks[number]), model.rows))
+        out[:, :POSE] = known.moves[number]
+        spectrum = known.spectra[number].copy()
+        spectrum[:1] += (self.mean_pose - pose).ravel() * np.sqrt(len(spectrum))
+        model.statistics.completion.components(spectrum, out[:, POSE:])
+        return out
 
     def with_step(self, step: int) -> Recording:
         """The recording for another step, with what is known of it already."""

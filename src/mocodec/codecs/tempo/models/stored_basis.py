@@ -121,23 +121,26 @@ class Components(NamedTuple):
     """What a basis is rounded from, the same for every step.
 
     spectra (frames, dimensions), one a chunk. principal: the components, strongest first, and their variances.
+    moves (frames, POSE), one a chunk: coefficients of heading and place, for positions.
     """
 
     spectra: Sequence[Floats]
     principal: basis.Principal
+    moves: Sequence[Floats] = ()
 
     @classmethod
-    def of(cls, spectra: Sequence[Floats]) -> Components:
-        return cls(spectra, _principal(spectra, sum(map(len, spectra))))
+    def of(cls, spectra: Sequence[Floats], moves: Sequence[Floats] = ()) -> Components:
+        return cls(spectra, _principal(spectra, sum(map(len, spectra))), moves)
 
     @classmethod
     def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
         """Of chunks (frames, points, 3), y up."""
+        moves = [np.empty((len(p), POSE)) for p in positions]
 
-        def spectrum(chunk: Floats) -> Floats:
-            return coordinate_spectrum(chunk, coordinates, rate, np.empty((len(chunk), POSE)))
+        def spectrum(number: int) -> Floats:
+            return coordinate_spectrum(positions[number], coordinates, rate, moves[number])
 
-        return cls.of(list(parallel.over(spectrum, positions)))
+        return cls.of(list(parallel.over(spectrum, range(len(positions)))), moves)
 
 
 def fit(components: Components, prior: Prior, rate: float, step: int, similar: Integers | None = None) -> StoredBasis:
@@ -155,8 +158,7 @@ def fit(components: Components, prior: Prior, rate: float, step: int, similar: I
     fitted = np.concatenate([s[_fitted_frequencies(len(s), rate)] for s in spectra])
     gains = _gains(fitted @ vectors, lengths, rate, known, np.arange(count))
     precision = basis.precisions(variances[:count], float(step_size(noise + COARSER)))
-    packed = basis.pack(vectors, precision, similar)
-    stored = basis.unpack(packed, len(vectors), precision, similar)
+    packed, stored = basis.pack_rounded(vectors, precision, similar)
     last = gains[-1:]
     if others := len(vectors) - count:
         rest = np.sqrt(_squares_beside(stored, fitted) / others)
