@@ -108,7 +108,7 @@ def _from_plain(data: Any) -> Motion:
 
 
 def _skeleton(dataset: Any, names: list[str]) -> Skeleton | None:
-    """The skeleton in the coordinates `parent` and `offset`; None without them, or if a parent is no point before."""
+    """The skeleton in the coordinates `parent` and `offset`; None without them, or if a parent follows its child."""
     if "parent" not in dataset.coords or "offset" not in dataset.coords or len(set(names)) < len(names):
         return None
     numbers = {"": -1, **{name: i for i, name in enumerate(names)}}

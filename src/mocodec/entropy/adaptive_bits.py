@@ -75,7 +75,7 @@ class Mixer:
         self._contexts = [c * 257 for c in contexts]
 
     def mix(self, kind: int, weights: int) -> int:
-        """The probability, 2^-16, that the next bit is 1. kind: which decision it codes; weights: the set of mixers."""
+        """The probability, 2^-16, that the next bit is 1. kind: which decision it codes; weights: their set."""
         shift = 32 - SLOT_BITS
         self._slots = [((c + kind) * 2654435761 & MASK) >> shift for c in self._contexts]
         self._stretched = [

@@ -25,7 +25,7 @@ SAME_REST_M, SAME_REST = 5e-5, 1e-5
 
 
 class Local(NamedTuple):
-    """A node over time. translation, scale (frames, 3), rotation (frames, 4); None for a property that stays at rest."""
+    """A node over time. translation, scale (frames, 3), rotation (frames, 4); None for what stays as it is at rest."""
 
     translation: Floats | None
     rotation: Floats | None
