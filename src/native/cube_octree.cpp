@@ -15,10 +15,19 @@ constexpr int CUBES_OF_SAMPLE = 4;
 constexpr int64_t LARGEST_SPACING = 1 << 16, LARGEST_DISTANCE = 1 << 25, LARGEST_DEVIATION = 1 << 20;
 constexpr int64_t SAMPLE_WEIGHT = 5120, USUAL_WEIGHT = 1024, LEAST_VARIANCE = 16;
 constexpr int64_t DENSITY = 1634, LARGEST_DENSITY = 1 << 24, MOST_EXPECTED = 1 << 19, TWO = 2 << 16;
+constexpr int64_t BEYOND = int64_t(1) << 40;  // distance from which on all classes and weights are the same
 constexpr int LEAST_ODDS = 16;
 
-// The root of an integer below 2^52, rounded down.
-int64_t root(int64_t square) { return int64_t(std::sqrt(double(square))); }
+// A byte for each bit of the numbers from 0 to 255, the lowest first.
+struct BytesOfBits {
+    uint64_t of[256] = {};
+    constexpr BytesOfBits() {
+        for (int mask = 0; mask < 256; ++mask)
+            for (int bit = 0; bit < 8; ++bit) of[mask] |= uint64_t(mask >> bit & 1) << 8 * bit;
+    }
+};
+
+constexpr BytesOfBits BYTES;
 
 // The cubes of a level. neighbours: rows before and behind along every axis, the number of cubes if empty. known: occupied
 // octants; one cube more, which stays empty.
@@ -64,84 +73,92 @@ struct Cubes {
     }
 };
 
+// What is expected of the children of a cube that can be occupied: classes of the odds of each while no octant is known to be
+// occupied, and where one is; classes of its distance.
+struct Expected {
+    uint8_t narrow[2][8], wide[2][8], distance[8];
+};
+
 // Where the surface passes the cubes of a level. Lengths are in subunits.
 class Passage {
 public:
-    int64_t distances[8] = {}, narrow[8] = {}, wide[8] = {};  // of the children of the last cube
-
     Passage(const Surface &surface, const Cubes &cubes, int level, size_t points, const int32_t *bell)
         : surface_(surface), cubes_(cubes), bell_(bell), side_(surface.child_size(level)),
-          side_bits_(surface.child_bits(level)),
-          spacing_(std::min(surface.spacing(), LARGEST_SPACING)), centres_(cubes.size()),
-          noise_(cubes.size(), 4 * side_ * side_), far_(cubes.size(), 0), samples_(cubes.size()), held_(surface.size()) {
+          side_bits_(surface.child_bits(level)), spacing_(std::min(surface.spacing(), LARGEST_SPACING)),
+          far_(cubes.size(), 0), shown_by_(cubes.size(), NOWHERE), samples_(cubes.size()) {
         int64_t known = 0, sum = 0;
         for (size_t i = 0; i < cubes.size(); ++i) {
-            centres_[i] = Surface::centre_of(cubes.places[i], 2 * side_);
             samples_[i].fill(0);
             if (cubes.nearest[i] < 0) continue;
-            far_[i] = std::clamp(surface.distance(centres_[i], cubes.nearest[i]), -LARGEST_DISTANCE, LARGEST_DISTANCE);
+            far_[i] = std::clamp(surface.distance(centre(i), cubes.nearest[i]), -LARGEST_DISTANCE, LARGEST_DISTANCE);
             ++known;
             sum += std::abs(far_[i]);
         }
-        places_ = centres_;
         if (known) {
             usual_ = sum / known;
             const int64_t across = side_ * 256 / spacing_;
             const int64_t samples = int64_t(surface.size());
             density_ = std::min(int64_t(points) * DENSITY * across * across / (samples * 16), LARGEST_DENSITY);
-            find_cubes_of_samples();
+            find_shown();
+            fill_tables();
         }
         if (2 * side_ > surface.spacing())
             classify_samples(surface, cubes.codes, level, [&](size_t i, size_t octant, uint8_t kind) { samples_[i][octant] = kind; });
     }
 
-    // Sets what is expected of the children of cube i, which has a sample: octants 0, octant_step, 2 octant_step …
-    void expect(size_t i, int octant_step) {
+    // What is expected of `COUNT` children, 8 or the two of the last level, of cube i, which has a sample.
+    template <int COUNT>
+    void expect(size_t i, Expected &of) const {
         const int32_t own = cubes_.nearest[i];
         int64_t offset, variance;
+        double away[COUNT], magnitudes[COUNT], sides[COUNT], odds[2][COUNT];
         find_surface(i, offset, variance);
-        Place first;
-        for (size_t d = 0; d < 3; ++d) first[d] = cubes_.places[i][d] * 2 * side_ + side_ / 2 - HALF_UNIT;
-        const int64_t distance = surface_.distance(first, own) - offset;
-        int64_t steps[3];
-        for (size_t d = 0; d < 3; ++d) steps[d] = wrapped_product(surface_.normal(own)[d], side_) >> NORMAL_BITS;
-        const int64_t cut = 4 * side_ * side_ / 48;
-        const int64_t sigma = root(variance + cut), wide_sigma = root(3 * variance + cut);
-        const int64_t most = most_expected(sigma), wide_most = most_expected(wide_sigma);
-        for (int octant = 0; octant < 8; octant += octant_step) {
-            int64_t away = distance;
-            for (int d = 0; d < 3; ++d) away += octant >> d & 1 ? steps[d] : 0;
-            distances[octant] = away;
-            narrow[octant] = (most * weight(away, sigma) >> 12) + 1;
-            wide[octant] = (wide_most * weight(away, wide_sigma) >> 12) + 1;
+        find_distances<COUNT>(i, own, offset, away);
+        const double per_quarter = 4.0 / double(side_), last = CLASSES - 1;
+        for (int k = 0; k < COUNT; ++k) magnitudes[k] = std::abs(away[k]);
+        for (int k = 0; k < COUNT; ++k) sides[k] = magnitudes[k] * per_quarter < last ? magnitudes[k] * per_quarter : last;
+        int32_t quarters[COUNT];
+        for (int k = 0; k < COUNT; ++k) quarters[k] = int32_t(sides[k]);
+        for (int k = 0; k < COUNT; ++k) {
+            const int steps = steps_[size_t(quarters[k])];
+            of.distance[k] = uint8_t(away[k] < 0 ? FAR / 2 - steps : FAR / 2 + steps);
         }
+        const int64_t cut = 4 * side_ * side_ / 48;
+        find_odds<COUNT>(magnitudes, root(variance + cut), odds);
+        classify<COUNT>(odds, of.narrow);
+        find_odds<COUNT>(magnitudes, root(3 * variance + cut), odds);
+        classify<COUNT>(odds, of.wide);
     }
 
     // The occupied children of cube i are known.
     void learn(size_t i) {
-        const unsigned known = cubes_.known[i];
-        const int64_t count = bits_of(known);
+        const int32_t row = shown_by_[i];
+        if (row < 0) return;
         static constexpr unsigned UPPER[] = {0xAA, 0xCC, 0xF0};
+        const unsigned known = cubes_.known[i];
+        Shown &shown = shown_[size_t(row)];
+        shown.children = bits_of(known);
         for (size_t d = 0; d < 3; ++d)
-            places_[i][d] = centres_[i][d] - side_ / 2 + int64_t(bits_of(known & UPPER[d])) * side_ / count;
-        noise_[i] = 4 * side_ * side_ / (6 * count);
-    }
-
-    int distance_class(int octant) const {
-        const int steps = steps_[size_t(std::min<int64_t>(4 * std::abs(distances[octant]) >> side_bits_, CLASSES - 1))];
-        return FAR / 2 + (distances[octant] < 0 ? -steps : steps);
+            shown.place[d] = corner_of(cubes_.places[i][d]) + share_[size_t(shown.children)][size_t(bits_of(known & UPPER[d]))];
     }
 
     int samples(size_t i, int octant) const { return samples_[i][size_t(octant)]; }
 
 private:
-    struct Held {
-        std::array<int32_t, CUBES_OF_SAMPLE> rows;
-        int32_t count = 0;
+    // What a cube shows of the surface: its centre, or that of its children if some are known.
+    struct Shown {
+        std::array<int32_t, 3> place;
+        int32_t children;
+        Place normal;  // of its sample
     };
 
-    // At most CUBES_OF_SAMPLE cubes of each sample.
-    void find_cubes_of_samples() {
+    Place centre(size_t i) const { return Surface::centre_of(cubes_.places[i], 2 * side_); }
+
+    // The centre of the first child along an axis.
+    int32_t corner_of(int32_t place) const { return int32_t(place * 2 * side_ + side_ / 2 - HALF_UNIT); }
+
+    // At most CUBES_OF_SAMPLE cubes of each sample, sample by sample.
+    void find_shown() {
         std::vector<int32_t> first(surface_.size() + 1, 0);
         for (int32_t s : cubes_.nearest)
             if (s >= 0) ++first[size_t(s) + 1];
@@ -149,57 +166,139 @@ private:
         std::vector<int32_t> rows(size_t(first.back())), next(first.begin(), first.end() - 1);
         for (size_t i = 0; i < cubes_.size(); ++i)
             if (cubes_.nearest[i] >= 0) rows[size_t(next[size_t(cubes_.nearest[i])]++)] = int32_t(i);
+        first_shown_.assign(surface_.size() + 1, 0);
+        shown_.reserve(rows.size());
         for (size_t s = 0; s < surface_.size(); ++s) {
-            const int32_t count = first[s + 1] - first[s];
-            held_[s].count = std::min(count, CUBES_OF_SAMPLE);
-            for (int32_t k = 0; k < held_[s].count; ++k) {
-                const int64_t number = int64_t(k) * count / held_[s].count;
-                held_[s].rows[size_t(k)] = rows[size_t(first[s] + number)];
+            const int32_t count = first[s + 1] - first[s], kept = std::min(count, CUBES_OF_SAMPLE);
+            for (int32_t k = 0; k < kept; ++k) {
+                const size_t i = size_t(rows[size_t(first[s] + int64_t(k) * count / kept)]);
+                const Place at = centre(i);
+                shown_by_[i] = int32_t(shown_.size());
+                shown_.push_back({{int32_t(at[0]), int32_t(at[1]), int32_t(at[2])}, 0, surface_.normal(int32_t(s))});
             }
+            first_shown_[s + 1] = int32_t(shown_.size());
         }
+    }
+
+    // share_: of the side of a child by which `upper` of `count` children move their centre. least_: of the quotient that is a
+    // weight, by the number of children.
+    void fill_tables() {
+        for (int64_t count = 1; count <= 8; ++count)
+            for (int64_t upper = 0; upper <= count; ++upper) share_[size_t(count)][size_t(upper)] = int32_t(upper * side_ / count);
+        for (int64_t count = 0; count <= 8; ++count) {
+            const int64_t noise = count ? 4 * side_ * side_ / (6 * count) : 4 * side_ * side_;
+            least_[size_t(count)] = 10 * spacing_ * spacing_ + 64 * noise + 1;
+        }
+    }
+
+    // Rows of what the cubes of a sample and of its neighbours show; returns their number. Writes CUBES_OF_SAMPLE rows for each
+    // sample, so that there is no branch that nothing predicts.
+    int find_rows(int32_t own, int32_t *rows) const {
+        const int32_t *around = surface_.around(own), *first = first_shown_.data();
+        int count = 0;
+        const auto add = [&](int32_t sample, bool is_used) {
+            for (int k = 0; k < CUBES_OF_SAMPLE; ++k) rows[count + k] = first[sample] + k;
+            count += is_used ? first[sample + 1] - first[sample] : 0;
+        };
+        add(own, true);
+        for (int k = 0; k < NEIGHBOURS; ++k) add(around[k], around[k] != own);
+        return count;
     }
 
     // The distance of the surface from that of the sample of cube i, and its variance.
     void find_surface(size_t i, int64_t &offset, int64_t &variance) const {
-        int64_t weights[13 * CUBES_OF_SAMPLE], away[13 * CUBES_OF_SAMPLE], total = 0, sum = 0;
-        int count = 0;
-        const int32_t own = cubes_.nearest[i], *around = surface_.around(own);
-        const int64_t square = spacing_ * spacing_;
-        const Place &centre = centres_[i], &normal = surface_.normal(own);
-        for (int k = -1; k < NEIGHBOURS; ++k) {
-            const int32_t sample = k < 0 ? own : around[k];
-            if (k >= 0 && sample == own) continue;
-            const Held &held = held_[size_t(sample)];
-            const Place &other = surface_.normal(sample);
-            for (int32_t n = 0; n < held.count; ++n) {
-                const size_t row = size_t(held.rows[size_t(n)]);
-                int64_t apart = 0, along = 0;
-                for (size_t d = 0; d < 3; ++d) {
-                    const int64_t step = places_[row][d] - centre[d];
-                    apart += step * step;
-                    along += step * (normal[d] + other[d]);
-                }
-                weights[count] = floor_quotient(square << 16, 13 * apart + 10 * square + 64 * noise_[row] + 1);
-                away[count] = far_[i] + (along >> (NORMAL_BITS + 1));
-                total += weights[count];
-                sum += weights[count] * away[count];
-                ++count;
-            }
+        constexpr int MOST = (NEIGHBOURS + 1) * CUBES_OF_SAMPLE;
+        int32_t rows[MOST + CUBES_OF_SAMPLE];
+        const int32_t own = cubes_.nearest[i];
+        const int count = find_rows(own, rows);
+        int64_t away[MOST];
+        double below[MOST];
+        const Place at = centre(i), normal = surface_.normal(own);
+        const int64_t far = far_[i];
+        const Shown *shown = shown_.data();
+        for (int n = 0; n < count; ++n) {
+            const Shown &other = shown[rows[n]];
+            const int64_t a = other.place[0] - at[0], b = other.place[1] - at[1], c = other.place[2] - at[2];
+            const int64_t along = a * (normal[0] + other.normal[0]) + b * (normal[1] + other.normal[1]) + c * (normal[2] + other.normal[2]);
+            below[n] = double(13 * (a * a + b * b + c * c) + least_[size_t(other.children)]);
+            away[n] = far + (along >> (NORMAL_BITS + 1));
+        }
+        const double above = double(spacing_ * spacing_ << 16);  // below 2^49, so quotients of floats are exact enough
+        int32_t weights[MOST];
+        for (int n = 0; n < count; ++n) weights[n] = int32_t(above / below[n]);
+        int64_t total = 0, sum = 0, spread = USUAL_WEIGHT * usual_;
+        for (int n = 0; n < count; ++n) {
+            total += weights[n];
+            sum += weights[n] * away[n];
         }
         offset = floor_quotient(sum, total + SAMPLE_WEIGHT);
-        int64_t spread = USUAL_WEIGHT * usual_;
         for (int n = 0; n < count; ++n) spread += weights[n] * std::abs(away[n] - offset);
         const int64_t deviation = std::min(floor_quotient(spread, total + USUAL_WEIGHT), LARGEST_DEVIATION);
         variance = std::max((166 * deviation * deviation >> 8) - 4 * side_ * side_ / 20, LEAST_VARIANCE);
     }
 
-    int64_t most_expected(int64_t sigma) const { return std::min(density_ * side_ / (sigma * 256), MOST_EXPECTED); }
-
-    // The normal density at a distance. The quotient of floats is exact enough: integers below 2^52.
-    int64_t weight(int64_t distance, int64_t sigma) const {
-        const double steps = double(std::abs(distance)) * BELL_PER_DEVIATION / double(sigma);
-        return bell_[steps < BELL_STEPS ? int(steps) : BELL_STEPS];
+    // The distances of the children from the surface, at most BEYOND.
+    template <int COUNT>
+    void find_distances(size_t i, int32_t own, int64_t offset, double *away) const {
+        Place first;
+        for (size_t d = 0; d < 3; ++d) first[d] = corner_of(cubes_.places[i][d]);
+        const int64_t distance = surface_.distance(first, own) - offset;
+        int64_t steps[3];
+        for (size_t d = 0; d < 3; ++d) steps[d] = wrapped_product(surface_.normal(own)[d], side_) >> NORMAL_BITS;
+        const auto is_near = [](int64_t value) { return value > -BEYOND / 4 && value < BEYOND / 4; };
+        if (is_near(distance) && is_near(steps[0]) && is_near(steps[1]) && is_near(steps[2])) {
+            const double x = double(steps[0]), y = double(steps[1]), z = double(steps[2]), from = double(distance);
+            if (COUNT == 8)
+                for (int k = 0; k < COUNT; ++k) away[k] = from + (k & 1 ? x : 0) + (k & 2 ? y : 0) + (k & 4 ? z : 0);
+            else
+                away[0] = from, away[COUNT - 1] = from + x + y + z;
+            return;
+        }
+        for (int k = 0; k < COUNT; ++k) {
+            const int octant = COUNT == 8 ? k : k * LATTICE_STEP;
+            int64_t sum = distance;
+            for (int d = 0; d < 3; ++d) sum += octant >> d & 1 ? steps[d] : 0;
+            away[k] = double(std::clamp(sum, -BEYOND, BEYOND));
+        }
     }
+
+    // The odds of each child while no octant is known to be occupied, and where one is, for a standard deviation. Integers in
+    // floats, which are exact: below 2^48.
+    template <int COUNT>
+    void find_odds(const double *magnitudes, int64_t sigma, double (*odds)[COUNT]) const {
+        const uint32_t most = uint32_t(std::min(density_ * side_ / (sigma * 256), MOST_EXPECTED));
+        // Too large by 2^-50, so that quotients that are integers stay those when they are rounded down.
+        const double per_deviation = BELL_PER_DEVIATION / double(sigma) * (1 + 1.0 / (int64_t(1) << 50)), last = BELL_STEPS;
+        double steps[COUNT], expected[COUNT], others[COUNT];
+        int32_t bells[COUNT], whole[COUNT];
+        for (int k = 0; k < COUNT; ++k) steps[k] = magnitudes[k] * per_deviation < last ? magnitudes[k] * per_deviation : last;
+        for (int k = 0; k < COUNT; ++k) bells[k] = int32_t(steps[k]);
+        for (int k = 0; k < COUNT; ++k) whole[k] = int32_t(most * uint32_t(bell_[bells[k]]) >> 12) + 1;
+        for (int k = 0; k < COUNT; ++k) expected[k] = double(whole[k]);
+        others[COUNT - 1] = 0;
+        for (int k = COUNT - 1; k > 0; --k) others[k - 1] = others[k] + expected[k];
+        for (int k = 0; k < COUNT; ++k) whole[k] = int32_t(expected[k] * (TWO + expected[k]) * (1.0 / TWO));
+        for (int k = 0; k < COUNT; ++k) odds[1][k] = double(whole[k]) * 256;
+        for (int k = 0; k < COUNT; ++k) {
+            const double alone = odds[1][k] * 0.5 * (TWO + others[k]) / others[k];
+            odds[0][k] = others[k] < TWO ? alone : odds[1][k];
+        }
+    }
+
+    // Classes of odds: the binary order and the two digits after the first.
+    template <int COUNT>
+    static void classify(double (*odds)[COUNT], uint8_t (*classes)[8]) {
+        for (int is_known = 0; is_known < 2; ++is_known)
+            for (int k = 0; k < COUNT; ++k) {
+                uint64_t digits;
+                std::memcpy(&digits, &odds[is_known][k], sizeof digits);
+                const int64_t kind = int64_t(digits >> 50) - 4 * (1023 + LEAST_ODDS);
+                classes[is_known][k] = uint8_t(std::clamp<int64_t>(kind, 0, NO_HINT - 1));
+            }
+    }
+
+    // The root of an integer below 2^52, rounded down.
+    static int64_t root(int64_t square) { return int64_t(std::sqrt(double(square))); }
 
     const Surface &surface_;
     const Cubes &cubes_;
@@ -207,24 +306,14 @@ private:
     const int64_t side_;
     const int side_bits_;
     const int64_t spacing_;
-    std::vector<Place> centres_, places_;
-    std::vector<int64_t> noise_, far_;
+    std::vector<int64_t> far_;
+    std::vector<int32_t> shown_by_, first_shown_;  // rows of what cubes show: of a cube, NOWHERE without; the first of a sample
+    std::vector<Shown> shown_;
     std::vector<std::array<uint8_t, 8>> samples_;
-    std::vector<Held> held_;
-    int64_t usual_ = 0, density_ = 0;
+    int64_t usual_ = 0, density_ = 0, least_[9] = {};
+    std::array<std::array<int32_t, 9>, 9> share_{};
     const std::array<int, CLASSES> steps_ = distance_classes();
 };
-
-// The class of the odds of an octant with `own` expected points, and `others` in those still to come: the binary order and
-// the two digits after the first. The quotient of floats is exact enough below 2^32, where the classes end.
-int odds_class(int64_t own, int64_t others, int few) {
-    const int64_t first = own * (TWO + own) >> 17;
-    const double odds = few || others >= TWO ? double(first << 8) : double(first * 128 * (TWO + others)) / double(others);
-    if (odds < double(1 << LEAST_ODDS)) return 0;
-    uint64_t digits;
-    std::memcpy(&digits, &odds, sizeof digits);
-    return int(std::min<uint64_t>((digits >> 50) - 4 * (1023 + LEAST_ODDS), NO_HINT - 1));
-}
 
 class Tree {
 public:
@@ -258,76 +347,104 @@ public:
 private:
     template <class Coder>
     void code_level(Coder &coder, int level, size_t points, const uint8_t *occupied) {
+        if (level == depth_ - 1)
+            code_cubes<2>(coder, level, points, occupied);
+        else
+            code_cubes<8>(coder, level, points, occupied);
+    }
+
+    // COUNT: octants of a cube that can be occupied.
+    template <int COUNT, class Coder>
+    void code_cubes(Coder &coder, int level, size_t points, const uint8_t *occupied) {
+        Expected of;
         if (!surface_) {
-            for (size_t i = 0; i < cubes_.size(); ++i) code_cube(coder, i, level, nullptr, occupied);
+            set_unknown(of);
+            for (size_t i = 0; i < cubes_.size(); ++i) code_cube<COUNT>(coder, i, level, 0, of, nullptr, occupied);
             return;
         }
         surface_->attach(cubes_.places, level, cubes_.nearest);
         Passage passage(*surface_, cubes_, level, points, bell_);
         for (size_t i = 0; i < cubes_.size(); ++i) {
-            if (cubes_.nearest[i] >= 0) passage.expect(i, level == depth_ - 1 ? LATTICE_STEP : 1);
-            code_cube(coder, i, level, &passage, occupied);
-            if (cubes_.nearest[i] >= 0) passage.learn(i);
+            const bool is_near = cubes_.nearest[i] >= 0;
+            if (is_near)
+                passage.expect<COUNT>(i, of);
+            else
+                set_unknown(of);
+            code_cube<COUNT>(coder, i, level, 1 + is_near, of, &passage, occupied);
+            if (is_near) passage.learn(i);
         }
     }
 
-    template <class Coder>
-    void code_cube(Coder &coder, size_t i, int level, const Passage *passage, const uint8_t *occupied) {
-        const int octant_step = level == depth_ - 1 ? LATTICE_STEP : 1, height = depth_ - level, tall = std::min(height, 15);
-        const bool is_near = passage && cubes_.nearest[i] >= 0;
-        const int hint = passage ? 1 + is_near : 0;
-        int64_t narrow_left = 0, wide_left = 0;
-        if (is_near)
-            for (int octant = 0; octant < 8; octant += octant_step) {
-                narrow_left += passage->narrow[octant];
-                wide_left += passage->wide[octant];
-            }
-        int filled = 0;
-        for (int32_t row : cubes_.neighbours[i]) filled += size_t(row) < cubes_.size();
-        filled = std::min(filled / 2, 3);
-        unsigned known = 0;
-        for (int octant = 0; octant < 8; octant += octant_step) {
-            const int left = (7 - octant) / octant_step, few = std::min(bits_of(known), 3);
-            int narrow = NO_HINT, wide = NO_HINT, distance = FAR;
-            if (is_near) {
-                narrow_left -= passage->narrow[octant];
-                wide_left -= passage->wide[octant];
-                distance = passage->distance_class(octant);
-            }
-            if (!left && !known) {
-                known |= 1u << octant;
-                break;
-            }
-            if (is_near) {
-                narrow = odds_class(passage->narrow[octant], narrow_left, few);
-                wide = odds_class(passage->wide[octant], wide_left, few);
-            }
-            int beside = 0, nearby = 0;
-            find_neighbours(i, octant, known, beside, nearby);
+    static void set_unknown(Expected &of) {
+        std::memset(&of, NO_HINT, sizeof of);
+        std::memset(of.distance, FAR, sizeof of.distance);
+    }
+
+    template <int COUNT>
+    static int octant_of(int place) {
+        return COUNT == 8 ? place : place * LATTICE_STEP;
+    }
+
+    // hint: what is known of the surface, as weight sets have it. passage: None without a surface.
+    template <int COUNT, class Coder>
+    void code_cube(Coder &coder, size_t i, int level, int hint, const Expected &of, const Passage *passage, const uint8_t *occupied) {
+        const int height = depth_ - level, tall = std::min(height, 15);
+        uint8_t around[8];
+        const int filled = find_neighbours(i, around);
+        const auto set_counters = [&](uint32_t *counters, int place, unsigned known) {
+            const int octant = octant_of<COUNT>(place), few = MASKS.few[known], left = COUNT - 1 - place;
+            const int narrow = of.narrow[few > 0][place], wide = of.wide[few > 0][place];
+            const int beside = around[octant] | MASKS.inner[octant][known], nearby = bits_of(unsigned(beside));
             const int samples = passage ? passage->samples(i, octant) : 0;
             const uint32_t contexts[bits::INPUTS] = {
                 uint32_t(((octant * 4 + few) * 64 + beside) * 4 + filled),
                 uint32_t(narrow * 4 + few),
                 uint32_t((wide * 4 + few) * 16 + tall),
-                uint32_t(((distance * 5 + samples) * 4 + few) * 16 + tall),
+                uint32_t(((of.distance[place] * 5 + samples) * 4 + few) * 16 + tall),
                 uint32_t(((narrow * 7 + nearby) * 4 + few) * 8 + left),
             };
-            const uint32_t set = uint32_t((std::min(height, 20) * 4 + few) * 3 + hint);
-            known |= unsigned(coder.code(contexts, set, occupied ? occupied[i] >> octant & 1 : 0)) << octant;
+            bits::Mixer::counters_of(contexts, counters);
+            coder.fetch(counters);
+        };
+        const uint32_t first_set = uint32_t(std::min(height, 20) * 12 + hint);
+        uint32_t counters[2][bits::INPUTS];  // of the next bit, after a 0 and after a 1
+        unsigned known = 0;
+        int bit = 0;
+        set_counters(counters[0], 0, 0);
+        for (int place = 0; place < COUNT; ++place) {
+            const int octant = octant_of<COUNT>(place);
+            if (place == COUNT - 1 && !known) {
+                known = 1u << octant;
+                break;
+            }
+            uint32_t own[bits::INPUTS];
+            std::copy_n(counters[bit], bits::INPUTS, own);
+            if (place < COUNT - 1) {
+                set_counters(counters[0], place + 1, known);
+                set_counters(counters[1], place + 1, known | 1u << octant);
+            }
+            bit = coder.code_with(own, first_set + 3 * MASKS.few[known], occupied ? occupied[i] >> octant & 1 : 0);
+            known |= unsigned(bit) << octant;
         }
         cubes_.known[i] = uint8_t(known);
     }
 
-    // beside, nearby: contexts from the octants and cubes beside an octant of cube i, whose octants `known` are occupied.
-    void find_neighbours(size_t i, int octant, unsigned known, int &beside, int &nearby) const {
+    // around (8): of each octant, the contexts from the cubes beside cube i. Returns the class of their number.
+    int find_neighbours(size_t i, uint8_t *around) const {
+        static constexpr unsigned LOWER[] = {0x55, 0x33, 0x0F};
+        const std::array<int32_t, 6> &rows = cubes_.neighbours[i];
+        const int32_t end = int32_t(cubes_.size());
+        int filled = 0;
+        uint64_t all = 0;  // a byte for each octant
         for (int axis = 0; axis < 3; ++axis) {
-            const int opposite = octant ^ 1 << axis, is_upper = octant >> axis & 1;
-            const size_t row = size_t(cubes_.neighbours[i][size_t(2 * axis + is_upper)]);
-            const int inner = int((is_upper ? known : unsigned(cubes_.known[row])) >> opposite & 1);
-            const int outer = row < cubes_.size();
-            beside = beside * 4 + 2 * inner + outer;
-            nearby += inner + outer;
+            const int32_t before = rows[size_t(2 * axis)], behind = rows[size_t(2 * axis + 1)];
+            const unsigned outer = (before < end ? LOWER[axis] : 0) | (behind < end ? 255 - LOWER[axis] : 0);
+            const unsigned inner = cubes_.known[size_t(before)] >> (1 << axis) & LOWER[axis];
+            filled += (before < end) + (behind < end);
+            all |= (BYTES.of[outer] | BYTES.of[inner] << 1) << Masks::outer_bit(axis);
         }
+        for (int octant = 0; octant < 8; ++octant) around[octant] = uint8_t(all >> 8 * octant);
+        return std::min(filled / 2, 3);
     }
 
     const int depth_;

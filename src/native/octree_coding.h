@@ -30,6 +30,25 @@ inline constexpr BitCounts BIT_COUNTS;
 
 inline int bits_of(unsigned mask) { return BIT_COUNTS.of[mask & 255]; }
 
+// Tables of the numbers from 0 to 255.
+struct Masks {
+    uint8_t few[256] = {};       // bits, at most 3
+    uint8_t inner[8][256] = {};  // of an octant: those beside it in its cube that are known, as contexts have them
+
+    Masks() {
+        for (unsigned mask = 0; mask < 256; ++mask) few[mask] = uint8_t(std::min(bits_of(mask), 3));
+        for (int octant = 0; octant < 8; ++octant)
+            for (int mask = 0; mask < 256; ++mask)
+                for (int axis = 0; axis < 3; ++axis)
+                    if (octant >> axis & 1) inner[octant][mask] |= uint8_t((mask >> (octant ^ 1 << axis) & 1) * 2 << outer_bit(axis));
+    }
+
+    // The place in the context of whether the cube or octant beyond the octant's face is occupied.
+    static int outer_bit(int axis) { return 2 * (2 - axis); }
+};
+
+inline const Masks MASKS;
+
 inline size_t occupied_octants(const std::vector<uint8_t> &masks) {
     size_t count = 0;
     for (uint8_t mask : masks) count += size_t(bits_of(mask));

@@ -2,12 +2,14 @@
 //
 //     candidates of each point, errors, costs of cells ─► points change their cell ─► cells open for several ─► choices
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
 #include <vector>
 
 #include "arrays.h"
+#include "octree_surface.h"
 
 namespace {
 
@@ -114,6 +116,79 @@ Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows c
     return result.give({n});
 }
 
+constexpr int FINE_BITS = 8;
+constexpr int64_t UNIT = 1 << FINE_BITS;
+
+struct Candidate {
+    std::array<int64_t, 3> cell;
+    int64_t square, point;
+};
+
+// Adds the lattice points within reach of a point, and within 0 … end − 1 along each axis; at least the nearest there.
+void add_candidates(const int64_t *place, int64_t point, int64_t reach, int64_t end, std::vector<Candidate> &found) {
+    Candidate inside[16];
+    int count = 0;
+    int64_t most = std::numeric_limits<int64_t>::max();
+    for (int parity = 0; parity < 2; ++parity) {
+        int64_t cells[3][2], squares[3][2];
+        for (int d = 0; d < 3; ++d) {
+            const int64_t base = 2 * ((place[d] - parity * UNIT + UNIT) >> (FINE_BITS + 1)) + parity;
+            const int64_t away = place[d] - base * UNIT, rest = 2 * UNIT - (away < 0 ? -away : away);
+            cells[d][0] = base, cells[d][1] = base + (away < 0 ? -2 : 2);
+            squares[d][0] = away * away, squares[d][1] = rest * rest;
+        }
+        for (int corner = 0; corner < 8; ++corner) {
+            const int x = corner & 1, y = corner >> 1 & 1, z = corner >> 2;
+            const Candidate own{{cells[0][x], cells[1][y], cells[2][z]}, squares[0][x] + squares[1][y] + squares[2][z], point};
+            if (!std::all_of(own.cell.begin(), own.cell.end(), [&](int64_t v) { return v >= 0 && v < end; })) continue;
+            inside[count++] = own;
+            most = std::min(most, own.square);
+        }
+    }
+    most = std::max(most, reach * reach);
+    for (int k = 0; k < count; ++k)
+        if (inside[k].square <= most) found.push_back(inside[k]);
+}
+
+// starts, point, cells, squares, cell_of, first, nearest as _Choices has them, of points (n, 3) and an octree of this depth.
+nb::tuple lattice_candidates(Input<int64_t, 2> points, int64_t reach, int depth) {
+    const size_t n = points.shape(0);
+    if (points.shape(1) != 3 || depth < 0 || depth > 20) throw std::invalid_argument("lattice_candidates: shapes differ");
+    std::vector<Candidate> found;
+    found.reserve(2 * n);
+    Fresh<int64_t> starts(n + 1), nearest(n);
+    for (size_t i = 0; i < n; ++i) {
+        starts.data[i] = int64_t(found.size());
+        add_candidates(points.data() + 3 * i, int64_t(i), reach, int64_t(1) << depth, found);
+        if (size_t(starts.data[i]) == found.size()) throw std::invalid_argument("lattice_candidates: a point beyond the octree");
+        const auto is_nearer = [](const Candidate &a, const Candidate &b) { return a.square < b.square; };
+        nearest.data[i] = std::min_element(found.begin() + starts.data[i], found.end(), is_nearer) - found.begin();
+    }
+    const size_t k = found.size();
+    starts.data[n] = int64_t(k);
+    Fresh<int64_t> point(k), cells(3 * k), squares(k), cell_of(k);
+    std::vector<std::pair<uint64_t, int64_t>> sorted(k);
+    for (size_t j = 0; j < k; ++j) {
+        const Candidate &own = found[j];
+        point.data[j] = own.point, squares.data[j] = own.square;
+        std::copy(own.cell.begin(), own.cell.end(), cells.data.get() + 3 * j);
+        sorted[j] = {point_octree::morton_code(own.cell[0], own.cell[1], own.cell[2]), int64_t(j)};
+    }
+    std::sort(sorted.begin(), sorted.end());
+    std::vector<int64_t> firsts;
+    for (size_t j = 0; j < k; ++j) {
+        if (!j || sorted[j].first != sorted[j - 1].first) firsts.push_back(sorted[j].second);
+        cell_of.data[size_t(sorted[j].second)] = int64_t(firsts.size()) - 1;
+    }
+    Fresh<int64_t> first(firsts.size());
+    std::copy(firsts.begin(), firsts.end(), first.data.get());
+    return nb::make_tuple(starts.give({n + 1}), point.give({k}), cells.give({k, 3}), squares.give({k}), cell_of.give({k}),
+                          first.give({firsts.size()}), nearest.give({n}));
+}
+
 }  // namespace
 
-void bind_point_choice(nb::module_ &m) { m.def("choose_candidates", &choose_candidates); }
+void bind_point_choice(nb::module_ &m) {
+    m.def("lattice_candidates", &lattice_candidates);
+    m.def("choose_candidates", &choose_candidates);
+}

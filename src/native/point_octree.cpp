@@ -44,25 +44,6 @@ struct Level {
     size_t size() const { return codes.size(); }
 };
 
-// Tables of the numbers from 0 to 255.
-struct Masks {
-    uint8_t few[256] = {};       // bits, at most 3
-    uint8_t inner[8][256] = {};  // of an octant: those beside it in its cube that are known, as contexts have them
-
-    Masks() {
-        for (unsigned mask = 0; mask < 256; ++mask) few[mask] = uint8_t(std::min(bits_of(mask), 3));
-        for (int octant = 0; octant < 8; ++octant)
-            for (int mask = 0; mask < 256; ++mask)
-                for (int axis = 0; axis < 3; ++axis)
-                    if (octant >> axis & 1) inner[octant][mask] |= uint8_t((mask >> (octant ^ 1 << axis) & 1) * 2 << outer_bit(axis));
-    }
-
-    // The place in the context of whether the cube or octant beyond the octant's face is occupied.
-    static int outer_bit(int axis) { return 2 * (2 - axis); }
-};
-
-const Masks MASKS;
-
 // The row of an octant of a cube among the cubes of the next level; `end` if it is empty.
 int32_t child_row(const std::vector<uint8_t> &masks, const std::vector<int32_t> &first, size_t parent, int octant,
                   int32_t end) {
@@ -359,10 +340,57 @@ private:
     std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
 
+// Every third bit of a Morton code, from the lowest.
+int32_t gathered_bits(uint64_t v) {
+    v &= 0x1249249249249249;
+    v = (v ^ v >> 2) & 0x10C30C30C30C30C3;
+    v = (v ^ v >> 4) & 0x100F00F00F00F00F;
+    v = (v ^ v >> 8) & 0x1F0000FF0000FF;
+    v = (v ^ v >> 16) & 0x1F00000000FFFF;
+    v = (v ^ v >> 32) & 0x1FFFFF;
+    return int32_t(v);
+}
+
+std::array<int32_t, 3> place_of_code(uint64_t code) {
+    return {gathered_bits(code), gathered_bits(code >> 1), gathered_bits(code >> 2)};
+}
+
+// A sample near each of the sorted distinct codes of points, as the octree finds them.
+Output<int64_t> samples_of_points(const Surface &surface, Input<uint64_t, 1> codes) {
+    const int depth = surface.depth();
+    for (size_t i = 0; i < codes.shape(0); ++i)
+        if (codes.data()[i] >> 3 * depth) throw std::invalid_argument("octree: a code is beyond the octree");
+    const uint64_t *points = codes.data();
+    const size_t count = codes.shape(0);
+    std::vector<uint64_t> cubes{0};
+    std::vector<int32_t> nearest{NOWHERE};
+    for (int level = 0; level <= depth; ++level) {
+        std::vector<uint64_t> own;
+        std::vector<int32_t> from;
+        std::vector<std::array<int32_t, 3>> places;
+        for (size_t i = 0, parent = 0; i < count; ++i) {
+            const uint64_t code = points[i] >> 3 * (depth - level);
+            if (!own.empty() && own.back() == code) continue;
+            while (level && parent < cubes.size() && cubes[parent] != code >> 3) ++parent;
+            if (parent == cubes.size()) throw std::invalid_argument("octree: the codes are not sorted");
+            own.push_back(code);
+            from.push_back(nearest[parent]);
+            places.push_back(place_of_code(code));
+        }
+        if (level < depth) surface.attach(places, level, from);
+        cubes.swap(own);
+        nearest.swap(from);
+    }
+    Fresh<int64_t> rows(nearest.size());
+    for (size_t i = 0; i < nearest.size(); ++i) rows.data[i] = surface.given_row(nearest[i]);
+    return rows.give({nearest.size()});
+}
+
 }  // namespace
 
 void bind_point_octree(nb::module_ &m) {
     nb::class_<Surface>(m, "OctreeSurface")
-        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>());
+        .def(nb::init<Input<int64_t, 2>, Input<int64_t, 2>, Input<int64_t, 2>, int64_t, int, int64_t>())
+        .def("samples_of_points", &samples_of_points);
     OctreeFunctions<Tree>::bind(m, "point_octree");
 }

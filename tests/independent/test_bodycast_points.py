@@ -12,7 +12,7 @@ from mocodec import api
 from mocodec.codecs.bodycast import Bodycast, exact_octree, integer_surface
 from mocodec.codecs.bodycast.body_model import unpack_models
 from mocodec.codecs.bodycast.chunk_payload import unpack_chunk
-from mocodec.codecs.bodycast.point_layer import CUBED, REFERRED, SMOOTHED
+from mocodec.codecs.bodycast.point_layer import CUBED, REFERRED
 from mocodec.codecs.bodycast.point_scene import SurfaceTexture
 from mocodec.codecs.bodycast.pose_stream import unpack_poses
 from mocodec.encoded import Encoded
@@ -72,7 +72,7 @@ def test_a_body_and_what_its_frames_teach(psnr: float | None, bound: float, thor
     clouds = replace(sequences.record(performance, 250, seed=1), normals=None)
     codec = Bodycast(max_error=bound, psnr=psnr, skeleton=performance.skeleton(), thorough=thorough)
     encoded = codec.encode(clouds)
-    assert kind_of(encoded) == (CUBED if thorough else SMOOTHED)
+    assert kind_of(encoded) == CUBED
     compare(encoded, coloured=True)
 
 

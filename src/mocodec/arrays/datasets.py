@@ -33,8 +33,8 @@ def to_xarray(motion: Motion, style: str = "plain", individual: str = "id_0") ->
     """The motion for xarray: positions in metres, NaN in gaps; the attributes rate (Hz), up and units.
 
     style "plain": a Dataset with `positions` (time, point, axis), `rotations` (time, point, quaternion; w first) if
-    there are, and for a skeleton the coordinates `parent` (point; "" for a root) and `offset` (point, axis). What the
-    file said is the attribute `source`, JSON; extras are left out.
+    the motion has them, and for a skeleton the coordinates `parent` (point; "" for a root) and `offset` (point, axis).
+    The attribute `source` is that of the motion, as JSON; extras are left out.
     "pyomeca": a DataArray (axis, channel, time), the axis "ones" last. "movement": a Dataset with `position`
     (time, space, keypoint, individual) and `confidence`, 1 or 0 in gaps; `individual` names the only one.
     "movement_plural": the same with the dimensions keypoints and individuals, which movement before 0.17 needs.
@@ -83,10 +83,10 @@ def plain(about: Motion, positions: Any, rotations: Any, attributes: Mapping[str
         parents = [about.names[parent] if parent >= 0 else "" for parent in about.skeleton.parents]
         coordinates["parent"] = ("point", np.array(parents, dtype=str))
         coordinates["offset"] = (("point", "axis"), about.skeleton.offsets, {"units": "m"})
-    said = {"rate": about.rate, "up": about.up, "units": "m", **(attributes or {})}
+    stored = {"rate": about.rate, "up": about.up, "units": "m", **(attributes or {})}
     if about.source:
-        said["source"] = json.dumps(about.source)
-    return xarray.Dataset(variables, coordinates, said)
+        stored["source"] = json.dumps(about.source)
+    return xarray.Dataset(variables, coordinates, stored)
 
 
 def _from_plain(data: Any) -> Motion:
@@ -108,7 +108,7 @@ def _from_plain(data: Any) -> Motion:
 
 
 def _skeleton(dataset: Any, names: list[str]) -> Skeleton | None:
-    """The skeleton that the coordinates tell of; None without one, or where points of it are missing."""
+    """The skeleton in the coordinates `parent` and `offset`; None without them, or if a parent follows its child."""
     if "parent" not in dataset.coords or "offset" not in dataset.coords or len(set(names)) < len(names):
         return None
     numbers = {"": -1, **{name: i for i, name in enumerate(names)}}
@@ -123,7 +123,7 @@ def _pyomeca(xarray: Any, motion: Motion) -> Any:
     rows = np.ones((4, motion.points, len(motion)))
     rows[:3] = motion.positions.transpose(2, 1, 0)
     first = motion.source.get("first_frame", 0)
-    said = {
+    attributes = {
         "first_frame": first, "last_frame": first + len(motion) - 1, "rate": motion.rate, "units": "m", "up": motion.up,
     }  # fmt: skip
     coordinates = {
@@ -131,7 +131,7 @@ def _pyomeca(xarray: Any, motion: Motion) -> Any:
         "channel": list(motion.names),
         "time": times.seconds(len(motion), motion.rate),
     }
-    return xarray.DataArray(rows, coordinates, ("axis", "channel", "time"), "markers", said)
+    return xarray.DataArray(rows, coordinates, ("axis", "channel", "time"), "markers", attributes)
 
 
 def _from_pyomeca(data: Any) -> Motion:
@@ -152,8 +152,8 @@ def _movement(xarray: Any, motion: Motion, name: str, keypoint: str, individual:
         "position": (dims, motion.positions.transpose(0, 2, 1)[..., None].copy(), about),
         "confidence": (("time", keypoint, individual), np.where(motion.gaps, 0.0, 1.0)[..., None]),
     }
-    said = {"source_software": "mocodec", "ds_type": "poses", "fps": motion.rate, "time_unit": "seconds", **about}
-    return xarray.Dataset(variables, coordinates, said)
+    attributes = {"source_software": "mocodec", "ds_type": "poses", "fps": motion.rate, "time_unit": "seconds", **about}
+    return xarray.Dataset(variables, coordinates, attributes)
 
 
 def _from_movement(data: Any, keypoint: str, individual: str) -> Motion:

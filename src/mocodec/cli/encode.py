@@ -71,8 +71,8 @@ from .codec_options import codec_with
 @click.option(
     "--thorough",
     is_flag=True,
-    help="For point clouds of people under an error, size or PSNR: choose points by their bytes and errors, 5 to 10 % "
-    "fewer bytes at the same D1. Takes up to twice as long.",
+    help="For point clouds of people under an error, size or PSNR: choose points among more of them, for slightly "
+    "fewer bytes at the same D1. Takes longer.",
 )
 @click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
 @click.option(

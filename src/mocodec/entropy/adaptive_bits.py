@@ -26,7 +26,7 @@ FIRST_WEIGHT = 18350
 LEARNING = 3
 LARGEST_WEIGHT = 1 << 22
 SLOWEST = 250
-"""Bits after which the rate of a counter stays."""
+"""Bits that a counter has seen when its rate becomes constant."""
 HALF = 1 << 15
 """Probability 1/2, in 2^-16."""
 MASK = (1 << 32) - 1
@@ -75,7 +75,7 @@ class Mixer:
         self._contexts = [c * 257 for c in contexts]
 
     def mix(self, kind: int, weights: int) -> int:
-        """The probability, 2^-16, that the next bit is 1. kind: what it says; weights: the set that mixes it."""
+        """The probability, 2^-16, that the next bit is 1. kind: which decision it codes; weights: their set."""
         shift = 32 - SLOT_BITS
         self._slots = [((c + kind) * 2654435761 & MASK) >> shift for c in self._contexts]
         self._stretched = [
@@ -87,7 +87,7 @@ class Mixer:
         return self._p
 
     def learn(self, bit: int) -> None:
-        """The bit that the last `mix` was for."""
+        """Adapt counters and weights to the bit whose probability the last `mix` returned."""
         error, target = (bit << 16) - self._p, 65535 if bit else 0
         for i, at in enumerate(self._slots):
             moved = self._used[i] + (self._stretched[i] * error * LEARNING >> 16)
@@ -121,7 +121,7 @@ class Encoder:
         return len(self._out)
 
     def finish(self) -> bytes:
-        """The bytes, as few as decode right when zeros follow."""
+        """The fewest bytes that decode correctly if zeros follow."""
         for count in range(1, 5) if self._low else ():
             unit = 1 << (32 - 8 * count)
             value = -(-self._low // unit) * unit

@@ -150,8 +150,8 @@ class _Chunk:
                 self.predictor.learn(features[k], error, FORGETTING if k == 0 else 1.0)
 
     def _followed(self, t: int) -> Vector:
-        """Beside a gap or an end: moved as the partner has moved, from the frame before or after; between two, their
-        mean."""
+        """The prediction beside a gap or an end: the frame before or after, moved as the partner moves between the two;
+        where both are decoded or both are gaps, their mean."""
         half, missing = self.half, self.missing[self.p]
         before, after = t >= half, self.level > 0 and t + half < self.frames
         if not before and not after:

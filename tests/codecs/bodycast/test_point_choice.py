@@ -29,7 +29,7 @@ def _ball(points: int) -> tuple[LatticeGrid, LatticeFrame, SurfaceHints]:
     """Points on a ball of 0.2 m and away from it, on a lattice for BOUND_M, with samples of the ball."""
     places = np.concatenate([0.2 * _sphere(points, 1), 0.2 * _sphere(points, 2)[:20] + [0.5, 0, 0]])
     colours = np.random.default_rng(3).integers(0, 256, (len(places), 3)).astype(np.uint8)
-    grid, [frame] = lattice_frames.to_lattice([(places, colours)], BOUND_M / point_choice.FREEDOM, True)
+    grid, [frame] = lattice_frames.to_lattice([(places, colours)], BOUND_M / point_choice.THOROUGH.freedom, True)
     directions = _sphere(600, 4)
     samples = np.floor((0.2 * directions / grid.step_m - grid.corner) * 16).astype(np.int64)
     normals = np.floor(1024 * directions).astype(np.int64)
@@ -39,7 +39,7 @@ def _ball(points: int) -> tuple[LatticeGrid, LatticeFrame, SurfaceHints]:
 @pytest.mark.parametrize("points", [1, 40, 1000])
 def test_chosen_cells_are_within_the_bound_and_have_points(points):
     grid, frame, hints = _ball(points)
-    chosen = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
+    chosen = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
     cells = octree.cells_of_codes(chosen.codes)
     assert chosen.own_distances(grid.positions(cells)).max() <= BOUND_M
     assert np.array_equal(np.unique(chosen.rows), np.arange(len(chosen.codes)))
@@ -53,9 +53,9 @@ def test_chosen_cells_are_within_the_bound_and_have_points(points):
 @pytest.mark.parametrize("points", [40, 800])
 def test_compiled_and_numpy_choices_are_the_same(points):
     grid, frame, hints = _ball(points)
-    compiled = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
+    compiled = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
     with native.without():
-        pure = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
+        pure = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
     np.testing.assert_array_equal(compiled.codes, pure.codes)
     np.testing.assert_array_equal(compiled.rows, pure.rows)
 
@@ -87,17 +87,18 @@ def _error(clouds: PointClouds, decoded: PointClouds) -> tuple[float, float]:
     return max(float(np.sqrt(np.mean(d**2))) for d in (there, back)), float(max(there.max(), back.max()))
 
 
-def test_thorough_files_keep_the_bound_and_are_smaller_at_the_same_error(recorded):
+@pytest.mark.parametrize(("bound", "thorough"), [(0.0103, False), (0.0108, True)])
+def test_chosen_points_keep_the_bound_and_are_smaller_at_the_same_error(recorded, monkeypatch, bound, thorough):
     pytest.importorskip("av")
     performance, clouds = recorded
-    usual = Bodycast(max_error=0.01, skeleton=performance.skeleton()).encode(clouds)
-    rms, _ = _error(clouds, Bodycast.decode(usual))
-    thorough = Bodycast(max_error=0.0115, skeleton=performance.skeleton(), thorough=True).encode(clouds)
-    ours, largest = _error(clouds, Bodycast.decode(thorough))
-    assert thorough.promise == {"max_error": 0.0115}
-    assert largest <= 0.0115
-    assert ours <= rms
-    assert thorough.payload_bytes < usual.payload_bytes
+    ours = Bodycast(max_error=bound, skeleton=performance.skeleton(), thorough=thorough).encode(clouds)
+    rms, largest = _error(clouds, Bodycast.decode(ours))
+    assert ours.promise == {"max_error": bound}
+    assert largest <= bound
+    monkeypatch.setattr(point_choice, "USUAL", point_choice.NONE)
+    nearest = Bodycast(max_error=0.01, skeleton=performance.skeleton()).encode(clouds)
+    assert rms <= _error(clouds, Bodycast.decode(nearest))[0]
+    assert ours.payload_bytes < nearest.payload_bytes
 
 
 def test_frames_without_a_body_are_the_same(recorded):

@@ -72,9 +72,8 @@ class Bodycast:
     percent; by default as many as a frame of the data has. cells: of the atlas. surface_quality: of the atlas, x265's
     rate factor, lower is better. The values of pose_step, cells and surface_quality are those of residual 0. strangers:
     code outlier points. tracked_points: most points of a frame that the tracker uses. chunk_frames: frames that decode
-    together. thorough: with a target, where bodies are found, choose the decoded points by their bytes and errors, and
-    code them cube by cube: 5 to 10 % fewer bytes at the same root mean square error, in up to twice the time; under
-    `max_error`, smaller errors and more bytes.
+    together. thorough: with a target, where bodies are found, choose the decoded points among more of them: slightly
+    fewer bytes at the same root mean square error, in more time; under `max_error`, smaller errors and more bytes.
     """
 
     name: ClassVar[str] = "bodycast"

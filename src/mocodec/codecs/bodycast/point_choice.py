@@ -5,7 +5,7 @@
     lattice points chosen so far ─► where smoothing moves each candidate ─► squared error
     Σ squared errors + λ Σ bits of the lattice points that are used ─► smaller, point by point and cell by cell
 
-Points that share a lattice point take its bits once. A lattice finer than the bound asks for gives every point several
+Points that share a lattice point take its bits once. A lattice finer than the bound asks for gives points more
 candidates.
 """
 
@@ -16,16 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ... import native
-from ...typing import Integers
-from . import octree, point_smoothing
+from ...typing import Booleans, Integers
+from . import octree, point_octree, point_smoothing
 from .lattice_frames import LatticeFrame, LatticeGrid
 from .point_smoothing import FINE_BITS, Candidates
 from .surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 
-FREEDOM = 1.2  # bound over the largest distance of any place from the lattice
 LAMBDA = 0.15  # squared lattice units for a bit
 SHARED_BITS = 1.6  # of a lattice point, besides those of its place on the surface
-ITERATIONS = 2  # choices; each with the moves that follow from the one before
+STAY_BITS = 4  # of a point that smoothing would move beyond the bound, more than of others
 ROUNDS = 3  # over all points and cells in a choice
 NEAR_SPACINGS = 2  # distance of a point from its sample, in spacings of samples, at most
 UNIT = 1 << FINE_BITS
@@ -39,12 +38,24 @@ CORNERS = np.array([[corner >> axis & 1 for axis in range(3)] for corner in rang
 BEYOND = 1 << 40  # squared error of a candidate beyond the bound
 
 
+class Effort(NamedTuple):
+    """freedom: bound over the largest distance of any place from the lattice. iterations: choices, each with the moves
+    that follow from the one before.
+    """
+
+    freedom: float
+    iterations: int
+
+
+NONE, USUAL, THOROUGH = Effort(1, 0), Effort(1.06, 1), Effort(1.12, 2)
+
+
 class _Choices(NamedTuple):
     """The candidates of all points of a frame.
 
     starts (n + 1,): of the candidates of each point. point (k,): of each candidate. cells (k, 3): lattice coordinates.
     squares (k,): squared distances from the point, in 2^-2 FINE_BITS units. cell_of (k,): number of the cell among the
-    distinct ones. first (c,): the first candidate of each cell.
+    distinct ones. first (c,): the first candidate of each cell. nearest (n,): the candidate nearest to each point.
     """
 
     starts: Integers
@@ -53,35 +64,34 @@ class _Choices(NamedTuple):
     squares: Integers
     cell_of: Integers
     first: Integers
+    nearest: Integers
 
 
-def chosen_cells(frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float) -> LatticeFrame:
-    """The frame with other cells for its points, all within the bound."""
+def chosen_cells(
+    frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float, iterations: int
+) -> LatticeFrame:
+    """The frame with other cells for its points, all within the bound. iterations: as in `Effort`."""
     points = np.rint((frame.originals / grid.step_m - grid.corner) * UNIT).astype(np.int64)
     reach = int(bound_m / grid.step_m * UNIT) - 1  # rounding of points takes less than a unit
     choices = _candidates(points, reach, grid.depth)
-    if not np.diff(choices.starts).all():
-        return frame
-    samples = _near_samples(points, hints)
-    of_candidates = samples[choices.point]
+    samples = _near_samples(frame, hints)
     classes, bits_of_area = _classes(points, samples, choices, hints)
-    order = np.lexsort((choices.squares, choices.point))
-    chosen = order[choices.starts[:-1]]
-    for _ in range(ITERATIONS):
-        used, own = np.unique(choices.cell_of[chosen], return_inverse=True)
-        costs = _costs(classes[choices.first], used, bits_of_area)
-        sample_of_used = np.zeros(len(used), np.int64)
-        sample_of_used[own] = samples
-        candidates = Candidates(choices.cells, of_candidates, own[choices.point])
-        cells = choices.cells[choices.first[used]]
-        moves = point_smoothing.candidate_moves(candidates, cells, sample_of_used, hints)
-        errors = _errors(points, choices, point_smoothing.shifts_of_moves(moves, of_candidates, hints), reach)
+    chosen = choices.nearest
+    for _ in range(iterations):
+        is_used = np.zeros(len(choices.first), bool)
+        is_used[choices.cell_of[chosen]] = True
+        costs = _costs(classes, is_used, bits_of_area)
+        errors = _errors(points, choices, samples, hints, chosen, is_used, reach)
         chosen = _choose(choices.starts, choices.cell_of, errors, costs, chosen)
     return frame.with_cells(choices.cells[chosen])
 
 
 def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
-    """The lattice points within reach of points (n, 3), both in 2^-FINE_BITS units, and within the octree."""
+    """The lattice points within reach of points (n, 3), both in 2^-FINE_BITS units, and within the octree; at least the
+    nearest.
+    """
+    if (kernel := native.kernel("lattice_candidates")) is not None:
+        return _Choices(*map(np.asarray, kernel(points, reach, depth)))
     squares, bases, sides = list[Integers](), list[Integers](), list[Integers]()
     for parity in (0, 1):
         base = 2 * ((points - parity * UNIT + UNIT) >> FINE_BITS + 1) + parity
@@ -91,53 +101,63 @@ def _candidates(points: Integers, reach: int, depth: int) -> _Choices:
         squares.append(x + y + z)
         bases.append(base)
         sides.append(np.where(away < 0, -2, 2))
+    cells = np.concatenate(
+        [base[:, None] + CORNERS * side[:, None] for base, side in zip(bases, sides, strict=True)], axis=1
+    )
     square = np.concatenate(squares).T  # (n, 16)
-    point, number = np.nonzero(square <= reach**2)
-    parity, corner = number >> 3, number & 7
-    cells = np.stack(bases)[parity, point] + CORNERS[corner] * np.stack(sides)[parity, point]
-    is_inside = ((cells >= 0) & (cells < 1 << depth)).all(axis=1)
-    point, number, cells = point[is_inside], number[is_inside], cells[is_inside]
+    is_inside = ((cells >= 0) & (cells < 1 << depth)).all(axis=2)
+    nearest = np.where(is_inside, square, BEYOND).min(axis=1, keepdims=True)
+    point, number = np.nonzero(is_inside & (square <= np.maximum(reach**2, nearest)))
+    cells = cells[point, number]
     _, first, cell_of = np.unique(octree.morton_codes(cells), return_index=True, return_inverse=True)
     starts = np.searchsorted(point, np.arange(len(points) + 1))
-    return _Choices(starts, point, cells, square[point, number], cell_of.reshape(-1), first)
+    squares = square[point, number]
+    nearest = np.lexsort((squares, point))[starts[:-1]]
+    return _Choices(starts, point, cells, squares, cell_of.reshape(-1), first, nearest)
 
 
-def _near_samples(points: Integers, hints: SurfaceHints) -> Integers:
-    """(n,): the sample nearest to points (n, 3), −1 without one near."""
-    from scipy.spatial import KDTree
+def _near_samples(frame: LatticeFrame, hints: SurfaceHints) -> Integers:
+    """(n,): the sample near the lattice point of each point, −1 without one."""
+    nearest = point_octree.samples_of_points(frame.codes, hints)[frame.rows]
+    own = np.maximum(nearest, 0)
+    apart = octree.cells_of_codes(frame.codes)[frame.rows] * (1 << SUBUNIT_BITS) - hints.points[own]
+    return np.where(_squares(apart) <= (NEAR_SPACINGS * hints.spacing) ** 2, nearest, -1)
 
-    reach = NEAR_SPACINGS * hints.spacing * SUBUNIT
-    distance, row = map(np.asarray, KDTree(hints.points * SUBUNIT).query(points, distance_upper_bound=reach))
-    return np.where(np.isfinite(distance), row, -1)
+
+def _squares(vectors: Integers) -> Integers:
+    """(n,): squared lengths of vectors (n, 3)."""
+    x, y, z = vectors.T
+    return x * x + y * y + z * z
 
 
 def _distances(places: Integers, samples: Integers, hints: SurfaceHints) -> Integers:
     """(n,): the distances of places (n, 3) from the tangent planes of samples (n,), 2^-FINE_BITS units."""
-    return ((places - hints.points[samples] * SUBUNIT) * hints.normals[samples]).sum(axis=1) >> NORMAL_BITS
+    apart, normals = places - hints.points[samples] * SUBUNIT, hints.normals[samples]
+    return apart[:, 0] * normals[:, 0] + apart[:, 1] * normals[:, 1] + apart[:, 2] * normals[:, 2] >> NORMAL_BITS
 
 
 def _classes(points: Integers, samples: Integers, choices: _Choices, hints: SurfaceHints) -> tuple[Integers, float]:
-    """(k,): the class of each candidate's distance from the surface that the points around it show; and the bits that
-    tell which class-wide part of the surface's area a lattice point lies in.
+    """(c,): the class of each cell's distance from the surface that the points around it show; and the bits that tell
+    which class-wide part of the surface's area a lattice point lies in.
     """
     known = np.flatnonzero(samples >= 0)
     if not len(known):
-        return np.full(len(choices.point), FAR), 0.0
+        return np.full(len(choices.first), FAR), 0.0
     distance, rows = _distances(points[known], samples[known], hints), samples[known]
     offsets = hints.mean_around(distance, rows, 0, PRIOR_COUNT)
     width = max(int(np.abs(distance - offsets[rows]).mean()) // CLASSES_PER_DEVIATION, 1)
-    of_candidates = samples[choices.point]
-    away = np.abs(_distances(choices.cells * UNIT, of_candidates, hints) - offsets[of_candidates])
-    classes = np.where(of_candidates >= 0, np.minimum(away // width, CLASSES - 1), FAR)
+    of_cells = samples[choices.point[choices.first]]
+    away = np.abs(_distances(choices.cells[choices.first] * UNIT, of_cells, hints) - offsets[of_cells])
+    classes = np.where(of_cells >= 0, np.minimum(away // width, CLASSES - 1), FAR)
     area = SAMPLE_SHARE * len(hints.points) * (hints.spacing / (1 << SUBUNIT_BITS)) ** 2
     return classes, float(np.log2(area * 2 * width / UNIT / 4))  # a lattice point has four cubic units
 
 
-def _costs(classes: Integers, used: Integers, bits_of_area: float) -> Integers:
+def _costs(classes: Integers, is_used: Booleans, bits_of_area: float) -> Integers:
     """(c,): λ · bits of a lattice point in each cell, from the frequencies of the classes (c,) of those that are used,
     in squared 2^-FINE_BITS units.
     """
-    count = np.bincount(classes[used], minlength=CLASSES + 1)[:CLASSES] + 1.0
+    count = np.bincount(classes[is_used], minlength=CLASSES + 1)[:CLASSES] + 1.0
     width = 2 * SMOOTHED_CLASSES + 1
     smooth = np.convolve(np.pad(count, SMOOTHED_CLASSES, mode="edge"), np.ones(width) / width, "valid")
     bits = np.maximum(SHARED_BITS + bits_of_area - np.log2(smooth), 1.0)
@@ -145,12 +165,33 @@ def _costs(classes: Integers, used: Integers, bits_of_area: float) -> Integers:
     return np.rint(LAMBDA * UNIT**2 * bits).astype(np.int64)[classes]
 
 
-def _errors(points: Integers, choices: _Choices, shifts: Integers, reach: int) -> Integers:
-    """(k,): squared distances of points (n, 3) from their candidates as they are decoded: moved by shifts (k, 3) where
-    that keeps the bound.
+def _errors(
+    points: Integers,
+    choices: _Choices,
+    samples: Integers,
+    hints: SurfaceHints,
+    chosen: Integers,
+    is_used: Booleans,
+    reach: int,
+) -> Integers:
+    """(k,): squared distances of points (n, 3) from their candidates as they are decoded while cells are used: moved to
+    the surface where that keeps the bound; with λ · STAY_BITS where it does not. samples (n,): near points. Points with
+    one candidate have no choice: their errors stay 0.
     """
-    moved = ((choices.cells * UNIT + shifts - points[choices.point]) ** 2).sum(axis=1)
-    return np.where(moved <= reach**2, moved, choices.squares)
+    own = (np.cumsum(is_used) - 1)[choices.cell_of[chosen]]  # among the cells that are used
+    first = choices.first[is_used]
+    sample_of_used = np.zeros(len(first), np.int64)
+    sample_of_used[own] = samples
+    some = np.flatnonzero(np.diff(choices.starts)[choices.point] > 1)
+    point, cells = choices.point[some], choices.cells[some]
+    candidates = Candidates(cells, samples[point], own[point])
+    moves = point_smoothing.candidate_moves(candidates, choices.cells[first], sample_of_used, hints)
+    shifts = point_smoothing.shifts_of_moves(moves, samples[point], hints)
+    moved = _squares(cells * UNIT + shifts - points[point])
+    stays = choices.squares[some] + round(LAMBDA * UNIT**2 * STAY_BITS) * (moves != 0)
+    errors = np.zeros(len(choices.point), np.int64)
+    errors[some] = np.where(moved <= reach**2, moved, stays)
+    return errors
 
 
 def _choose(starts: Integers, cell_of: Integers, errors: Integers, costs: Integers, chosen: Integers) -> Integers:

@@ -48,7 +48,8 @@ class PointTarget(NamedTuple):
 class PointEncoder:
     """The points of all frames with what their coding depends on.
 
-    spans: frames of each chunk. bodies: of each chunk. thorough: choose the lattice points of bodies by `point_choice`.
+    spans: frames of each chunk. bodies: of each chunk. thorough: choose the lattice points of bodies with
+    more effort, among more of them.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class PointEncoder:
         thorough: bool = False,
     ) -> None:
         self.frames, self.spans, self.bodies, self.coloured = frames, spans, bodies, coloured
-        self.thorough = thorough
+        self._effort = point_choice.THOROUGH if thorough else point_choice.USUAL
         self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
@@ -77,7 +78,9 @@ class PointEncoder:
     def bound(self, target: PointTarget) -> float:
         """The bound of the lattice that meets the target, metres."""
         if target.mean_error is not None:
-            return point_targets.bound_of_mean(target.mean_error, self._mean_error)
+            has_bodies = any(bodies.textures for bodies in self.bodies)
+            share = point_targets.BODY_MEAN_PER_BOUND if has_bodies else point_targets.MEAN_PER_BOUND
+            return point_targets.bound_of_mean(target.mean_error, self._mean_error, target.mean_error / share)
         if target.size is not None:
             return point_targets.finest_that_fits(
                 target.size, lambda bound: sum(map(len, self.coded(bound))), target.beside
@@ -108,10 +111,9 @@ class PointEncoder:
             return self._last[1]
         chunks = list[_CodedChunk]()
         for span, bodies in zip(self.spans, self.bodies, strict=True):
-            chooses = self.thorough and bool(bodies.textures)
-            radius = bound / point_choice.FREEDOM if chooses else bound
-            grid, frames = to_lattice(self.frames[span], radius, self.coloured)
-            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound, chooses)))
+            effort = self._effort if bodies.textures else point_choice.NONE
+            grid, frames = to_lattice(self.frames[span], bound / effort.freedom, self.coloured)
+            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound, effort.iterations)))
         self._last = bound, chunks
         return chunks
 

@@ -132,12 +132,12 @@ def pack_places(
     frames: Sequence[LatticeFrame],
     bodies: ChunkBodies,
     bound_m: float | None,
-    chooses: bool = False,
+    iterations: int = 0,
 ) -> CodedPlaces:
-    """bound_m: within which points may move from the lattice to the surface; None: they stay. chooses: whether points
-    take other cells within the bound, as `point_choice` says, and octrees are those of `cube_octree`.
+    """bound_m: within which points may move from the lattice to the surface; None: they stay. iterations: in which
+    points take other cells within the bound, as `point_choice` says. The octrees of bodies are those of `cube_octree`.
     """
-    kind = LEARNED if bound_m is None else CUBED if chooses else SMOOTHED
+    kind = LEARNED if bound_m is None else CUBED if bodies.textures else SMOOTHED
     shifts = [texture.shift for texture in bodies.textures]
     values = [bodies.pose_values(k) for k in range(len(frames))]
     pose_shifts = [[rounding_shift(v) for v in of_frame] for of_frame in values]
@@ -148,7 +148,7 @@ def pack_places(
         reference, source = NO_REFERENCE, frame
         if len(frame.codes):
             octree_of_frame = _OctreeOfFrame(kind, scene, grid, k, values[k], pose_shifts[k], earlier)
-            source = octree_of_frame.chosen(frame, bound_m) if chooses and bound_m is not None else frame
+            source = octree_of_frame.chosen(frame, bound_m, iterations)
             coder, reference, points = octree_of_frame.encode(coder, source, bound_m, choice)
             located.append(points)
             ends.append(coder.size)
@@ -261,11 +261,11 @@ class _OctreeOfFrame:
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
-    def chosen(self, frame: LatticeFrame, bound_m: float) -> LatticeFrame:
+    def chosen(self, frame: LatticeFrame, bound_m: float | None, iterations: int) -> LatticeFrame:
         """The frame with cells that take fewer bits within the bound, if a body shows the surface."""
-        if self.hints is None:
+        if self.hints is None or bound_m is None or not iterations:
             return frame
-        return point_choice.chosen_cells(frame, self.grid, self.hints, bound_m)
+        return point_choice.chosen_cells(frame, self.grid, self.hints, bound_m, iterations)
 
     def encode(
         self, coder: BitEncoder, frame: LatticeFrame, bound_m: float | None, choice: ReferenceChoice

@@ -88,8 +88,8 @@ def code_levels(
     surface: SurfaceHints | None,
 ) -> tuple[Integers, Integers]:
     """As `code_octree`, each level by `code_level`, or all by the compiled kernels of this name."""
-    if (kernel := native.kernel("OctreeSurface")) is not None and coder.compiled is not None:
-        hints = None if surface is None else surface.compiled(kernel)
+    if native.kernel("OctreeSurface") is not None and coder.compiled is not None:
+        hints = None if surface is None else surface.compiled
         cubes, nearest = _code_compiled(kernels, coder.compiled, codes, depth, points, hints)
     else:
         cubes, nearest = _code_in_numpy(code_level, coder, codes, depth, points, surface)
@@ -113,6 +113,20 @@ def _code_compiled(
     if found is None:
         raise Corrupt(f"bodycast: an octree of {points} points has {cubes} cubes in level {level}")
     return np.asarray(found), np.asarray(nearest)
+
+
+def samples_of_points(codes: Integers, surface: SurfaceHints) -> Integers:
+    """(points,): a sample of the surface near each of the sorted distinct Morton codes, −1 without one: those that
+    `code_octree` returns.
+    """
+    if native.kernel("OctreeSurface") is not None:
+        return np.asarray(surface.compiled.samples_of_points(codes.astype(np.uint64)))
+    depth, before, nearest = surface.depth, np.zeros(1, np.int64), np.full(1, -1)
+    for level in range(depth + 1):
+        cubes = np.unique(codes >> 3 * (depth - level))
+        nearest = nearest[np.searchsorted(before, cubes >> 3)] if level else nearest
+        nearest, before = surface.attach(cubes, level, nearest) if level < depth else nearest, cubes
+    return nearest
 
 
 def _code_in_numpy(

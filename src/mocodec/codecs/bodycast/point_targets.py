@@ -26,6 +26,7 @@ SIZE_ATTEMPTS = 9  # codings of the points to meet a size
 TIGHTENING = 0.98  # factor on a bound whose mean error is too large, at most
 LEAST_MEAN_SHARE, MEAN_ATTEMPTS = 0.97, 4  # how much of a mean error is to be used, if so many codings find a bound
 MEAN_PER_BOUND = 0.59  # mean distance over the bound, of points on a smooth surface
+BODY_MEAN_PER_BOUND = 0.57  # the same of points that `point_choice` chooses
 
 
 def usual_colour_step(bound_m: float) -> int:
@@ -33,12 +34,12 @@ def usual_colour_step(bound_m: float) -> int:
     return int(np.clip(round(4 * math.sqrt(bound_m / 0.001)), 1, 16))
 
 
-def bound_of_mean(mean_m: float, mean_error_of: Callable[[float], float]) -> float:
+def bound_of_mean(mean_m: float, mean_error_of: Callable[[float], float], first_m: float) -> float:
     """A bound with which the mean error of the decoded points is at most `mean_m`, and not much less.
 
-    mean_error_of: the mean error with a bound, metres; about in proportion to it.
+    mean_error_of: the mean error with a bound, metres; about in proportion to it. first_m: the bound to try first.
     """
-    bound, found = mean_m / MEAN_PER_BOUND, 0.0
+    bound, found = first_m, 0.0
     for attempt in count(1):
         measured = mean_error_of(bound)
         if measured <= mean_m:

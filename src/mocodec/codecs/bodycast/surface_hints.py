@@ -9,12 +9,13 @@ The points of the levels above correct the surface: samples whose cubes lie in f
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from ... import native
 from ...typing import Integers
 from . import octree
 
@@ -45,8 +46,11 @@ class SurfaceHints:
     depth: int
     largest_corrected: int = UNLIMITED
 
-    def compiled(self, kernel: Callable[..., Any]) -> Any:
-        """The same for the compiled octree."""
+    @cached_property
+    def compiled(self) -> Any:
+        """The same for the compiled octree, which must be available."""
+        kernel = native.kernel("OctreeSurface")
+        assert kernel is not None
         return kernel(self.points, self.normals, self.neighbours, self.spacing, self.depth, self.largest_corrected)
 
     def child_size(self, level: int) -> int:

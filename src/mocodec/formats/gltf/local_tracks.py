@@ -2,8 +2,8 @@
 
     positions and rotations of joints ─► node by node, parents first: T = parent⁻¹ · position, R = parent⁻¹ · rotation
 
-The translation of a joint is what its parent's matrix makes its position of, so positions are right whatever the
-rotations and scales above are.
+The translation T of a joint solves parent · T = position, so positions are exact for all rotations and scales of the
+nodes above.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SAME_REST_M, SAME_REST = 5e-5, 1e-5
 
 
 class Local(NamedTuple):
-    """A node over time. translation, scale (frames, 3), rotation (frames, 4), or None for what stays as at rest."""
+    """A node over time. translation, scale (frames, 3), rotation (frames, 4); None for what stays as it is at rest."""
 
     translation: Floats | None
     rotation: Floats | None

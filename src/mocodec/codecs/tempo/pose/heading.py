@@ -51,9 +51,9 @@ def centred(pieces: Sequence[Floats]) -> Floats:
 
     def centre(number: int) -> None:
         piece, stop = pieces[number], stops[number]
+        place = piece.mean(axis=1)
         for axis, of_axis in enumerate(out[:, stop - len(piece) : stop]):
-            along = piece[..., axis]
-            np.subtract(along, along.mean(axis=1, keepdims=True), out=of_axis)
+            np.subtract(piece[..., axis], place[:, axis, None], out=of_axis)
 
     list(parallel.over(centre, range(len(pieces))))
     return np.moveaxis(out, 0, 2)
@@ -97,19 +97,15 @@ def mean_pose(centred: Floats, rounds: int = 10) -> Floats:
     height = centred[..., 1].mean(axis=0)
     pose = centred[len(centred) // 2]
     for _ in range(rounds):
-        facing = pose[:, ::2].copy()
-        x, z = np.zeros(facing.T.shape)
-        for of_x, of_z in parallel.over(lambda block, facing=facing: _rotated_sums(*block, facing), horizontal):
+        x, z = np.zeros((2, len(pose)))
+        for of_x, of_z in parallel.over(lambda block, to=pose: _sums_rotated_to(to, *block, len(centred)), horizontal):
             x, z = x + of_x, z + of_z
-        pose = np.stack([x / len(centred), height, z / len(centred)], axis=1)
+        pose = np.stack([x, height, z], axis=1)
     return pose
 
 
-def _rotated_sums(x: Floats, z: Floats, facing: Floats) -> Floats:
-    """Sums (2, points) over frames of x and z (frames, points), rotated to a pose whose x and z are `facing`."""
-    along_x, along_z = x @ facing, z @ facing
-    turn = np.stack([along_x[:, 0] + along_z[:, 1], along_x[:, 1] - along_z[:, 0]])  # cosine and sine, times a length
-    length = np.sqrt((turn**2).sum(axis=0))
-    turn = np.where(length > 0, turn / np.maximum(length, 1e-300), [[1.0], [0.0]])
-    of_x, of_z = turn @ x, turn @ z
-    return np.stack([of_x[0] - of_z[1], of_z[0] + of_x[1]])
+def _sums_rotated_to(pose: Floats, x: Floats, z: Floats, frames: int) -> tuple[Floats, Floats]:
+    """Sums (points,) of x and of z (frames, points), over a number of frames, each rotated to a pose (points, 3)."""
+    angle = _headings(x, z, pose)
+    c, s = np.cos(angle) / frames, np.sin(angle) / frames
+    return c @ x - s @ z, c @ z + s @ x
