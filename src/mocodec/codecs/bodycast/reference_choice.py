@@ -79,7 +79,7 @@ class ReferenceChoice:
         """Which of the candidates (n,) is kept for a frame; sizes (n,): its bytes with each."""
         most = min(sizes) / (1 - LEAST_SAVED) if has_bodies else min(sizes)
         best = next(k for k, size in enumerate(sizes) if size <= most)
-        if has_bodies and len(candidates) > 1:
+        if has_bodies and any(candidate.frames for candidate in candidates):
             gains = candidates[best] != NO_REFERENCE
             self._interval = TRIED_EVERY if gains else min(2 * self._interval, RAREST_TRIALS)
             self._next_trial = self._coded + self._interval
