@@ -31,7 +31,7 @@ def commands(folder: Path) -> list[list[str]]:
         ["cloud", *output],
         ["cloud-grid", *output],
         ["cloud-long", *output],
-        ["cloud-points", "--thorough", *output],
+        ["cloud-points", *output],
         ["cloud-objects", *output],
         ["tracking", *output],
         ["first-poses", *output],

@@ -9,7 +9,6 @@ All bytes count. Errors are measured by SciPy's k-d tree alone, in both directio
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -47,7 +46,6 @@ POINTS, DENSE_POINTS, RATE = 10_000, 100_000, 15.0
 DENSE_CLIP, DENSE_FRAMES, DENSE_D1_MM = "01_01", 2, (2.0, 1.0)
 RESIDUALS: tuple[float | str, ...] = (0, 10, 25, 26, 40, 55, 70, 85, 100, "exact")
 D1_PER_BOUND = {5.0: 0.577, 2.0: 0.591, 1.0: 0.608, 0.5: 0.630}  # of 10,000 points, as measured; D1 is measured again
-THOROUGH_D1_PER_BOUND = {5.0: 0.547, 2.0: 0.563, 1.0: 0.579, 0.5: 0.600}  # the same with `thorough`
 RESIDUAL_CLIP, RESIDUAL_FRAMES = "salsa_09", 3
 
 
@@ -129,17 +127,15 @@ def record(clip: str, frames: int, points: int, data: Path) -> tuple[Performance
     return performance, sequences.record(performance, points, normals=True, seed=1)
 
 
-def measure(
-    clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: Path, modes: Sequence[bool] = (False,)
-) -> Iterator[PointResult]:
-    """All bounds of a clip in each of the `modes`, `thorough` of `Bodycast`; none if its recording is not there."""
+def measure(clip: str, frames: int, points: int, d1s_mm: Sequence[float], data: Path) -> Iterator[PointResult]:
+    """All bounds of a clip; none if its recording is not there."""
     if (found := record(clip, frames, points, data)) is None:
         return
     performance, clouds = found
     curve = draco_curve(clouds)
-    for thorough, d1_mm in itertools.product(modes, d1s_mm):
-        bound = d1_mm / 1000 / (THOROUGH_D1_PER_BOUND if thorough else D1_PER_BOUND)[d1_mm]
-        codec = Bodycast(max_error=bound, skeleton=performance.skeleton()[:1], thorough=thorough)
+    for d1_mm in d1s_mm:
+        bound = d1_mm / 1000 / D1_PER_BOUND[d1_mm]
+        codec = Bodycast(max_error=bound, skeleton=performance.skeleton()[:1])
         started = time.process_time()
         blob = api.encode(replace(clouds, normals=None), codec)
         encoded = time.process_time()
@@ -156,7 +152,7 @@ def measure(
             clip, points, len(clouds), d1_mm, 1000 * bound, len(blob) / len(clouds), colours / len(clouds), once,
             **errors, draco_bytes=rival.bytes, draco_coloured_bytes=rival.coloured_bytes,
             encode_fps=len(clouds) / (encoded - started), decode_fps=len(clouds) / (done - encoded),
-            draco_encode_fps=rival.encode_fps, draco_decode_fps=rival.decode_fps, thorough=thorough,
+            draco_encode_fps=rival.encode_fps, draco_decode_fps=rival.decode_fps,
         )  # fmt: skip
 
 
@@ -188,19 +184,16 @@ def measure_residuals(data: Path) -> Iterator[ResidualResult]:
 @click.option("-o", "--output", required=True, type=click.Path(file_okay=False, path_type=Path), help="Result folder.")
 @click.option("--data", default=datasets.SHARED, show_default=True, type=click.Path(path_type=Path), help="Recordings.")
 @click.option("--frames", default=20, show_default=True, type=click.IntRange(2), help="Frames of every clip.")
-@click.option("--thorough", is_flag=True, help="Measure with `encode --thorough` too.")
-def command(output: Path, data: Path, frames: int, thorough: bool) -> None:
+def command(output: Path, data: Path, frames: int) -> None:
     """Measure points within a bound at a D1 of 5, 2, 1 and 0.5 mm on eight clips and on a dense one, against Draco at
     equal D1, and residuals from 0 to exact on one clip.
 
-    Takes about four minutes of one core for every five frames, with --thorough nine. Writes cloud_points.json, .md and
-    .png.
+    Takes about four minutes of one core for every five frames. Writes cloud_points.json, .md and .png.
     """
     output.mkdir(parents=True, exist_ok=True)
     clips: list[tuple[str, int, int, tuple[float, ...]]] = [(c, frames, POINTS, D1_MM) for c in tracking.STARTS]
     clips.append((DENSE_CLIP, DENSE_FRAMES, DENSE_POINTS, DENSE_D1_MM))
     results, residuals = list[PointResult](), list[ResidualResult]()
-    modes = (False, True) if thorough else (False,)
 
     def write() -> None:
         content = {
@@ -212,12 +205,12 @@ def command(output: Path, data: Path, frames: int, thorough: bool) -> None:
         plain = {k: [asdict(r) for r in v] if isinstance(v, list) else v for k, v in content.items()}
         write_json(output / "cloud_points.json", rounded(plain))
 
-    with progress(len(modes) * sum(len(d1s) for *_, d1s in clips) + len(RESIDUALS)) as advance:
+    with progress(sum(len(d1s) for *_, d1s in clips) + len(RESIDUALS)) as advance:
         for residual in measure_residuals(data):
             residuals.append(residual)
             advance(f"residual {residual.residual}")
         for clip, count, points, d1s in clips:
-            for result in measure(clip, count, points, d1s, data, modes):
+            for result in measure(clip, count, points, d1s, data):
                 results.append(result)
                 advance(f"{clip}, {points:,} points, D1 {result.wanted_d1_mm:g} mm")
             write()

@@ -40,8 +40,7 @@ class DracoPoint:
 @dataclass
 class PointResult:
     """One clip at one bound. bytes: of a frame, of the whole file. colour_bytes: the colours' part of them. once: bytes
-    of the file that do not grow with the frames. draco_…: Draco at the same D1, interpolated. thorough: whether points
-    were chosen by their bytes and errors.
+    of the file that do not grow with the frames. draco_…: Draco at the same D1, interpolated.
     """
 
     clip: str
@@ -62,7 +61,6 @@ class PointResult:
     decode_fps: float
     draco_encode_fps: float
     draco_decode_fps: float
-    thorough: bool = False
 
     @property
     def long_bytes(self) -> float:
@@ -133,7 +131,6 @@ def write_tables(folder: Path) -> Path:
 
 def markdown(results: Sequence[PointResult], residuals: Sequence[ResidualResult], machine: str) -> str:
     """The page."""
-    groups = sorted({(r.points, r.thorough) for r in results})
     parts = [
         "# Points within a bound, against Draco",
         "Made by `scripts/bench cloud-points`: fresh points of the actor in every frame, at 15 Hz, first pose given, "
@@ -145,10 +142,9 @@ def markdown(results: Sequence[PointResult], residuals: Sequence[ResidualResult]
         machine,
         "![bits a point over D1](cloud_points.png)",
     ]
-    for points, thorough in groups:
-        chosen = [r for r in results if (r.points, r.thorough) == (points, thorough)]
-        how = ", `--thorough`" if thorough else ""
-        parts += [f"## {points:,} points a frame{how}", _means(chosen), _by_clip(chosen)]
+    for points in sorted({r.points for r in results}):
+        chosen = [r for r in results if r.points == points]
+        parts += [f"## {points:,} points a frame", _means(chosen), _by_clip(chosen)]
     if residuals:
         parts += ["## One knob: `--residual`", *_residual_table(residuals)]
     parts += ["## Cited", _cited(results)]
@@ -220,7 +216,7 @@ def _decibels(psnr_db: float) -> str:
 
 def _cited(results: Sequence[PointResult]) -> str:
     """G-PCC beside bodycast at the same D1, both with colours."""
-    sparse = [r for r in results if r.points == min(r.points for r in results) and not r.thorough]
+    sparse = [r for r in results if r.points == min(r.points for r in results)]
     ordered = sorted((r.d1_mm, r.long_bytes) for r in sparse)
     rows = list[list[str]]()
     for size, d1_cm, d2_cm in GPCC_BYTES:
@@ -241,7 +237,7 @@ def curves(results: Sequence[PointResult], residuals: Sequence[ResidualResult]) 
     picture = plots.figure(9.0, 4.2)
     left, right = picture.subplots(1, 2)
     for points, line in zip(sorted({r.points for r in results}), ("-", "--"), strict=False):
-        chosen = [r for r in results if r.points == points and not r.thorough]
+        chosen = [r for r in results if r.points == points]
         d1s = [d1 for d1 in D1_MM if any(r.wanted_d1_mm == d1 for r in chosen)]
         for colour, name, ours, theirs in (
             (plots.OURS, "places", lambda r: r.long_bytes - r.colour_bytes, lambda r: r.draco_bytes),

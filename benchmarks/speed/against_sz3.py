@@ -22,13 +22,12 @@ import click
 import numpy as np
 
 import mocodec as mc
-from mocodec import container, metrics, native
+from mocodec import container, native
 from mocodec.codecs.tempo import compiled_chunks
 from mocodec.codecs.tempo.chunk import TRANSFORM, Payload
 from mocodec.codecs.tempo.coding import coefficients, corrections
 from mocodec.codecs.tempo.header import StreamHeader
 from mocodec.encoded import Chunk
-from mocodec.stages import lattice
 
 from ..machine import machine_description
 from ..markdown import table
@@ -48,12 +47,6 @@ CASES = (
     ("41 markers", "cmu/c3d/85_12.c3d", 0.001, "transform"),
 )
 """What is coded: label, file, maximum error in metres, tempo's model."""
-FREE_CALLS = (
-    *((compiled_chunks, name) for name in ("analyse", "of_step", "within_bound", "pack", "decode")),
-    *((lattice, name) for name in ("encode", "decode")),
-    (metrics, "errors"),
-)
-"""What does most of its work without the interpreter."""
 
 
 def seconds(work: Callable[[], object], runs: int = RUNS) -> float:
@@ -87,7 +80,6 @@ def measure(label: str, path: str, bound: float, model: str) -> dict[str, Any]:
         "sz3_encode": frames / seconds(lambda: sz3.encode(narrow, bound * SZ3_OF_BOUND), ENCODING_RUNS),
         "free_share": interpreter_free_share(data),
         "two_threads": two_threads_over_one(lambda threads: mc.decode(long, threads=threads)),
-        "encode_free_share": encoding_interpreter_free_share(motion, bound, model),
         "encode_two_threads": two_threads_encoding(motion, bound, model),
         "window_s": window_seconds(data),
         "stages": stages(data),
@@ -115,31 +107,6 @@ def interpreter_free_share(data: bytes) -> float:
         return inside[0] / (time.process_time() - begin)
     finally:
         compiled_chunks.decode = decode
-
-
-def encoding_interpreter_free_share(motion: mc.Motion, bound: float, model: str) -> float:
-    """Share of encoding a long recording that is spent in calls of the compiled module for whole chunks."""
-    long, inside, kept = longer_motion(motion, 0.05), [0.0], {}
-
-    def timed(work: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*arguments: Any, **options: Any) -> Any:
-            begin = time.process_time()
-            done = work(*arguments, **options)
-            inside[0] += time.process_time() - begin
-            return done
-
-        return run
-
-    try:
-        for module, name in FREE_CALLS:
-            kept[module, name] = getattr(module, name)
-            setattr(module, name, timed(kept[module, name]))
-        begin = time.process_time()
-        mc.encode(long, "tempo", max_error=bound, model=model, threads=1)
-        return inside[0] / (time.process_time() - begin)
-    finally:
-        for (module, name), work in kept.items():
-            setattr(module, name, work)
 
 
 def two_threads_encoding(motion: mc.Motion, bound: float, model: str) -> float:
@@ -252,8 +219,8 @@ def page(results: dict[str, Any]) -> str:
             f"{c['label']}, {1000 * c['max_error']:g} mm",
             f"{c['free_share']:.2f}",
             f"{1 / (1 - c['free_share'] / 2):.2f}",
-            f"{c['two_threads']:.2f}" if "two_threads" in c else "–",
-            *encoding_columns(c),
+            f"{c['two_threads']:.2f}",
+            f"{c['encode_two_threads']:.2f}",
             f"{1000 * c['window_s']:.2f} ms",
         ]
         for c in cases
@@ -286,9 +253,7 @@ def page(results: dict[str, Any]) -> str:
                     "decoding: share without the interpreter",
                     "two threads over one, at most",
                     "measured",
-                    "encoding: share",
-                    "at most",
-                    "measured",
+                    "encoding: measured",
                     "window",
                 ],
                 shares,
@@ -299,14 +264,6 @@ def page(results: dict[str, Any]) -> str:
             f"{machine['cores']} cores with a load of {results['load']:.0f} by other work.",
         ]
     )
-
-
-def encoding_columns(case: dict[str, Any]) -> list[str]:
-    """What threads gain in encoding; older results lack it."""
-    if "encode_free_share" not in case:
-        return ["–"] * 3
-    share = case["encode_free_share"]
-    return [f"{share:.2f}", f"{1 / (1 - share / 2):.2f}", f"{case['encode_two_threads']:.2f}"]
 
 
 @click.command("speed-table")

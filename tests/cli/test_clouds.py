@@ -113,12 +113,3 @@ def test_a_promise_that_cannot_be_kept_writes_nothing(folder, tmp_path, capsys):
 def test_recordings_without_a_body_are_3(folder, tmp_path):
     run("compare", folder / "frames", folder / "first.bvh", code=3)
     run("encode", folder / "frames", "-o", tmp_path / "x.mocz", "--codec", "lien2006", "--skeleton", "no.bvh", code=3)
-
-
-def test_thorough_is_a_setting_of_the_file(folder, tmp_path):
-    mc.write(tmp_path / "few", sequences.record(sequences.jumping_jacks(actors.capsules(), 1), 300))
-    stored, first = tmp_path / "x.mocz", folder / "first.bvh"
-    options = ("--fps", 15, "--skeleton", first, "--max-error", "12mm", "-q")
-    run("encode", tmp_path / "few", "-o", stored, *options, "--thorough")
-    with mc.open(stored) as file:
-        assert file.info["settings"]["thorough"] is True

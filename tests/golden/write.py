@@ -226,7 +226,7 @@ RECIPES: dict[str, tuple[Callable[[], Motion | PointClouds], str, dict[str, Any]
     "bodycast-exact": (jumper, "bodycast", {"residual": "exact", **SKELETON}),
     "bodycast-exact-steps": (covered_jumper, "bodycast", {"residual": "exact", "precision": 0.002, **SKELETON}),
     "bodycast-jumper-smoothed": (jumper, "bodycast", {"max_error": 0.012, "psnr": 28, **SKELETON}),
-    "bodycast-jumper-cubes": (jumper, "bodycast", {"max_error": 0.006, "thorough": True, **SKELETON}),
+    "bodycast-jumper-cubes": (jumper, "bodycast", {"max_error": 0.006, **SKELETON}),
 }
 
 

@@ -13,7 +13,7 @@ from ..codecs.base import Codec
 from ..errors import BadInput
 from . import quantities
 
-OPTIONS = ("skeleton", "residual", "chunk_seconds", "max_rotation", "thorough")
+OPTIONS = ("skeleton", "residual", "chunk_seconds", "max_rotation")
 """Settings of codecs that `mocodec encode` has an option for: --chunk-seconds is `chunk_seconds`."""
 
 

@@ -68,12 +68,6 @@ from .codec_options import codec_with
     help="For point clouds, in place of an error: 0 sends a moving surface, 26 to 100 all points, closer and closer; "
     "'exact' keeps every bit (both with bodycast).",
 )
-@click.option(
-    "--thorough",
-    is_flag=True,
-    help="For point clouds of people under an error, size or PSNR: choose points among more of them, for slightly "
-    "fewer bytes at the same D1. Takes longer.",
-)
 @click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
 @click.option(
     "--in-pieces",
@@ -98,7 +92,6 @@ def command(
     prior: str | None,
     piecewise: bool,
     at_once: bool,
-    thorough: bool,
     bare: bool,
     as_json: bool,
     quiet: bool,
@@ -120,7 +113,7 @@ def command(
     own_options = files.given(
         **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
     )
-    settings += tuple(f"{name}={value}" for name, value in own_options.items()) + ("thorough=true",) * thorough
+    settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     chosen |= files.given(signal_error=signal_error, prior=prior)
     if many.is_many(sources, output):

@@ -29,7 +29,7 @@ def _ball(points: int) -> tuple[LatticeGrid, LatticeFrame, SurfaceHints]:
     """Points on a ball of 0.2 m and away from it, on a lattice for BOUND_M, with samples of the ball."""
     places = np.concatenate([0.2 * _sphere(points, 1), 0.2 * _sphere(points, 2)[:20] + [0.5, 0, 0]])
     colours = np.random.default_rng(3).integers(0, 256, (len(places), 3)).astype(np.uint8)
-    grid, [frame] = lattice_frames.to_lattice([(places, colours)], BOUND_M / point_choice.THOROUGH.freedom, True)
+    grid, [frame] = lattice_frames.to_lattice([(places, colours)], BOUND_M / point_choice.FREEDOM, True)
     directions = _sphere(600, 4)
     samples = np.floor((0.2 * directions / grid.step_m - grid.corner) * 16).astype(np.int64)
     normals = np.floor(1024 * directions).astype(np.int64)
@@ -39,7 +39,7 @@ def _ball(points: int) -> tuple[LatticeGrid, LatticeFrame, SurfaceHints]:
 @pytest.mark.parametrize("points", [1, 40, 1000])
 def test_chosen_cells_are_within_the_bound_and_have_points(points):
     grid, frame, hints = _ball(points)
-    chosen = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
+    chosen = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
     cells = octree.cells_of_codes(chosen.codes)
     assert chosen.own_distances(grid.positions(cells)).max() <= BOUND_M
     assert np.array_equal(np.unique(chosen.rows), np.arange(len(chosen.codes)))
@@ -53,9 +53,9 @@ def test_chosen_cells_are_within_the_bound_and_have_points(points):
 @pytest.mark.parametrize("points", [40, 800])
 def test_compiled_and_numpy_choices_are_the_same(points):
     grid, frame, hints = _ball(points)
-    compiled = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
+    compiled = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
     with native.without():
-        pure = point_choice.chosen_cells(frame, grid, hints, BOUND_M, 2)
+        pure = point_choice.chosen_cells(frame, grid, hints, BOUND_M)
     np.testing.assert_array_equal(compiled.codes, pure.codes)
     np.testing.assert_array_equal(compiled.rows, pure.rows)
 
@@ -87,22 +87,16 @@ def _error(clouds: PointClouds, decoded: PointClouds) -> tuple[float, float]:
     return max(float(np.sqrt(np.mean(d**2))) for d in (there, back)), float(max(there.max(), back.max()))
 
 
-@pytest.mark.parametrize(("bound", "thorough"), [(0.0103, False), (0.0108, True)])
-def test_chosen_points_keep_the_bound_and_are_smaller_at_the_same_error(recorded, monkeypatch, bound, thorough):
+def test_chosen_points_keep_the_bound_and_are_smaller_at_the_same_error(recorded, monkeypatch):
     pytest.importorskip("av")
     performance, clouds = recorded
-    ours = Bodycast(max_error=bound, skeleton=performance.skeleton(), thorough=thorough).encode(clouds)
+    bound = 0.0103
+    ours = Bodycast(max_error=bound, skeleton=performance.skeleton()).encode(clouds)
     rms, largest = _error(clouds, Bodycast.decode(ours))
     assert ours.promise == {"max_error": bound}
     assert largest <= bound
-    monkeypatch.setattr(point_choice, "USUAL", point_choice.NONE)
+    monkeypatch.setattr(point_choice, "FREEDOM", 1.0)
+    monkeypatch.setattr(point_choice, "chosen_cells", lambda frame, *_: frame)
     nearest = Bodycast(max_error=0.01, skeleton=performance.skeleton()).encode(clouds)
     assert rms <= _error(clouds, Bodycast.decode(nearest))[0]
     assert ours.payload_bytes < nearest.payload_bytes
-
-
-def test_frames_without_a_body_are_the_same(recorded):
-    rng = np.random.default_rng(5)
-    clouds = PointClouds([rng.uniform(-1, 1, (100, 3)) * [0.4, 0.05, 0.2] for _ in range(2)], 15.0)
-    usual, thorough = (Bodycast(max_error=0.01, thorough=thorough).encode(clouds) for thorough in (False, True))
-    assert [chunk.payload for chunk in usual.chunks] == [chunk.payload for chunk in thorough.chunks]

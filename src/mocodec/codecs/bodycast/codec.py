@@ -72,8 +72,7 @@ class Bodycast:
     percent; by default as many as a frame of the data has. cells: of the atlas. surface_quality: of the atlas, x265's
     rate factor, lower is better. The values of pose_step, cells and surface_quality are those of residual 0. strangers:
     code outlier points. tracked_points: most points of a frame that the tracker uses. chunk_frames: frames that decode
-    together. thorough: with a target, where bodies are found, choose the decoded points among more of them: slightly
-    fewer bytes at the same root mean square error, in more time; under `max_error`, smaller errors and more bytes.
+    together.
     """
 
     name: ClassVar[str] = "bodycast"
@@ -93,7 +92,6 @@ class Bodycast:
     strangers: bool = True
     tracked_points: int = 2500
     chunk_frames: int = 150
-    thorough: bool = False
 
     def encode(self, clouds: PointClouds) -> Encoded[PointClouds]:
         """Frames without a body are coded as points within a bound, by default of 5 mm. Where all points are
@@ -306,7 +304,7 @@ class Bodycast:
         textures = [body.texture for body in bodies]
         poses = [[sequence for _, sequence in own] for own in coded]
         chunk_bodies = [ChunkBodies(textures, *own) for own in zip(poses, absent, strict=True)]
-        encoder = PointEncoder(frames, spans, chunk_bodies, coloured, self.thorough)
+        encoder = PointEncoder(frames, spans, chunk_bodies, coloured)
         parts = encoder.encode(PointTarget(settings.get("max_error"), self.mean_error, size, self.psnr, beside))
         return [pack_chunk(streams._replace(exact_points=part)) for streams, part in zip(empty, parts, strict=True)]
 

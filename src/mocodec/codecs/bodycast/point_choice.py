@@ -22,6 +22,7 @@ from .lattice_frames import LatticeFrame, LatticeGrid
 from .point_smoothing import FINE_BITS, Candidates
 from .surface_hints import NORMAL_BITS, SUBUNIT_BITS, SurfaceHints
 
+FREEDOM = 1.06  # bound over the largest distance of any place from the lattice
 LAMBDA = 0.15  # squared lattice units for a bit
 SHARED_BITS = 1.6  # of a lattice point, besides those of its place on the surface
 STAY_BITS = 4  # of a point that smoothing would move beyond the bound, more than of others
@@ -36,18 +37,6 @@ SAMPLE_SHARE = 1.0  # of the squared spacing: the area of a sample
 PRIOR_COUNT = 2  # points that an offset of zero counts for
 CORNERS = np.array([[corner >> axis & 1 for axis in range(3)] for corner in range(8)])
 BEYOND = 1 << 40  # squared error of a candidate beyond the bound
-
-
-class Effort(NamedTuple):
-    """freedom: bound over the largest distance of any place from the lattice. iterations: choices, each with the moves
-    that follow from the one before.
-    """
-
-    freedom: float
-    iterations: int
-
-
-NONE, USUAL, THOROUGH = Effort(1, 0), Effort(1.06, 1), Effort(1.12, 2)
 
 
 class _Choices(NamedTuple):
@@ -67,22 +56,18 @@ class _Choices(NamedTuple):
     nearest: Integers
 
 
-def chosen_cells(
-    frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float, iterations: int
-) -> LatticeFrame:
-    """The frame with other cells for its points, all within the bound. iterations: as in `Effort`."""
+def chosen_cells(frame: LatticeFrame, grid: LatticeGrid, hints: SurfaceHints, bound_m: float) -> LatticeFrame:
+    """The frame with other cells for its points, all within the bound."""
     points = np.rint((frame.originals / grid.step_m - grid.corner) * UNIT).astype(np.int64)
     reach = int(bound_m / grid.step_m * UNIT) - 1  # rounding of points takes less than a unit
     choices = _candidates(points, reach, grid.depth)
     samples = _near_samples(frame, hints)
     classes, bits_of_area = _classes(points, samples, choices, hints)
-    chosen = choices.nearest
-    for _ in range(iterations):
-        is_used = np.zeros(len(choices.first), bool)
-        is_used[choices.cell_of[chosen]] = True
-        costs = _costs(classes, is_used, bits_of_area)
-        errors = _errors(points, choices, samples, hints, chosen, is_used, reach)
-        chosen = _choose(choices.starts, choices.cell_of, errors, costs, chosen)
+    is_used = np.zeros(len(choices.first), bool)
+    is_used[choices.cell_of[choices.nearest]] = True
+    costs = _costs(classes, is_used, bits_of_area)
+    errors = _errors(points, choices, samples, hints, is_used, reach)
+    chosen = _choose(choices.starts, choices.cell_of, errors, costs, choices.nearest)
     return frame.with_cells(choices.cells[chosen])
 
 
@@ -170,7 +155,6 @@ def _errors(
     choices: _Choices,
     samples: Integers,
     hints: SurfaceHints,
-    chosen: Integers,
     is_used: Booleans,
     reach: int,
 ) -> Integers:
@@ -178,7 +162,7 @@ def _errors(
     the surface where that keeps the bound; with λ · STAY_BITS where it does not. samples (n,): near points. Points with
     one candidate have no choice: their errors stay 0.
     """
-    own = (np.cumsum(is_used) - 1)[choices.cell_of[chosen]]  # among the cells that are used
+    own = (np.cumsum(is_used) - 1)[choices.cell_of[choices.nearest]]  # among the cells that are used
     first = choices.first[is_used]
     sample_of_used = np.zeros(len(first), np.int64)
     sample_of_used[own] = samples

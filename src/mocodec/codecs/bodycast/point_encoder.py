@@ -48,8 +48,7 @@ class PointTarget(NamedTuple):
 class PointEncoder:
     """The points of all frames with what their coding depends on.
 
-    spans: frames of each chunk. bodies: of each chunk. thorough: choose the lattice points of bodies with
-    more effort, among more of them.
+    spans: frames of each chunk. bodies: of each chunk.
     """
 
     def __init__(
@@ -58,10 +57,8 @@ class PointEncoder:
         spans: Sequence[slice],
         bodies: Sequence[ChunkBodies],
         coloured: bool,
-        thorough: bool = False,
     ) -> None:
         self.frames, self.spans, self.bodies, self.coloured = frames, spans, bodies, coloured
-        self._effort = point_choice.THOROUGH if thorough else point_choice.USUAL
         self._last: tuple[float, list[_CodedChunk]] | None = None
 
     def encode(self, target: PointTarget) -> list[bytes]:
@@ -111,9 +108,9 @@ class PointEncoder:
             return self._last[1]
         chunks = list[_CodedChunk]()
         for span, bodies in zip(self.spans, self.bodies, strict=True):
-            effort = self._effort if bodies.textures else point_choice.NONE
-            grid, frames = to_lattice(self.frames[span], bound / effort.freedom, self.coloured)
-            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound, effort.iterations)))
+            reach = bound / point_choice.FREEDOM if bodies.textures else bound
+            grid, frames = to_lattice(self.frames[span], reach, self.coloured)
+            chunks.append(_CodedChunk(pack_places(grid, frames, bodies, bound)))
         self._last = bound, chunks
         return chunks
 

@@ -132,10 +132,9 @@ def pack_places(
     frames: Sequence[LatticeFrame],
     bodies: ChunkBodies,
     bound_m: float | None,
-    iterations: int = 0,
 ) -> CodedPlaces:
-    """bound_m: within which points may move from the lattice to the surface; None: they stay. iterations: in which
-    points take other cells within the bound, as `point_choice` says. The octrees of bodies are those of `cube_octree`.
+    """bound_m: within which points take other cells (`point_choice`) and move to the surface; None: they stay. The
+    octrees of bodies are those of `cube_octree`.
     """
     kind = LEARNED if bound_m is None else CUBED if bodies.textures else SMOOTHED
     shifts = [texture.shift for texture in bodies.textures]
@@ -148,7 +147,7 @@ def pack_places(
         reference, source = NO_REFERENCE, frame
         if len(frame.codes):
             octree_of_frame = _OctreeOfFrame(kind, scene, grid, k, values[k], pose_shifts[k], earlier)
-            source = octree_of_frame.chosen(frame, bound_m, iterations)
+            source = octree_of_frame.chosen(frame, bound_m)
             coder, reference, points = octree_of_frame.encode(coder, source, bound_m, choice)
             located.append(points)
             ends.append(coder.size)
@@ -261,11 +260,11 @@ class _OctreeOfFrame:
         self.surface = scene.posed(k, values, shifts)
         self.hints = scene.hints(k, self.surface, grid.step_m, grid.corner, grid.depth)
 
-    def chosen(self, frame: LatticeFrame, bound_m: float | None, iterations: int) -> LatticeFrame:
+    def chosen(self, frame: LatticeFrame, bound_m: float | None) -> LatticeFrame:
         """The frame with cells that take fewer bits within the bound, if a body shows the surface."""
-        if self.hints is None or bound_m is None or not iterations:
+        if self.hints is None or bound_m is None:
             return frame
-        return point_choice.chosen_cells(frame, self.grid, self.hints, bound_m, iterations)
+        return point_choice.chosen_cells(frame, self.grid, self.hints, bound_m)
 
     def encode(
         self, coder: BitEncoder, frame: LatticeFrame, bound_m: float | None, choice: ReferenceChoice
