@@ -53,18 +53,22 @@ BLOCKS = {
 IMAGES = "mocodec.formats.rgbd"
 """Reads a folder of depth and colour images; it has no suffix."""
 PICKLES = (".pkl", ".pickle")
-PICKLE = "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
 CAPTURE = "it is not read; export a .c3d from the program that captured it"
 POINTS = "of point clouds .ply is read, a folder with a file for each frame; convert these files to it"
-OTHERS = {
-    **dict.fromkeys(PICKLES, PICKLE),
-    ".fbx": "an FBX is neither read nor written; programs that export it export .glb or .bvh too",
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "a USD is neither read nor written; export a .glb from it"),
+NOT_READ = {
+    **dict.fromkeys(
+        PICKLES, "a pickle runs code when it is opened, so mocodec reads none; save its arrays with numpy.savez"
+    ),
     **dict.fromkeys((".tak", ".mcp", ".tsv", ".trb", ".mvnx"), CAPTURE),
     **dict.fromkeys((".pcd", ".xyz", ".pts", ".las", ".laz", ".e57", ".drc"), POINTS),
+}
+OTHERS = {
+    **NOT_READ,
+    ".fbx": "an FBX is neither read nor written; programs that export it export .glb or .bvh too",
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "a USD is neither read nor written; export a .glb from it"),
     ".asf": "an .asf is the skeleton of an .amc: name the .amc, with asf= (--asf) if they are apart",
 }
-"""What to do with files of other suffixes."""
+"""What to do with files of other suffixes; NOT_READ: with those to read."""
 CLOUDS = (".ply", ".npz")
 """Formats of point clouds; .npz stores motions too."""
 
@@ -156,7 +160,7 @@ def write(path: str | PathLike[str], motion: Motion | PointClouds, **options: An
     """
     path = Path(path)
     folder = isinstance(motion, PointClouds) and not path.suffix
-    module = FORMATS[".ply"] if folder else _module(path)
+    module = FORMATS[".ply"] if folder else _module(path, writes=True)
     if "unit" in options and "unit" not in _parameters(import_module(module).write):
         motion = _in_unit(path, motion, options.pop("unit"))
     _call(module, "write", path, motion, **options)
@@ -174,9 +178,9 @@ def _in_unit(path: Path, motion: Motion | PointClouds, unit: Any) -> Motion | Po
     return replace(motion, source={**motion.source, "format": suffix[1:], "units": str(unit).strip(), "unit_m": unit_m})
 
 
-def _module(path: Path) -> str:
+def _module(path: Path, writes: bool = False) -> str:
     suffix = path.suffix.lower()
-    if suffix in OTHERS:
+    if suffix in OTHERS and not (writes and suffix in NOT_READ):
         raise BadInput(f"{path}: {OTHERS[suffix]}")
     if suffix not in FORMATS:
         problem = f"unknown suffix {suffix!r}" if suffix else "a file needs a suffix"
@@ -234,7 +238,7 @@ def dropped(path: str | PathLike[str], motion: Motion | PointClouds) -> list[str
     """
     if not isinstance(motion, Motion):
         return []
-    module = import_module(_module(Path(path)))
+    module = import_module(_module(Path(path), writes=True))
     kept: frozenset[str] = module.holds(motion) if hasattr(module, "holds") else getattr(module, "HOLDS", frozenset())
     lacks: tuple[str, ...] = getattr(module, "LACKS", ())
     present = [*motion.extras, *lacks]
