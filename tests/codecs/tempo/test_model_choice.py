@@ -53,12 +53,3 @@ def test_markers_are_placed_on_bones_only_where_a_stored_basis_takes_much(monkey
         chunks = [c + noise[: len(c)] for c in np.array_split(motion.positions, -(-frames // 480))]
         model_choice.choose(Recording(chunks, motion, Tempo(max_error=0.001).first_step(motion)))
     assert tried == [60]
-
-
-def test_a_still_recording_gets_a_basis_of_its_own():
-    random = np.random.default_rng(4)
-    positions = random.normal(0, 0.4, (1, 12, 3)) + random.normal(0, 0.0001, (200, 12, 3))
-    recording = Recording([positions], Motion(positions, 100.0, tuple(f"m{i}" for i in range(12)), up="y"), -240)
-    assert recording.is_still
-    assert model_choice.choose(recording).header.model == "points-stored"
-    assert not recording.with_step(-500).is_still

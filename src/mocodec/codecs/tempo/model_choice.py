@@ -26,15 +26,11 @@ from .models.stored_basis import MOST_DIMENSIONS
 AUTO, TRANSFORM, DIRECT = "auto", "transform", "direct"
 KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
-STILL_MODEL = "points-stored"
-"""The only model tried for a recording in which points hardly move: it shows neither bones nor how a body moves."""
 PRICED_CHUNKS = 4
 CLEARLY = 0.85
 """Of two models of known points one chunk decides, where the cheaper takes less than this share."""
 WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
-MOST_ON_BONES = 200
-"""No marker set has more points: more are not placed on the prior's bones where a stored basis fits."""
 FINER_UP_TO = 0.65
 """Of very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where it
 takes more, the coarser one is tried too. Of fewer points both are tried, since trials cost little, and a finer pose may
@@ -67,7 +63,8 @@ def choose(
     if model == DIRECT or (types is not None and not any(name in types for name in MODELS)):
         return without_model(recording.like)
     every = model in (AUTO, TRANSFORM)
-    if every and mean_error and has_stored_basis(recording) and not known_by_name(recording):
+    stored = recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
+    if every and mean_error and stored and not known_by_name(recording):
         recording = _with_refined_step(recording, mean_error)
     if (found := _cheapest(recording, model, types)) is not None:
         return found
@@ -86,11 +83,6 @@ def choose_for_size(recording: Recording, model: str, size: int) -> Choice:
     return choice
 
 
-def has_stored_basis(recording: Recording) -> bool:
-    """Whether a basis of points can be fitted to the recording and stored."""
-    return recording.frames >= 2 and 3 * recording.like.points <= MOST_DIMENSIONS
-
-
 def known_by_name(recording: Recording) -> bool:
     """Whether the prior knows the points by name."""
     return prior.for_points().joints.columns(recording.like.names) is not None
@@ -105,8 +97,6 @@ def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -
     named, every = known_by_name(recording), model in (AUTO, TRANSFORM)
     names = [model] if not every else KNOWN_NAME_MODELS if named else list(MODELS)
     names = [name for name in names if types is None or name in types]
-    if every and STILL_MODEL in names and has_stored_basis(recording) and recording.is_still:
-        names = [STILL_MODEL]
     chunks = len(recording.chunks)
     numbers = range(0, chunks, max(1, -(-chunks // PRICED_CHUNKS)))
     if named and every and chunks > 1 and (found := _clearly_cheapest(recording, _in_order_tried(names), chunks // 2)):
@@ -116,7 +106,8 @@ def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -
     for name in _in_order_tried(names):
         on_bones = not named and name == "points-prior"
         few_bytes = best is not None and len(best.header.pack()) < WORTH_PRIOR * least
-        if best and on_bones and (few_bytes or recording.like.points > MOST_ON_BONES):
+        many = recording.like.points > points.MANY_POINTS  # not tried on the prior's bones beside a stored basis
+        if best and on_bones and (few_bytes or many):
             continue
         for candidate in _fitted(name, recording):
             if not recording.chunks:
@@ -125,7 +116,6 @@ def _cheapest(recording: Recording, model: str, types: Collection[str] | None) -
             if price >= least:
                 break  # the others of this type differ little
             best, least = candidate, price
-            many = recording.like.points > points.MANY_POINTS
             if many and len(candidate.header.pack()) <= FINER_UP_TO * price:
                 break
     return best

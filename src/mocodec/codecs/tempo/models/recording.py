@@ -11,7 +11,7 @@ import numpy as np
 
 from ....motion import Motion
 from ....typing import Floats
-from ..coding.rows import POSE, step_size
+from ..coding.rows import POSE
 from ..pose import heading
 from .coordinates import PointCoordinates
 from .model import Model
@@ -19,10 +19,6 @@ from .stored_basis import Components
 
 POSE_FRAMES = 2000
 """Enough for the mean pose of a recording."""
-
-
-STILL_STEPS = 2.0
-"""In a still recording, points are on average (root mean square) nearer than so many steps to the mean pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +47,6 @@ class Recording:
     def components(self) -> Components:
         """Of its positions about the mean pose."""
         return Components.of_positions(self.chunks, PointCoordinates(self.mean_pose), self.like.rate)
-
-    @property
-    def is_still(self) -> bool:
-        """Whether its points hardly move about the mean pose."""
-        squared = float(self.components.principal.variances.sum()) / self.like.points
-        return squared < (STILL_STEPS * float(step_size(self.step))) ** 2
 
     def spectrum(self, model: Model, number: int) -> Floats | None:
         """Coefficients (frames, rows) of a chunk in a model whose basis is that of the components, from their spectra;
