@@ -120,4 +120,8 @@ private:
     bits::Decoder decoder_;
 };
 
+// Whether the bytes have ended before the bits: never in an encoder.
+inline bool is_cut_off(const BitArrayEncoder &) { return false; }
+inline bool is_cut_off(const BitArrayDecoder &decoder) { return decoder.exhausted(); }
+
 }  // namespace bit_arrays

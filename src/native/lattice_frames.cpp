@@ -107,22 +107,12 @@ Output<int64_t> morton_codes(Numbers cells) {
     return codes.give({n});
 }
 
-// The inverse of spread_bits: every third bit.
-int64_t gathered_bits(uint64_t v) {
-    v &= 0x1249249249249249;
-    v = (v | v >> 2) & 0x10C30C30C30C30C3;
-    v = (v | v >> 4) & 0x100F00F00F00F00F;
-    v = (v | v >> 8) & 0x1F0000FF0000FF;
-    v = (v | v >> 16) & 0x1F00000000FFFF;
-    return int64_t((v | v >> 32) & 0x1FFFFF);
-}
-
 // The inverse of `morton_codes`.
 Output<int64_t> cells_of_codes(Input<int64_t, 1> codes) {
     const size_t n = codes.shape(0);
     Fresh<int64_t> cells(3 * n);
     for (size_t i = 0; i < n; ++i)
-        for (size_t d = 0; d < 3; ++d) cells.data[3 * i + d] = gathered_bits(uint64_t(codes.data()[i]) >> d);
+        for (size_t d = 0; d < 3; ++d) cells.data[3 * i + d] = point_octree::gathered_bits(uint64_t(codes.data()[i]) >> d);
     return cells.give({n, 3});
 }
 

@@ -92,9 +92,6 @@ void classify_samples(const Surface &surface, const std::vector<uint64_t> &cubes
         }
 }
 
-inline bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
-inline bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
-
 // The functions of Python for a Tree, which has `code`, `failed_level`, `failed_cubes`, and `points` with codes and samples.
 template <class Tree>
 struct OctreeFunctions {

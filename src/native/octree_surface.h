@@ -44,6 +44,16 @@ inline uint64_t spread_bits(uint64_t v) {
     return (v | v << 2) & 0x1249249249249249;
 }
 
+// The inverse: every third bit, from the lowest.
+inline int64_t gathered_bits(uint64_t v) {
+    v &= 0x1249249249249249;
+    v = (v | v >> 2) & 0x10C30C30C30C30C3;
+    v = (v | v >> 4) & 0x100F00F00F00F00F;
+    v = (v | v >> 8) & 0x1F0000FF0000FF;
+    v = (v | v >> 16) & 0x1F00000000FFFF;
+    return int64_t((v | v >> 32) & 0x1FFFFF);
+}
+
 inline uint64_t morton_code(int64_t x, int64_t y, int64_t z) {
     return spread_bits(uint64_t(x)) | spread_bits(uint64_t(y)) << 1 | spread_bits(uint64_t(z)) << 2;
 }

@@ -376,8 +376,6 @@ private:
         for (size_t row : negative_) found_[row] = -found_[row];
     }
 
-    static bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
-    static bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
 
     const Numbers cells_, expected_;
     const Input<uint8_t, 1> is_expected_;

@@ -340,19 +340,8 @@ private:
     std::vector<uint8_t> filled_, before_;  // classes of the number of neighbours; those before, as contexts have them
 };
 
-// Every third bit of a Morton code, from the lowest.
-int32_t gathered_bits(uint64_t v) {
-    v &= 0x1249249249249249;
-    v = (v ^ v >> 2) & 0x10C30C30C30C30C3;
-    v = (v ^ v >> 4) & 0x100F00F00F00F00F;
-    v = (v ^ v >> 8) & 0x1F0000FF0000FF;
-    v = (v ^ v >> 16) & 0x1F00000000FFFF;
-    v = (v ^ v >> 32) & 0x1FFFFF;
-    return int32_t(v);
-}
-
 std::array<int32_t, 3> place_of_code(uint64_t code) {
-    return {gathered_bits(code), gathered_bits(code >> 1), gathered_bits(code >> 2)};
+    return {int32_t(gathered_bits(code)), int32_t(gathered_bits(code >> 1)), int32_t(gathered_bits(code >> 2))};
 }
 
 // A sample near each of the sorted distinct codes of points, as the octree finds them.

@@ -431,9 +431,6 @@ Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samp
 
 constexpr uint32_t STAY_CONTEXTS = 1 << 20, STAY_WEIGHTS = 1024, DEVIATIONS = 16;
 
-bool is_cut_off(const bit_arrays::BitArrayEncoder &) { return false; }
-bool is_cut_off(const bit_arrays::BitArrayDecoder &decoder) { return decoder.exhausted(); }
-
 // moves, deviations (n); stays (n): in the encoder. (n): whether points stay, 1 where nothing moves; None of bytes that are cut off.
 template <class Coder>
 nb::object code_stays(Coder &coder, Input<int64_t, 1> moves, Input<int64_t, 1> deviations, Input<uint8_t, 1> stays) {

@@ -16,7 +16,7 @@ from ..errors import CannotEncode
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS
 from . import clouds, files, in_pieces, many, quantities, verify
-from .codec_options import codec_with
+from .codec_options import OPTIONS, codec_with
 
 
 @click.command("encode")
@@ -110,9 +110,7 @@ def command(
         raise click.UsageError("--in-pieces and --at-once exclude each other; give one of them")
     pieces = piecewise if piecewise or at_once else None
     targets = files.given(**{name: options.pop(name) for name in TARGETS})
-    own_options = files.given(
-        **{name: options.pop(name) for name in ("skeleton", "residual", "chunk_seconds", "max_rotation")}
-    )
+    own_options = files.given(**{name: options.pop(name) for name in OPTIONS})
     settings += tuple(f"{name}={value}" for name, value in own_options.items())
     chosen: dict[str, Any] = {"codec": codec, "settings": list(settings), "targets": targets, "bare": bare}
     chosen |= files.given(signal_error=signal_error, prior=prior)

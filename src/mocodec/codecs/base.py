@@ -18,9 +18,8 @@ GAP_CHUNK_FRAMES = 1 << 16
 GAP_CHUNK_SAMPLES = 1 << 22
 """The most frames, and frames × points, of a chunk of a motion without samples."""
 
-LARGEST_M = 1e12
-LARGEST_HZ = 1e9
-"""Positions beyond are coded by lossless only."""
+LARGEST_M, LARGEST_HZ = 1e12, 1e9
+"""Positions and rates beyond are coded by lossless only."""
 
 
 class Fields(Protocol):

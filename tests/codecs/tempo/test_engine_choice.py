@@ -140,7 +140,7 @@ def test_a_still_beginning_does_not_choose_the_stride() -> None:
 def test_trials_in_vain_rule_out_others_with_higher_estimates() -> None:
     outcomes = engine_choice.Outcomes()
     outcomes.learn(0.8, 0.9)
-    for _ in range(engine_choice.IN_VAIN):
+    for _ in range(engine_choice.FEWEST_FAILED):
         assert not outcomes.rule_out(1.0)
         outcomes.learn(0.9, 1.1)
     assert not outcomes.rule_out(0.85)

@@ -51,9 +51,9 @@ TRIED_EVERY = 5
 """The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
 """Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
-REMEMBERED, IN_VAIN, VAIN_SAVING = 32, 4, 0.03
-"""Of a recording in blocks, so many of the last trials of the lattice engine are remembered. So many in vain at lower
-estimates, with none of use at a higher one, rule another trial out; a trial is in vain below this saving."""
+REMEMBERED, FEWEST_FAILED, USEFUL_SAVING = 32, 4, 0.03
+"""Number of trials of the lattice engine that are remembered from block to block. A trial that saves less than
+USEFUL_SAVING fails. Another one is ruled out if FEWEST_FAILED at lower estimates failed, and all at higher ones."""
 LEAST_BITS = 0.38
 """Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
 transform takes at least as many bits for a chunk."""
@@ -194,7 +194,7 @@ class Outcomes:
 
     def __init__(self) -> None:
         self._tried = deque[tuple[float, bool]](maxlen=REMEMBERED)
-        """Estimate over the transform's bytes, and whether the trial was in vain."""
+        """Of each trial: estimate over the transform's bytes, and whether it failed."""
         self._ruled_out = 0
 
     def rule_out(self, estimate: float) -> bool:
@@ -202,12 +202,12 @@ class Outcomes:
 
         One in TRIED_EVERY of the chunks that are ruled out is tried nevertheless, since the motion may have changed.
         """
-        lower = sum(in_vain for tried, in_vain in self._tried if tried <= estimate)
-        if lower < IN_VAIN or not all(in_vain for tried, in_vain in self._tried if tried >= estimate):
+        lower = sum(failed for tried, failed in self._tried if tried <= estimate)
+        if lower < FEWEST_FAILED or not all(failed for tried, failed in self._tried if tried >= estimate):
             return False
         self._ruled_out += 1
         return self._ruled_out % TRIED_EVERY != 0
 
     def learn(self, estimate: float, lattice: float) -> None:
         """The outcome of a trial: estimate and bytes of the engine over the transform's bytes."""
-        self._tried.append((estimate, lattice > 1 - VAIN_SAVING))
+        self._tried.append((estimate, lattice > 1 - USEFUL_SAVING))
