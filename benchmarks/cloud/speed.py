@@ -96,8 +96,8 @@ def page(results: dict[str, Any]) -> str:
         for short, long in [case["recordings"]]
     ]
     note = (
-        "Frames a second on one thread, of a short and of a longer recording, and of each further frame; *once*: what a "
-        f"recording takes besides. Within {1000 * BOUND_M:.3g} mm, but for the last row. Jumping jacks at {RATE:g} "
+        "Frames a second on one thread, of a short and of a longer recording, and of each further frame; *once*: what "
+        f"a recording takes besides. Within {1000 * BOUND_M:.3g} mm, but for the last row. Jumping jacks at {RATE:g} "
         f"frames/s ({results['actor']}), first pose not given. {measured_on(results['machine'])} "
         f"Load by other work: {results['load']:.0f}. Made by `scripts/bench cloud-speed`."
     )
