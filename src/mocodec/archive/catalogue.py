@@ -159,7 +159,7 @@ class Catalogue:
     def rows_or_problems(
         self, where: str = "1", constants: Sequence[Any] = (), order: str = "name"
     ) -> Iterator[Row | tuple[str, str]]:
-        """The rows that meet a condition; for one that cannot be, its name and what is wrong."""
+        """The rows that meet a condition; for a damaged one its name and the error."""
         with self._errors():
             cursor = self.connection.execute(
                 f"SELECT {_SELECT} FROM {self._table} WHERE {where} ORDER BY {order}", constants

@@ -39,7 +39,7 @@ TEMPOS = (0.8, 0.9, 1.0, 1.11, 1.25)
 TRAINING_WINDOWS = 20_000
 """Windows that the components are learned from, at most."""
 SMOOTHING_S = 0.1
-"""Poses are means over this time: what is faster does not matter for what a motion looks like."""
+"""Poses are means over this time, in seconds: faster detail does not matter for the look of a motion."""
 VERSION = 1
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 SAMPLE = 1 << 13
-"""Steps are found from about so many samples."""
+"""Number of samples that steps are found from, about."""
 FINEST = 2
 """Steps below 2 to this power last bits of the largest value are no counts, but the last bits of floats."""
 FIRST_SAMPLE = 64

@@ -32,7 +32,7 @@ ZERO = 1e-9
 """Entries of orthonormal columns that are smaller may be zeros with rounding errors."""
 FREE_STEPS = 1 << 28
 STEPS_PER_BYTE = 1 << 14
-"""Decoding a basis (n, k) takes n k² steps: at most FREE_STEPS, and so many more for each byte that is stored."""
+"""Decoding a basis (n, k) takes n k² steps. A stored basis may take FREE_STEPS, and STEPS_PER_BYTE for each byte."""
 
 
 def fit(covariance: Floats, components: int | None = None) -> tuple[Floats, Floats]:

@@ -33,7 +33,7 @@ from .lattice_chunk import NEIGHBOURS
 STRIDES, USUAL_STRIDE = range(5), 2
 """log₂ of the distances between the first frames that an encoder tries, and the one that it begins with."""
 LEAST_BITS_OF_SHORT = 4
-"""Where a sample takes more bits, what is far away in time predicts less than noise hides: short strides suit it."""
+"""Where a sample takes more bits, short strides suit it: samples far away in time predict less than the noise hides."""
 LARGEST_STRIDE, SPIKED = 6, 128
 """Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
 SAMPLED_FRAMES = 200

@@ -45,7 +45,7 @@ BATCH = 64
 LONGEST_SECONDS, ALWAYS_FRAMES = 16, 32
 """No encoder writes chunks that are longer than both: at most 10 s or 16 frames are asked for, rounding adds half."""
 REFILLS = 3
-"""Rounds of replacing what fills gaps by what is decoded there."""
+"""Rounds of refilling gaps with decoded positions."""
 BOUND_SLOPE = 0.1
 """Rate–distortion λ under a bound: smaller than elsewhere, since zeroing coefficients causes error peaks."""
 FIRST_OFFSET = 44

@@ -34,7 +34,7 @@ ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
 SAMPLE_OFFSET = 28
-"""These shares are of a transform in a step so many 1/32 octaves above the bound."""
+"""The step of the transform that these shares refer to, in 1/32 octaves above the bound."""
 CERTAIN = 0.68
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
 MANY_POINTS = 256
@@ -59,7 +59,7 @@ LEAST_BITS = 0.38
 transform takes at least as many bits for a chunk."""
 
 UNLIKELY, UNLIKELY_OF_POINTS = 1.05, 2.5
-"""The lattice engine is not tried for chunks for which its estimate is above so many times the bytes of the transform.
+"""Largest ratio of the estimated bytes of the lattice engine to those of the transform at which the engine is tried.
 That of joints hardly ever exceeds the bytes by more than a tenth; that of points that move alike, by up to twice."""
 
 
@@ -88,7 +88,7 @@ class LatticePlan:
 
     @property
     def unlikely(self) -> float:
-        """The engine is not tried where its estimate is above so many times the bytes of the transform."""
+        """Largest ratio of the estimate to the bytes of the transform at which the engine is tried."""
         return UNLIKELY if self.least_bits else UNLIKELY_OF_POINTS
 
 

@@ -45,7 +45,7 @@ PROMISING_FREQUENCIES, PROMISING_BITS = 128, 0.82
 all chunks, and is stored."""
 
 PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
-"""The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
+"""Number of chunks that the basis is fitted to. With more points the fit takes longer than the trial that it spares."""
 
 PROMISING, PROMISING_BYTES = 1.06, 256
 """A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:

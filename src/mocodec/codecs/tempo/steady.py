@@ -18,9 +18,9 @@ from .chunk import ChunkEncoder
 from .coding.contexts import OCTAVE
 
 MOST_OF_BLOCK = 2.0
-"""A block may spend at most so many times its own share of what is allowed."""
+"""Largest ratio of the cost of a block to its own share of the allowed cost."""
 AIM = 0.99
-"""The steady step is made coarser, or finer, while less than this share of what is allowed has been spent."""
+"""Share of the allowed cost that the first step aims at; after a block the step changes while less is spent."""
 SLOWLY = 2
 """The steady step changes by at most this much after a block, 1/32 octave."""
 TRIES, SAMPLE_TRIES = 12, 8

@@ -1,4 +1,4 @@
-"""What is learned from other people's motion and ships with the package: bases, spreads and the coder's tables.
+"""The prior, learned from other people's motion and shipped with the package: bases, spreads and the coder's tables.
 
 A prior is one .npz beside this package, identified in every file that uses it by its BLAKE2b digest of four bytes.
 `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that the

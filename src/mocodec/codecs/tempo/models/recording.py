@@ -66,7 +66,7 @@ class Recording:
         return out
 
     def with_step(self, step: int) -> Recording:
-        """The recording for another step, with what is known of it already."""
+        """The recording for another step, which keeps the results that do not depend on the step."""
         other = replace(self, step=step)
         other.__dict__.update({name: value for name, value in self.__dict__.items() if name != "step"})
         return other

@@ -87,7 +87,7 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class JointRule:
-    """What is stored about a joint.
+    """The stored rule of a joint.
 
     placed: it is put at its coded position instead of its offset's end. usual (4,): a usual local rotation; of FIXED,
     the rotation. form: of joints with restricted freedom. branch: which of two solutions, ±1, of UNIVERSAL. pair: the
