@@ -55,7 +55,7 @@ def joined_recordings() -> mc.Motion:
 
 
 def blocks(source: mc.Motion, frames: int) -> Iterator[mc.Motion]:
-    """So many frames: the source over and over."""
+    """`frames` frames: the source over and over."""
     at = 0
     while at < frames:
         start = at % (len(source) - BLOCK_FRAMES)

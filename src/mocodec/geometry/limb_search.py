@@ -173,7 +173,7 @@ class LimbSearch(NamedTuple):
         return score
 
     def _distinct(self, hypotheses: Floats, order: AnyInteger) -> AnyInteger:
-        """Of hypotheses in this order, those in which bend and end of the limb differ by DISTINCT_M or more from the
+        """The hypotheses, in this order, in which bend and end of the limb differ by DISTINCT_M or more from the
         pose and from all chosen before.
         """
         body, limb, pose = self.matcher.body, self.limb, self.pose

@@ -61,7 +61,7 @@ class Principal(NamedTuple):
 
 
 def principal_of_rows(rows: Floats) -> Principal:
-    """Of rowsᵀ rows, (samples, n), where samples are fewer than dimensions."""
+    """Eigenvectors of rowsᵀ rows. rows: (samples, n), with fewer samples than dimensions."""
     variances, weights = np.linalg.eigh(rows @ rows.T)
     real = variances > np.finfo(float).eps * len(rows) * max(float(variances[-1]), 0.0)
     variances, weights = variances[real][::-1], weights[:, real][:, ::-1]
@@ -102,7 +102,7 @@ class Completion:
 
     @classmethod
     def of(cls, known: Floats) -> Completion:
-        """Of orthonormal columns (n, k)."""
+        """The completion of orthonormal columns (n, k)."""
         moved = np.array(known, np.float64)
         count = moved.shape[1]
         signs = _signs_of_reflections(moved[:count])
@@ -111,7 +111,7 @@ class Completion:
 
     @property
     def count(self) -> int:
-        """Of known columns."""
+        """Number of known columns."""
         return len(self.signs)
 
     def rows_after(self, first: Floats) -> Floats:

@@ -47,7 +47,7 @@ class ColourSteps(NamedTuple):
 
     @property
     def of_channels(self) -> tuple[int, int, int]:
-        """Of Y, Co, Cg."""
+        """The steps of Y, Co and Cg."""
         return self.luma, self.chroma, self.chroma
 
 

@@ -163,7 +163,7 @@ class ChunkEncoder:
 
     @classmethod
     def of(cls, model: Model, source: Prepared, frames: slice, spectrum: Floats | None = None) -> ChunkEncoder:
-        """Of some frames of a recording."""
+        """The encoder of some frames of a recording."""
         positions, smooth = source.positions[frames], source.smooth[frames]
         return cls(model, positions, smooth, source.apart[frames], source.spikes[frames], spectrum)
 
@@ -340,7 +340,7 @@ def _in_order(positions: Floats) -> Floats:
 def encoders(
     model: Model, source: Prepared, bounds: Sequence[tuple[int, int]], spectra: Mapping[int, Floats] | None = None
 ) -> list[ChunkEncoder]:
-    """Of chunks with these bounds, analysed in the threads of `parallel`. spectra: those that are known, by number."""
+    """Encoders of chunks with these bounds, analysed in the threads of `parallel`. spectra: known ones, by number."""
     known = spectra or {}
     for length in {stop - start for start, stop in bounds}:
         compiled_chunks.encodes(model, length)  # what all threads share is made here
@@ -349,7 +349,7 @@ def encoders(
 
 
 def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int) -> list[Draft]:
-    """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
+    """Drafts of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
     return list(parallel.over(lambda encoder: encoder.draft(step), encoders))
 
 

@@ -52,8 +52,8 @@ PROMISING, PROMISING_BYTES = 1.06, 256
 most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
 STRETCH_FRAMES = 1000
-"""Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
-is counted once; if it is larger all the same, the whole is not promising."""
+"""Length of the stretch of a long recording that is coded first. It looks better than the whole, since it is less
+varied and the basis is counted once; if it is larger all the same, the whole is not promising."""
 
 BYTES_SLOPE = 0.7
 """Fall of the logarithm of the bytes per logarithm of the mean error."""

@@ -22,7 +22,7 @@ LEAST_SHARE, AIM = 0.97, 0.99
 """The search ends at a mean of at least this share of the one asked for, and aims at the other share."""
 TRIES = 5
 FEWEST_BITS = 0.3
-"""Of a coordinate: the lattice is not tried where the transform takes less."""
+"""Bits of a coordinate: the lattice is not tried where the transform takes fewer."""
 PROMISING = 1.05
 """The whole recording is coded where a chunk takes at most this many times the transform's bytes."""
 
@@ -46,7 +46,7 @@ Kinds = frozenset[str]
 EncodeAt = Callable[[str, float, Kinds | None], Encoded[Motion]]
 """All of a motion at "mean_error" or "max_error", metres, by these kinds alone, or by any (None)."""
 MeanError = Callable[[Encoded[Motion], Motion], float]
-"""Of an encoding, against the motion: metres."""
+"""Mean error of an encoding of a motion, metres."""
 
 
 def on_lattice(

@@ -100,7 +100,7 @@ def for_mean(sample: Sequence[ChunkEncoder], mean_error: float) -> SteadyMean:
 
 
 def for_size(sample: Sequence[ChunkEncoder], bytes_a_frame: float) -> SteadySize:
-    """So many bytes a frame, at a step that suits the sample. Raises CannotEncode for less than one byte in all."""
+    """A target in bytes a frame, from a step that suits the sample. Raises CannotEncode for less than a byte in all."""
     if bytes_a_frame <= 0:
         raise CannotEncode("the header alone takes more bytes than are asked for")
     found = SteadySize(_bytes, _frames, bytes_a_frame, target.COARSE_STEP, 1, SIZE_SLOPE)

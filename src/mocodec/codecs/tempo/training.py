@@ -234,7 +234,7 @@ def _with_arms(columns: Sequence[int], work: Callable[[Motion], Any], motion: Mo
 
 
 def rotating_points(motion: Motion, columns: Sequence[int]) -> Motion:
-    """Of each bone its joint and three points that rotate with it, `ARM_M` along the axes it has at rest."""
+    """For each bone its joint and three points that rotate with it, `ARM_M` along the axes it has at rest."""
     assert motion.skeleton is not None
     assert motion.rotations is not None
     rotations = kinematics.world_rotations(motion.skeleton, motion.rotations)[:, columns]
@@ -364,7 +364,7 @@ def _with_spreads(joints: JointSet, each: Each) -> Statistics:
 
 
 def _magnitudes(joints: JointSet, motion: Motion) -> tuple[Floats, Floats, Floats, float]:
-    """Of a recording: sums of magnitudes (rows, frequencies) and their weights (frequencies,); of the means (rows,) and
+    """Sums of magnitudes of a recording (rows, frequencies) and their weights (frequencies,); of the means (rows,) and
     their weight."""
     nodes = np.array(contexts.BANDS_MHZ[1:])
     total, count = np.zeros((POSE + len(joints.statistics.bases[0]), len(nodes))), np.zeros(len(nodes))

@@ -53,7 +53,7 @@ class JointSet:
 
     @property
     def tree(self) -> BoneTree:
-        """Of a set whose coordinates are directions."""
+        """The bone tree of a set whose coordinates are directions."""
         assert isinstance(self.coordinates, DirectionCoordinates)
         return self.coordinates.tree
 

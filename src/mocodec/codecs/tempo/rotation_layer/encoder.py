@@ -29,7 +29,7 @@ from .chunk_layer import GRIDS, ChunkLayer, Draft, Original, Promise
 from .payload import Layer
 
 MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.66, 0.9
-"""Of the mean error, of the bound and of the bytes that the target allows: what the inner stream gets at first."""
+"""Shares of the allowed mean error, bound and bytes that the inner stream gets at first."""
 FLOOR = 0.985
 """With exact side values, at most this share of the mean error may be used up by positions."""
 INNER_TRIES = 5

@@ -31,7 +31,7 @@ LARGEST = 1 << 20
 STEP_M, LARGEST_ROUNDED_M = 1e-5, 21474.83648
 """Offsets are rounded to this step, up to this length: the container's (`container.skeletons`)."""
 FREE_ANGLE, ZERO, CONSTANT = 0, 1, 2
-"""Of each of three angles, in base 3, the first highest."""
+"""States of an angle; those of three angles are digits in base 3, the first highest."""
 
 LAYER = Record(
     "tempo: rotations",
