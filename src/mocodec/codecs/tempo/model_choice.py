@@ -33,8 +33,8 @@ WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 FINER_UP_TO = 0.65
 """With very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where
-it takes more, the coarser one is tried too. With fewer points both are tried, since trials cost little, and a finer pose may
-be all that a still recording needs."""
+it takes more, the coarser one is tried too. With fewer points both are tried, since trials cost little, and a
+still recording may need no more than a finer pose."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 COARSER_MODELS = 7
