@@ -233,7 +233,7 @@ class ChunkEncoder:
         return bool((off <= bound).all())
 
     def within_bound(self, bound: float, offset: int, most_bits: float = np.inf) -> Draft:
-        """The chunk in a step so far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
+        """The chunk in a step this far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
         every sample within it; a direct draft where the transform fails, or takes `most_bits` or more without them."""
         found = None
         if self.spectrum is not None:
