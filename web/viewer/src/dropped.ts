@@ -1,7 +1,7 @@
 /** Files that a user drops on the page, or that its address names: .mocz, decoded here; two of equal shape are compared. */
 
 import { measure } from "./errors.ts";
-import { inMemory } from "./frames.ts";
+import { inMemory } from "./loaders.ts";
 import { closeBefore, factsOf, fileOf } from "./mocz.ts";
 import type { Facts, Media, Session } from "./session.ts";
 

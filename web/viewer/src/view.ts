@@ -2,7 +2,8 @@
 
 import { Color, Group, Vector3 } from "three";
 import { distances } from "./errors.ts";
-import { type Frame, Frames, loaders } from "./frames.ts";
+import { type Frame, Frames } from "./frames.ts";
+import { loaders } from "./loaders.ts";
 import { CloudFigure, Figure, type Stage, trailFrames } from "./scene.ts";
 import type { Facts } from "./session.ts";
 import { ErrorScale, type Palette } from "./theme.ts";
