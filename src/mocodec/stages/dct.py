@@ -48,17 +48,6 @@ def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> F
     return out.reshape(count, *samples.shape[1:])
 
 
-def low(samples: Floats, first: int, last: int) -> Floats:
-    """The coefficients of few low frequencies, (runs, frames, columns) → (runs, last − first, columns)."""
-    return _low_matrix(samples.shape[1], first, last) @ samples
-
-
-@lru_cache(maxsize=32)
-def _low_matrix(frames: int, first: int, last: int) -> Floats:
-    """The cosines of some low frequencies, (last − first, frames)."""
-    return np.ascontiguousarray(_cosines(frames, first, last).T)
-
-
 def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
     """The samples of the lowest frequencies along an axis: (frequencies ≤ frames, …) → (frames, …)."""
     if axis:
