@@ -150,7 +150,7 @@ class Catalogue:
                 raise
 
     def rows(self, where: str = "1", constants: Sequence[Any] = (), order: str = "name") -> Iterator[Row]:
-        """The rows that meet a condition, in order of names. Raises Corrupt for one that cannot be."""
+        """The rows that meet a condition, in order of names. Raises Corrupt for an invalid row."""
         for found in self.rows_or_problems(where, constants, order):
             if isinstance(found, tuple):
                 raise self.damaged(f"{found[1]} of recording {found[0]}")

@@ -317,8 +317,8 @@ class Pair:
 def duplicates(recordings: Recordings, within_m: float = 0.02, share: float = 0.8) -> list[Pair]:
     """Pairs of recordings of which one shows what the other does, apart from place and heading.
 
-    within_m: how near corresponding windows are. share: how much of the shorter recording must have its like in the
-    other, at one offset in time. Recordings shorter than 1.6 s are compared byte by byte only. Raises Corrupt.
+    within_m: how near corresponding windows are. share: how much of the shorter recording must match the other, at one
+    offset in time. Recordings shorter than 1.6 s are compared byte by byte only. Raises Corrupt.
     """
     rows = list(recordings.rows())
     pairs: dict[tuple[str, str], Pair] = {}

@@ -233,8 +233,8 @@ class ChunkEncoder:
         return bool((off <= bound).all())
 
     def within_bound(self, bound: float, offset: int, most_bits: float = np.inf) -> Draft:
-        """The chunk in a step so far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
-        every sample within it; a direct draft where the transform fails, or takes `most_bits` or more without them."""
+        """The chunk in a step this far above the bound (metres), log₂ in 1/32 octave, with corrections that should
+        bring every sample within it. A direct draft where the transform fails or takes `most_bits` without them."""
         found = None
         if self.spectrum is not None:
             found = self.attempt(lambda: self._transform_within(bound, offset, most_bits))

@@ -50,7 +50,7 @@ HOPELESS = 1.25
 TRIED_EVERY = 5
 """The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
-"""Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
+"""Both are tried for FEWEST_TRIED chunks first, since one may be still. MEMORY is the weight of a chunk in the next."""
 REMEMBERED, FEWEST_FAILED, USEFUL_SAVING = 32, 4, 0.03
 """Number of trials of the lattice engine that are remembered from block to block. A trial that saves less than
 USEFUL_SAVING fails. Another one is ruled out if FEWEST_FAILED at lower estimates failed, and all at higher ones."""

@@ -39,7 +39,7 @@ USUAL_RISE, RISES = 0.75, (0.4, 1.0)
 STEP_RISE, SLOPE_RISE = USUAL_RISE / OCTAVE, 0.2 / SLOPE_OCTAVE
 """Usual rise of log₂ of the error per number of the step and of λ."""
 MOST_MOVES = 2
-"""In one direction."""
+"""Number of moves in one direction, at most."""
 FINER = 6
 """Number of times that all chunks are tried in finer steps while their least errors exceed the target."""
 TUNING = 2

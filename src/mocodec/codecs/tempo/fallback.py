@@ -62,7 +62,7 @@ MEAN_OF_BOUND = 0.5
 """Usual mean error under a bound: where the search for a mean by way of a bound begins."""
 
 MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
-"""The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
+"""The search for a mean ends within MEAN_WITHIN below it, aims at MEAN_AIM of it and codes at most MEAN_TRIES times."""
 
 
 class Sample(NamedTuple):

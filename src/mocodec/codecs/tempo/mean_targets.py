@@ -30,7 +30,7 @@ FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
 """A mean error is also tried as a bound for up to FEW_CHUNKS chunks, or if a larger share than this is unusual."""
 
 SHORT_FRAMES, SHORT_SAMPLES = 16, 2048
-"""Recordings up to so long are tried at other targets too: few settings come near the mean error. Other targets try the
+"""Recordings up to these lengths are tried at other targets too: few settings come near the mean. Other targets try the
 kinds of model and engine alone that were smallest at the mean error and under it as a bound."""
 BOUND_RATIO, WIDEST_BOUND = 2**0.5, 8.0
 """Bounds that are tried: ratio of each to the one before, and of the largest to the mean error asked for."""

@@ -128,7 +128,7 @@ def _frames(encoders: Sequence[ChunkEncoder]) -> int:
 
 
 def _excess(cost: float, budget: float) -> float:
-    """In 1/32 octave."""
+    """The ratio of a cost to a budget in 1/32 octave."""
     return OCTAVE * float(np.log2(max(cost, 1e-12) / max(budget, 1e-12)))
 
 

@@ -34,7 +34,7 @@ FLOOR = 0.985
 """With exact side values, at most this share of the mean error may be used up by positions."""
 INNER_TRIES = 5
 WORTH_SHARING, LESS = 0.2, 0.85
-"""Where rotations take more than this part of the positions' bytes, positions get so much less of the error as well."""
+"""Where rotations take a larger part of positions' bytes than WORTH_SHARING, positions get LESS of the error too."""
 SEARCHED_FRAMES, FULL_TRIES = 1000, 4
 """The search for a step measures about 1,000 frames, and again where all frames have another mean."""
 NEAR, ALIKE = 0.99, 0.003
