@@ -29,8 +29,8 @@ SAMPLED_CHUNKS = 3
 """Chunks that the search under a bound encodes at each step: the best step is similar for all chunks."""
 
 SAMPLED_FREQUENCIES, CLEAR_BITS, UNCLEAR = 8, 1000.0, 0.08
-"""Bits at two steps are compared by one frequency in this many, unless these frequencies take fewer bits, or the ratio of
-both is this near to the limit."""
+"""Bits at two steps are compared by one frequency in this many, unless these frequencies take fewer bits, or the ratio
+of both is this near to the limit."""
 
 FARTHEST_RUNGS = 30 * quantise.LADDER
 """No rung that is tried is farther than this from the first: 30 octaves."""
