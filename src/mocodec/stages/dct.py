@@ -164,7 +164,7 @@ def _low_half_matrices(frames: int, frequencies: int) -> tuple[Floats, Floats]:
 
 
 def _cosines(frames: int, frequencies: int) -> Floats:
-    """The lowest frequencies of the orthonormal DCT, (frames, frequencies), as cosines of sums: the tables are small."""
+    """The lowest frequencies of the orthonormal DCT, (frames, frequencies), by cosines of sums from small tables."""
     at = (np.arange(frames)[:, None] + 0.5) * (np.pi / frames)
     coarse, fine = at * np.arange(0, frequencies, 16), at * np.arange(16)
     cosines = (np.cos(coarse) * np.sqrt(2 / frames))[:, :, None] * np.cos(fine)[:, None]
