@@ -33,7 +33,13 @@ def errors(
     picture.suptitle(title, fontsize=10)
     axes = picture.subplots()
     seconds = np.array(found.frames) / original.rate
-    axes.plot(seconds, 1000 * found.max_of_frame, color=plots.FAINT, linewidth=0.8, label="largest of the frame")
+    axes.plot(
+        seconds,
+        1000 * found.max_of_frame,
+        color=plots.FAINT,
+        linewidth=0.8,
+        label="largest distance to the nearest point",
+    )
     axes.plot(seconds, 1000 * found.d1_of_frame, color=plots.OURS, linewidth=1.2, label="D1")
     plots.draw_promise(axes.axhline, promise)
     axes.set_xlabel("time, s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from numbers import Real
 from typing import Any, cast
 
 from . import codecs
@@ -118,10 +119,16 @@ def default_codec(recording: Recording) -> str:
 
 
 def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
-    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
+    """A codec, by name or instance, with these settings.
+
+    Raises BadInput for a setting that it does not have, and for a target that is no number.
+    """
     chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
     known = [f.name for f in dataclasses.fields(chosen)]
-    for name in options:
+    for name, value in options.items():
+        if name in TARGETS and not isinstance(value, Real):
+            example = " of metres, such as 0.002," if name.endswith("error") else ","
+            raise BadInput(f"{name} must be a number{example} not {value!r}")
         if name not in known:
             what = "target" if name in TARGETS else "setting"
             raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")

@@ -23,7 +23,7 @@ from ..encoded import Chunk, Encoded, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion, extras_between, source_from
 from ..signals import bounds
-from . import files, quantities
+from . import files, quantities, sections
 
 Time = tuple[float | None, int | None]
 ERRORS = ("max_error", "mean_error", "max_rotation")
@@ -31,7 +31,7 @@ SECOND_BOUND = 0.5
 """Bound of the second encoding, as a share of the first bound."""
 
 
-@click.command("cut")
+@click.command("cut", cls=sections.Command)
 @click.argument("source", metavar="FILE")
 @click.option(
     "--from",

@@ -16,12 +16,12 @@ from ..pointcloud import PointClouds
 from ..viewer import film, page, session
 from ..viewer.recording import Shown, of_path
 from ..viewer.server import ArchiveServer, Server
-from . import compare, files
+from . import compare, files, sections
 
 ServerT = TypeVar("ServerT", bound=Server)
 
 
-@click.command("view")
+@click.command("view", cls=sections.Command)
 @click.argument("sources", metavar="FILE…", nargs=-1, required=True)
 @click.option("--against", metavar="ORIGINAL", help="Show the error against this recording, and its points in grey.")
 @click.option(
@@ -45,7 +45,9 @@ ServerT = TypeVar("ServerT", bound=Server)
     metavar="OUT.mp4",
     help="Film the recording, without a browser; needs the [cloud] extra.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; by default any free one.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Port on 127.0.0.1; default: any free one."
+)
 @click.option("--no-browser", is_flag=True, help="Print the address, but open no browser.")
 @files.reader_options
 def command(

@@ -64,7 +64,10 @@ def parse(text: str) -> list[Rule]:
                 f"signal error {part.strip()!r}: must be above zero, and bits whole numbers up to {MOST_BITS}"
             )
         if not equals and unit not in ("bit", "%"):
-            raise BadInput(f"signal error {part.strip()!r}: for all channels give bits or a percentage of their range")
+            raise BadInput(
+                f"signal error {part.strip()!r}: give all channels bits or a percentage of their range, or name the "
+                f"channels that have this unit, such as Fz*={part.strip()}"
+            )
         rules.append(Rule(pattern.strip() or "*", number, unit))
     return rules
 
@@ -121,7 +124,8 @@ def _in_unit(given: str, unit: str, label: str) -> float:
         return 1.0
     (base, size), (of_channel, unit_size) = _base(given), _base(unit.strip())
     if base != of_channel or not base:
-        raise BadInput(f"signal error: channel {label!r} has the unit {unit.strip() or 'none'!r}, not {given!r}")
+        has = f"the unit {unit.strip()!r}, not" if unit.strip() else "no unit, so its error cannot be in"
+        raise BadInput(f"signal error: channel {label!r} has {has} {given!r}; choose channels by a longer label")
     return size / unit_size
 
 
