@@ -62,11 +62,12 @@ def side_by_side(original: PointClouds, decoded: PointClouds, title: str = "", p
     grid = picture.subplots(2, max(len(chosen), 1), squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
+    decimals = 1 if original.seconds > len(chosen) else 2
     for column, frame in enumerate(chosen):
         for row, clouds in enumerate((original, decoded)):
             view = splats.views(clouds, frame, like=original, count=1, size=VIEW_PIXELS)[0]
             grid[row, column].imshow(view)
-        grid[0, column].set_title(f"{frame / original.rate:.1f} s", fontsize=8)
+        grid[0, column].set_title(f"{frame / original.rate:.{decimals}f} s", fontsize=8)
     for row, name in enumerate(("original", "decoded")):
         grid[row, 0].text(-0.05, 0.5, name, rotation=90, va="center", transform=grid[row, 0].transAxes, fontsize=8)
     return picture

@@ -56,7 +56,9 @@ def command(output: str) -> None:
         speeds.setdefault(codec, []).append(seconds)
     files.echo(f"\n{'frames/s':8}  {'encoded':>17}  {'decoded':>17}")
     for codec, seconds in speeds.items():
-        files.echo(f"{codec:8}  " + "  ".join(f"{speed(len(original), times):>17}" for times in zip(*seconds)))
+        files.echo(
+            f"{codec:8}  " + "  ".join(f"{speed(len(original), times):>17}" for times in zip(*seconds, strict=True))
+        )
     picture = draw(replace(original, skeleton=recording.skeleton), folder)  # TRC cannot store the skeleton
     files.echo(f"\n{CAVEAT}\n\nAcknowledgement: {data.ACKNOWLEDGEMENT}\n\nNow try:")
     first = folder / file_name(*RUNS[0])

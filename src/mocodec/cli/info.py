@@ -18,6 +18,8 @@ from . import files, many, quantities, sections
 
 MAX_ITEMS = 60
 """Items of a list that are shown; --json has all."""
+OF_MOTIONS = ("names", "skeleton", "rotations")
+"""What is not shown of point clouds."""
 OF_WRITERS = ("channels", "constant", "first_angles", "offset_digits")
 """What only the writer of a BVH needs from the source; --json has it."""
 
@@ -138,6 +140,9 @@ def shown(facts: Mapping[str, Any]) -> Iterator[str]:
     if isinstance(layout := source.get("layout"), list):
         names = [str(entry[0] if isinstance(entry, list | tuple) and entry else entry) for entry in layout]
         source["layout"] = names
+    if brief["kind"] == "clouds":
+        brief = {name: value for name, value in brief.items() if name not in OF_MOTIONS and value is not None}
+        brief["kind"] = "point clouds"
     if "source" in brief:
         brief["source"] = {name: value for name, value in source.items() if name not in OF_WRITERS}
     if isinstance(chunks := brief.get("chunks"), Mapping):
