@@ -191,12 +191,17 @@ def encode_blocks(
 ) -> Written:
     """Write a .mocz of a recording that comes in blocks and need not fit into memory; returns its size and errors.
 
+        written = mocodec.encode_blocks(mocodec.read_blocks("day.npy", rate=120), "day.mocz", max_error=0.005)
+
     blocks: motions that follow each other, of the same points and rate and of any lengths: `read_blocks(path)`, or your
     own generator. Names, skeleton and `source` are those of the first block; extras are those of `read_blocks`, and
-    left out of other sources. Targets and settings are those of `encode`; `ratio` and `size` need the number of frames
-    (`frames`, or the source's). The model is fitted to the first minutes, or to parts from everywhere where the source
-    can be read anywhere. Every chunk is decoded and measured; the file appears complete or not at all. A recording of
-    less than some minutes is encoded as by `encode`. Rotations are kept under `max_error`, of motions without gaps.
+    left out of other sources.
+    frames: the number of frames, for `ratio`, `size` and progress, where the source does not say it.
+    threads, progress, settings (targets and others): as in `encode`.
+
+    The model is fitted to the first minutes, or to parts of the whole recording if the source can be read at any frame.
+    Every chunk is decoded and measured; the file appears complete or not at all. A recording of less than some minutes
+    is encoded as by `encode`. Rotations are kept under `max_error`, of motions without gaps.
     Raises BadInput, also for codecs other than tempo; CannotEncode.
     """
     from . import in_pieces

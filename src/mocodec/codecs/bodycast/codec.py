@@ -56,7 +56,7 @@ FILE_BYTES, CHUNK_BYTES = 600, 48  # about what a container needs besides its ch
 
 @dataclass(frozen=True)
 class Bodycast:
-    """Settings.
+    """Settings of bodycast, the default codec for point clouds of people: tracked bodies and their surfaces.
 
     Targets, at most one of the first four: max_error: no point is farther from the nearest decoded point than this, and
     no decoded point from the nearest point, metres; mean_error: neither mean of these distances is larger; size: bytes
