@@ -1,6 +1,6 @@
 """`scripts/bench cloud-speed`: how long point clouds within a bound take, by the length of the recording.
 
-    jumping jacks, two lengths ─encode, decode, one thread─► seconds ─► frames a second, and what is spent once
+    jumping jacks, two lengths ─encode, decode, one thread─► seconds ─► frames a second, and seconds spent once
 
 A body's model is made, and its first pose found, once for a recording, so each frame of a short recording takes longer.
 Times are those of the processor.
@@ -112,7 +112,7 @@ def write_tables(folder: Path) -> Path:
 
 @click.command("cloud-speed")
 @click.option("-o", "--output", default="docs/results", show_default=True, type=click.Path(path_type=Path))
-@click.option("--frames", type=click.IntRange(2), help="At most so many frames, for a quick look.")
+@click.option("--frames", type=click.IntRange(2), help="Most frames of a recording, for a quick look.")
 def command(output: Path, frames: int | None) -> None:
     """Time encoding and decoding of point clouds by the length of the recording; write cloud_speed.json and .md."""
     output.mkdir(parents=True, exist_ok=True)

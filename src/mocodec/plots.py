@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TILT = np.radians(6.0)
-"""Of the view of poses, from above."""
+"""Angle from which poses are seen from above, radians."""
 SUFFIXES = (".png", ".svg", ".pdf")
 INK, OURS, FAINT, SHELL = "#333333", "#c8442e", "#bbbbbb", "#7a8fb8"
 

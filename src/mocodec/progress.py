@@ -91,12 +91,12 @@ def phase(start: float, stop: float) -> Generator[None, None, None]:
 
 
 def attempt(number: int) -> AbstractContextManager[None]:
-    """The phase of one attempt, from 0, of a search of unknown length: each takes half of what is left."""
+    """The phase of one attempt, from 0, of a search of unknown length: each takes half of the rest."""
     return phase(1 - 0.5**number, 1 - 0.5 ** (number + 1))
 
 
 def attempts(trial: Callable[[Setting], Result], share: float = 0.5) -> Callable[[Setting], Result]:
-    """`trial`, where each call is the next attempt of a search and takes this share of what is left."""
+    """`trial`, where each call is the next attempt of a search and takes this share of the rest."""
     left = 1.0
 
     def next_attempt(setting: Setting) -> Result:

@@ -150,7 +150,7 @@ class Catalogue:
                 raise
 
     def rows(self, where: str = "1", constants: Sequence[Any] = (), order: str = "name") -> Iterator[Row]:
-        """The rows that meet a condition, in order of names. Raises Corrupt for one that cannot be."""
+        """The rows that meet a condition, in order of names. Raises Corrupt for an invalid row."""
         for found in self.rows_or_problems(where, constants, order):
             if isinstance(found, tuple):
                 raise self.damaged(f"{found[1]} of recording {found[0]}")
@@ -159,7 +159,7 @@ class Catalogue:
     def rows_or_problems(
         self, where: str = "1", constants: Sequence[Any] = (), order: str = "name"
     ) -> Iterator[Row | tuple[str, str]]:
-        """The rows that meet a condition; for one that cannot be, its name and what is wrong."""
+        """The rows that meet a condition; for a damaged one its name and the error."""
         with self._errors():
             cursor = self.connection.execute(
                 f"SELECT {_SELECT} FROM {self._table} WHERE {where} ORDER BY {order}", constants

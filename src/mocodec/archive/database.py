@@ -34,7 +34,7 @@ MAX_LISTED = 5
 
 @dataclass(frozen=True)
 class Entry:
-    """A recording of an archive: what the catalogue says about it (`entry.row`, as attributes too), and its bytes."""
+    """A recording of an archive: its row in the catalogue (`entry.row`, as attributes too), and its bytes."""
 
     folder: str
     row: Row
@@ -99,7 +99,7 @@ class Recordings:
         return self._archive.catalogue.rows(self._where, self._constants)
 
     def rows_or_problems(self) -> Iterator[Row | tuple[str, str]]:
-        """The same; for a row that cannot be, the recording's name and what is wrong, where `rows` raises Corrupt."""
+        """The same; for a row that cannot be, the recording's name and the error, where `rows` raises Corrupt."""
         return self._archive.catalogue.rows_or_problems(self._where, self._constants)
 
     def query(self, text: str) -> Recordings:

@@ -196,7 +196,7 @@ def print_error(message: str, code: int) -> int:
 
 
 def silence_streams() -> None:
-    """Send what is still to be written nowhere, or Python reports the closed pipe or full disk again at exit."""
+    """Discard buffered output, or Python reports the closed pipe or full disk again at exit."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

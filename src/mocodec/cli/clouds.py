@@ -109,7 +109,7 @@ LABELS = {
     "views_psnr_db": "views, PSNR",
     "floor_m": "resampling floor of D1",
 }
-"""Of measures in lines; others are named as in JSON."""
+"""Names of measures in lines of text; others are named as in JSON."""
 
 
 def as_text(result: Mapping[str, Any], as_json: bool) -> str:

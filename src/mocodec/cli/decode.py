@@ -172,7 +172,7 @@ def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:
 
 
 def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
-    """The motion of a damaged file, with gaps for lost frames, and what is lost, in words.
+    """The motion of a damaged file, with gaps for lost frames, and the loss in words.
 
     Raises Corrupt if all frames are lost, BadInput for point clouds.
     """

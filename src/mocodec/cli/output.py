@@ -33,7 +33,7 @@ OPTIONS = (
         "--rate",
         type=quantities.HERTZ,
         metavar="HZ",
-        help="Resample to so many frames per second: rotations by slerp, positions by splines; gaps stay gaps.",
+        help="Resample to this rate, in frames per second: rotations by slerp, positions by splines; gaps stay gaps.",
     ),
     _option("--to-unit", metavar="UNIT", help="Unit of lengths in the output, where its format has one: mm, cm, in."),
     _option("--to-up", type=click.Choice(UP_AXES), help="Turn the motion so that this axis is vertical."),
@@ -68,7 +68,7 @@ def split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def prepared(recording: Recording, suffix: str, changes: dict[str, Any]) -> tuple[Recording, list[str]]:
-    """The recording with the changes, for a file with this suffix, and notes on what is left out. Raises BadInput."""
+    """The recording with the changes, for a file with this suffix, and notes on the parts left out. Raises BadInput."""
     return _in_whole_frames(_changed(recording, **changes), suffix, changes)
 
 

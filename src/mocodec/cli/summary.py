@@ -1,6 +1,6 @@
 """The summary of a command on many files: records to totals, and both to a table.
 
-A record is what is known of one file: `file`, `status` ("done", "skipped", "failed"), with `reason` and `code` if it
+A record describes one file: `file`, `status` ("done", "skipped", "failed"), with `reason` and `code` if it
 failed, and measures in metres, bytes and seconds. It is JSON.
 """
 

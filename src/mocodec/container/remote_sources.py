@@ -26,7 +26,7 @@ END_BYTES = 40 << 10
 SMALL_BYTES = 4 * BLOCK_BYTES
 """A file of at most this size is fetched whole."""
 MOST_AHEAD_BYTES = 8 << 20
-"""The most that is fetched ahead of what is read."""
+"""Bytes that are fetched ahead of a reader, at most."""
 CACHE_BYTES = 16 << 20
 """Pieces that stay in memory, of each open file."""
 TIMEOUT_S = 30.0

@@ -222,7 +222,7 @@ def axis_frame(bone: Bone, acclaim: Acclaim) -> Floats:
 
 
 def acclaim_axes(order: str, frame: Floats, degrees: bool, digits: int) -> tuple[float, float, float]:
-    """The inverse of `axis_frame`: x, y and z of a frame C (4,), rounded to so many decimals."""
+    """The inverse of `axis_frame`: x, y and z of a frame C (4,), rounded to `digits` decimals."""
     angles = rigid.to_euler(order, frame)
     angles = np.degrees(angles) if degrees else angles
     x, y, z = (round(float(angles[order.index(letter)]), digits) + 0.0 for letter in "xyz")

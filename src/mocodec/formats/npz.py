@@ -198,7 +198,7 @@ def _names(arrays: Archive, points: int, notes: list[str]) -> tuple[str, ...]:
 
 
 def _skeleton(arrays: Archive, names: tuple[str, ...], points: int) -> tuple[Skeleton | None, Floats | None]:
-    """The skeleton and the rotations (frames, joints, 4) that mocodec writes; None for what is not there."""
+    """The skeleton and the rotations (frames, joints, 4) that mocodec writes; None for each that is missing."""
     if not {"parents", "offsets"} <= arrays.names.keys():
         return None, None
     parents = arrays.load("parents").reshape(-1).astype(int).tolist()

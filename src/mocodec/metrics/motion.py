@@ -37,7 +37,7 @@ class Errors(NamedTuple):
 
 
 def errors(original: Floats, decoded: Floats) -> Errors:
-    """Of positions (frames, points, 3) twice, NaN at gaps."""
+    """Errors of decoded positions. original, decoded: (frames, points, 3), metres, NaN at gaps."""
     if (kernel := native.kernel("compare_positions")) is not None:
         if original.shape != decoded.shape:
             raise ValueError(f"positions of shapes {original.shape} and {decoded.shape}")

@@ -31,9 +31,9 @@ BLOCK = 32
 TAP_BITS = 12.0
 MIN_SAMPLES = 24
 FIT_SAMPLES = 2048
-"""Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
+"""Number of samples of a chunk that predictors are fitted to, about: blocks that are spread over it."""
 PURSUIT_SAMPLES = 640
-"""Other channels are chosen from about so many samples, likewise."""
+"""The same for the choice of other channels."""
 RIDGE = 1e-13
 LEAST_PIVOT = 1e-14
 LOG2_CUBIC = (1.2556887796, -4.1961258395, 6.0966363124, -3.1560362794)
@@ -142,7 +142,7 @@ def _log2(values: Floats) -> Floats:
 
 
 def _rows(count: int, most: int) -> Integers:
-    """At most about so many samples: all, or blocks at equal distances."""
+    """Indices of at most about `most` samples: all, or blocks at equal distances."""
     blocks = -(-count // BLOCK)
     step = -(-blocks * BLOCK // most)
     rows = (np.arange(0, blocks, step)[:, None] * BLOCK + np.arange(BLOCK)).ravel()

@@ -42,7 +42,7 @@ MOST_SPECIAL = 0.03
 """The share of samples that may differ from their counts; zeros and gaps do not matter."""
 GRID_BITS = 28
 SAMPLE = 256
-"""Forms are compared at about so many samples; the best is then checked at all."""
+"""Number of samples that forms are compared on, about; the best is then checked on all samples."""
 CORRECTION_COST = 2.0
 """Bits a sample that corrections take beyond the logarithm of their size."""
 

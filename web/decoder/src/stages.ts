@@ -4,7 +4,7 @@ import { Bytes } from "./bytes.js";
 import { check } from "./errors.js";
 import { readIntegers, readIntegersWithin } from "./integers/read.js";
 
-/** Decoding a basis (n, k) takes n k² steps: at most these, and so many more for each byte. */
+/** Decoding a basis (n, k) takes n k² steps. A stored basis may take FREE_STEPS, and STEPS_A_BYTE more for each byte. */
 const FREE_STEPS = 2 ** 28;
 const STEPS_A_BYTE = 2 ** 14;
 

@@ -33,7 +33,7 @@ function rank(label: string): number {
   return /residual/i.test(label) ? 2 : 1;
 }
 
-/** The smallest and largest value of a channel in up to BINS parts; what is not finite counts as 0. */
+/** The smallest and largest value of a channel in up to BINS parts; values that are not finite count as 0. */
 function envelope(values: ArrayLike<number>, channel: number, channels: number, samples: number): { low: number[]; high: number[] } {
   const bins = Math.min(BINS, samples);
   const [low, high] = [new Array<number>(bins).fill(Infinity), new Array<number>(bins).fill(-Infinity)];

@@ -47,7 +47,7 @@ export class Frames {
     return found?.[frame - block * this.blockFrames] ?? null;
   }
 
-  /** Load what is missing of the next frames, one block at a time. */
+  /** Load the missing blocks of the next frames, one at a time. */
   private async loadAhead(frame: number): Promise<void> {
     if (this.loading.size > 0) return;
     const last = Math.floor((frame + Math.max(this.ahead, (2 * this.blockFrames) / 3)) / this.blockFrames);

@@ -218,7 +218,7 @@ class MotionEncoder:
         return self.encoded(found)
 
     def _closest_within(self, share: Callable[[int], float], rising: bool) -> int | None:
-        """The rung at which a share of what is allowed comes nearest to 1 from below."""
+        """The rung whose share of the allowed error is nearest to 1 from below."""
         found = search.closest_within(
             progress.attempts(lambda rung: (share(int(rung)), None)),
             self.codec.first_rung,

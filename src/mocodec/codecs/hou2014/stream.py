@@ -33,7 +33,7 @@ MEAN_POSE, POINT_WEIGHTS, ERROR_BOUND, CUSTOM_UNIT, CLIP_STEPS, ADAPTIVE_CLIPS, 
 LARGEST_RUNG = 1 << 12
 """Limit for every rung in a file: 64 octaves of the ladder of steps."""
 MAX_TRANSFORM_ENTRIES = 1 << 24
-"""Of all left transforms of a file together."""
+"""Limit for the entries of all left transforms of a file together."""
 LONGEST_SERIES = 1 << 14
 """Frames of a clip up to which the compiled module decodes it: beyond, its tables take much memory."""
 

@@ -64,7 +64,7 @@ USUAL_MEAN_M = 0.028
 Fit = Callable[[float], list[SegmentModel]]
 """The models of all segments at a scale of the tolerances."""
 Components = list[list[PrincipalComponents]]
-"""Of each segment and PCA group."""
+"""The principal components of each segment and PCA group."""
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,7 @@ function withRawBits(raw: { bits: Bits; inStates: number }, tokens: Uint8Array):
   return values;
 }
 
-/** What is left over: fewer than 8 bits in the bytes after the words, and all of it 0. */
+/** The bits left over: fewer than 8 in the bytes after the words, and all of it 0. */
 function checkRest(bits: Bits, inStates: number): void {
   const unread = 8 * bits.data.length - Math.max(bits.at, inStates);
   check(unread < 8, "coded integers: bytes are left over");

@@ -99,7 +99,7 @@ export class Laws {
     return this.cached(law, () => lawWeights(law, this.shape, this.precision));
   }
 
-  /** The table of what is added to an escape. */
+  /** The table of the values added to an escape. */
   excess(): Table {
     return this.cached(ESCAPES - (this.large ? 1 : 0), () => {
       const reach = this.precision === 12 ? (this.large ? TOKENS : 64) : this.table(this.count - 1).symbols;

@@ -32,7 +32,7 @@ export type Form =
   | { kind: typeof PALETTE; count: number; items: Uint8Array }
   | { kind: typeof COPY; channel: number };
 
-/** The forms of so many channels. */
+/** The form of each channel. */
 export function readForms(part: Bytes, type: ItemType, channels: number): Form[] {
   const forms: Form[] = [];
   for (let i = 0; i < channels; i++) {

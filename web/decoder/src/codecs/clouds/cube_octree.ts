@@ -135,7 +135,7 @@ class Passage {
     this.held = surface.held(cubes, side);
   }
 
-  /** Sets what is expected of the children of a cube, which has a sample. */
+  /** Sets the expected occupancy of the children of a cube, which has a sample. */
   expect(i: number): void {
     const { side, surface, distances } = this;
     const own = this.samples[i]!;

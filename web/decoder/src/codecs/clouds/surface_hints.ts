@@ -21,7 +21,7 @@ export const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(409
 /** Order of the cubes around a cube, along each axis. */
 const STEPS = [0, -1, 1];
 
-/** What is known about the children of the cubes of a level. */
+/** What the surface says about the children of the cubes of a level. */
 export interface Hints {
   has(cube: number): boolean;
   /** Class of the probability of the first of these octants, if one of them is occupied. */

@@ -52,7 +52,7 @@ export interface Pose {
   positions: Vector[];
 }
 
-/** What is known of a frame while its joints are solved. */
+/** The state of a frame while its joints are solved. */
 interface Frame {
   targets: Vector[];
   positions: Vector[];
