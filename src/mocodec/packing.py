@@ -36,11 +36,11 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     promised = {} if signal_error is None else {"signal_error": signal_error}
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
-        return container.pack(_promising(_encoded(codec, recording), promised))
+        return container.pack(_with_promises(_encoded(codec, recording), promised))
     if target == "size":
         _require_room(recording, codec)
     with progress_.attempt(0):
-        encoded = _promising(_encoded(codec, recording), promised)
+        encoded = _with_promises(_encoded(codec, recording), promised)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
     limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
@@ -88,7 +88,8 @@ def with_signal_error(recording: RecordingT, signal_error: str) -> RecordingT:
     return dataclasses.replace(recording, extras=bounds.bounded(recording.extras, signal_error))
 
 
-def _promising(encoded: Encoded[RecordingT], promised: dict[str, str]) -> Encoded[RecordingT]:
+def _with_promises(encoded: Encoded[RecordingT], promised: dict[str, str]) -> Encoded[RecordingT]:
+    """The encoded recording, whose settings also name these promises."""
     return dataclasses.replace(encoded, settings={**encoded.settings, **promised}) if promised else encoded
 
 

@@ -76,7 +76,7 @@ def command(
             raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
         with ExitStack() as opened:
             archive = opened.enter_context(open_archive(sources[0]))
-            serve(opened.enter_context(listening(ArchiveServer, archive, Path(sources[0]).name, port)), not no_browser)
+            serve(opened.enter_context(server_at(ArchiveServer, archive, Path(sources[0]).name, port)), not no_browser)
         return
     names = (*sources, *((against,) if against else ()))
     if "-" in names:
@@ -99,12 +99,12 @@ def command(
         if html_path or png_path or mp4_path:
             return
         with files.working("measuring"):
-            server = listening(Server, pairs, title, port)
+            server = server_at(Server, pairs, title, port)
         with server:
             serve(server, not no_browser)
 
 
-def listening(kind: type[ServerT], content: Any, title: str, port: int) -> ServerT:
+def server_at(kind: type[ServerT], content: Any, title: str, port: int) -> ServerT:
     """A server at a port. Raises BadInput if it is taken."""
     try:
         return kind(content, title, port)

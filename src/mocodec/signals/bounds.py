@@ -214,7 +214,7 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     exact = values.astype(np.float64)
     finite = exact[np.isfinite(exact)]
     rounding = float(np.spacing(np.abs(finite).max(initial=0.0).astype(values.dtype)))
-    step = _few_bits(2 * bound - 2 * rounding, rounding)
+    step = _step_of_few_bits(2 * bound - 2 * rounding, rounding)
     own = _own_steps(values, bound, rounding)
     if own is not None and own.step > step:
         on_own = _within(forms.rounded(own, values), values, bound)
@@ -228,9 +228,10 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     return _within(forms.rounded(Form(forms.COUNTS, step), values), values, bound)
 
 
-def _few_bits(step: float, rounding: float) -> float:
-    """The next lower number of up to STEP_BITS bits, so few that its multiples are exact in the type of the values:
-    then the step can be found from them. rounding: the last bit of the largest value."""
+def _step_of_few_bits(step: float, rounding: float) -> float:
+    """The next lower step of up to STEP_BITS bits whose multiples are exact in the type of the values, so that decoders
+    find the step from them. rounding: the last bit of the largest value.
+    """
     mantissa, exponent = np.frexp(step)
     bits = int(np.clip(exponent - np.frexp(rounding)[1], 1, STEP_BITS))
     return float(np.ldexp(np.floor(np.ldexp(mantissa, bits)), int(exponent) - bits))
