@@ -55,6 +55,13 @@ def test_commands_take_a_recording_of_an_archive(command: Command, vault: Path, 
         assert (result.code, "no recording named 08/run_02" in result.err) == (3, True), result.err
 
 
+@pytest.mark.parametrize("name", ["info", "verify", "decode", "encode"])
+def test_commands_on_files_refuse_a_whole_archive(command: Command, vault: Path, tmp_path: Path, name: str) -> None:
+    output = ("-o", tmp_path / "out") if name in ("decode", "encode") else ()
+    result = command(name, vault, *output)
+    assert (result.code, f"{vault} is an archive: run `mocodec archive" in result.err) == (2, True), result.err
+
+
 def test_append_remove_merge_extract(command: Command, vault: Path) -> None:
     mc.write(vault.parent / "jump.npz", synthetic.joints(frames=45, rate=60.0, seed=9))
     added = command("archive", "append", vault, vault.parent / "jump.npz", "-j", 2, "--json")

@@ -15,11 +15,11 @@ from ..encoded import Encoded, Recording, restore
 from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
 from ..typing import Floats
-from . import DAMAGED, files, many
+from . import DAMAGED, files, many, sections
 from . import output as output_options
 
 
-@click.command("decode")
+@click.command("decode", cls=sections.Command)
 @click.argument("sources", metavar="IN.mocz...", nargs=-1, required=True)
 @click.option(
     "-o",

@@ -126,16 +126,17 @@ class StoreFile(RemoteFile):
         super().__init__(url, part)
         self.files, self.path = file_system(url)
         if part is None:
-            size = self._asked(lambda: self.files.info(self.path)["size"])
+            size = self._requested(lambda: self.files.info(self.path)["size"])
             if not isinstance(size, int):
                 raise BadInput(f"{url}: its size is unknown; download it first")
             self.size = size
 
     def _fetch(self, start: int, stop: int) -> bytes:
         first, past = self.origin + start, self.origin + stop
-        return self._asked(lambda: self.files.cat_file(self.path, start=first, end=past))
+        return self._requested(lambda: self.files.cat_file(self.path, start=first, end=past))
 
-    def _asked(self, request: Any) -> Any:
+    def _requested(self, request: Any) -> Any:
+        """The result of a request, which is counted; its errors as BadInput."""
         self.requests += 1
         try:
             return request()
@@ -168,9 +169,9 @@ class Url(RemoteFile):
         end = self.origin + self.size
         tail = f"{max(end - END_BYTES, self.origin + BLOCK_BYTES)}-{end - 1}" if part else f"-{END_BYTES}"
         try:
-            answer = self._answer(f"{head},{tail}", WHOLE_BYTES)
+            answer = self._request(f"{head},{tail}", WHOLE_BYTES)
         except SeveralRangesRefused:
-            answer = self._answer(head)
+            answer = self._request(head)
         self.size = answer[0] if part is None else self.size
         for offset, data in answer[1]:
             if offset >= self.origin:
@@ -178,12 +179,12 @@ class Url(RemoteFile):
 
     def _fetch(self, start: int, stop: int) -> bytes:
         first, past = self.origin + start, self.origin + stop
-        _, [(offset, data), *_] = self._answer(f"bytes={first}-{past - 1}")
+        _, [(offset, data), *_] = self._request(f"bytes={first}-{past - 1}")
         if offset > first:
             raise BadInput(f"{self.url}: the server sent other bytes than were asked for")
         return data[first - offset : past - offset]
 
-    def _answer(self, ranges: str, most_whole: int | None = None) -> tuple[int, list[Piece]]:
+    def _request(self, ranges: str, most_whole: int | None = None) -> tuple[int, list[Piece]]:
         """Size of the file and the pieces that one request brings. ranges: the value of the header Range.
 
         most_whole: the largest file that is taken whole from a server that does not send these ranges, but could send

@@ -23,7 +23,7 @@ export class Frames {
     readonly count: number,
     private loader: Loader,
     frameBytes: number,
-    /** Frames that are loaded before they are shown. */
+    /** Number of frames to load in advance. */
     private ahead: number,
     private onLoad: () => void,
   ) {
@@ -33,7 +33,7 @@ export class Frames {
 
   private readonly capacity: number;
 
-  /** The frame if it is loaded; else null, and loading begins. Blocks ahead of it are loaded too, one after the other. */
+  /** The frame if it is loaded; else null, and loading begins. The blocks after it are loaded too, one by one. */
   at(frame: number): Frame | null {
     const block = Math.floor(frame / this.blockFrames);
     const found = this.blocks.get(block);
@@ -64,7 +64,7 @@ export class Frames {
     return this.blocks.get(block)?.[frame - block * this.blockFrames] ?? null;
   }
 
-  /** Why a frame could not be loaded; null if it could, or was not tried. */
+  /** The error that loading a frame raised; null without one. */
   failure(frame: number): string | null {
     return this.failed.get(Math.floor(frame / this.blockFrames)) ?? null;
   }

@@ -1,4 +1,4 @@
-/** Where the frames of a recording come from: the page itself, a .mocz file or the server. */
+/** Loads the frames of a recording: from the page itself, a .mocz file or the server. */
 
 import type { Frame, Loader } from "./frames.ts";
 import { fileOf, readerOf } from "./mocz.ts";
@@ -25,7 +25,7 @@ export async function loaders(facts: Facts): Promise<{ decoded: Loader; original
   return { decoded, original: facts.original && (await make(facts.original)) };
 }
 
-/** Frames of an array (frames · points · 3). */
+/** A loader of frames from an array (frames · points · 3). */
 export function inMemory(positions: Float32Array, points: number): Loader {
   return async (a, b) => split(positions.subarray(a * points * 3, b * points * 3), points);
 }
@@ -67,7 +67,7 @@ async function cloudLoader(media: Media): Promise<Loader> {
   return async (a, b) => splitClouds(await fetchRange(media.url, a, b));
 }
 
-/** Of each frame: its count (uint32), positions (count · 3 float32), colours (count · 3 bytes), padded to 4 bytes. */
+/** Frames one after the other: count (uint32), positions (count · 3 float32), colours (count · 3 bytes), padded to 4 bytes. */
 function splitClouds(buffer: ArrayBuffer): Cloud[] {
   const view = new DataView(buffer);
   const clouds: Cloud[] = [];
