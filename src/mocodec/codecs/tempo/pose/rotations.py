@@ -81,7 +81,7 @@ def _series(x: Floats, terms: Sequence[float]) -> Floats:
 
 
 def squared_length(vectors: Floats) -> Floats:
-    """Squared length of vectors (n, …), summed from the first coordinate to the last: `einsum` may fuse multiplications and additions."""
+    """Of vectors (n, …), summed from the first coordinate on: `einsum` may fuse multiplications and additions."""
     out = vectors[0] * vectors[0]
     for coordinate in vectors[1:]:
         out += coordinate * coordinate
