@@ -1,4 +1,4 @@
-// Bits of clips of each of some lengths, for codecs/hou2014/clip_segmentation.py: best_equal_length, to rounding.
+// Bits of clips of a given length, up to rounding, for codecs/hou2014/clip_segmentation.py, best_equal_length.
 
 #include <nanobind/stl/optional.h>
 
@@ -16,11 +16,11 @@ namespace {
 using cosine_series::PANEL;
 using cosine_series::Series;
 
-constexpr size_t TERMS = 16;  // of a product
-constexpr size_t LONGEST = 1 << 20;  // curve, frames
-constexpr double LARGEST = 1e6;  // curve, in steps: products of TERMS squares of coefficients must not overflow
+constexpr size_t TERMS = 16;  // factors of a product
+constexpr size_t LONGEST = 1 << 20;  // longest curve, frames
+constexpr double LARGEST = 1e6;  // largest curve value, in steps: products of TERMS squared coefficients must not overflow
 
-// Σ log₂ of products of columns.
+// Σ log₂, computed from products, for each column.
 class Logarithms {
 public:
     ALWAYS_INLINE void add(const double *row, double scale) {
@@ -51,7 +51,7 @@ private:
     size_t terms_ = 0;
 };
 
-// Σ log₂(1 + c²) of the coefficients c of one clip of curves (frames, columns).
+// Σ log₂(1 + c²) over the coefficients c of one clip of curves (frames, columns).
 ALWAYS_INLINE double logarithms(const Series &series, const double *curves, size_t columns, double *from, double *other) {
     Logarithms found;
     for (size_t column = 0; column < columns; column += PANEL) {
@@ -71,8 +71,8 @@ WITH_AVX2 double logarithms_with_avx2(const Series &series, const double *curves
 }
 #endif
 
-// clip_segmentation.bits_of_spectra of clips of `length` frames, the last one shorter, of curves in steps (frames, columns); none
-// for curves that are too large.
+// clip_segmentation.bits_of_spectra for clips of `length` frames, the last one shorter. curves (frames, columns), in
+// steps. Nothing for curves that are too large.
 std::optional<double> bits_of_length(Input<double, 2> curves, size_t length) {
     const size_t frames = curves.shape(0), columns = curves.shape(1);
     if (!length || !frames) throw std::invalid_argument("bits_of_length: no frames");
