@@ -86,7 +86,7 @@ private:
     Predictor predictor_;
     int64_t slow_ = 0;
     double radial_square_ = 0, radial_product_ = 0;
-    Vec beyond_[NEIGHBOURS];     // prediction features of the neighbours at `beyond_frame_`
+    Vec beyond_[NEIGHBOURS];     // each neighbour − the mean of its frames around, at `beyond_frame_`
     ptrdiff_t beyond_frame_ = 0;
 
     // state of the current sample

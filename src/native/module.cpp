@@ -7,13 +7,13 @@
 //   bone_directions.cpp   directions of bones, for codecs/tempo/pose/bone_directions.py
 //   bone_coordinates.cpp  inverse of bone_directions.cpp, for the same module; rotations4.h serves both
 //   bit_arrays.cpp  arrays of bits with the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
-//   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h has the bodies' surface
+//   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h has the surface
 //   cube_octree.cpp       octree cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h serves both octrees
 //   point_smoothing.cpp   moves lattice points to the surface, for codecs/bodycast/point_smoothing.py
 //   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
 //   point_choice.cpp      choice of lattice points, for codecs/bodycast/point_choice.py
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
-//   surface_memory.cpp    the bodies' surface, learned frame by frame, for codecs/bodycast/integer_surface.py and surface_memory.py
+//   surface_memory.cpp    the bodies' surface over frames, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   reference_surface.cpp surface of points, for codecs/bodycast/reference_surface.py; nearest_others.h finds neighbours
 //   clustered_icp.cpp     iterative closest points, for geometry/icp.py and articulated_icp.py (clustered_points.h is the tree), and normals,
 //                   for geometry/normals.py (neighbour_cells.h)

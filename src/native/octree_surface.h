@@ -110,7 +110,7 @@ struct BlockCells {
         int8_t x, y, z;
     };
     std::array<Cell, 64> of;
-    std::array<std::array<uint64_t, 16>, 3> along{};  // for each axis and set of numbers 0 … 3: mask of the cells with a coordinate in the set
+    std::array<std::array<uint64_t, 16>, 3> along{};  // by axis and set of 0 … 3: mask of cells with a coordinate in the set
 
     BlockCells() {
         for (int k = 0; k < 64; ++k) {
@@ -425,7 +425,7 @@ private:
     // counts: cells by their steps along x, y and z, each in the order 0, −1, 1; within a cell by row.
     int32_t nearest_around(const std::array<int32_t, 3> &place, const Place &centre, int64_t size, const Cells &cells,
                            int32_t row) const {
-        static constexpr int ORDER[3] = {1, 0, 2}, AXES[3] = {1, 0, 1};  // for steps −1, 0, 1: their order; whether they leave the cube
+        static constexpr int ORDER[3] = {1, 0, 2}, AXES[3] = {1, 0, 1};  // by step −1, 0, 1: rank; leaves the cube
         int64_t best = row < 0 ? std::numeric_limits<int64_t>::max() : square(centre, row);
         int order = -1;
         const int64_t quarter = size / 2 * (size / 2);  // squared distance of the centre from a face

@@ -1,6 +1,6 @@
 // Chooses lattice points for the points of a frame, for codecs/bodycast/point_choice.py, which defines the results.
 //
-//     candidates of each point, errors, costs of cells ─► points change cells ─► cells open for several points ─► choices
+//     candidates of each point, errors, costs of cells ─► points change cells ─► cells open for several ─► choices
 
 #include <algorithm>
 #include <cstdint>

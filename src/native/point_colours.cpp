@@ -138,7 +138,7 @@ public:
     }
 
 private:
-    static constexpr float SLACK = 1 + 1.0f / (1 << 20);  // for rounding: the relative error of a sum of three squares is below 2^-21
+    static constexpr float SLACK = 1 + 1.0f / (1 << 20);  // relative error of a sum of three squares < 2^-21
     float squares_[SEARCHED * KEPT];
     Group least_ = Group::of(INFINITY);
     size_t count_ = 0;
@@ -285,7 +285,7 @@ private:
         return around_[k].base[channel] + (around_[k].correction[channel] * share >> SHARE_BITS);
     }
 
-    // Points 0, stride, 2 · stride, … are known; none with a stride of 0.
+    // The surroundings of a point. Points 0, stride, 2 · stride, … are known; stride 0: none.
     Neighbourhood around(size_t row, size_t stride) const {
         Neighbourhood result{};
         const bool is_expected = is_expected_.data()[row];
@@ -321,11 +321,12 @@ private:
         return result;
     }
 
-    // Integers of the points whose classes are in `place_`, kind after kind of bits. wanted: null in the decoder.
+    // Codes integers of the points with classes in `place_`, one kind of bits after another. wanted: null in the
+    // decoder.
     template <class Coder>
     void code_integers(Coder &coder, const int64_t *wanted, uint32_t level) {
         const size_t n = place_.size();
-        // Codes a bit of the first `count` integers `rows`, or of all integers. The counters of a batch are in the cache in time.
+        // Codes a bit of the first `count` integers `rows`, or of all integers; prefetches the counters of a batch.
         const auto code = [&](uint32_t kind, const size_t *rows, size_t count, const auto &bit_of, const auto &take) {
             constexpr size_t BATCH = 32;
             uint32_t counters[BATCH][bits::INPUTS], sets[BATCH];
@@ -384,12 +385,12 @@ private:
     std::vector<std::array<int32_t, 3>> bases_;
     std::vector<size_t> rows_, rest_, negative_;
     std::vector<Neighbourhood> around_;
-    std::vector<std::array<uint32_t, 4>> place_;  // channel, classes of activity and of spread, of the channels before
+    std::vector<std::array<uint32_t, 4>> place_;  // channel; classes of activity, of spread, of earlier channels
     std::vector<uint32_t> coded_;
     std::vector<int64_t> differences_, found_;
 };
 
-// (decoded colours, products, squares, 0), or (None, None, None, what is wrong).
+// (decoded colours, products, squares, 0), or (None, None, None, outcome).
 nb::tuple result_of(const Frame &frame) {
     if (frame.outcome != Frame::GOOD) return nb::make_tuple(nb::none(), nb::none(), nb::none(), int(frame.outcome));
     Fresh<int64_t> known(3 * frame.known.size()), products(3), squares(3);
