@@ -18,8 +18,7 @@ WITH_AVX2 void run_with_avx2(const Schedule &of, const Positions &positions, dou
 #endif
 
 // Coordinates (dimensions, frames) of positions (3, points, frames). program, rests, homes: BoneSchedule.program; order
-// (bones,); joints (bones,): end joint of each bone in schedule order; pairs (hubs, 2), pair_frames (hubs, 3, 3): of
-// Hub.
+// (bones,); joints (bones,): end joint of each bone in schedule order; pairs (hubs, 2), pair_frames (hubs, 3, 3): of Hub.
 Output<double> tempo_bone_coordinates(Input<double, 3> positions, Input<int64_t, 1> parents, Input<int64_t, 2> program,
                                       Input<double, 3> rests, Input<double, 3> homes, Input<int64_t, 1> order,
                                       Input<int64_t, 1> joints, Input<int64_t, 2> pairs, Input<double, 3> pair_frames) {

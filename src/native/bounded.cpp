@@ -10,8 +10,8 @@ namespace {
 
 constexpr double SQUARED_BOUND = 0.75;  // in lattice units
 
-// Samples of a point in a block of frames, `pitch` apart: errors in lattice units, their nearest lattice points,
-// corrections.
+// Samples of a point in a block of frames, `pitch` apart: errors in lattice units,
+// their nearest lattice points, corrections.
 struct Track {
     const double *error;
     const int64_t *nearest;

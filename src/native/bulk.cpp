@@ -108,8 +108,7 @@ struct Symbols {
     const uint32_t *code;
 };
 
-// bulk._pop: decodes `count` symbols. law(j): law of symbol j; put(j, symbol) stores it. False if there are too few
-// words.
+// bulk._pop: decodes `count` symbols. law(j): law of symbol j; put(j, symbol) stores it. False if there are too few words.
 template <class Law, class Put>
 bool pop(std::vector<uint32_t> &states, int64_t count, const Symbols &symbols, const uint8_t *words, size_t known, size_t &used,
          Law law, Put put) {

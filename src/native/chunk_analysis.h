@@ -1,5 +1,4 @@
-// Coefficients of a chunk of codecs/tempo from positions: models/model.py, analyse. They agree with NumPy's up to
-// rounding.
+// Coefficients of a chunk of codecs/tempo from positions: models/model.py, analyse. They agree with NumPy's up to rounding.
 //
 //   positions ─place, heading─► poses ─bones or points─► curves (columns, frames) ─DCT─► spectrum ─bases─► coefficients
 #pragma once
@@ -16,8 +15,7 @@
 namespace chunks {
 
 // Inputs of the analysis besides Shape. bases: for each band, from coordinates before `scale` to components, in panels
-// of PANEL components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each
-// point.
+// of PANEL components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
 struct Analysis {
     std::vector<std::shared_ptr<const std::vector<double>>> bases;
     std::vector<int64_t> joints, parents, pairs;

@@ -97,8 +97,8 @@ public:
     }
 
 private:
-    // The spectrum of the columns, in panels of PANEL columns: even frequencies, then odd ones; only frequencies with
-    // coefficients.
+    // The spectrum of the columns, in panels of PANEL columns: even frequencies, then odd
+    // ones; only frequencies with coefficients.
     ALWAYS_INLINE void spectrum(const std::vector<Coefficient> &coefficients, size_t known, Scratch &scratch) const {
         const size_t columns = of_.columns, even = Cosines::frequencies(known, 0);
         scratch.panels.resize(columns * known + PANEL);

@@ -121,8 +121,8 @@ WITH_AVX2 void synthesise_with_avx2(const Sparse &sparse, const Matrices &matric
 }
 #endif
 
-// stream.reconstruct to out (frames, columns). coefficients: S_iᵀ, clip by clip; series, transform_index, steps: of
-// each clip.
+// stream.reconstruct to out (frames, columns). coefficients: S_iᵀ, clip by clip;
+// series, transform_index, steps: of each clip.
 void reconstruct_clips(Input<int64_t, 2> coefficients, std::vector<const Series *> series, Input<int64_t, 1> transform_index,
                        Input<double, 1> steps, Input<double, 3> matrices, InPlace<double, 2> out) {
     const size_t components = coefficients.shape(1), clips = series.size();

@@ -93,8 +93,7 @@ public:
     ClusteredPoints(Input<double, 2> points, Input<uint8_t, 1> clusters) : tree_(points, clusters) {}
 
     // icp.icp_many. points (n, 3): model points, part by part; sizes: of the parts; allowed (n): bit mask of a point's
-    // clusters; pivots (parts, 3), NaN for a free part. Returns R (parts, 3, 3), t (parts, 3) and the errors of each
-    // part.
+    // clusters; pivots (parts, 3), NaN for a free part. Returns R (parts, 3, 3), t (parts, 3) and the errors of each part.
     nb::tuple icp(Input<double, 2> points, Input<uint64_t, 1> allowed, Input<int64_t, 1> sizes, Input<double, 2> pivots,
                   int iterations, double tolerance) const {
         const size_t parts = sizes.shape(0), n = points.shape(0);

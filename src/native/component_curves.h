@@ -14,8 +14,7 @@ namespace chunks {
 
 constexpr size_t MANY_COLUMNS = 256;  // with fewer columns, the inverse DCT is fast
 
-// The coefficients of a chunk, divided: `few`: of components with at most `frequencies` frequencies; `many`: all
-// others.
+// The coefficients of a chunk, divided: `few`: of components with at most `frequencies` frequencies; `many`: all others.
 struct Division {
     std::vector<size_t> rows, place;  // rows of `many`; index of each row among them
     std::vector<Coefficient> few, many;

@@ -5,10 +5,9 @@
 //
 // Halving is Lee's recursion ("A new algorithm to compute the discrete cosine transform", 1984): x(n) and x(N − 1 − n)
 // are the sum and the difference of two series of N / 2 samples. The grid has b · 2^j samples, which halve well, and
-// OVERSAMPLING times as many samples as frequencies. The interpolation window is sinh(β √(1 − z²)); its Fourier
-// transform is a Bessel function (Potts and Tasche, "Continuous window functions for NFFT", 2021). The error is below
-// 1e-11 of the coefficient at the highest frequencies and 1e-14 at low ones. The forward transform is the transpose of
-// all steps.
+// OVERSAMPLING times as many samples as frequencies. The interpolation window is sinh(β √(1 − z²)); its Fourier transform
+// is a Bessel function (Potts and Tasche, "Continuous window functions for NFFT", 2021). The error is below 1e-11 of the
+// coefficient at the highest frequencies and 1e-14 at low ones. The forward transform is the transpose of all steps.
 #pragma once
 
 #include <algorithm>
@@ -272,9 +271,8 @@ public:
     // Size of a buffer, doubles; align rows of PANEL to cache lines.
     size_t buffer() const { return (std::max(halving_.rows(), firsts_.empty() ? 0 : frames_) + 2 * MARGIN) * PANEL; }
 
-    // Inverse DCT of PANEL columns of coefficients times `scale`, (known, PANEL), after the first MARGIN rows of
-    // `from`. Writes the first `width` columns to rows of `out`, `pitch` doubles apart. from, other: `buffer()` doubles
-    // each.
+    // Inverse DCT of PANEL columns of coefficients times `scale`, (known, PANEL), after the first MARGIN rows of `from`.
+    // Writes the first `width` columns to rows of `out`, `pitch` doubles apart. from, other: `buffer()` doubles each.
     ALWAYS_INLINE void run(double *from, double *other, double *out, size_t pitch, size_t width) const {
         if (width == PANEL) run(from, other, [=](size_t t, const Four(&row)[2]) ALWAYS_INLINE_LAMBDA { store(row, out + t * pitch); });
         else

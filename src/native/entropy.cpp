@@ -50,8 +50,7 @@ Output<int64_t> entropy_unpack_bits(Input<uint8_t, 1> bits, Table widths) {
 constexpr int FINE_PRECISION = 14;
 constexpr uint64_t FINE_TOTAL = 1u << FINE_PRECISION;
 
-// neighbours._means: running mean of each lane before each step, × 256, from tokens (steps, lanes) and first values
-// (lanes).
+// neighbours._means: running mean of each lane before each step, × 256, from tokens (steps, lanes) and first values (lanes).
 Output<int32_t> entropy_means(Input<uint8_t, 2> tokens, Input<int32_t, 1> first) {
     const size_t steps = tokens.shape(0), lanes = tokens.shape(1);
     if (first.shape(0) != lanes) throw std::invalid_argument("entropy_means: shapes differ");
@@ -121,9 +120,8 @@ nb::bytes entropy_encode(Table frequencies, Table starts, Input<uint8_t, 1> raw)
     return encoder.finish();
 }
 
-// coder._pack_one: bytes of numbers (steps, lanes) and their tokens. heads: for each parameter, table × width + value,
-// in the tables of parameters; ladder: law of each expected token (unit 1/16). The last table codes the excess of
-// escapes.
+// coder._pack_one: bytes of numbers (steps, lanes) and their tokens. heads: for each parameter, table × width + value, in
+// the tables of parameters; ladder: law of each expected token (unit 1/16). The last table codes the excess of escapes.
 nb::bytes entropy_pack_one(Input<int64_t, 2> numbers, Input<uint8_t, 2> tokens, Input<uint8_t, 2> hints, Table mixture,
                            Input<uint8_t, 1> ladder, Table frequency, Table start, Table sizes, Table heads, Table head_frequency,
                            Table head_start) {

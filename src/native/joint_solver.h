@@ -171,9 +171,8 @@ struct Tables {
     const HingeFloats *hinge_floats;
 };
 
-// Solves as many frames as T has lanes: from targets (joints, 3) and side values to local rotations, positions and
-// world rotations. The caller owns all memory; `aims` has three numbers for every carried vector, `terms` three for
-// every hinge.
+// Solves as many frames as T has lanes: from targets (joints, 3) and side values to local rotations, positions and world
+// rotations. The caller owns all memory; `aims` has three numbers for every carried vector, `terms` three for every hinge.
 template <class T>
 struct Solver {
     Tables of_all;

@@ -198,8 +198,7 @@ private:
 
     bool missing(ptrdiff_t t) const { return of.missing[size_t(t) * of.points + p_] != 0; }
 
-    // Prediction beside a gap or an end: the frame before or after plus the partner's motion since; between two, their
-    // mean.
+    // Prediction beside a gap or an end: the frame before or after plus the partner's motion since; between two, their mean.
     void follow(ptrdiff_t t) {
         const bool before = t >= half_, after = level_ && t + half_ < ptrdiff_t(of.frames);
         const bool from_before = before && !(after && missing(t - half_) && !missing(t + half_));
@@ -283,8 +282,8 @@ private:
         return uint32_t(1 + coarse_log(16 * (r1 + r2)));
     }
 
-    // Kind of the bit "magnitude is beyond bucket b". Odd coordinates, and coordinates along the partner, have their
-    // own kinds.
+    // Kind of the bit "magnitude is beyond bucket b". Odd coordinates, and coordinates
+    // along the partner, have their own kinds.
     uint32_t kind(int odd, bool along, int b) const {
         return uint32_t(1 + (2 * along + odd) * 32 + std::min(b, COMMON)) + (along ? radial_context_ * 256u * 257u : 0u);
     }

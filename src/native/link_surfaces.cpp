@@ -55,8 +55,7 @@ double closeness_order(double radial, double beyond, double radius) {
     return distance <= 0 ? 1 + std::max(1 - radial / radius, 0.0) : std::max(-distance / radius, FARTHEST);
 }
 
-// articulated_icp.segment: the link with the greatest closeness to each point. points (n, 3); normals (n, 3), or (0,
-// 3).
+// articulated_icp.segment: the link with the greatest closeness to each point. points (n, 3); normals (n, 3), or (0, 3).
 Output<int64_t> closest_links(Input<double, 2> points, Input<double, 2> normals, Input<double, 2> joints,
                               Input<double, 2> axes, Input<double, 1> lengths, Input<double, 1> radii) {
     const size_t n = points.shape(0);

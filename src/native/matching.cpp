@@ -1,6 +1,6 @@
-// Registration of a skinned body to a frame's points: correspondences, Gauss–Newton iterations and scores, for
-// geometry/body_matching.py. The NumPy code there defines the result; it sums in another order, so the two agree up to
-// rounding.
+// Registration of a skinned body to a frame's points: correspondences, Gauss–Newton iterations and
+// scores, for geometry/body_matching.py. The NumPy code there defines the result; it sums in
+// another order, so the two agree up to rounding.
 
 #include <array>
 #include <cmath>
@@ -52,7 +52,7 @@ class BodyMatcher {
             throw std::invalid_argument("BodyMatcher.solve: shapes differ");
         for (size_t k = 0; k < limited.shape(0); ++k)
             if (limited.data()[k] < 0 || limited.data()[k] >= int64_t(body.count))
-                throw std::invalid_argument("BodyMatcher.solve: a link does not exist");
+                throw std::invalid_argument("BodyMatcher.solve: a link beyond the body");
         body.set_pose(rotations.data(), root.data());
         const Doubles start = body.rotations, start_root = body.root;
         candidates.clear();
@@ -142,7 +142,7 @@ class BodyMatcher {
         for (size_t k = 0; k < n + limited.shape(0); ++k) {
             const int64_t link = k < n ? links.data()[k] : limited.data()[k - n];
             if (link < 0 || link >= int64_t(body.count))
-                throw std::invalid_argument("BodyMatcher.search_limb: a link does not exist");
+                throw std::invalid_argument("BodyMatcher.search_limb: a link beyond the body");
         }
         if (data.coloured || unexplained.shape(1) != 3 || first >= n || axes.shape(0) != 2 || axes.shape(1) != 3 ||
             end.shape(0) != 3 || base_rotations.shape(1) != first || previous.shape(0) != n || turns.shape(0) != bases ||
@@ -186,7 +186,7 @@ class BodyMatcher {
             if (allowed.shape(0) != body.count) throw std::invalid_argument("BodyMatcher: links of another body");
         for (size_t k = 0; k < sample.shape(0); ++k)
             if (sample.data()[k] < 0 || sample.data()[k] >= int64_t(body.rows))
-                throw std::invalid_argument("BodyMatcher: a template row does not exist");
+                throw std::invalid_argument("BodyMatcher: a row beyond the template");
     }
 
     void require(const KdTree &data) const {
@@ -242,8 +242,7 @@ class BodyMatcher {
         return result;
     }
 
-    // Adds correspondences from the first rows of a sample to the data. nearest: matched data point of each row,
-    // updated.
+    // Adds correspondences from the first rows of a sample to the data. nearest: matched data point of each row, updated.
     void add_template_to_data(const KdTree &data, const std::vector<SearchingRow> &sample, size_t rows,
                               std::vector<int64_t> &nearest, double reach, double width, double noise) {
         for (const auto &[row, k] : sample) {
@@ -278,8 +277,8 @@ class BodyMatcher {
         return row;
     }
 
-    // Applies a step to the pose. Returns the largest motion of the root, or of a link's far end by its own rotation,
-    // metres.
+    // Applies a step to the pose. Returns the largest motion of the root, or of a
+    // link's far end by its own rotation, metres.
     double move(const double *step) {
         double most = std::sqrt(dot(step, step));
         for (size_t link = 0; link < body.count; ++link) {

@@ -43,8 +43,7 @@ class NormalEquations {
         for (int d = 0; d < 3; ++d) sum.gap[d] += weight * gap[d];
     }
 
-    // Computes h and g of all correspondences. tangential: weight of distances along the surface, relative to across
-    // it.
+    // Computes h and g of all correspondences. tangential: weight of distances along the surface, relative to across it.
     void linearise(double tangential) {
         sums.assign(pairs.size(), PairSums{});
         for (int64_t row : touched)
@@ -133,9 +132,8 @@ class NormalEquations {
   private:
     static constexpr size_t SYMMETRIC = 21;  // numbers of the upper triangle of a 6 × 6 matrix, row by row
 
-    // Sums over the template points of one pair of links: the upper triangle of f fᵀ with the tangential part, weighted
-    // by first², first · second and second² of the skinning weights; and f times the residual, weighted by first and by
-    // second.
+    // Sums over the template points of one pair of links: the upper triangle of f fᵀ with the tangential part, weighted by
+    // first², first · second and second² of the skinning weights; and f times the residual, weighted by first and by second.
     struct PairSums {
         double square[3][SYMMETRIC];
         double right[2][6];

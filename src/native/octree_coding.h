@@ -63,8 +63,7 @@ inline std::array<int, CLASSES> distance_classes() {
     return classes;
 }
 
-// Occupied children of a level's cubes, as masks. codes: of the points, sorted; below: number of levels below the
-// children.
+// Occupied children of a level's cubes, as masks. codes: of the points, sorted; below: number of levels below the children.
 inline std::vector<uint8_t> occupancy(const uint64_t *codes, size_t points, const std::vector<uint64_t> &cubes, int below) {
     std::vector<uint8_t> masks(cubes.size(), 0);
     for (size_t i = 0, cube = 0; i < points; ++i) {
@@ -120,8 +119,7 @@ struct OctreeFunctions {
         return samples_of(tree, surface);
     }
 
-    // (codes, samples, 0, 0), or (None, None, level, cubes of the level) if the bytes are not a tree of `points`
-    // points.
+    // (codes, samples, 0, 0), or (None, None, level, cubes of the level) if the bytes are not a tree of `points` points.
     static nb::tuple decode(bit_arrays::BitArrayDecoder &coder, size_t points, int depth, const Surface *surface,
                             Input<int32_t, 1> bell) {
         Tree tree = tree_of(depth, surface, bell);

@@ -333,7 +333,7 @@ private:
         for (size_t i = 0; i < given_rows_.size(); ++i)
             for (size_t k = 0; k < NEIGHBOURS; ++k) {
                 const int64_t row = neighbours[size_t(given_rows_[i]) * NEIGHBOURS + k];
-                if (row < 0 || row >= int64_t(given_rows_.size())) throw std::invalid_argument("OctreeSurface: a neighbour does not exist");
+                if (row < 0 || row >= int64_t(given_rows_.size())) throw std::invalid_argument("OctreeSurface: a neighbour beyond the samples");
                 neighbours_[i * NEIGHBOURS + k] = own_rows_[size_t(row)];
             }
     }

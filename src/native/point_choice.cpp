@@ -53,8 +53,8 @@ public:
         return changed;
     }
 
-    // Moves all points that gain by it to a cell, if together they gain more than the cell costs. Returns whether any
-    // changed.
+    // Moves all points that gain by it to a cell, if together they gain more than the
+    // cell costs. Returns whether any changed.
     bool open_cells() {
         bool changed = false;
         std::vector<int32_t> taken;
@@ -106,7 +106,7 @@ Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows c
         good = starts.data()[i] >= 0 && starts.data()[i] <= chosen.data()[i] && chosen.data()[i] < starts.data()[i + 1] &&
                starts.data()[i + 1] <= int64_t(k);
     for (size_t i = 0; good && i < k; ++i) good = cell_of.data()[i] >= 0 && size_t(cell_of.data()[i]) < costs.shape(0);
-    if (!good) throw std::invalid_argument("choose_candidates: shapes differ, or a candidate does not exist");
+    if (!good) throw std::invalid_argument("choose_candidates: shapes differ, or a candidate is not there");
     Choice choice(starts, cell_of, errors, costs, chosen);
     for (int round = 0; round < rounds; ++round) {
         const bool moved = choice.change_points();
@@ -151,8 +151,7 @@ void add_candidates(const int64_t *place, int64_t point, int64_t reach, int64_t 
         if (inside[k].square <= most) found.push_back(inside[k]);
 }
 
-// Fields starts, point, cells, squares, cell_of, first, nearest of _Choices, for points (n, 3) and an octree of this
-// depth.
+// Fields starts, point, cells, squares, cell_of, first, nearest of _Choices, for points (n, 3) and an octree of this depth.
 nb::tuple lattice_candidates(Input<int64_t, 2> points, int64_t reach, int depth) {
     const size_t n = points.shape(0);
     if (points.shape(1) != 3 || depth < 0 || depth > 20) throw std::invalid_argument("lattice_candidates: shapes differ");

@@ -128,8 +128,8 @@ public:
         count_ += KEPT;
     }
 
-    // Bit mask of candidates. The minima of AVERAGED groups are AVERAGED candidates, so the nearest are not farther
-    // than these.
+    // Bit mask of candidates. The minima of AVERAGED groups are AVERAGED candidates,
+    // so the nearest are not farther than these.
     uint64_t mask() const {
         const float limit = least_.largest() * SLACK;
         uint64_t result = 0;
@@ -321,8 +321,7 @@ private:
         return result;
     }
 
-    // Codes integers of the points with classes in `place_`, one kind of bits after another. wanted: null in the
-    // decoder.
+    // Codes integers of the points with classes in `place_`, one kind of bits after another. wanted: null in the decoder.
     template <class Coder>
     void code_integers(Coder &coder, const int64_t *wanted, uint32_t level) {
         const size_t n = place_.size();

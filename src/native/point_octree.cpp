@@ -1,5 +1,4 @@
-// Octree of lattice points, with contexts from the bodies' surface; codecs/bodycast/point_octree.py defines the
-// results.
+// Octree of lattice points, with contexts from the bodies' surface; codecs/bodycast/point_octree.py defines the results.
 //
 //     sorted Morton codes ─► level by level, octant by octant ─► occupancy bits with contexts ─► bit_arrays.h
 

@@ -111,8 +111,7 @@ public:
         std::fill(counting_ + size_, counting_ + (size_ + LANES - 1) / LANES * LANES, int16_t(0));
     }
 
-    // The move of a point of the frame, without references at its place (such as itself). False if a reference is too
-    // far.
+    // The move of a point of the frame, without references at its place (such as itself). False if a reference is too far.
     bool move(const int64_t *place, Move &result) const {
         const int32_t x = short_of(place, 0), y = short_of(place, 1), z = short_of(place, 2);
         const __m128i at = _mm_set1_epi32((x & 0xffff) | y * 65536), height = _mm_set1_epi32(z & 0xffff);
@@ -359,7 +358,7 @@ private:
 };
 
 void require(bool good) {
-    if (!good) throw std::invalid_argument("moves_of_candidates: shapes differ, or a sample does not exist");
+    if (!good) throw std::invalid_argument("moves_of_candidates: shapes differ, or a row beyond the samples");
 }
 
 void require_shapes(const Numbers &cells, const Input<int64_t, 1> &samples, const Numbers &normals,
@@ -432,8 +431,8 @@ Output<int64_t> moves_of_candidates(Numbers places, Input<int64_t, 1> place_samp
 
 constexpr uint32_t STAY_CONTEXTS = 1 << 20, STAY_WEIGHTS = 1024, DEVIATIONS = 16;
 
-// Codes whether points stay (n); 1 without a move. moves, deviations (n); stays (n): in the encoder. None if the bytes
-// are cut off.
+// Codes whether points stay (n); 1 without a move. moves, deviations (n); stays (n): in
+// the encoder. None if the bytes are cut off.
 template <class Coder>
 nb::object code_stays(Coder &coder, Input<int64_t, 1> moves, Input<int64_t, 1> deviations, Input<uint8_t, 1> stays) {
     const size_t n = moves.shape(0);

@@ -44,8 +44,7 @@ nb::tuple screen_positions(Input<double, 3> positions, double leap, double facto
     return nb::make_tuple(missing, repeats, spike, leaps);
 }
 
-// leaps.discontinuities without the limit of their number: the first frames after leaps of positions (frames, points,
-// 3).
+// leaps.discontinuities without the limit of their number: the first frames after leaps of positions (frames, points, 3).
 nb::list leap_frames(Input<double, 3> positions, double least, double factor) {
     const size_t frames = positions.shape(0), pitch = positions.shape(1) * 3;
     if (positions.shape(2) != 3) throw std::invalid_argument("leap_frames: three axes");

@@ -43,8 +43,8 @@ ALWAYS_INLINE Four root(const Four &of) {
     return out;
 }
 
-// arctan2(y, x) for y ≥ 0; y_2 = y². Halves the angle twice; then a rational function (Cephes, atan.c) is exact up to
-// rounding.
+// arctan2(y, x) for y ≥ 0; y_2 = y². Halves the angle twice; then a rational function
+// (Cephes, atan.c) is exact up to rounding.
 ALWAYS_INLINE Four angle_of(const Four &y, const Four &y_2, const Four &x) {
     constexpr double PI = 3.14159265358979323846;
     constexpr double P[] = {-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,

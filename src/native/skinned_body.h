@@ -62,7 +62,7 @@ class SkinnedBody {
             const double *at = points.data() + 3 * row, *n = normals.data() + 3 * row;
             const int64_t *link = links.data() + 2 * row;
             for (size_t k = 0; k < 2; ++k)
-                if (link[k] < 0 || link[k] >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link does not exist");
+                if (link[k] < 0 || link[k] >= int64_t(count)) throw std::invalid_argument("BodyMatcher: a link beyond the body");
             this->points.push_back({{at[0], at[1], at[2]}, {n[0], n[1], n[2]}, weights.data()[row], int32_t(link[0]), int32_t(link[1])});
         }
         for (size_t l = 0; l < count; ++l) {
@@ -269,7 +269,7 @@ class SkinnedBody {
                 for (cell[2] = 0; cell[2] <= last[2]; ++cell[2]) {
                     const int32_t row = *given++;
                     if (row < -1 || row >= int64_t(rows) || row >= NO_ROW)
-                        throw std::invalid_argument("BodyMatcher: a template row does not exist");
+                        throw std::invalid_argument("BodyMatcher: a row beyond the template");
                     const size_t at = grid.first_brick + grid.brick_of(cell);
                     nearest[at].rows[row_in_brick(cell)] = row < 0 ? NO_ROW : uint16_t(own_rows[size_t(row)]);
                 }

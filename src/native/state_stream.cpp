@@ -97,8 +97,7 @@ public:
         std::copy_n(mixtures.data(), MIXTURES * NEIGHBOURS, &mixtures_[0][0]);
     }
 
-    // Add first the tables of parameters, then the laws of each shape; the last law of a shape codes the excess of
-    // escapes.
+    // Add first the tables of parameters, then the laws of each shape; the last law of a shape codes the excess of escapes.
     void add(Numbers frequency, Numbers start, Input<uint8_t, 1> symbol, Numbers sizes) {
         tables_.emplace_back(frequency, start, symbol, sizes);
     }
@@ -158,8 +157,7 @@ private:
         return true;
     }
 
-    // one_state.StateDecoder.raw, coder._unpack_one: reads signs and mantissas from the low end of the state, last
-    // first.
+    // one_state.StateDecoder.raw, coder._unpack_one: reads signs and mantissas from the low end of the state, last first.
     static bool read_values(State &state, const std::vector<uint8_t> &token, int64_t *out) {
         size_t total = 0;
         for (uint8_t t : token) {

@@ -24,7 +24,7 @@ using Turns = Input<int64_t, 3>;
 uint64_t product(int64_t a, int64_t b) { return uint64_t(a) * uint64_t(b); }
 
 void require(bool good) {
-    if (!good) throw std::invalid_argument("surface_memory: shapes differ, or a sample does not exist");
+    if (!good) throw std::invalid_argument("surface_memory: shapes differ, or a row beyond the samples");
 }
 
 void require_shape(const Numbers &values, size_t rows, size_t columns = 3) {
@@ -61,8 +61,8 @@ nb::tuple posed_surface(Numbers points, Numbers normals, Numbers links, Rows sha
     return nb::make_tuple(places.give({m, 3}), directions.give({m, 3}));
 }
 
-// SampleTable.canonical. Table: canonical (t, 3). Frame: rows (m), places (m, 3), turns (m, 3, 3), points (n, 3),
-// samples (n).
+// SampleTable.canonical. Table: canonical (t, 3). Frame: rows (m), places (m, 3),
+// turns (m, 3, 3), points (n, 3), samples (n).
 Output<int64_t> canonical_places(Numbers canonical, Rows rows, Numbers places, Turns turns, Numbers points, Rows samples) {
     const size_t m = rows.shape(0), n = samples.shape(0);
     require_shape(canonical, canonical.shape(0));

@@ -245,7 +245,15 @@ class Archive(Recordings):
 
 
 def open_archive(path: str | PathLike[str]) -> Archive:
-    """Open an archive for reading: a folder, or a URL as `mocodec.open` takes. Raises BadInput, TooNew, Corrupt."""
+    """Open an archive for reading: a folder, or a URL as `mocodec.open` takes.
+
+        with mocodec.open_archive("vault") as db:
+            clip = db["07/walk_02"][60:124]                # a Motion; reads and decodes these frames only
+            for entry in db.query("subject == 8"):
+                print(entry.name, entry.seconds)
+
+    Raises BadInput, TooNew, Corrupt.
+    """
     archive = Archive(path)
     _ = archive.catalogue
     return archive

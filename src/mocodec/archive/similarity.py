@@ -116,7 +116,7 @@ def index(where: str | PathLike[str], report_to: Callable[[int, int, str], None]
                     report_to(done, count, name)
 
             path = folder / FOLDER / f"{layout}.npz"
-            made = _made(entries, path, show)
+            made = _built(entries, path, show)
             if made is not None:
                 replace_whole(path, made.pack())
                 total += len(made.vectors)
@@ -126,7 +126,7 @@ def index(where: str | PathLike[str], report_to: Callable[[int, int, str], None]
     return total
 
 
-def _made(entries: Sequence[Entry], path: Path, show: Callable[[str], None]) -> Index | None:
+def _built(entries: Sequence[Entry], path: Path, show: Callable[[str], None]) -> Index | None:
     """The index of recordings of one set of points; None if none of them is long enough."""
     old = _known(path)
     flat, kept = dict[str, Floats](), dict[str, Floats]()

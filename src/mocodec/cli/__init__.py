@@ -150,7 +150,7 @@ def message_and_code(error: Exception) -> tuple[str, int]:
     match error:
         case click.UsageError():
             path = error.ctx.command_path if error.ctx else "mocodec"
-            return f"{error.format_message().rstrip('.')} (see '{path} --help')", USAGE
+            return f"{usage_message(error).rstrip('.')} (see '{path} --help')", USAGE
         case click.ClickException():
             return error.format_message(), BAD_INPUT
         case BrokenPromise():
@@ -169,6 +169,17 @@ def message_and_code(error: Exception) -> tuple[str, int]:
                 f"a bug in mocodec, please report it: {type(error).__name__}: {error} (--debug shows the traceback)",
                 BUG,
             )
+
+
+def usage_message(error: click.UsageError) -> str:
+    """What is wrong with the arguments, with a way out where click does not name one."""
+    match error:
+        case click.MissingParameter(param=click.Option(name="output", metavar=metavar)):
+            return f"name the output: -o {metavar}"
+        case click.NoSuchOption(ctx=click.Context(command=click.Group())):
+            return f"no option {error.option_name} before the name of a command: options of a command stand behind it"
+        case _:
+            return error.format_message()
 
 
 def printable(text: str) -> str:

@@ -69,7 +69,9 @@ Components = list[list[PrincipalComponents]]
 
 @dataclass(frozen=True)
 class Liu2006:
-    """Settings, with the paper's values as defaults. Lengths in metres, durations in frames.
+    """Settings of liu2006: segments, PCA and key frames (Liu & McMillan 2006), with the paper's values as defaults.
+
+    Lengths are in metres, durations in frames.
 
     Tolerances are per marker: a PCA error may be tolerance × √markers (root mean square over frames), a spline error
     tolerance × markers in any frame (L2 norm over the group); docs/papers/liu2006.md gives the reasons. A `mean_error`
