@@ -1,4 +1,4 @@
-// The search for a cut by probabilistic PCA, for stages/segment.py: its sums, directions and distances, to rounding.
+// Search for a cut by probabilistic PCA, for stages/segment.py. Sums, directions and distances agree up to rounding.
 
 #include <algorithm>
 #include <cmath>
@@ -11,11 +11,11 @@
 
 namespace {
 
-constexpr size_t ROWS = 4, COLUMNS = 8;  // of a block of a product
+constexpr size_t ROWS = 4, COLUMNS = 8;  // rows and columns of a block of a product
 
 size_t padded(size_t n) { return (n + COLUMNS - 1) / COLUMNS * COLUMNS; }
 
-// A matrix whose rows are zero behind their columns, up to a multiple of COLUMNS.
+// A matrix with rows padded with zeros to a multiple of COLUMNS.
 struct Matrix {
     Matrix(size_t rows, size_t columns) : stride(padded(columns)), of(padded(rows) * stride, 0.0) {}
     double *operator[](size_t row) { return of.data() + row * stride; }
@@ -25,7 +25,7 @@ struct Matrix {
     std::vector<double> of;
 };
 
-// A matrix (rows, count), as it is or turned: where the next row and the next column are.
+// A view of a matrix (rows, count), possibly transposed, with strides to the next row and column.
 struct Left {
     const double *data;
     size_t to_row, to_column;
@@ -34,7 +34,7 @@ struct Left {
 Left rows_of(const Matrix &matrix) { return {matrix.of.data(), matrix.stride, 1}; }
 Left columns_of(const Matrix &matrix) { return {matrix.of.data(), 1, matrix.stride}; }
 
-// to (rows, columns) = left right, added to what it is if `keep`.
+// to (rows, columns) = left right; += if `keep`.
 ALWAYS_INLINE void multiply(const Left &left, const Matrix &right, size_t count, size_t rows, Matrix &to, bool keep) {
     const size_t columns = right.stride;
     const Four zero = Four{} * 0.0;
@@ -77,11 +77,20 @@ void product(const Left &left, const Matrix &right, size_t count, size_t rows, M
     multiply_anywhere(left, right, count, rows, to, keep);
 }
 
-// Eigenvalues of a symmetric matrix (n, n), on its diagonal at the end, and eigenvectors, the rows of `vectors`, by cyclic
-// Jacobi rotations. A matrix that is almost diagonal takes one or two sweeps.
-void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
+// Rotates two rows: p ← c p − s q, q ← s p + c q.
+ALWAYS_INLINE void turn_rows(double *p, double *q, size_t stride, double c, double s) {
+    for (size_t i = 0; i < stride; i += 4) {
+        Four x, y;
+        load(x, p + i), load(y, q + i);
+        store(x * c - y * s, p + i), store(x * s + y * c, q + i);
+    }
+}
+
+// Diagonalises a symmetric matrix (n, n) by cyclic Jacobi rotations: eigenvalues on its diagonal, eigenvectors in the rows
+// of `vectors`. An almost diagonal matrix takes one or two sweeps.
+ALWAYS_INLINE void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
     constexpr int SWEEPS = 40;
-    constexpr double RELATIVE = 1e-13, ABSOLUTE = 1e-17;
+    constexpr double RELATIVE = 1e-10, ABSOLUTE = 1e-17;
     std::fill(vectors.of.begin(), vectors.of.end(), 0.0);
     for (size_t i = 0; i < n; ++i) vectors[i][i] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; ++sweep) {
@@ -93,23 +102,29 @@ void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
                 const double off = matrix[p][q], a = matrix[p][p], b = matrix[q][q];
                 if (std::abs(off) <= ABSOLUTE * largest || off * off <= RELATIVE * RELATIVE * std::abs(a * b)) continue;
                 turned = true;
-                const double slope = (b - a) / (2 * off);
-                const double t = (slope < 0 ? -1.0 : 1.0) / (std::abs(slope) + std::sqrt(slope * slope + 1));
+                const double gap = b - a, t = std::copysign(2, gap) * off / (std::abs(gap) + std::sqrt(gap * gap + 4 * off * off));
                 const double c = 1 / std::sqrt(t * t + 1), s = t * c;
-                double *of_p = matrix[p], *of_q = matrix[q], *v_p = vectors[p], *v_q = vectors[q];
-                for (size_t i = 0; i < n; ++i) {
-                    const double x = of_p[i], y = of_q[i], v = v_p[i], w = v_q[i];
-                    of_p[i] = c * x - s * y, of_q[i] = s * x + c * y;
-                    v_p[i] = c * v - s * w, v_q[i] = s * v + c * w;
-                }
-                for (size_t i = 0; i < n; ++i) {
-                    double *row = matrix[i];
-                    const double x = row[p], y = row[q];
-                    row[p] = c * x - s * y, row[q] = s * x + c * y;
-                }
+                turn_rows(matrix[p], matrix[q], matrix.stride, c, s);
+                turn_rows(vectors[p], vectors[q], vectors.stride, c, s);
+                matrix[p][p] = a - t * off, matrix[q][q] = b + t * off, matrix[p][q] = matrix[q][p] = 0;
+                for (size_t i = 0; i < n; ++i) matrix[i][p] = matrix[p][i], matrix[i][q] = matrix[q][i];
             }
         if (!turned) return;
     }
+}
+
+void diagonalise_anywhere(Matrix &matrix, Matrix &vectors, size_t n) { diagonalise(matrix, vectors, n); }
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void diagonalise_with_avx2(Matrix &matrix, Matrix &vectors, size_t n) { diagonalise(matrix, vectors, n); }
+#endif
+
+void find_eigenvectors(Matrix &matrix, Matrix &vectors, size_t n) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return diagonalise_with_avx2(matrix, vectors, n);
+#endif
+    diagonalise_anywhere(matrix, vectors, n);
 }
 
 // The squared length of a row of a matrix.
@@ -125,7 +140,7 @@ double square(const double *row, size_t stride) {
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-// segment._search, from one start.
+// segment._search from one start.
 class Search {
 public:
     Search(const Input<double, 2> &poses, size_t leading, double still, nb::callable decompose)
@@ -135,10 +150,10 @@ public:
           gram_(leading, leading), vectors_(leading, leading), turn_(leading, leading), away_(0, dimensions_),
           total_(dimensions_, 0.0), mean_(dimensions_, 0.0) {}
 
-    // Frames [from, to) become a part of the model of `count` frames.
+    // Adds frames [from, to) to the model, which then has `count` frames.
     void grow(size_t from, size_t to, size_t count) {
         Matrix rows(to - from, dimensions_);
-        std::vector<double> sum(dimensions_, 0.0);  // of the new rows: the mean has NumPy's bits, which show where poses are still
+        std::vector<double> sum(dimensions_, 0.0);  // of the new rows; the mean has NumPy's bits, which show still poses
         for (size_t t = from; t < to; ++t) {
             std::copy_n(poses_ + t * dimensions_, dimensions_, rows[t - from]);
             for (size_t i = 0; i < dimensions_; ++i) sum[i] += rows[t - from][i];
@@ -164,7 +179,7 @@ public:
         p = std::min({p + 1, variances_.size(), std::max<size_t>(dimensions_ - 1, 1)});
         sum = std::accumulate(variances_.begin(), variances_.begin() + long(p), 0.0);
         const double rest = (trace_ - sum) / double(std::max<size_t>(dimensions_ - p, 1));
-        Matrix &away = away_;  // rows are zero behind their dimensions
+        Matrix &away = away_;  // rows are zero after their dimensions
         if (away.of.size() < padded(to - from) * away.stride) away = Matrix(to - from, dimensions_);
         double energy = 0;
         for (size_t t = from; t < to; ++t) {
@@ -202,7 +217,7 @@ private:
         for (size_t i = 0; i < dimensions_; ++i) std::copy_n(directions.data() + i * count, count, directions_[i]);
     }
 
-    // One step of subspace iteration from the directions of the last model: the covariance is squares / count less the mean's.
+    // One step of subspace iteration from the last model's directions; covariance = squares / count − mean meanᵀ.
     void follow() {
         product(rows_of(squares_), directions_, dimensions_, dimensions_, image_);
         along_mean_.assign(image_.stride, 0.0);
@@ -211,7 +226,7 @@ private:
         for (size_t i = 0; i < dimensions_; ++i)
             for (size_t k = 0; k < image_.stride; ++k) image_[i][k] = image_[i][k] / count_ - mean_[i] * along_mean_[k];
         product(columns_of(image_), image_, dimensions_, leading_, gram_);
-        diagonalise(gram_, vectors_, leading_);
+        find_eigenvectors(gram_, vectors_, leading_);
         std::vector<size_t> order(leading_);
         std::iota(order.begin(), order.end(), size_t(0));
         std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return gram_[a][a] > gram_[b][b]; });
@@ -236,8 +251,8 @@ private:
     double trace_ = 0, count_ = 0;
 };
 
-// segment._search in poses (frames, dimensions) from frame 0: H after each growth, and the number of the growth before which to
-// cut, or −1. decompose(covariance): the leading variances and their directions.
+// segment._search in poses (frames, dimensions) from frame 0. Returns H after each growth, and the index of the growth
+// before which to cut, or −1. decompose(covariance): leading variances and their directions.
 nb::tuple ppca_search(Input<double, 2> poses, size_t initial, size_t ahead, size_t step, double kept, double rise, size_t leading,
                       double still, nb::callable decompose) {
     const size_t frames = poses.shape(0);

@@ -65,7 +65,7 @@ class Hou2014(Settings):
             rung = encoder.rung_for_mean_error(target)
             encoded = encoder.encoded(rung)
             size = encoded.payload_bytes
-            promising = encoder.bits_over(bounded.first_rung, rung) < PROMISING_BITS
+            promising = encoder.takes_few_bits(bounded.first_rung, rung, PROMISING_BITS)
             promising = promising and by_bound().estimate(limit=size)[0] < size
         except CannotEncode as error:
             failure = error
