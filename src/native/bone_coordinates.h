@@ -1,5 +1,5 @@
-// codecs/tempo/pose/bone_directions.py, forward: coordinates of bones and hubs from positions, four frames at a time. Their
-// bits are NumPy's, since bases are fitted to them: a basis of hardly any motion follows the last bits.
+// Coordinates of bones and hubs from positions, four frames at a time: codecs/tempo/pose/bone_directions.py, forward.
+// Bit for bit those of NumPy: bases are fitted to them, and a basis of hardly any motion follows the last bits.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ using namespace rotations4;
 constexpr double PI = 3.14159265358979323846;
 constexpr double TINY = 1e-8;  // rotations._ratio
 
-// BoneSchedule, and what its inverse needs: `joints` of the bones in schedule order, the two bones of each hub's pair.
+// BoneSchedule; `joints`: end joints of the bones in schedule order; `pairs`: the two bones of each hub's pair.
 struct Schedule {
     const int64_t *program, *order, *joints, *parents, *pairs;
     const double *rests, *homes, *pair_frames;
@@ -27,7 +27,7 @@ struct Positions {
     const double *data;  // (3, points, frames)
     size_t points, frames;
 
-    // From a joint's parent to the joint, in four frames from `first` on; the last frame stands for those behind it.
+    // Vector from a joint's parent to the joint, in four frames from `first` on; beyond the end the last frame repeats.
     ALWAYS_INLINE void offset(int64_t joint, int64_t parent, size_t first, Four *out) const {
         for (size_t k = 0; k < 3; ++k) {
             const double *to = data + (k * points + size_t(joint)) * frames;
@@ -100,7 +100,7 @@ inline void hub_quaternion(const Four (&pair)[2][3], size_t lane, const double *
     quaternion_of(matrix, out);
 }
 
-// Four frames of all coordinates, (dimensions, 4), in the order of the tree.
+// All coordinates of four frames, (dimensions, 4), in the order of the tree.
 ALWAYS_INLINE void coordinates(const Schedule &of, const Positions &positions, size_t first, Four *frames, Four *out) {
     for (size_t step = 0; step < of.steps; ++step) {
         const int64_t *p = of.program + 6 * step;
@@ -160,7 +160,7 @@ ALWAYS_INLINE void all_coordinates(const Schedule &of, const Positions &position
     }
 }
 
-// rotations.unwrapped of one vector of `size` numbers, (size, frames).
+// rotations.unwrapped for one vector of `size` numbers, (size, frames).
 inline void unwrap(double *vector, size_t size, size_t frames) {
     bool odd = false;
     double before[3] = {};
@@ -180,7 +180,7 @@ inline void unwrap(double *vector, size_t size, size_t frames) {
     }
 }
 
-// Unwraps the vectors of all bones, then of all hubs: of coordinates (dimensions, frames).
+// Unwraps the vectors of all bones and hubs in coordinates (dimensions, frames).
 inline void unwrap_all(size_t bones, size_t hubs, double *coordinates, size_t frames) {
     for (size_t b = 0; b < bones; ++b) unwrap(coordinates + 2 * b * frames, 2, frames);
     for (size_t h = 0; h < hubs; ++h) unwrap(coordinates + (2 * bones + 3 * h) * frames, 3, frames);

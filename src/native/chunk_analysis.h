@@ -1,4 +1,4 @@
-// Coefficients of a chunk of codecs/tempo from its positions: models/model.py, analyse. They agree with NumPy's to rounding.
+// Coefficients of a chunk of codecs/tempo from positions: models/model.py, analyse. They agree with NumPy's up to rounding.
 //
 //   positions ─place, heading─► poses ─bones or points─► curves (columns, frames) ─DCT─► spectrum ─bases─► coefficients
 #pragma once
@@ -17,8 +17,8 @@ namespace chunks {
 
 using fast_cosines::FastCosines;
 
-// What analysis needs beside Shape. bases: of each band, from coordinates before `scale` to components, in panels of PANEL
-// components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
+// Inputs of the analysis besides Shape. bases: for each band, from coordinates before `scale` to components, in panels
+// of PANEL components, (panels, dimensions, PANEL). joints, pairs, pair_frames: bones::Schedule; parents: of each point.
 struct Analysis {
     std::vector<std::shared_ptr<const std::vector<double>>> bases;
     std::vector<int64_t> joints, parents, pairs;
@@ -29,7 +29,7 @@ struct AnalysisScratch {
     std::vector<double> columns, curves, heading, cosine, sine, spectrum;
     std::vector<double> work;  // of FastCosines
 
-    static NEVER_INLINE AnalysisScratch &of_thread() {  // its address is looked up once
+    static NEVER_INLINE AnalysisScratch &of_thread() {  // looks its address up once
         static thread_local AnalysisScratch scratch;
         return scratch;
     }
@@ -37,7 +37,7 @@ struct AnalysisScratch {
 
 class Analyser {
 public:
-    // heading_frequencies: how many coefficients of the heading are kept.
+    // heading_frequencies: number of kept coefficients of the heading.
     Analyser(const Shape &shape, const Analysis &analysis, const Cosines &cosines, const FastCosines &spectra,
              const size_t *band_ends, double heading_step, size_t heading_frequencies)
         : of_(shape), with_(analysis), cosines_(cosines), spectra_(spectra), band_ends_(band_ends), heading_step_(heading_step),
@@ -63,11 +63,11 @@ private:
         return scratch.columns.data() + (axis * of_.points + point) * frames_;
     }
 
-    // Positions as (3, points, frames).
+    // Transposes positions to (3, points, frames).
     ALWAYS_INLINE void by_columns(const double *positions, AnalysisScratch &scratch) const {
         const size_t points = of_.points;
         scratch.columns.resize(3 * points * frames_);
-        for (size_t first = 0; first < frames_; first += 8) {  // eight frames at a time stay in the cache
+        for (size_t first = 0; first < frames_; first += 8) {  // eight frames fit into the cache
             const size_t last = std::min(frames_, first + 8);
             for (size_t p = 0; p < points; ++p)
                 for (size_t k = 0; k < 3; ++k) {
@@ -77,7 +77,7 @@ private:
         }
     }
 
-    // The place, times √points, into the last curves; the columns become relative to it.
+    // Writes the place, times √points, to the last curves; subtracts the place from the columns.
     ALWAYS_INLINE void centre(AnalysisScratch &scratch) const {
         const double points = double(of_.points), scale = std::sqrt(points);
         for (size_t k = 0; k < 3; ++k) {
@@ -96,7 +96,7 @@ private:
         }
     }
 
-    // pose/heading.py, heading; model.py, smooth_heading: the row of the heading, and the cosine and sine of its inverse.
+    // pose/heading.py, heading; model.py, smooth_heading: writes the heading's row, and cosine and sine of its inverse.
     ALWAYS_INLINE void heading(AnalysisScratch &scratch, size_t rows, double *out) const {
         scratch.heading.assign(frames_, 0.0);
         scratch.cosine.assign(frames_, 0.0), scratch.sine.assign(frames_, 0.0);
@@ -111,7 +111,7 @@ private:
         }
         for (size_t f = 0; f < frames_; ++f) angle[f] = std::atan2(sine[f], cosine[f]);
         unwrap(angle);
-        std::fill_n(cosine, frames_, 0.0);  // from here on: the heading that is decoded
+        std::fill_n(cosine, frames_, 0.0);  // from here on: the decoded heading
         for (size_t k = 0; k < heading_frequencies_; ++k) {
             double sum = 0;
             for (size_t t = 0; t < frames_; ++t) sum += angle[t] * cosine_of(k, t);
@@ -129,7 +129,7 @@ private:
         return t != mirrored && parity ? -value : value;
     }
 
-    // np.unwrap, and whole turns so that the first angle is at most half a turn.
+    // np.unwrap, then adds whole turns so that the first angle is at most half a turn.
     void unwrap(double *angle) const {
         using bones::PI;
         double turns = 0, before = angle[0];
@@ -143,7 +143,7 @@ private:
         }
     }
 
-    // heading.rotate by the inverse of the heading.
+    // heading.rotate: rotates by the inverse of the heading.
     ALWAYS_INLINE void turn(AnalysisScratch &scratch) const {
         const double *cosine = scratch.cosine.data(), *sine = scratch.sine.data();
         for (size_t p = 0; p < of_.points; ++p) {
@@ -156,7 +156,7 @@ private:
         }
     }
 
-    // coordinates.py, forward: the first curves.
+    // coordinates.py, forward: writes the first curves.
     ALWAYS_INLINE void coordinates(AnalysisScratch &scratch) const {
         if (!of_.tree) {
             for (size_t p = 0; p < of_.points; ++p)
@@ -176,7 +176,7 @@ private:
         bones::unwrap_all(tree.bones, tree.hubs, curves, frames_);
     }
 
-    // stages/dct.py, forward, of all curves: (blocks of TILE frequencies, columns, TILE).
+    // stages/dct.py, forward: DCT of all curves, (blocks of TILE frequencies, columns, TILE).
     ALWAYS_INLINE void transform(AnalysisScratch &scratch) const {
         const size_t columns = rows_of_spectrum_;
         scratch.spectrum.resize((frames_ + TILE - 1) / TILE * TILE * columns);
@@ -191,7 +191,7 @@ private:
         }
     }
 
-    // Bases, band by band, and the rows of the place.
+    // Applies the bases, band by band, and writes the rows of the place.
     ALWAYS_INLINE void components(AnalysisScratch &scratch, size_t rows, double *out) const {
         const size_t columns = rows_of_spectrum_, parts = rows - POSE, dimensions = of_.dimensions;
         size_t begin = 0;
