@@ -43,13 +43,21 @@ COARSE_PROMISING = 1.1
 class MotionEncoder:
     """One motion, prepared for encoding at any quantisation step that a search tries.
 
-    quantised(rung), encoded(rung): the motion at this step; cached.
+    quantised(rung), encoded(rung): the motion at this step; cached. fitted_hz: B is fitted to frequencies below it,
+    which is faster and enough for `estimate`; None for all frequencies.
     """
 
     def __init__(
-        self, codec: Settings, motion: Motion, filled: Floats, apart: frozen.Split, by_engine: bool = False
+        self,
+        codec: Settings,
+        motion: Motion,
+        filled: Floats,
+        apart: frozen.Split,
+        by_engine: bool = False,
+        fitted_hz: float | None = None,
     ) -> None:
         self.codec, self.motion, self.apart = codec, motion, apart
+        self.fitted_frequencies = fitted_hz and math.ceil(2 * len(motion) * fitted_hz / motion.rate)
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
@@ -79,6 +87,7 @@ class MotionEncoder:
             compress_basis=codec.compress_basis,
             economy=codec.economy,
             max_error=codec.max_error,
+            fitted_frequencies=self.fitted_frequencies,
             learned=_unpack_learned(codec.transforms, motion.points),
         )
         if codec.segmentation == "adaptive" or (codec.has_target and not codec.clip_frames):

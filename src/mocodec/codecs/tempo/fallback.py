@@ -51,6 +51,9 @@ PROMISING, PROMISING_BYTES = 1.06, 256
 """A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:
 most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
+FITTED_HZ = 15.0
+"""For the first coding of many points, the basis is fitted to frequencies below this: people hardly move faster."""
+
 STRETCH_FRAMES = 1000
 """Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
 is counted once; if it is larger all the same, the whole is not promising."""
@@ -131,14 +134,15 @@ def smaller(
         try:
             if len(motion) > 2 * STRETCH_FRAMES:
                 times = len(motion) / (stretch.stop - stretch.start)
-                part = codec.prepared(motion[stretch], near[stretch])
-                size = _estimate(part, best.payload_bytes, times, 1)
+                size = _estimate(_sketch(codec, motion[stretch], near[stretch]), best.payload_bytes, times, 1)
                 if size > best.payload_bytes:
                     continue
             most = PROMISING * best.payload_bytes + PROMISING_BYTES
-            encoder = codec.prepared(motion, near)
+            encoder = _sketch(codec, motion, near)
             if _estimate(encoder, most) > most:
                 continue
+            if encoder.fitted_frequencies is not None:
+                encoder = codec.prepared(motion, near)
             if codec.max_error and target == "mean_error":
                 rival = _to_mean(codec, motion, near, wanted)
             else:
@@ -192,6 +196,12 @@ def decode(encoded: Encoded[Motion], header: StreamHeader, frames: slice | None)
 def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Motion]:
     """The rival's chunks and shared bytes, behind tempo's header."""
     return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
+
+
+def _sketch(codec: Hou2014, motion: Motion, near: Floats) -> MotionEncoder:
+    """For an estimate: of many points, the basis is fitted to the lowest frequencies only."""
+    many = motion.points > PROMISING_POINTS and len(motion) <= dct.MATRIX_FRAMES
+    return codec.prepared(motion, near, fitted_hz=FITTED_HZ if many else None)
 
 
 def _estimate(encoder: MotionEncoder, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
