@@ -57,18 +57,17 @@ class MotionEncoder:
         fitted_hz: float | None = None,
     ) -> None:
         self.codec, self.motion, self.apart = codec, motion, apart
-        self.fitted_frequencies = fitted_hz and math.ceil(2 * len(motion) * fitted_hz / motion.rate)
         self.moving = self.apart.moving
         self.parents = None if motion.skeleton is None else motion.skeleton.parents
         self.chunk_frames = min(codec.chunk_frames, most_chunk_frames(motion.points))
         self.neighbours = lattice.neighbours(filled) if by_engine and codec.max_error and lattice.is_fast() else None
-        self.prepared = self._prepare(filled)
+        self.prepared = self._prepare(filled, fitted_hz)
         self.quantised: Callable[[int], QuantisedMotion] = lru_cache(1)(
             lambda rung: quantised_motion.quantise_motion(self.prepared, rung)
         )
         self.encoded: Callable[[int], Encoded[Motion]] = cache(self._encode)
 
-    def _prepare(self, filled: Floats) -> PreparedMotion:
+    def _prepare(self, filled: Floats, fitted_hz: float | None) -> PreparedMotion:
         """Segment into clips, choose each clip's step and frequencies, fit B."""
         codec, motion = self.codec, self.motion
         length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
@@ -87,7 +86,7 @@ class MotionEncoder:
             compress_basis=codec.compress_basis,
             economy=codec.economy,
             max_error=codec.max_error,
-            fitted_frequencies=self.fitted_frequencies,
+            fitted_frequencies=None if fitted_hz is None else math.ceil(2 * len(motion) * fitted_hz / motion.rate),
             learned=_unpack_learned(codec.transforms, motion.points),
         )
         if codec.segmentation == "adaptive" or (codec.has_target and not codec.clip_frames):

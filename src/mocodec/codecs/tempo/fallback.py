@@ -51,8 +51,13 @@ PROMISING, PROMISING_BYTES = 1.06, 256
 """A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:
 most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
-FITTED_HZ = 15.0
-"""For the first coding of many points, the basis is fitted to frequencies below this: people hardly move faster."""
+SKETCH_HZ, SKETCH_SHARE = 15.0, 0.5
+"""Before the first coding of many points there is a sketch, with a basis fitted to frequencies below SKETCH_HZ only,
+since people hardly move faster, where these are at most SKETCH_SHARE of all."""
+
+SKETCH_EXCEEDS, SKETCH_EXCEEDS_PER_SHARE = 1.01, 0.3
+"""The sketch takes up to SKETCH_EXCEEDS times the bytes of the first coding, and more by the second for components that
+are as many as its frequencies: then there are components of noise."""
 
 STRETCH_FRAMES = 1000
 """Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
@@ -134,15 +139,19 @@ def smaller(
         try:
             if len(motion) > 2 * STRETCH_FRAMES:
                 times = len(motion) / (stretch.stop - stretch.start)
-                size = _estimate(_sketch(codec, motion[stretch], near[stretch]), best.payload_bytes, times, 1)
+                part = codec.prepared(motion[stretch], near[stretch])
+                size = _estimate(part, best.payload_bytes, times, 1)
                 if size > best.payload_bytes:
                     continue
             most = PROMISING * best.payload_bytes + PROMISING_BYTES
-            encoder = _sketch(codec, motion, near)
+            if _has_sketch(motion):
+                sketch = codec.prepared(motion, near, fitted_hz=SKETCH_HZ)
+                limit = most * _sketch_exceeds(sketch)
+                if _estimate(sketch, limit) > limit:
+                    continue
+            encoder = codec.prepared(motion, near)
             if _estimate(encoder, most) > most:
                 continue
-            if encoder.fitted_frequencies is not None:
-                encoder = codec.prepared(motion, near)
             if codec.max_error and target == "mean_error":
                 rival = _to_mean(codec, motion, near, wanted)
             else:
@@ -198,10 +207,16 @@ def _in_place_of(encoded: Encoded[Motion], rival: Encoded[Motion]) -> Encoded[Mo
     return replace(encoded, chunks=rival.chunks, shared=(StreamHeader(fallback=rival.shared[0]).pack(),))
 
 
-def _sketch(codec: Hou2014, motion: Motion, near: Floats) -> MotionEncoder:
-    """For an estimate: of many points, the basis is fitted to the lowest frequencies only."""
-    many = motion.points > PROMISING_POINTS and len(motion) <= dct.MATRIX_FRAMES
-    return codec.prepared(motion, near, fitted_hz=FITTED_HZ if many else None)
+def _has_sketch(motion: Motion) -> bool:
+    """Whether a basis for low frequencies is found much faster than one for all."""
+    low = 2 * SKETCH_HZ / motion.rate
+    return motion.points > PROMISING_POINTS and len(motion) <= dct.MATRIX_FRAMES and low < SKETCH_SHARE
+
+
+def _sketch_exceeds(sketch: MotionEncoder) -> float:
+    """How many times the bytes of the first coding a sketch takes at most."""
+    components = sketch.quantised(sketch.codec.first_rung).header.components
+    return SKETCH_EXCEEDS + SKETCH_EXCEEDS_PER_SHARE * components / max(1, sketch.prepared.fitted_frequencies or 0)
 
 
 def _estimate(encoder: MotionEncoder, most: float, times: float = 1.0, chunks: int = SAMPLED_CHUNKS) -> float:
