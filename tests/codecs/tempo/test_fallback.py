@@ -68,3 +68,15 @@ def test_a_bound_that_is_searched_for_does_not_follow_the_last_bits_of_a_mean() 
     bound = found.settings["max_error"]
     assert bound != 0.004
     assert bound == np.float32(bound)
+
+
+def test_a_basis_fitted_to_low_frequencies_is_enough_for_an_estimate() -> None:
+    random = np.random.default_rng(3)
+    curves = np.cumsum(random.normal(0, 0.01, (240, 8)), axis=0)
+    curves[2:-2] = (curves[:-4] + curves[1:-3] + curves[2:-2] + curves[3:-1] + curves[4:]) / 5
+    positions = (curves @ random.normal(size=(8, 450))).reshape(240, 150, 3)
+    motion = Motion(positions + random.normal(0, 1e-4, positions.shape), 120.0, [f"M{i}" for i in range(150)])
+    codec = Hou2014(max_error=0.003)
+    whole = codec.prepared(motion, motion.positions).estimate()[0]
+    sketch = codec.prepared(motion, motion.positions, fitted_hz=fallback.SKETCH_HZ)
+    assert 0.9 * whole < sketch.estimate()[0] < 1.05 * whole
