@@ -31,6 +31,7 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     """
     from . import container
 
+    _require_kind(codec, recording)
     if signal_error is not None:
         recording = with_signal_error(recording, signal_error)
     promised = {} if signal_error is None else {"signal_error": signal_error}
@@ -59,6 +60,18 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     raise CannotEncode(
         f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
         f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
+    )
+
+
+def _require_kind(codec: Codec[Any], recording: Recording) -> None:
+    """Raises CannotEncode for a motion and a codec of point clouds, or the other way round."""
+    codes_clouds = codec.name in codecs.CLOUD_CODECS
+    if codec.name not in codecs.CODECS or codes_clouds != isinstance(recording, Motion):
+        return
+    if codes_clouds:
+        raise CannotEncode(f"{codec.name} codes point clouds, not motions")
+    raise CannotEncode(
+        f"{codec.name} codes motions, not point clouds; codecs of point clouds: {', '.join(codecs.CLOUD_CODECS)}"
     )
 
 

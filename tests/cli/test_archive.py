@@ -141,6 +141,15 @@ def test_a_line_break_in_a_name_makes_no_line(command: Command, vault: Path) -> 
     assert len(command("archive", "extract", vault, "-o", vault / "out").err.splitlines()) == 3
 
 
+def test_a_catalogue_with_a_changed_name_is_damaged(command: Command, vault: Path) -> None:
+    """Its indices still have the name that was written."""
+    path = vault / "catalogue.sqlite"
+    path.write_bytes(path.read_bytes().replace(b"08/run_01", b"08/ran_01", 1))
+    verified = command("archive", "verify", vault)
+    assert verified.code == 4
+    assert "the catalogue is damaged" in verified.err
+
+
 def test_index_similar_and_duplicates(command: Command, vault: Path) -> None:
     mc.write(vault.parent / "long.npz", synthetic.joints(frames=240, rate=60.0, seed=9))
     (vault.parent / "same.npz").write_bytes((vault.parent / "long.npz").read_bytes())

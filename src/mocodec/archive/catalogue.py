@@ -135,6 +135,8 @@ class Catalogue:
             raise BadInput(f"{self.path}: {error}") from error
         except sqlite3.DatabaseError as error:
             raise self.damaged(str(error)) from error
+        except UnicodeDecodeError as error:  # of a message of SQLite, which quotes a damaged table
+            raise self.damaged("text that is not UTF-8") from error
 
     @contextmanager
     def transaction(self) -> Generator[None, None, None]:
@@ -243,6 +245,13 @@ class Catalogue:
             ).fetchone()
         if found is not None:
             raise self.damaged(f"the recording {found[0]} lies outside the bytes of its shard that count")
+
+    def require_consistent(self) -> None:
+        """Raises Corrupt if tables and indices contradict each other, as after a flipped bit in a name. Reads all."""
+        with self._errors():
+            (found,) = self.connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if found != "ok":
+            raise self.damaged(str(found).replace("\n", " "))
 
     def damaged(self, why: str) -> Corrupt:
         """The error of a damaged catalogue, with what can be done about it."""

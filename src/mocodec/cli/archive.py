@@ -344,7 +344,9 @@ def verify(db: str, decode: bool, condition: str | None) -> int:
         for name, reason in archive.damage(chosen, decode):
             damaged += 1
             files.line(f"{name}: {reason}")
-    files.line(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
+        files.line(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
+        if not damaged:
+            opened.catalogue.require_consistent()
     return DAMAGED if damaged else 0
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -106,13 +104,7 @@ def one(
         left_out = formats.dropped(f"motion{suffix}", recording) if suffix else []
         notes += [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
         return {"frames": len(recording), "notes": notes}
-    temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}-part")
-    try:
-        api.write(temporary, recording)
-        shutil.rmtree(target, ignore_errors=True)
-        os.replace(temporary, target)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    api.write(target, recording, overwrite=True)
     return {"frames": len(recording), "notes": []}
 
 

@@ -39,6 +39,8 @@ WHOLE_BYTES = 1 << 18
 """A file of at most this many bytes is taken as a whole if a server sends it so."""
 FINAL_STATUS = (401, 403, 404, 410)
 """Answers that do not change if another range is asked for."""
+VALIDATORS = ("ETag", "Last-Modified")
+"""Headers that tell versions of a file apart (RFC 9110, 8.8); the first that two answers share is compared."""
 
 Piece = tuple[int, bytes]
 """Offset in the file, and the bytes from there on."""
@@ -160,6 +162,7 @@ class Url(RemoteFile):
     def __init__(self, url: str, part: FileRange | None = None) -> None:
         super().__init__(url, part)
         self.whole_size = 0
+        self._version = dict[str, str]()
         if part is not None and part.size <= SMALL_BYTES:
             return
         head = f"bytes={self.origin}-{self.origin + BLOCK_BYTES - 1}"
@@ -203,17 +206,33 @@ class Url(RemoteFile):
             is_refused = code not in FINAL_STATUS if isinstance(error, HTTPError) else isinstance(error, HTTPException)
             if most_whole is not None and is_refused:
                 raise SeveralRangesRefused from error
+            if code == 416 and self.whole_size:
+                raise self._changed() from error
             if code == 416:
-                raise Truncated(f"{self.url} is empty") from error
+                where = f"ends before byte {self.origin:,}" if self.origin else "is empty"
+                raise Truncated(f"{self.url} {where}") from error
             raise BadInput(f"{self.url}: {error}") from error
         if self.whole_size not in (0, size):
-            raise BadInput(f"{self.url} changed while it was being read; open it again")
+            raise self._changed()
         self.whole_size = size
         return size, pieces
+
+    def _changed(self) -> BadInput:
+        """The error for a file that is not the one that was opened."""
+        return BadInput(f"{self.url} changed while it was being read; open it again")
+
+    def _require_same_version(self, headers: Any) -> None:
+        """Raises BadInput if the first validator that this answer shares with earlier ones differs."""
+        seen = {name: value for name in VALIDATORS if (value := headers.get(name))}
+        shared = [name for name in VALIDATORS if name in seen and name in self._version]
+        if shared and seen[shared[0]] != self._version[shared[0]]:
+            raise self._changed()
+        self._version = seen | self._version
 
     def _pieces_of(self, response: Any, most_whole: int | None) -> tuple[int, list[Piece]]:
         """What an answer contains: size of the file, and its pieces."""
         headers = response.headers
+        self._require_same_version(headers)
         parts = re.match(r"multipart/byteranges", headers.get("Content-Type", ""), re.IGNORECASE)
         if response.status == 206 and parts and most_whole is not None:
             return several_parts(self._receive(response, END_BYTES + 2 * BLOCK_BYTES), self.url)
