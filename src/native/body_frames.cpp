@@ -7,8 +7,8 @@
 
 namespace {
 
-// body_frame.to_world of poses (frames, 3 columns) into these columns of positions (frames, points, 3). origin (frames, 3);
-// heading (frames, 2); up: the vertical axis.
+// body_frame.to_world: writes poses (frames, 3 columns) to these columns of positions (frames, points, 3). origin
+// (frames, 3); heading (frames, 2); up: the vertical axis.
 void place_in_world(Input<double, 2> poses, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading,
                     size_t up, InPlace<double, 3> positions) {
     const body_frames::World world(columns, origin, heading, up, positions);
@@ -17,7 +17,7 @@ void place_in_world(Input<double, 2> poses, Input<int64_t, 1> columns, Input<dou
     for (size_t t = 0; t < poses.shape(0); ++t) world.place(t, poses.data() + t * width);
 }
 
-// The inverse: body_frame.to_body of these columns of positions (frames, points, 3), as poses (frames, 3 columns).
+// body_frame.to_body: poses (frames, 3 columns) from these columns of positions (frames, points, 3).
 Output<double> place_in_body(Input<double, 3> positions, Input<int64_t, 1> columns, Input<double, 2> origin,
                              Input<double, 2> heading, size_t up) {
     const size_t frames = positions.shape(0), count = columns.shape(0), points = positions.shape(1);

@@ -1,4 +1,4 @@
-// The body's frame, and where poses in it are in the world: geometry/body_frame.py.
+// The body's frame, and poses transformed from it to the world: geometry/body_frame.py.
 #pragma once
 
 #include <algorithm>
@@ -20,7 +20,7 @@ inline void from_markers(const double *markers, size_t up, double *origin, doubl
     heading[0] = length > LEVEL_M ? x / length : 1.0, heading[1] = length > LEVEL_M ? y / length : 0.0;
 }
 
-// Some columns of positions (frames, points, 3), and frames of the body: origin (frames, 3), heading (frames, 2).
+// Writes some columns of positions (frames, points, 3). origin (frames, 3); heading (frames, 2); up: the vertical axis.
 class World {
 public:
     World(const int64_t *columns, size_t count, const double *origin, const double *heading, size_t up, size_t points, double *positions)
@@ -39,7 +39,7 @@ public:
 
     size_t count() const { return count_; }
 
-    // The pose (columns, 3) of one frame.
+    // Writes the pose (columns, 3) of one frame.
     void place(size_t frame, const double *pose) const {
         const size_t a = (up_ + 1) % 3, b = (up_ + 2) % 3;
         const double cosine = heading_[2 * frame], sine = -heading_[2 * frame + 1], *from = origin_ + 3 * frame;
@@ -63,7 +63,7 @@ private:
 inline int64_t nearest_earlier(const int64_t *pose, size_t i) {
     int64_t least = std::numeric_limits<int64_t>::max(), nearest = 0;
     for (size_t j = 0; j < i; ++j) {
-        uint64_t square = 0;  // wraps around as NumPy's integers do
+        uint64_t square = 0;  // wraps around like NumPy's integers
         for (size_t d = 0; d < 3; ++d) {
             const uint64_t off = uint64_t(pose[3 * i + d]) - uint64_t(pose[3 * j + d]);
             square += off * off;

@@ -6,7 +6,7 @@
 
 namespace fields {
 
-struct Damaged {};  // bytes that are not as they should be
+struct Damaged {};  // exception for damaged bytes
 
 inline void require(bool is_right) {
     if (!is_right) throw Damaged{};

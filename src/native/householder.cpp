@@ -12,7 +12,7 @@ namespace {
 
 using namespace householder;
 
-// basis._decompose: each panel by the mirrors of the columns before it, then its columns one by one.
+// basis._decompose: reflects each panel by the mirrors of earlier columns, then by its own, one by one.
 ALWAYS_INLINE void decompose(const double *basis, const double *scales, size_t n, size_t k, int64_t *entries) {
     std::vector<double> mirrors(n * k), panel(n * WIDTH);
     for (size_t first = 0; first < k; first += WIDTH) {
@@ -24,7 +24,7 @@ ALWAYS_INLINE void decompose(const double *basis, const double *scales, size_t n
             for (size_t r = i; r < n; ++r) entries[r * k + i] = int64_t(std::nearbyint(sign * rest[r * WIDTH] * scales[i]));
             double *u = mirrors.data() + i * n;
             mirror_of(entries, n, k, i, u);
-            Row along;  // columns up to i are not read again
+            Row along;  // columns up to i are not needed again
             sums_along(u, i, n, panel.data(), along);
             reflect(u, i, n, along, panel.data());
         }
@@ -37,7 +37,7 @@ WITH_AVX2 void decompose_with_avx2(const double *basis, const double *scales, si
 }
 #endif
 
-// basis._decompose: rounded entries (n, k) of an orthonormal basis (n, k) in multiples of 1 / scales (k).
+// basis._decompose: entries (n, k) of an orthonormal basis (n, k), rounded to multiples of 1 / scales (k).
 Output<int64_t> basis_decompose(Input<double, 2> basis, Input<double, 1> scales) {
     const size_t n = basis.shape(0), k = basis.shape(1);
     if (scales.shape(0) != k || k > n) throw std::invalid_argument("basis_decompose: shapes differ");
@@ -66,10 +66,10 @@ Output<double> basis_compose(Input<int64_t, 2> entries) {
     return out.give({n, k});
 }
 
-// basis._signs_of_reflections, of the corner (k, k) of orthonormal columns.
+// basis._signs_of_reflections for the corner (k, k) of orthonormal columns.
 Output<double> basis_signs(Input<double, 2> corner, double zero) {
     const size_t k = corner.shape(0);
-    if (corner.shape(1) != k) throw std::invalid_argument("basis_signs: a corner that is not square");
+    if (corner.shape(1) != k) throw std::invalid_argument("basis_signs: the corner is not square");
     std::vector<double> left(corner.data(), corner.data() + k * k);
     Fresh<double> out(k);
     for (size_t i = 0; i < k; ++i) {
@@ -85,7 +85,7 @@ Output<double> basis_signs(Input<double, 2> corner, double zero) {
     return out.give({k});
 }
 
-// basis._sum_differences: rows of values (n, k), in place, from their differences from earlier rows, −1 for none.
+// basis._sum_differences: adds to rows of values (n, k), in place, the earlier rows `alike`; −1: none.
 void basis_sum_differences(InPlace<int64_t, 2> values, Input<int64_t, 1> alike, size_t leading) {
     const size_t n = values.shape(0), k = values.shape(1);
     if (alike.shape(0) != n || leading > k) throw std::invalid_argument("basis_sum_differences: shapes differ");

@@ -1,4 +1,4 @@
-// Natural cubic splines through key frames, for stages/spline.py. Floats by the same operations in the same order as there.
+// Natural cubic splines through key frames, for stages/spline.py, with the same float operations in the same order.
 
 #include <nanobind/stl/optional.h>
 
@@ -15,7 +15,7 @@ namespace {
 
 using namespace splines;
 
-// spline.interpolate: through values (keys, k) at ascending key frames, at frames in any order, (at, k).
+// spline.interpolate: splines through values (keys, k) at ascending key frames. at: frames in any order. Returns (at, k).
 Output<double> spline_interpolate(Input<int64_t, 1> keyframes, Input<double, 2> values, Input<int64_t, 1> at) {
     const size_t keys = keyframes.shape(0), k = values.shape(1), count = at.shape(0);
     if (keys < 2 || values.shape(0) != keys) throw std::invalid_argument("spline_interpolate: shapes differ");
@@ -33,12 +33,12 @@ Output<T> array_of(const std::vector<T> &values) {
     return out.give({values.size()});
 }
 
-// spline.splits of key frames (keys) of a run of `frames` frames.
+// spline.splits of key frames (keys) in a run of `frames` frames.
 Output<uint8_t> spline_splits(Input<int64_t, 1> keys, int64_t frames) {
     if (frames < 1) throw std::invalid_argument("spline_splits: no frames");
     std::vector<uint8_t> chosen(size_t(frames), 0), splits;
     for (size_t i = 0; i < keys.shape(0); ++i) {
-        if (keys.data()[i] < 0 || keys.data()[i] >= frames) throw std::invalid_argument("spline_splits: a key frame outside");
+        if (keys.data()[i] < 0 || keys.data()[i] >= frames) throw std::invalid_argument("spline_splits: a key frame is out of range");
         chosen[size_t(keys.data()[i])] = 1;
     }
     Frames by_level, sizes;
@@ -50,7 +50,7 @@ Output<uint8_t> spline_splits(Input<int64_t, 1> keys, int64_t frames) {
     return array_of(splits);
 }
 
-// spline.keyframes of a trajectory (frames, k): frames by level, sizes of the levels.
+// spline.keyframes of a trajectory (frames, k): key frames by level, sizes of the levels.
 nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
     const int64_t frames = int64_t(trajectory.shape(0));
     const size_t k = trajectory.shape(1);
@@ -70,7 +70,7 @@ nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
         middles.clear();
         for (size_t i = 0; i + 1 < keys.size(); ++i) {
             const int64_t middle = (keys[i] + keys[i + 1]) / 2;
-            bool off = middle > keys[i] && too_far(middle);  // where the error is mostly largest
+            bool off = middle > keys[i] && too_far(middle);  // where the error is usually largest
             for (int64_t t = keys[i] + 1; !off && t < keys[i + 1]; ++t) off = too_far(t);
             if (off) middles.push_back(middle);
         }
@@ -86,7 +86,7 @@ nb::tuple spline_keyframes(Input<double, 2> trajectory, double tolerance) {
     return nb::make_tuple(array_of(by_level), array_of(sizes));
 }
 
-// spline.from_splits: frames by level, sizes of the levels, how many bits they took; none for too few bits.
+// spline.from_splits: key frames by level, sizes of the levels, number of bits read; None for too few bits.
 std::optional<nb::tuple> spline_from_splits(Input<uint8_t, 1> bits, int64_t frames) {
     if (frames < 1) throw std::invalid_argument("spline_from_splits: no frames");
     size_t used = 0;
@@ -112,7 +112,7 @@ Output<double> spline_values(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes
     return out.give({keys, k});
 }
 
-// spline.differences: integers and values; none beyond ±2^52.
+// spline.differences: integers and values; None beyond ±2^52.
 std::optional<nb::tuple> spline_differences(Input<int64_t, 1> by_level, Input<int64_t, 1> sizes, Input<double, 2> wanted, double step) {
     const size_t keys = by_level.shape(0), k = wanted.shape(1);
     if (wanted.shape(0) != keys) throw std::invalid_argument("spline_differences: shapes differ");

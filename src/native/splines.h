@@ -16,7 +16,7 @@ namespace splines {
 
 using Frames = std::vector<int64_t>;
 
-// to (k) = the sum of two values and two curvatures, each (2, k), by Spline::Weights.
+// to (k) = weighted sum of two values and two curvatures, each (2, k), with Spline::Weights.
 ALWAYS_INLINE void combine(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
     size_t i = 0;
     for (; i + 4 <= k; i += 4) {
@@ -29,7 +29,7 @@ ALWAYS_INLINE void combine(const double *values, const double *curvatures, const
         to[i] = values[i] * weights[0] + values[k + i] * weights[1] + curvatures[i] * weights[2] + curvatures[k + i] * weights[3];
 }
 
-// spline._curvature, LAPACK's ptsv: curvatures (keys, k), zero at both ends, of values (keys, k) at `count` keys, three or more.
+// spline._curvature (LAPACK's ptsv): curvatures (keys, k), zero at both ends, from values (keys, k) at `count` ≥ 3 keys.
 ALWAYS_INLINE void bend(const double *width, const double *value, size_t count, size_t k, double *curvature) {
     const size_t inner = count - 2;
     std::vector<double> diagonal(inner), beside(inner);
@@ -43,7 +43,7 @@ ALWAYS_INLINE void bend(const double *width, const double *value, size_t count, 
         diagonal[i + 1] -= beside[i] * e;
     }
     double *right = curvature + k;
-    for (size_t i = 0; i < inner; ++i) {  // the right side, and pttrs forwards
+    for (size_t i = 0; i < inner; ++i) {  // the right-hand side, and pttrs forwards
         const double *at = value + i * k;
         double *row = right + i * k;
         for (size_t c = 0; c < k; ++c) row[c] = (at[2 * k + c] - at[k + c]) / width[i + 1] - (at[k + c] - at[c]) / width[i];
@@ -103,15 +103,15 @@ public:
         if (count > 2 && k) find_curvatures(width_.data(), values_.data(), count, k, curvature_.data());
     }
 
-    // At a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
+    // Spline at a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
     struct Weights {
         size_t left;
         double of[4];
     };
 
-    // Of two keys or more.
+    // Weights at frame t; needs two keys or more.
     Weights weights(int64_t t) {
-        if (t < key_[left_] || t >= key_[left_ + 1])  // frames mostly ascend
+        if (t < key_[left_] || t >= key_[left_ + 1])  // frames usually ascend
             left_ = std::clamp<size_t>(size_t(std::upper_bound(key_, key_ + count_, t) - key_), 1, count_ - 1) - 1;
         const double b = double(t - key_[left_]) / width_[left_], a = 1.0 - b, bend = width_[left_] * width_[left_] / 6;
         return {left_, {a, b, (a * a * a - a) * bend, (b * b * b - b) * bend}};
@@ -137,10 +137,10 @@ private:
 
 inline void require_ascending(const int64_t *keys, size_t count) {
     for (size_t i = 0; i + 1 < count; ++i)
-        if (keys[i + 1] <= keys[i]) throw std::invalid_argument("splines: key frames that do not ascend");
+        if (keys[i + 1] <= keys[i]) throw std::invalid_argument("splines: key frames must ascend");
 }
 
-constexpr size_t FRAMES = 4, PANEL = 8, BATCH = 16;  // frames and columns of a tile, frames at a time
+constexpr size_t FRAMES = 4, PANEL = 8, BATCH = 16;  // frames and columns of a tile; frames at a time
 
 // to (BATCH, columns) = mean + curves (BATCH, k) basis (k, columns).
 ALWAYS_INLINE void multiply(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
@@ -191,7 +191,7 @@ public:
     TrackSpline(Input<int64_t, 1> by_level, Input<double, 2> values)
         : TrackSpline(by_level.data(), checked(by_level.shape(0), values.shape(0)), values.data(), values.shape(1)) {}
 
-    // The curves at frames [start, stop), (frames, k).
+    // Curves (frames, k) at frames [start, stop).
     Output<double> at(int64_t start, int64_t stop) {
         const size_t count = size_t(std::max<int64_t>(0, stop - start));
         Fresh<double> out(count * k_);
@@ -222,8 +222,8 @@ private:
     Spline spline_;
 };
 
-// Poses of a segment_model.PcaModel: mean (dimensions,) + spline basisᵀ, basis (dimensions, k). A spline is linear in its values:
-// where there are few, they are multiplied by the basis, not those of each frame.
+// Poses of a segment_model.PcaModel: mean (dimensions,) + spline basisᵀ, basis (dimensions, k). Splines are linear in
+// their values: if there are few keys, it multiplies the values at keys by the basis, not those at frames.
 class PoseSpline {
 public:
     // basis (rows, k), mean (rows).
@@ -245,7 +245,7 @@ public:
         if (basis.shape(1) != k_ || mean.shape(0) != rows_) throw std::invalid_argument("PoseSpline: shapes differ");
     }
 
-    // The frames from `start` on, placed by body_frames.h.
+    // Writes the frames from `start` on, placed by body_frames.h.
     void place(int64_t start, Input<int64_t, 1> columns, Input<double, 2> origin, Input<double, 2> heading, size_t up,
                InPlace<double, 3> positions) {
         const body_frames::World world(columns, origin, heading, up, positions);
@@ -270,7 +270,7 @@ public:
     }
 
 private:
-    // offset + row(i) basisᵀ of each key i, (keys, padded_), and rows without meaning behind.
+    // offset + row(i) basisᵀ for each key i, (keys, padded_), then unused rows.
     template <class Row>
     std::vector<double> products(size_t keys, Row row, const double *offset) const {
         std::vector<double> out((keys + BATCH - 1) / BATCH * BATCH * padded_), rows(BATCH * k_, 0.0);
@@ -296,7 +296,7 @@ inline Frames evenly(int64_t frames) {
     return keys;
 }
 
-// spline._halve: levels of key frames, one after another. halved(middle): whether the interval with this middle is halved.
+// spline._halve: levels of key frames, one after another. halved(middle): whether to halve the interval with this middle.
 template <class Halved>
 void halve(int64_t frames, Halved halved, Frames &by_level, Frames &sizes) {
     by_level = evenly(frames);
@@ -318,17 +318,17 @@ void halve(int64_t frames, Halved halved, Frames &by_level, Frames &sizes) {
     }
 }
 
-// spline._descend: values (keys, k), level by level; decode(i, prediction, out) makes the values of key i.
+// spline._descend: values (keys, k), level by level; decode(i, prediction, out) computes the values of key i.
 template <class Decode>
 void descend(const int64_t *frames, size_t keys, const int64_t *sizes, size_t levels, size_t k, double *values, Decode decode) {
     size_t stop = 0;
-    std::vector<size_t> order(keys);  // of the key frames so far by frame
+    std::vector<size_t> order(keys);  // known key frames, sorted by frame
     Frames known(keys);
     auto sooner = [&](size_t a, size_t b) { return frames[a] < frames[b]; };
     for (size_t level = 0; level < levels; ++level) {
         const size_t start = stop;
         stop += size_t(std::max<int64_t>(0, sizes[level]));
-        if (stop > keys) throw std::invalid_argument("splines: levels with more key frames than there are");
+        if (stop > keys) throw std::invalid_argument("splines: levels have too many key frames");
         std::iota(order.begin() + long(start), order.begin() + long(stop), start);
         if (!level) {
             const std::vector<double> zero(k, 0.0);
@@ -345,7 +345,7 @@ void descend(const int64_t *frames, size_t keys, const int64_t *sizes, size_t le
         }
         std::inplace_merge(order.begin(), order.begin() + long(start), order.begin() + long(stop), sooner);
     }
-    if (stop != keys) throw std::invalid_argument("splines: levels with fewer key frames than there are");
+    if (stop != keys) throw std::invalid_argument("splines: levels have too few key frames");
 }
 
 }  // namespace splines

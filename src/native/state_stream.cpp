@@ -1,4 +1,4 @@
-// Whole streams of one state to integers in one call, for entropy/coder.py, _unpack_dense.
+// Decodes whole streams with one state in one call, for entropy/coder.py, _unpack_dense.
 
 #include <nanobind/stl/optional.h>
 

@@ -24,10 +24,10 @@ constexpr size_t FIELDS = 8, OFFSETS = 8, SHAPES = 2, MIXTURES = 10, WITHOUT_HIN
 constexpr unsigned TOKENS = DIRECT + 4 * 59;
 constexpr size_t WINDOW = 8;  // bytes that are read for some bits
 
-// rans: a state, and the words that move into it.
+// rans: a state and its words.
 struct State {
     State(const uint8_t *data, size_t size) {
-        const size_t head = size <= 4 ? size : 4 - size % 2;  // words follow only a state of three or four bytes
+        const size_t head = size <= 4 ? size : 4 - size % 2;  // only a state of three or four bytes has words
         x = 0;
         for (size_t i = head; i-- > 0;) x = x << 8 | data[i];
         words = data + head, left = (size - head) / 2;
@@ -75,9 +75,9 @@ struct Laws {
         uint32_t frequency, start;
     };
 
-    static constexpr int COARSE = 6;  // the first symbol of 64 slots is looked up, the right one searched from there
+    static constexpr int COARSE = 6;  // a table gives the first symbol of 64 slots; a search finds the symbol
     size_t count, width;
-    std::vector<Symbol> symbols;  // of each law, and one behind them
+    std::vector<Symbol> symbols;  // of each law, with an extra one at the end
     std::vector<uint8_t> first;
     std::vector<int64_t> sizes;
 };
@@ -85,7 +85,7 @@ struct Laws {
 // choice.kept
 inline size_t kept(size_t extent, size_t symbol) { return std::max<size_t>(1, (extent * (symbol + 1) + 31) / 32); }
 
-// The tables of choice.parameter_tables, of the laws of models.family of one ladder, of models.usual_law, of MIXTURES.
+// Tables of choice.parameter_tables, laws of models.family for one ladder, models.usual_law, MIXTURES.
 class StateStreams {
 public:
     using Numbers = Input<int64_t, 1>;
@@ -97,12 +97,12 @@ public:
         std::copy_n(mixtures.data(), MIXTURES * NEIGHBOURS, &mixtures_[0][0]);
     }
 
-    // First the tables of parameters, then the laws of each shape; the last law of a shape is that of what escapes are beyond.
+    // Add first the tables of parameters, then the laws of each shape; the last law of a shape codes the excess of escapes.
     void add(Numbers frequency, Numbers start, Input<uint8_t, 1> symbol, Numbers sizes) {
         tables_.emplace_back(frequency, start, symbol, sizes);
     }
 
-    // Whether a stream has the long ladder of laws.
+    // Whether a stream uses the long ladder of laws.
     bool has_long_ladder(const uint8_t *data, size_t size) const {
         if (size < 2) return false;
         State state(data, size);
@@ -118,9 +118,9 @@ public:
         return read(state, steps, lanes, most, out);
     }
 
-    // Integers (steps, lanes); none for streams of the other ladder of laws, with hints, or that no encoder writes.
+    // Decodes integers (steps, lanes). None for streams with the other ladder or hints, and for damaged streams.
     std::optional<Output<int64_t>> unpack(nb::bytes data, size_t steps, size_t lanes, size_t most) const {
-        if (tables_.size() != 1 + SHAPES || tables_[0].count != FIELDS) throw std::invalid_argument("StateStreams: other tables");
+        if (tables_.size() != 1 + SHAPES || tables_[0].count != FIELDS) throw std::invalid_argument("StateStreams: wrong tables");
         Fresh<int64_t> out(steps * lanes);
         bool whole = false;
         {
@@ -161,7 +161,7 @@ private:
         return true;
     }
 
-    // one_state.StateDecoder.raw and coder._unpack_one: signs and mantissas from the low end of the state, the last ones first.
+    // one_state.StateDecoder.raw, coder._unpack_one: reads signs and mantissas from the low end of the state, last first.
     static bool read_values(State &state, const std::vector<uint8_t> &token, int64_t *out) {
         size_t total = 0;
         for (uint8_t t : token) {
