@@ -77,18 +77,12 @@ public:
         components = bases[0].shape(0);
         to.pose = copied<double>(pose);
         to.weights = copied<double>(weights);
-        for (size_t band = 0; band < bases.size(); ++band) {
-            const auto &basis = bases[band];
+        for (const auto &basis : bases) {
             if (basis.shape(0) != components || basis.shape(1) != to.dimensions)
                 throw std::invalid_argument("ChunkCodec: bases of different shapes");
-            if (band && basis.data() == bases[band - 1].data()) {  // shared: a basis of many points takes megabytes
-                to.bases.push_back(to.bases.back());
-                continue;
-            }
-            auto padded = std::make_shared<std::vector<double>>(components * to.columns, 0.0);
-            for (size_t i = 0; i < components; ++i)
-                std::copy_n(basis.data() + i * to.dimensions, to.dimensions, padded->data() + i * to.columns);
-            to.bases.push_back(std::move(padded));
+            const bool same = !to.bases.empty() && to.bases.back().get() == basis.data();
+            // The array is kept, not copied: a basis of many points takes megabytes.
+            to.bases.push_back(same ? to.bases.back() : std::shared_ptr<const double>(basis.data(), [basis](const double *) {}));
         }
         if (pose.shape(1) != 3 || (to.weights.size() && to.weights.size() != to.points))
             throw std::invalid_argument("ChunkCodec: shapes differ");

@@ -34,7 +34,7 @@ struct Tree {
 // A model's coordinates. Columns of curves: coordinates of the pose, heading, place.
 struct Shape {
     size_t points = 0, dimensions = 0, columns = 0;  // columns: of curves, a multiple of PANEL
-    std::vector<std::shared_ptr<const std::vector<double>>> bases; // basis of each band, (components, columns)
+    std::vector<std::shared_ptr<const double>> bases;  // basis of each band, (components, dimensions)
     std::vector<double> pose;                        // mean pose (points, 3), for models of positions
     std::unique_ptr<Tree> tree;                      // for models of bone directions
     std::vector<double> weights;                     // (points,), or empty
@@ -110,7 +110,7 @@ private:
         while (at != end) {
             const size_t frequency = at->frequency;
             while (frequency >= band_ends_[band]) ++band;
-            const double *basis = of_.bases[band]->data();
+            const double *basis = of_.bases[band].get();
             std::fill_n(row, columns, 0.0);
             for (; at != end && at->frequency == frequency && at->row < POSE; ++at)
                 row[of_.dimensions + at->row] = value_of(*at);
@@ -132,10 +132,12 @@ private:
         const double *components[N];
         double values[N];
         for (int i = 0; i < N; ++i) {
-            components[i] = basis + (from[i].row - POSE) * of_.columns;
+            components[i] = basis + (from[i].row - POSE) * of_.dimensions;
             values[i] = value_of(from[i]);
         }
-        for (size_t c = 0, columns = of_.columns; c < columns; c += 4) {
+        const size_t dimensions = of_.dimensions;
+        size_t c = 0;
+        for (; c + 4 <= dimensions; c += 4) {
             Four sum, one;
             load(sum, row + c);
             for (int i = 0; i < N; ++i) {
@@ -144,6 +146,8 @@ private:
             }
             store(sum, row + c);
         }
+        for (; c < dimensions; ++c)
+            for (int i = 0; i < N; ++i) row[c] += components[i][c] * values[i];
     }
 
     // stages/dct.py, inverse: curves (frames, columns) of the frames that `poses` needs, four at a time; of all frames
@@ -191,14 +195,18 @@ private:
         component_curves(known, scratch);
         scratch.packed.resize(count * PANEL);
         double *packed = scratch.packed.data();
-        const double *basis = of_.bases.front()->data();
+        const double *basis = of_.bases.front().get();
         for (size_t panel = 0; panel < columns / PANEL; ++panel) {
+            const size_t first = panel * PANEL, dimensions = of_.dimensions;
+            const size_t inside = first < dimensions ? std::min(PANEL, dimensions - first) : 0;
             for (size_t j = 0; j < count; ++j) {
                 double *to = packed + j * PANEL;
-                if (of.rows[j] < POSE)  // heading and place have their own columns
-                    for (size_t c = 0; c < PANEL; ++c) to[c] = panel * PANEL + c == of_.dimensions + of.rows[j];
-                else
-                    std::memcpy(to, basis + (of.rows[j] - POSE) * columns + panel * PANEL, PANEL * sizeof(double));
+                if (of.rows[j] < POSE) {  // heading and place have their own columns
+                    for (size_t c = 0; c < PANEL; ++c) to[c] = first + c == dimensions + of.rows[j];
+                } else {
+                    std::copy_n(basis + (of.rows[j] - POSE) * dimensions + first, inside, to);
+                    std::fill(to + inside, to + PANEL, 0.0);
+                }
             }
             for (size_t t0 = 0; t0 < frames; t0 += TILE) {
                 if (out.first < out.last && (t0 + TILE <= out.first || t0 >= out.last + TILE)) continue;

@@ -26,6 +26,9 @@ constexpr double LIMIT = 1099511627776.0;  // 2^40: larger predictions and resid
 constexpr double WIDE = 12;                // residuals with a larger coordinate are not optimised
 constexpr int LARGEST_STRIDE_LOG = 6;
 constexpr int EDGE = 7;                    // level of samples without both neighbours in time
+// An encoder gives up where some points take this many times their share of the most bytes, and this share of all beside:
+// the first points take up to half more than others.
+constexpr double CLEARLY = 1.25, OF_FIRST_POINTS = 0.05;
 
 struct Layout {
     size_t frames, points;
@@ -51,12 +54,23 @@ public:
         }
     }
 
-    // Codes the chunk. Returns whether the stream was consistent.
-    bool run() {
-        for (size_t i = 0; i < of.points; ++i)
+    // Codes the chunk. Returns whether the stream was consistent; an encoder: whether it coded all samples. It gives up where
+    // the first points show that the stream would clearly be longer than `most_bytes`.
+    bool run(double most_bytes = HUGE_VAL) {
+        for (size_t i = 0; i < of.points; ++i) {
             if (!point(size_t(of.sequence[i]), i == 0)) return false;
+            if constexpr (ENCODES) {
+                const double share = double(i + 1) / double(of.points), bytes = double(coder_.size());
+                if (bytes > most_bytes * (CLEARLY * share + OF_FIRST_POINTS)) {
+                    expected_bytes = size_t(bytes / share);
+                    return false;
+                }
+            }
+        }
         return true;
     }
+
+    size_t expected_bytes = 0;  // about those of the stream, where an encoder gave up; otherwise 0
 
 private:
     const Layout of;

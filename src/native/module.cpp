@@ -27,6 +27,7 @@
 //                   signal_chunks.cpp decodes whole chunks (signal_records.h: bytes, signal_values.h: integers to values)
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
+//   marker_fitting.cpp bones that markers sit on, for codecs/tempo/models/marker_fitting.py
 //   clip_synthesis.cpp    positions of clips from integers, for codecs/hou2014/stream.py; cosine_series.h is the DCT
 //   clip_quantiser.cpp    integers of coefficients, for codecs/hou2014/quantised_motion.py
 //   clip_lengths.cpp      the best length of clips, for codecs/hou2014/clip_segmentation.py
@@ -59,7 +60,7 @@ namespace nb = nanobind;
     PART(varints) PART(chunk_codec) PART(bulk) PART(bone_coordinates) PART(point_octree) PART(cube_octree)                 \
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
-    PART(ordered) PART(lattice_neighbours)         \
+    PART(ordered) PART(lattice_neighbours) PART(marker_fitting)         \
     PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
     PART(bounded)
 
