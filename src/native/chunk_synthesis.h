@@ -287,9 +287,10 @@ private:
                 const Four moved[3] = {cosine * x + sine * z + place[0], pose[3 * p + 1] + place[1],
                                        cosine * z - sine * x + place[2]};
                 sum += moved[0] + moved[1] + moved[2];
-                double *to = out.positions + ((first - out.first) * points + p) * 3;
-                for (size_t k = 0; k < 3; ++k)
-                    for (size_t i = 0; i < count; ++i) to[i * points * 3 + out.axis[k]] = moved[k][i];
+                for (size_t k = 0; k < 3; ++k) {
+                    double *at = out.positions + ((first - out.first) * points + p) * 3 + out.axis[k];
+                    for (size_t i = 0; i < count; ++i) at[i * points * 3] = moved[k][i];
+                }
             }
         }
         return std::isfinite(sum[0] + sum[1] + sum[2] + sum[3]);
