@@ -1,5 +1,5 @@
 """How the codecs are measured, against each other, against other coders and against their papers.
 
 Run from the repository root: `scripts/bench COMMAND …` or `python -m benchmarks COMMAND …`; without a command it lists
-them. docs/evaluation.md explains what is measured and which command makes which table.
+them. docs/evaluation.md explains the measurements and which command makes which table.
 """

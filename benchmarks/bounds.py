@@ -98,7 +98,7 @@ def of_markers(name: str, motion: Motion) -> Iterator[dict[str, Any]]:
     for bound in BOUNDS_M:
         ours = coded(Tempo(max_error=bound), motion, bound)
         theirs = runner.search(
-            lambda knob: runner.theirs(sz3, motion, knob), motion, "max_error", bound, sz3.knob_of(bound / 3)
+            lambda knob: runner.run_rival(sz3, motion, knob), motion, "max_error", bound, sz3.knob_of(bound / 3)
         )
         if theirs is None or not (error := largest_distance(motion.positions, theirs.positions)) <= bound:
             raise ValueError(f"{name}: no setting of SZ3 keeps {bound} m")

@@ -178,7 +178,7 @@ RIVALS: dict[str, Callable[[Array], int | None]] = {
 }  # fmt: skip
 
 
-def ours(signal: Signal) -> int:
+def stored_bytes(signal: Signal) -> int:
     """Bytes that a file takes for the samples: coded, or as an array where that is shorter."""
     values, as_array = signal.values, len(arrays.pack(signal.values))
     found = codec.encode(values, signal.rate) if codec.suits(values) else None
@@ -231,7 +231,7 @@ def signals_command(data: Path) -> None:
         for path, signal in signals(motion.extras):
             all_signals.append(signal)
             row = {"file": name, "signal": path, "shape": list(signal.shape), "dtype": str(signal.dtype)}
-            row |= {"ours": ours(signal), **{rival: size(signal.values) for rival, size in RIVALS.items()}}
+            row |= {"ours": stored_bytes(signal), **{rival: size(signal.values) for rival, size in RIVALS.items()}}
             rows.append(row)
             click.echo(f"{row}", err=True)
     total, before = (sum(row[name] for row in rows) for name in ("ours", "arrays"))

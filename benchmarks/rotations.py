@@ -40,7 +40,7 @@ MEANS, BOUNDS = (0.0009, 0.003), (0.001, 0.003, 0.0038, 0.01, 0.013)
 EXERCISE = ("cmu/asfamc/03/03_04.amc", "cmu/asfamc/01/01_06.amc", "cmu/asfamc/02/02_10.amc", "cmu/asfamc/49/49_20.amc")
 EXERCISE_FRAMES = 4500
 SPREAD = 6
-"""One trial in so many of each subject is measured."""
+"""Every SPREAD-th trial of each subject is measured."""
 SHELL_M = 0.03
 
 

@@ -110,7 +110,7 @@ def of_recording(
     sz3 = rivals.Sz3()
     with folds.unseen(prior):
         for target, wanted in [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]:
-            outcome = runner.ours("tempo", motion, **{target: wanted})
+            outcome = runner.run_codec("tempo", motion, **{target: wanted})
             found.append(measurement(label, kind, motion, "tempo", target, wanted, outcome))
             if reused := known_measurement("sz3", target, wanted):
                 found += reused
@@ -118,7 +118,7 @@ def of_recording(
             guess = sz3.knob_of(wanted if target == "mean_error" else wanted / 3)
 
             def run(knob: float) -> runner.Outcome:
-                return runner.theirs(sz3, motion, knob)
+                return runner.run_rival(sz3, motion, knob)
 
             theirs = runner.search(run, motion, target, wanted, guess)
             if theirs is not None:
@@ -130,7 +130,7 @@ def of_recording(
                     found += reused
                     continue
                 with contextlib.suppress(CannotEncode):
-                    outcome = runner.ours(codec, motion, mean_error=wanted)
+                    outcome = runner.run_codec(codec, motion, mean_error=wanted)
                     found.append(measurement(label, kind, motion, name, "mean_error", wanted, outcome))
         if kind == "joints, long" and with_hou:
             found += of_chunks(label, kind, motion)

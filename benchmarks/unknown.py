@@ -214,7 +214,7 @@ def of_case(case: Case, data: Path, priors: Path, known: Sequence[Measurement] =
     sz3 = rivals.Sz3()
     with folds.unseen(prior):
         for target, wanted in [("mean_error", e) for e in MEANS] + [("max_error", e) for e in BOUNDS]:
-            outcome = runner.ours("tempo", motion, **{target: wanted})
+            outcome = runner.run_codec("tempo", motion, **{target: wanted})
             yield measurement(case.label, "unknown", motion, "tempo", target, wanted, outcome)
             reused = [
                 f for f in known if (f.file, f.codec, f.target, f.target_m) == (case.label, "sz3", target, wanted)
@@ -224,7 +224,7 @@ def of_case(case: Case, data: Path, priors: Path, known: Sequence[Measurement] =
                 continue
 
             def run(knob: float) -> runner.Outcome:
-                return runner.theirs(sz3, motion, knob)
+                return runner.run_rival(sz3, motion, knob)
 
             guess = sz3.knob_of(wanted if target == "mean_error" else wanted / 3)
             theirs = runner.search(run, motion, target, wanted, guess)

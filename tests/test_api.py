@@ -136,6 +136,8 @@ def test_a_truncated_file_is_salvaged():
 def test_wrong_arguments_raise():
     with pytest.raises(mc.BadInput, match="no target 'ratio'"):
         mc.encode(walk(), "plain", ratio=3)
+    with pytest.raises(mc.BadInput, match=r"max_error must be a number of metres, such as 0\.002, not '2mm'"):
+        mc.encode(walk(), max_error="2mm")  # pyright: ignore[reportCallIssue, reportArgumentType]
     with pytest.raises(mc.BadInput, match="no setting"):
         mc.encode(walk(), "plain", colour=3)
     with pytest.raises(mc.UnknownCodec):
@@ -290,6 +292,8 @@ def test_another_kind_than_asked_for_raises(tmp_path: Path):
     for read in (mc.read, mc.decode, mc.open):
         with pytest.raises(mc.BadInput, match=r"walk\.mocz: this file holds a motion, not point clouds"):
             read(tmp_path / "walk.mocz", mc.PointClouds)
+    with pytest.raises(mc.BadInput, match=r"the kind is mocodec\.Motion or mocodec\.PointClouds, not 'Motion'"):
+        mc.decode(tmp_path / "walk.mocz", "Motion")  # pyright: ignore[reportCallIssue, reportArgumentType]
     with pytest.raises(mc.BadInput, match="holds a motion"):
         mc.read(tmp_path / "walk.npz", mc.PointClouds)
     assert mc.read(tmp_path / "walk.npz", mc.Motion).points == 4

@@ -61,3 +61,17 @@ def test_frames_of_point_clouds() -> None:
     assert clouds[::3].rate == 10
     with pytest.raises(mc.FrameOutOfRange):
         clouds[7]
+
+
+@pytest.mark.parametrize(
+    ("shape", "hint"),
+    [
+        ((4, 15), r"reshape\(-1, 5, 3\)"),
+        ((4, 3, 5), r"transpose\(0, 2, 1\)"),
+        ((4, 5, 4), r"\[:, :, :3\]"),
+        ((4, 16), r"not \(4, 16\)$"),
+    ],
+)
+def test_arrays_of_other_shapes_are_refused_with_a_hint(shape: tuple[int, ...], hint: str) -> None:
+    with pytest.raises(mc.BadInput, match=hint):
+        mc.Motion(np.zeros(shape), 30)

@@ -40,7 +40,7 @@ def built(people: Path, where: Path, options: archive.Options, workers: int, exe
 
 
 def on_cluster(people: Path, where: Path, options: archive.Options, workers: int) -> float:
-    """Seconds of a build on a cluster of this machine with so many workers of one thread."""
+    """Seconds of a build on a cluster of this machine. workers: of one thread each."""
     import distributed  # pyright: ignore[reportMissingImports]
 
     with (

@@ -14,7 +14,7 @@ from ..figures import set_logarithmic
 from .published import PUBLISHED
 from .records import HARD, MEAN, OURS, Record
 from .rivals import RIVALS
-from .tables import cell, coders, geometric, good, targets_of
+from .tables import cell, coders, geometric, successful, targets_of
 
 COLOURS = {"tempo": "#d1495b", "hou2014": "#00798c", "liu2006": "#edae49", "lossless": "#7b5ea7", "sz3": "#30638e"}
 HOLLOW = "Geometric mean over recordings; hollow marks are printed figures of other systems, on other sequences."
@@ -75,7 +75,7 @@ def draw_curves(axes: Any, records: Sequence[Record], target: str) -> bool:
     The legend lists the curves from the top. Dashes and marks tell apart curves that lie on each other.
     """
     curves: list[tuple[str, list[tuple[float, float]]]] = []
-    for name in coders(good(records)):
+    for name in coders(successful(records)):
         points = []
         for t, wanted in targets_of(records):
             ratios = [r.ratio for r in cell(records, name, t, wanted)] if t == target else []
@@ -133,7 +133,7 @@ def draw_hard(figure: Any, records: Sequence[Record]) -> bool:
 
 def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
     """Shares of the parts of our files."""
-    rows = [(n, t, m) for n in coders(good(records)) if n in OURS for t, m in targets_of(records)]
+    rows = [(n, t, m) for n in coders(successful(records)) if n in OURS for t, m in targets_of(records)]
     rows = [row for row in rows if cell(records, *row)]
     if not rows:
         return False
@@ -141,7 +141,7 @@ def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
 
     axes = figure.subplots()
     axes.set_prop_cycle(color=[colormaps["tab20"](i) for i in range(20)])
-    names = sorted({p for r in good(records) if r.ours for p in r.bytes_by_part})
+    names = sorted({p for r in successful(records) if r.ours for p in r.bytes_by_part})
     left = np.zeros(len(rows))
     labels = [f"{n} {'≤' if t == HARD else '~'}{m * 100:g} cm" for n, t, m in rows]
     for part in names:
@@ -158,7 +158,7 @@ def draw_parts(figure: Any, records: Sequence[Record]) -> bool:
 
 def draw_speed(figure: Any, records: Sequence[Record]) -> bool:
     """Ratio against frames a second, at a mean error of 0.3 cm."""
-    names = [n for n in coders(good(records)) if cell(records, n, MEAN, 0.003)]
+    names = [n for n in coders(successful(records)) if cell(records, n, MEAN, 0.003)]
     if not names:
         return False
     for axes, way in zip(figure.subplots(1, 2, sharey=True), ("encode", "decode"), strict=True):
@@ -177,7 +177,7 @@ def draw_speed(figure: Any, records: Sequence[Record]) -> bool:
 
 def draw_figure(figure: Any, records: Sequence[Record]) -> bool:
     """Mean error of each joint on a stick figure of the first recording with a skeleton."""
-    one = next((r for r in good(records) if r.figure.get("parents")), None)
+    one = next((r for r in successful(records) if r.figure.get("parents")), None)
     if one is None:
         return False
     at, parents = np.array(one.figure["positions"]), one.figure["parents"]

@@ -14,7 +14,7 @@ from .. import markdown as md
 from ..machine import measured_on
 from .charts import charts
 from .records import Record
-from .tables import difference_rows, good, our_rows, ratio_rows, tables
+from .tables import difference_rows, our_rows, ratio_rows, successful, tables
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:68rem;margin:2rem auto;padding:0 1rem;color:#222}"
@@ -36,13 +36,13 @@ def markdown(records: Sequence[Record], machine: dict[str, Any]) -> str:
 
 def summary(records: Sequence[Record], machine: dict[str, Any]) -> str:
     """The tables of the README: ratios and bytes saved, and how they were measured."""
-    people = sorted({r.settings["prior"] for r in good(records) if "prior" in r.settings})
+    people = sorted({r.settings["prior"] for r in successful(records) if "prior" in r.settings})
     unseen = (
         "For each person, tempo used a prior trained without that person (leave-subjects-out)."
         if people
         else "tempo used the prior inside the package."
     )
-    count = len({r.file for r in good(records)})
+    count = len({r.file for r in successful(records)})
     return (
         "\n\n".join(
             [

@@ -60,7 +60,7 @@ class Outcome:
     parts: dict[str, int]
 
 
-def ours(codec: str, motion: Motion, **settings: Any) -> Outcome:
+def run_codec(codec: str, motion: Motion, **settings: Any) -> Outcome:
     """Encode and decode with a codec of this package."""
     started = time.perf_counter()
     data = container.pack(api.with_options(codec, **settings).encode(motion))
@@ -86,7 +86,7 @@ def bytes_by_part(file: api.File) -> dict[str, int]:
     return {name: size for name, size in {**parts, "shared": 0, "chunks": 0, **own}.items() if size}
 
 
-def theirs(rival: rivals.Rival, motion: Motion, knob: float) -> Outcome:
+def run_rival(rival: rivals.Rival, motion: Motion, knob: float) -> Outcome:
     """Encode and decode with a rival; the gap mask is deflated and counted."""
     positions, mask = datasets.filled(motion)
     started = time.perf_counter()
@@ -180,10 +180,10 @@ def encode_to_target(
     """One coder at one target; None if a rival cannot meet it."""
     if rival is not None:
         if target == "lossless":
-            return theirs(rival, motion, 0.0)
+            return run_rival(rival, motion, 0.0)
         guess = rival.knob_of(wanted if target == "mean_error" else wanted / 3)
-        return search(lambda knob: theirs(rival, motion, knob), motion, target, wanted, guess)
-    return ours(coder, motion, **({} if target == "lossless" else {target: wanted}))
+        return search(lambda knob: run_rival(rival, motion, knob), motion, target, wanted, guess)
+    return run_codec(coder, motion, **({} if target == "lossless" else {target: wanted}))
 
 
 def fill(record: Record, motion: Motion, outcome: Outcome) -> None:

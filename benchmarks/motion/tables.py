@@ -16,7 +16,7 @@ Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
 
 
-def good(records: Iterable[Record]) -> list[Record]:
+def successful(records: Iterable[Record]) -> list[Record]:
     """Records with a result."""
     return [r for r in records if r.bytes and not r.problem]
 
@@ -34,7 +34,7 @@ def geometric(values: Sequence[float]) -> float:
 
 def cell(records: Sequence[Record], codec: str, target: str, wanted: float) -> list[Record]:
     """Records with a result of one coder at one target."""
-    return [r for r in good(records) if (r.codec, r.target, r.target_m) == (codec, target, wanted)]
+    return [r for r in successful(records) if (r.codec, r.target, r.target_m) == (codec, target, wanted)]
 
 
 LEAST_SHARE = 0.8
@@ -82,7 +82,7 @@ def bjontegaard(records: Sequence[Record], codec: str, against: str, target: str
 def ratio_rows(records: Sequence[Record]) -> Table:
     """The main table: geometric mean ratio of each coder at each target, over recordings that all of them code."""
     wanted = targets_of(records)
-    names = [n for n in coders(good(records)) if any(cell(records, n, *t) for t in wanted)]
+    names = [n for n in coders(successful(records)) if any(cell(records, n, *t) for t in wanted)]
     compared = {t: comparable(records, names, *t) for t in wanted}
     head = ["codec"] + [f"{HEADINGS[t]} {m * 100:g} cm" for t, m in wanted]
     rows = []
@@ -100,7 +100,7 @@ def ratio_rows(records: Sequence[Record]) -> Table:
 def difference_rows(records: Sequence[Record]) -> Table:
     """Bjøntegaard differences from SZ3 and hou2014, in percent of bytes."""
     rows = []
-    for name in coders(good(records)):
+    for name in coders(successful(records)):
         row = [name]
         for target in (MEAN, HARD):
             for against in ("sz3", "hou2014"):
@@ -114,7 +114,7 @@ def difference_rows(records: Sequence[Record]) -> Table:
 
 def lossless_rows(records: Sequence[Record]) -> Table:
     """Compression ratios of the lossless coders."""
-    names = [n for n in coders(good(records)) if cell(records, n, "lossless", 0.0)]
+    names = [n for n in coders(successful(records)) if cell(records, n, "lossless", 0.0)]
     names, files = comparable(records, names, "lossless", 0.0)
     return ["codec", "lossless ratio", "recordings"], [
         [
@@ -129,8 +129,8 @@ def lossless_rows(records: Sequence[Record]) -> Table:
 def speed_rows(records: Sequence[Record]) -> Table:
     """Median frames a second. Our codecs steer in one call; a rival's time is its last search step."""
     rows = []
-    for name in coders(good(records)):
-        mine = [r for r in good(records) if r.codec == name]
+    for name in coders(successful(records)):
+        mine = [r for r in successful(records) if r.codec == name]
         encode, decode = (float(np.median([getattr(r, k) for r in mine])) for k in ("encode_fps", "decode_fps"))
         memory = float(np.median([r.peak_memory_mb for r in mine]))
         rows.append([name, f"{encode:,.0f}", f"{decode:,.0f}", f"{memory:,.0f}"])
@@ -139,14 +139,14 @@ def speed_rows(records: Sequence[Record]) -> Table:
 
 def file_rows(records: Sequence[Record]) -> Table:
     """Every recording: frames, points, rate, and the ratios of our codecs and SZ3 at all targets."""
-    names = [n for n in ("tempo", "hou2014", "liu2006", "sz3") if n in coders(good(records))]
+    names = [n for n in ("tempo", "hou2014", "liu2006", "sz3") if n in coders(successful(records))]
     wanted = targets_of(records)
     head = ["recording", "frames", "points", "Hz"] + [
         f"{n} {'≤' if t == HARD else '~'}{m * 100:g}" for t, m in wanted for n in names
     ]
     rows = []
-    for file in sorted({r.file for r in good(records)}):
-        one = next(r for r in good(records) if r.file == file)
+    for file in sorted({r.file for r in successful(records)}):
+        one = next(r for r in successful(records) if r.file == file)
         row = [file, str(one.frames), str(one.points), f"{one.rate:g}"]
         for t in wanted:
             for n in names:

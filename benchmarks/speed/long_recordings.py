@@ -55,7 +55,7 @@ def joined_recordings() -> mc.Motion:
 
 
 def blocks(source: mc.Motion, frames: int) -> Iterator[mc.Motion]:
-    """So many frames: the source over and over."""
+    """`frames` frames: the source over and over."""
     at = 0
     while at < frames:
         start = at % (len(source) - BLOCK_FRAMES)
@@ -140,7 +140,7 @@ def page(results: dict[str, Any]) -> str:
 
 @click.command("long")
 @click.option("--table-only", is_flag=True, help="Write the table from the stored results.")
-@click.option("--hours", type=float, help="Only recordings of at most so many hours.")
+@click.option("--hours", type=float, help="Only recordings of at most this length.")
 def command(table_only: bool, hours: float | None) -> None:
     """Encode long recordings in blocks and at once; write docs/results/long.json and long.md."""
     if not table_only:

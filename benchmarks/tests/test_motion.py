@@ -160,7 +160,7 @@ def test_people_are_coded_with_a_prior_that_has_not_seen_them(tmp_path: Path) ->
 def test_bytes_by_part_add_up_to_the_file() -> None:
     motion = synthetic.markers(frames=300, seed=5)
     for codec in ("hou2014", "liu2006", "lossless"):
-        outcome = runner.ours(codec, motion)
+        outcome = runner.run_codec(codec, motion)
         assert sum(outcome.parts.values()) == outcome.data_bytes
 
 

@@ -46,11 +46,18 @@ def read(path: AnyPath, kind: None = None, *, fps: float, **options: Any) -> Poi
 @overload
 def read(path: AnyPath, kind: None = None, **options: Any) -> Recording: ...
 def read(path: AnyPath, kind: type[Recording] | None = None, **options: Any) -> Recording:
-    """Read a .c3d, .trc, .bvh, .amc, .npz, .glb, .ply, a folder of .ply, or a .mocz; the suffix decides.
+    """Read a recording: .c3d .trc .bvh .amc .npz .npy .glb .csv .sto …, a folder of .ply, or a .mocz, by its suffix.
 
-    kind: `Motion` or `PointClouds`: a file of the other kind is an error, and type checkers know the result. options
-    are those of the format's reader (`asf=` for an .amc, `fps=` for a folder of .ply; docs/formats.md).
-    Raises BadInput; for a .mocz also what `decode` raises.
+        motion = mocodec.read("walk.c3d", mocodec.Motion)
+        motion = mocodec.read("walk.bvh", unit="cm")
+        clouds = mocodec.read("dancer", mocodec.PointClouds, fps=15)
+
+    kind: `Motion` or `PointClouds`: a file of the other kind is an error, and type checkers know the result.
+    options: those of the format's reader (docs/formats.md; `mocodec.formats.read_options(path)` lists them). Most take
+    unit ("mm", or metres per unit), rate (hertz), up ("x", "y", "z") and start (seconds) in place of what the file
+    says; an .amc takes asf, a folder of .ply fps.
+
+    Returns positions in metres. Raises BadInput; for a .mocz also what `decode` raises.
     """
     if is_mocz(path):
         if options:
@@ -134,14 +141,33 @@ def encode(
 ) -> bytes:
     """Encode a motion or point clouds as the bytes of a .mocz.
 
-    codec: a name, or an instance such as `Hou2014(components=40)`; by default "tempo" for motion and "bodycast" for
-    point clouds. Targets: `max_error` (no point of any frame is farther off, metres), `mean_error` (metres), `ratio`
-    (to float32 positions), `size` (bytes of the file); of point clouds, whose errors are distances to the nearest point
-    in both directions, also `psnr` (of the luma, dB). signal_error: how far samples of signals may be off, "12bit" or
-    "0.1%" of their range or by label "Fz*=0.5N, EMG*=12bit"; None keeps them exactly. settings: other settings of the
-    codec. threads: how many chunks are coded at a time, where the codec can; None: as in `decode`;
-    the bytes do not depend on it. progress: called with fractions from 0 to 1.
-    Raises BadInput for settings that the codec does not have, CannotEncode if it cannot meet them.
+        blob = mocodec.encode(motion, max_error=0.002)                         # no point is farther off than 2 mm
+        blob = mocodec.encode(motion, "hou2014", ratio=100, components=40)     # another codec, target and setting
+
+    recording: `Motion` (positions (frames, points, 3) in metres) or `PointClouds`.
+    codec: "tempo" (the default for motion), "hou2014", "liu2006", "lossless"; "bodycast" (the default for point
+    clouds), "lien2006"; or an instance that has settings, such as `Hou2014(components=40)`.
+
+    Targets, at most one of the first four; without any, tempo moves no point of any frame by more than 5 mm:
+
+    max_error: metres; no point of any frame is farther off. Where rotations are kept, this holds for joints and points
+    3 cm off them; of point clouds, errors are distances to the nearest point of the other cloud, in both directions.
+    mean_error: metres; the mean over all points and frames is not larger.
+    ratio: size as float32 positions (`raw_bytes`) over size of the file without extras, at least.
+    size: bytes of the file, at most.
+    max_rotation: degrees; no joint is rotated farther off. For tempo, alone or with another target.
+    psnr: dB, of the luma between nearest points of clouds, at least. For bodycast, alone or with another target.
+
+    signal_error: how far samples of signals in `extras` may be off: "12bit" or "0.1%" of their range, or by label
+    "Fz*=0.5N, EMG*=12bit"; None keeps them exactly.
+    threads: how many chunks are coded at a time, where the codec can; None: all processors, or MOCODEC_THREADS. The
+    bytes do not depend on it.
+    progress: called with fractions from 0 to 1.
+    settings: the targets and other settings of the codec, which are the fields of its class (`help(mocodec.Tempo)`).
+
+    Returns the bytes; `mocodec.write("walk.mocz", motion, max_error=0.002)` writes them to a file, `decode` decodes
+    them. Raises BadInput for settings that the codec does not have or that contradict each other, CannotEncode if it
+    cannot meet them.
     """
     if not isinstance(cast(object, recording), (Motion, PointClouds)):
         raise BadInput(
@@ -165,12 +191,17 @@ def encode_blocks(
 ) -> Written:
     """Write a .mocz of a recording that comes in blocks and need not fit into memory; returns its size and errors.
 
+        written = mocodec.encode_blocks(mocodec.read_blocks("day.npy", rate=120), "day.mocz", max_error=0.005)
+
     blocks: motions that follow each other, of the same points and rate and of any lengths: `read_blocks(path)`, or your
     own generator. Names, skeleton and `source` are those of the first block; extras are those of `read_blocks`, and
-    left out of other sources. Targets and settings are those of `encode`; `ratio` and `size` need the number of frames
-    (`frames`, or the source's). The model is fitted to the first minutes, or to parts from everywhere where the source
-    can be read anywhere. Every chunk is decoded and measured; the file appears complete or not at all. A recording of
-    less than some minutes is encoded as by `encode`. Rotations are kept under `max_error`, of motions without gaps.
+    left out of other sources.
+    frames: the number of frames, for `ratio`, `size` and progress, where the source does not say it.
+    threads, progress, settings (targets and others): as in `encode`.
+
+    The model is fitted to the first minutes, or to parts of the whole recording if the source can be read at any frame.
+    Every chunk is decoded and measured; the file appears complete or not at all. A recording of less than some minutes
+    is encoded as by `encode`. Rotations are kept under `max_error`, of motions without gaps.
     Raises BadInput, also for codecs other than tempo; CannotEncode.
     """
     from . import in_pieces
@@ -209,12 +240,19 @@ def decode(
     threads: int | None = None,
     progress: Callback | None = None,
 ) -> Recording:
-    """Decode a .mocz: bytes, a path, an http(s) URL or a binary file object.
+    """Decode a .mocz: a `Motion` or `PointClouds`, with all frames, gaps, names and extras.
 
-    kind: `Motion` or `PointClouds`, as in `read`. threads: how many decode chunks at a time, where the codec and the
-    compiled module can (`parallel`); None for all processors, or MOCODEC_THREADS. progress: called with fractions from
-    0 to 1. `File.positions` decodes to an array that you have, or of another type.
-    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
+        motion = mocodec.decode("walk.mocz", mocodec.Motion)
+        motion.positions                                   # (frames, points, 3) float64, metres; NaN where missing
+
+    source: bytes, a path, an http(s) URL or a binary file object. `open` reads some frames without the others.
+    kind: `Motion` or `PointClouds`: a file of the other kind is an error, and type checkers know the result.
+    threads: how many threads decode, where the codec and the compiled module can; None: all processors, or
+    MOCODEC_THREADS.
+    progress: called with fractions from 0 to 1.
+
+    Raises Truncated and Corrupt for damaged files, TooNew and UnknownCodec for those of a later version, BadInput for
+    files that are no .mocz or do not exist.
     """
     with progress_.listening(progress), open(source, kind) as f:
         recording = f.decode(slice(0, len(f)), threads=threads)

@@ -33,7 +33,13 @@ def errors(
     picture.suptitle(title, fontsize=10)
     axes = picture.subplots()
     seconds = np.array(found.frames) / original.rate
-    axes.plot(seconds, 1000 * found.max_of_frame, color=plots.FAINT, linewidth=0.8, label="largest of the frame")
+    axes.plot(
+        seconds,
+        1000 * found.max_of_frame,
+        color=plots.FAINT,
+        linewidth=0.8,
+        label="largest distance to the nearest point",
+    )
     axes.plot(seconds, 1000 * found.d1_of_frame, color=plots.OURS, linewidth=1.2, label="D1")
     plots.draw_promise(axes.axhline, promise)
     axes.set_xlabel("time, s")
@@ -56,11 +62,12 @@ def side_by_side(original: PointClouds, decoded: PointClouds, title: str = "", p
     grid = picture.subplots(2, max(len(chosen), 1), squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
+    decimals = 1 if original.seconds > len(chosen) else 2
     for column, frame in enumerate(chosen):
         for row, clouds in enumerate((original, decoded)):
             view = splats.views(clouds, frame, like=original, count=1, size=VIEW_PIXELS)[0]
             grid[row, column].imshow(view)
-        grid[0, column].set_title(f"{frame / original.rate:.1f} s", fontsize=8)
+        grid[0, column].set_title(f"{frame / original.rate:.{decimals}f} s", fontsize=8)
     for row, name in enumerate(("original", "decoded")):
         grid[row, 0].text(-0.05, 0.5, name, rotation=90, va="center", transform=grid[row, 0].transAxes, fontsize=8)
     return picture

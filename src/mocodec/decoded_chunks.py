@@ -27,7 +27,7 @@ from .typing import Floats, Integers
 DEFAULT_MB = 64
 BYTES_PER_SAMPLE = 3 * 8
 MOST_CHUNKS = 4
-"""Windows of more chunks are decoded as a whole and not kept: whoever reads so much at a time reads on."""
+"""Windows of more chunks are decoded as a whole and not kept, since such readers read on."""
 
 
 class DecodedChunk(NamedTuple):

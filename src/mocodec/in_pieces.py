@@ -30,9 +30,9 @@ from .formats.blocks import Blocks
 from .motion import Motion
 
 SAMPLED_SECONDS, MOST_SAMPLED = 300.0, 1 << 20
-"""The model is fitted to frames of so many seconds, and to at most so many samples (frames × points)."""
+"""Length of the sample that the model is fitted to, in seconds, and its size in samples (frames × points), at most."""
 SAMPLED_PARTS = 12
-"""Of a source that can be read anywhere, the sample has so many parts, spread over the recording."""
+"""Number of parts of the sample, spread over the recording, where a source can be read anywhere."""
 CHUNK_OVERHEAD_BYTES, END_BYTES = 18, 32
 """What the container adds to a chunk, and to a file, at most."""
 

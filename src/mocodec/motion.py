@@ -121,7 +121,9 @@ class Motion:
     def __post_init__(self) -> None:
         positions = np.ascontiguousarray(self.positions, np.float64)
         if positions.ndim != 3 or positions.shape[2] != 3:
-            raise BadInput(f"positions must be (frames, points, 3), not {positions.shape}")
+            raise BadInput(
+                f"positions must be (frames, points, 3), not {positions.shape}{reshape_hint(positions.shape)}"
+            )
         object.__setattr__(self, "positions", positions)
         names = tuple(self.names) or tuple(f"P{i + 1}" for i in range(positions.shape[1]))
         object.__setattr__(self, "names", names)
@@ -271,6 +273,17 @@ class Motion:
     def turned(self, up: str) -> Motion:
         """The motion, with its skeleton, turned by a quarter turn so that `up` is vertical. Raises BadInput."""
         return cast(Motion, import_module(f"{__package__}.geometry.turning").turned(self, up))
+
+
+def reshape_hint(shape: tuple[int, ...], array: str = "positions") -> str:
+    """How an array of this shape becomes (frames, points, 3), if it can; empty otherwise."""
+    if len(shape) == 2 and shape[1] and shape[1] % 3 == 0:
+        return f"; if a row holds x, y, z of each point, use {array}.reshape(-1, {shape[1] // 3}, 3)"
+    if len(shape) == 3 and shape[1] == 3:
+        return f"; if x, y, z are the second axis, use {array}.transpose(0, 2, 1)"
+    if len(shape) == 3 and shape[2] == 4:
+        return f"; if the fourth number is no coordinate, use {array}[:, :, :3]"
+    return ""
 
 
 class Deferred(Mapping[str, Any]):

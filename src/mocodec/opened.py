@@ -48,12 +48,18 @@ def open(source: Source, kind: type[RecordingT], *, salvage: bool = False) -> Fi
 @overload
 def open(source: Source, kind: None = None, *, salvage: bool = False) -> File[Recording]: ...
 def open(source: Source, kind: type[Recording] | None = None, *, salvage: bool = False) -> File[Any]:
-    """Open a .mocz for random access: a path, a URL, bytes or a binary file object.
+    """Open a .mocz for random access: only the chunks that a slice needs are read and decoded.
 
-    Only header and index are read. A URL is http(s), read by range requests, or of a store that fsspec knows (s3://,
-    gs://, memory://, … with the [remote] extra). kind: `Motion` or `PointClouds`, as in `read`. salvage: open the
-    undamaged chunks of a file that was cut short; see `File.whole`.
-    Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
+        with mocodec.open("walk.mocz", mocodec.Motion) as f:
+            f.shape, f.rate, f.names          # (frames, points, 3), hertz, names; nothing is decoded yet
+            second = f[1200:1320]             # a Motion of 120 frames
+
+    source: a path, a URL, bytes or a binary file object; of it, header and index are read. A URL is http(s), read by
+    range requests, or of a store that fsspec knows (s3://, gs://, memory://, … with the [remote] extra).
+    kind: `Motion` or `PointClouds`, as in `read`.
+    salvage: open what is left of a file that was cut short; see `File.whole`.
+
+    Returns a `File`. Raises Truncated, Corrupt, TooNew, UnknownCodec, BadInput.
     """
     from . import container
 
@@ -277,7 +283,9 @@ def _require_memory(count: int, points: int) -> None:
 
 
 def of_kind(recording: Recording, kind: type[Recording] | None, path: object) -> Recording:
-    """The recording. Raises BadInput if it is not of this kind."""
+    """The recording. Raises BadInput if it is not of this kind, and for anything else than a kind."""
+    if kind is not None and kind not in IN_WORDS:
+        raise BadInput(f"the kind is mocodec.Motion or mocodec.PointClouds, not {kind!r}")
     if kind is not None and not isinstance(recording, kind):
         where = f"{path}: " if path else ""
         raise BadInput(f"{where}this file holds {IN_WORDS[type(recording)]}, not {IN_WORDS[kind]}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from numbers import Real
 from typing import Any, cast
 
 from . import codecs
@@ -30,16 +31,17 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     """
     from . import container
 
+    _require_kind(codec, recording)
     if signal_error is not None:
         recording = with_signal_error(recording, signal_error)
     promised = {} if signal_error is None else {"signal_error": signal_error}
     target = next((name for name in ("size", "ratio") if getattr(codec, name, None)), None)
     if target is None:
-        return container.pack(_promising(_encoded(codec, recording), promised))
+        return container.pack(_with_promises(_encoded(codec, recording), promised))
     if target == "size":
         _require_room(recording, codec)
     with progress_.attempt(0):
-        encoded = _promising(_encoded(codec, recording), promised)
+        encoded = _with_promises(_encoded(codec, recording), promised)
     blob, settings, value = container.pack(encoded), encoded.settings, getattr(codec, target)
     target_bytes: float = value if target == "size" else recording.raw_bytes / value
     limit = target_bytes + (extras_bytes(blob) if target == "ratio" else 0)
@@ -58,6 +60,18 @@ def pack(codec: Codec[RecordingT], recording: RecordingT, signal_error: str | No
     raise CannotEncode(
         f"{codec.name} cannot encode this to a file of {limit:,.0f} bytes, only of {len(blob):,}: "
         f"ask for a {'larger size' if target == 'size' else 'smaller ratio'}"
+    )
+
+
+def _require_kind(codec: Codec[Any], recording: Recording) -> None:
+    """Raises CannotEncode for a motion and a codec of point clouds, or the other way round."""
+    codes_clouds = codec.name in codecs.CLOUD_CODECS
+    if codec.name not in codecs.CODECS or codes_clouds != isinstance(recording, Motion):
+        return
+    if codes_clouds:
+        raise CannotEncode(f"{codec.name} codes point clouds, not motions")
+    raise CannotEncode(
+        f"{codec.name} codes motions, not point clouds; codecs of point clouds: {', '.join(codecs.CLOUD_CODECS)}"
     )
 
 
@@ -87,7 +101,8 @@ def with_signal_error(recording: RecordingT, signal_error: str) -> RecordingT:
     return dataclasses.replace(recording, extras=bounds.bounded(recording.extras, signal_error))
 
 
-def _promising(encoded: Encoded[RecordingT], promised: dict[str, str]) -> Encoded[RecordingT]:
+def _with_promises(encoded: Encoded[RecordingT], promised: dict[str, str]) -> Encoded[RecordingT]:
+    """The encoded recording, whose settings also name these promises."""
     return dataclasses.replace(encoded, settings={**encoded.settings, **promised}) if promised else encoded
 
 
@@ -118,10 +133,16 @@ def default_codec(recording: Recording) -> str:
 
 
 def with_options(codec: str | Codec[RecordingT], **options: Any) -> Codec[RecordingT]:
-    """A codec, by name or instance, with these settings. Raises BadInput for a setting that it does not have."""
+    """A codec, by name or instance, with these settings.
+
+    Raises BadInput for a setting that it does not have, and for a target that is no number.
+    """
     chosen: Codec[RecordingT] = codecs.codec_class(codec)() if isinstance(codec, str) else codec
     known = [f.name for f in dataclasses.fields(chosen)]
-    for name in options:
+    for name, value in options.items():
+        if name in TARGETS and not isinstance(value, Real):
+            example = " of metres, such as 0.002," if name.endswith("error") else ","
+            raise BadInput(f"{name} must be a number{example} not {value!r}")
         if name not in known:
             what = "target" if name in TARGETS else "setting"
             raise BadInput(f"{chosen.name} has no {what} {name!r}; it has: {', '.join(known)}")

@@ -34,7 +34,7 @@ _threads: ContextVar[int] = ContextVar("mocodec_threads", default=1)
 
 @contextmanager
 def threads(number: int | None) -> Generator[None, None, None]:
-    """Within this context, `over` uses so many threads; None: `usual`. Raises BadInput for a number below 1."""
+    """Within this context, `over` uses this number of threads; None: `usual`. Raises BadInput for a number below 1."""
     if number is not None and number < 1:
         raise BadInput(f"threads must be 1 or more, not {number}")
     token = _threads.set(min(usual() if number is None else number, MOST))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TILT = np.radians(6.0)
-"""Of the view of poses, from above."""
+"""Angle from which poses are seen from above, radians."""
 SUFFIXES = (".png", ".svg", ".pdf")
 INK, OURS, FAINT, SHELL = "#333333", "#c8442e", "#bbbbbb", "#7a8fb8"
 
@@ -79,7 +79,11 @@ def errors(original: Motion, decoded: Motion, title: str = "", promise: Mapping[
     return picture
 
 
-QUANTILES = ((0.0, 1.0, "#e8e4e2", "all"), (0.05, 0.95, "#e5a598", "5 to 95 %"), (0.25, 0.75, OURS, "25 to 75 %"))
+QUANTILES = (
+    (0.0, 1.0, "#e8e4e2", "all errors"),
+    (0.05, 0.95, "#e5a598", "5 to 95 %"),
+    (0.25, 0.75, OURS, "25 to 75 %"),
+)
 
 
 def draw_error_of_points(axes: Axes, mm: Floats, names: list[str], promise: Mapping[str, float] | None) -> None:
@@ -136,8 +140,8 @@ def draw_error_over_time(
     largest[measured] = np.nanmax(mm[measured], axis=1)
     if shell_mm is not None:
         worst = nan_quantile(shell_mm.reshape(len(shell_mm), -1).T, 1.0)
-        axes.plot(*in_runs(seconds, worst, np.fmax), color=SHELL, linewidth=0.8, label="largest of the shell points")
-    axes.plot(*in_runs(seconds, largest, np.fmax), color=FAINT, linewidth=0.8, label="largest of the frame")
+        axes.plot(*in_runs(seconds, worst, np.fmax), color=SHELL, linewidth=0.8, label="largest error of a shell point")
+    axes.plot(*in_runs(seconds, largest, np.fmax), color=FAINT, linewidth=0.8, label="largest error of a point")
     times, most = in_runs(seconds, rms, np.fmax)
     axes.fill_between(
         times, in_runs(seconds, rms, np.fmin)[1], most, color=OURS, linewidth=0.8, label="root mean square"

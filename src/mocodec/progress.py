@@ -28,18 +28,20 @@ SMALLEST_RISE = 0.001
 
 
 class _Listener:
-    """A callback, the fraction it heard last, and the part of the whole that reports now fall into."""
+    """A callback, the fraction it was last called with, and the part of the whole that reports now fall into."""
 
     def __init__(self, callback: Callback) -> None:
         self.callback = callback
-        self.heard = -1.0
+        self.last_reported = -1.0
         self.start, self.stop = 0.0, 1.0
 
-    def hear(self, fraction: float) -> None:
+    def report(self, fraction: float) -> None:
         """Call back, where the fraction has risen."""
-        rises = self.heard < fraction if fraction in (0.0, 1.0) else self.heard + SMALLEST_RISE <= fraction
+        rises = (
+            self.last_reported < fraction if fraction in (0.0, 1.0) else self.last_reported + SMALLEST_RISE <= fraction
+        )
         if rises:
-            self.heard = fraction
+            self.last_reported = fraction
             self.callback(fraction)
 
 
@@ -58,9 +60,9 @@ def listening(callback: Callback | None) -> Generator[None, None, None]:
     listener = _Listener(callback)
     token = _current.set(listener)
     try:
-        listener.hear(0.0)
+        listener.report(0.0)
         yield
-        listener.hear(1.0)
+        listener.report(1.0)
     finally:
         _current.reset(token)
 
@@ -70,7 +72,7 @@ def report(fraction: float) -> None:
     listener = _current.get()
     if listener is not None:
         within = min(max(fraction, 0.0), 1.0)
-        listener.hear(listener.start + within * (listener.stop - listener.start))
+        listener.report(listener.start + within * (listener.stop - listener.start))
 
 
 @contextmanager
@@ -91,12 +93,12 @@ def phase(start: float, stop: float) -> Generator[None, None, None]:
 
 
 def attempt(number: int) -> AbstractContextManager[None]:
-    """The phase of one attempt, from 0, of a search of unknown length: each takes half of what is left."""
+    """The phase of one attempt, from 0, of a search of unknown length: each takes half of the rest."""
     return phase(1 - 0.5**number, 1 - 0.5 ** (number + 1))
 
 
 def attempts(trial: Callable[[Setting], Result], share: float = 0.5) -> Callable[[Setting], Result]:
-    """`trial`, where each call is the next attempt of a search and takes this share of what is left."""
+    """`trial`, where each call is the next attempt of a search and takes this share of the rest."""
     left = 1.0
 
     def next_attempt(setting: Setting) -> Result:

@@ -1,4 +1,4 @@
-// Bits of clips of each of some lengths, for codecs/hou2014/clip_segmentation.py: best_equal_length, to rounding.
+// The length of clips with the fewest bits, for codecs/hou2014/clip_segmentation.py: best_equal_length, to rounding.
 
 #include <nanobind/stl/optional.h>
 
@@ -51,52 +51,86 @@ private:
     size_t terms_ = 0;
 };
 
-// Σ log₂(1 + c²) of the coefficients c of one clip of curves (frames, columns).
-ALWAYS_INLINE double logarithms(const Series &series, const double *curves, size_t columns, double *from, double *other) {
+// Σ log₂(1 + c²) of the coefficients c of one clip, of PANEL columns at most of curves (frames, columns).
+ALWAYS_INLINE double logarithms(const Series &series, const double *curves, size_t columns, size_t width, double *from, double *other) {
     Logarithms found;
-    for (size_t column = 0; column < columns; column += PANEL) {
-        const double *spectrum = series.transposed(from, other, curves + column, columns, std::min(PANEL, columns - column));
-        for (size_t k = 0; k < series.known(); ++k) found.add(spectrum + k * PANEL, series.scale(k));
-    }
+    const double *spectrum = series.transposed(from, other, curves, columns, width);
+    for (size_t k = 0; k < series.known(); ++k) found.add(spectrum + k * PANEL, series.scale(k));
     return found.sum();
 }
 
-double logarithms_anywhere(const Series &series, const double *curves, size_t columns, double *from, double *other) {
-    return logarithms(series, curves, columns, from, other);
+double logarithms_anywhere(const Series &series, const double *curves, size_t columns, size_t width, double *from, double *other) {
+    return logarithms(series, curves, columns, width, from, other);
 }
 
 #ifdef HAS_AVX2_TWIN
-WITH_AVX2 double logarithms_with_avx2(const Series &series, const double *curves, size_t columns, double *from, double *other) {
-    return logarithms(series, curves, columns, from, other);
+WITH_AVX2 double logarithms_with_avx2(const Series &series, const double *curves, size_t columns, size_t width, double *from, double *other) {
+    return logarithms(series, curves, columns, width, from, other);
 }
 #endif
 
-// clip_segmentation.bits_of_spectra of clips of `length` frames, the last one shorter, of curves in steps (frames, columns); none
-// for curves that are too large.
-std::optional<double> bits_of_length(Input<double, 2> curves, size_t length) {
+// Clips of one length, the last one shorter, of curves of `frames` frames.
+class Clips {
+public:
+    Clips(size_t frames, size_t length, double bits) : bits(bits), frames_(frames), length_(length) {
+        series_.emplace_back(length, length, true);
+        if (frames % length) series_.emplace_back(frames % length, frames % length, true);
+    }
+
+    // clip_segmentation.bits_of_spectra of the first `width` columns.
+    double bits_of(const double *curves, size_t columns, size_t width) {
+        double sum = 0;
+        for (size_t start = 0; start < frames_; start += length_) {
+            const Series &series = start + length_ <= frames_ ? series_.front() : series_.back();
+            double *from = from_.of(series.buffer()), *other = other_.of(series.buffer());
+            const double *clip = curves + start * columns;
+#ifdef HAS_AVX2_TWIN
+            static const bool has_avx2 = processor_has_avx2();
+            if (has_avx2) {
+                sum += logarithms_with_avx2(series, clip, columns, width, from, other);
+                continue;
+            }
+#endif
+            sum += logarithms_anywhere(series, clip, columns, width, from, other);
+        }
+        return 0.5 * sum;
+    }
+
+    double bits;  // of the clips, and of all columns so far
+
+private:
+    size_t frames_, length_;
+    std::vector<Series> series_;
+    cosine_series::Rows from_, other_;
+};
+
+// clip_segmentation.best_equal_length of curves in steps (frames, columns): which of the lengths, or none for curves that are too
+// large. leads (columns): the bits that no length catches up with, behind each column.
+std::optional<size_t> best_length(Input<double, 2> curves, Input<int64_t, 1> lengths, double bits_per_clip, Input<double, 1> leads) {
     const size_t frames = curves.shape(0), columns = curves.shape(1);
-    if (!length || !frames) throw std::invalid_argument("bits_of_length: no frames");
+    if (!frames || !lengths.shape(0) || leads.shape(0) != columns) throw std::invalid_argument("best_length: shapes differ");
     nb::gil_scoped_release release;
     const double *end = curves.data() + frames * columns;
     if (frames > LONGEST || !std::all_of(curves.data(), end, [](double value) { return std::abs(value) < LARGEST; })) return std::nullopt;
-    double sum = 0;
-    for (size_t start = 0; start < frames;) {
-        const Series series(std::min(length, frames - start), std::min(length, frames - start), true);
-        cosine_series::Rows from, other;
-        double *first = from.of(series.buffer()), *second = other.of(series.buffer());
-        for (; start + series.frames() <= frames; start += series.frames()) {
-            const double *clip = curves.data() + start * columns;
-#ifdef HAS_AVX2_TWIN
-            static const bool has_avx2 = processor_has_avx2();
-            if (has_avx2) sum += logarithms_with_avx2(series, clip, columns, first, second);
-            else
-#endif
-                sum += logarithms_anywhere(series, clip, columns, first, second);
-        }
+    std::vector<Clips> left;
+    std::vector<size_t> which;
+    for (size_t i = 0; i < lengths.shape(0); ++i) {
+        const int64_t length = lengths.data()[i];
+        if (length < 1 || size_t(length) > frames) throw std::invalid_argument("best_length: no such length");
+        left.emplace_back(frames, size_t(length), bits_per_clip * std::ceil(double(frames) / double(length)));
+        which.push_back(i);
     }
-    return 0.5 * sum;
+    auto fewest = [&] { return std::min_element(left.begin(), left.end(), [](const Clips &a, const Clips &b) { return a.bits < b.bits; }); };
+    for (size_t column = 0; column < columns && left.size() > 1; column += PANEL) {
+        const size_t width = std::min(PANEL, columns - column);
+        for (Clips &each : left) each.bits += each.bits_of(curves.data() + column, columns, width);
+        const double most = fewest()->bits + leads.data()[column + width - 1];
+        for (size_t i = left.size(); i-- > 0;)
+            if (left[i].bits > most) left.erase(left.begin() + long(i)), which.erase(which.begin() + long(i));
+    }
+    return which[size_t(fewest() - left.begin())];
 }
 
 }  // namespace
 
-void bind_clip_lengths(nb::module_ &m) { m.def("bits_of_length", &bits_of_length); }
+void bind_clip_lengths(nb::module_ &m) { m.def("best_length", &best_length); }

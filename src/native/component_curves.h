@@ -47,7 +47,7 @@ struct Division {
 private:
     bool has_many(size_t row) const { return row < POSE || reach_[row] > frequencies; }
 
-    std::vector<size_t> reach_, rows_of_;  // how many frequencies each row has; how many rows have so many
+    std::vector<size_t> reach_, rows_of_;  // number of frequencies of each row; number of rows by frequencies
 };
 
 }  // namespace chunks

@@ -28,7 +28,8 @@
 //   householder.cpp orthonormal bases stored as reflections, for stages/basis.py
 //   ordered.cpp     linear algebra in a fixed order of operations, for codecs/tempo/models/ordered.py
 //   clip_synthesis.cpp    positions of clips from integers, for codecs/hou2014/stream.py; cosine_series.h is the DCT
-//   clip_lengths.cpp      bits of clips of each length, for codecs/hou2014/clip_segmentation.py
+//   clip_quantiser.cpp    integers of coefficients, for codecs/hou2014/quantised_motion.py
+//   clip_lengths.cpp      the best length of clips, for codecs/hou2014/clip_segmentation.py
 //   bounded.cpp     corrections that stay valid for many frames, for stages/bounded.py
 //   splines.cpp     natural cubic splines and key frames, for stages/spline.py
 //   ppca.cpp        segmentation by probabilistic PCA, for stages/segment.py
@@ -59,7 +60,7 @@ namespace nb = nanobind;
     PART(point_colours) PART(clustered_icp) PART(surface_memory) PART(splines) PART(householder)           \
     PART(point_smoothing) PART(positions) PART(link_surfaces) PART(state_stream) PART(body_frames) \
     PART(ordered) PART(lattice_neighbours)         \
-    PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) \
+    PART(reference_surface) PART(ppca) PART(point_choice) PART(lattice_frames) PART(clip_synthesis) PART(clip_lengths) PART(clip_quantiser) \
     PART(bounded)
 
 #define DECLARE(name) void bind_##name(nb::module_ &);

@@ -77,11 +77,20 @@ void product(const Left &left, const Matrix &right, size_t count, size_t rows, M
     multiply_anywhere(left, right, count, rows, to, keep);
 }
 
+// Two rows, turned into each other.
+ALWAYS_INLINE void turn_rows(double *p, double *q, size_t stride, double c, double s) {
+    for (size_t i = 0; i < stride; i += 4) {
+        Four x, y;
+        load(x, p + i), load(y, q + i);
+        store(x * c - y * s, p + i), store(x * s + y * c, q + i);
+    }
+}
+
 // Eigenvalues of a symmetric matrix (n, n), on its diagonal at the end, and eigenvectors, the rows of `vectors`, by cyclic
 // Jacobi rotations. A matrix that is almost diagonal takes one or two sweeps.
-void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
+ALWAYS_INLINE void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
     constexpr int SWEEPS = 40;
-    constexpr double RELATIVE = 1e-13, ABSOLUTE = 1e-17;
+    constexpr double RELATIVE = 1e-10, ABSOLUTE = 1e-17;
     std::fill(vectors.of.begin(), vectors.of.end(), 0.0);
     for (size_t i = 0; i < n; ++i) vectors[i][i] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; ++sweep) {
@@ -93,23 +102,29 @@ void diagonalise(Matrix &matrix, Matrix &vectors, size_t n) {
                 const double off = matrix[p][q], a = matrix[p][p], b = matrix[q][q];
                 if (std::abs(off) <= ABSOLUTE * largest || off * off <= RELATIVE * RELATIVE * std::abs(a * b)) continue;
                 turned = true;
-                const double slope = (b - a) / (2 * off);
-                const double t = (slope < 0 ? -1.0 : 1.0) / (std::abs(slope) + std::sqrt(slope * slope + 1));
+                const double gap = b - a, t = std::copysign(2, gap) * off / (std::abs(gap) + std::sqrt(gap * gap + 4 * off * off));
                 const double c = 1 / std::sqrt(t * t + 1), s = t * c;
-                double *of_p = matrix[p], *of_q = matrix[q], *v_p = vectors[p], *v_q = vectors[q];
-                for (size_t i = 0; i < n; ++i) {
-                    const double x = of_p[i], y = of_q[i], v = v_p[i], w = v_q[i];
-                    of_p[i] = c * x - s * y, of_q[i] = s * x + c * y;
-                    v_p[i] = c * v - s * w, v_q[i] = s * v + c * w;
-                }
-                for (size_t i = 0; i < n; ++i) {
-                    double *row = matrix[i];
-                    const double x = row[p], y = row[q];
-                    row[p] = c * x - s * y, row[q] = s * x + c * y;
-                }
+                turn_rows(matrix[p], matrix[q], matrix.stride, c, s);
+                turn_rows(vectors[p], vectors[q], vectors.stride, c, s);
+                matrix[p][p] = a - t * off, matrix[q][q] = b + t * off, matrix[p][q] = matrix[q][p] = 0;
+                for (size_t i = 0; i < n; ++i) matrix[i][p] = matrix[p][i], matrix[i][q] = matrix[q][i];
             }
         if (!turned) return;
     }
+}
+
+void diagonalise_anywhere(Matrix &matrix, Matrix &vectors, size_t n) { diagonalise(matrix, vectors, n); }
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void diagonalise_with_avx2(Matrix &matrix, Matrix &vectors, size_t n) { diagonalise(matrix, vectors, n); }
+#endif
+
+void find_eigenvectors(Matrix &matrix, Matrix &vectors, size_t n) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return diagonalise_with_avx2(matrix, vectors, n);
+#endif
+    diagonalise_anywhere(matrix, vectors, n);
 }
 
 // The squared length of a row of a matrix.
@@ -211,7 +226,7 @@ private:
         for (size_t i = 0; i < dimensions_; ++i)
             for (size_t k = 0; k < image_.stride; ++k) image_[i][k] = image_[i][k] / count_ - mean_[i] * along_mean_[k];
         product(columns_of(image_), image_, dimensions_, leading_, gram_);
-        diagonalise(gram_, vectors_, leading_);
+        find_eigenvectors(gram_, vectors_, leading_);
         std::vector<size_t> order(leading_);
         std::iota(order.begin(), order.end(), size_t(0));
         std::sort(order.begin(), order.end(), [&](size_t a, size_t b) { return gram_[a][a] > gram_[b][b]; });

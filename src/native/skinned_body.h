@@ -218,7 +218,7 @@ class SkinnedBody {
         return tree.order;
     }
 
-    // The rows of an array in the order of `given_rows`; nothing if it has not so many rows.
+    // The rows of an array in the order of `given_rows`; nothing if it has another number of rows.
     template <class Array>
     std::vector<std::remove_const_t<typename Array::Scalar>> ordered(const Array &array) const {
         std::vector<std::remove_const_t<typename Array::Scalar>> result;

@@ -18,6 +18,80 @@ namespace {
 
 using Frames = std::vector<int64_t>;
 
+// to (k) = the sum of two values and two curvatures, each (2, k), by Spline::Weights.
+ALWAYS_INLINE void combine(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
+    size_t i = 0;
+    for (; i + 4 <= k; i += 4) {
+        Four left, right, bend_left, bend_right;
+        load(left, values + i), load(right, values + k + i);
+        load(bend_left, curvatures + i), load(bend_right, curvatures + k + i);
+        store(left * weights[0] + right * weights[1] + bend_left * weights[2] + bend_right * weights[3], to + i);
+    }
+    for (; i < k; ++i)
+        to[i] = values[i] * weights[0] + values[k + i] * weights[1] + curvatures[i] * weights[2] + curvatures[k + i] * weights[3];
+}
+
+// spline._curvature, LAPACK's ptsv: curvatures (keys, k), zero at both ends, of values (keys, k) at `count` keys, three or more.
+ALWAYS_INLINE void bend(const double *width, const double *value, size_t count, size_t k, double *curvature) {
+    const size_t inner = count - 2;
+    std::vector<double> diagonal(inner), beside(inner);
+    for (size_t i = 0; i < inner; ++i) {
+        diagonal[i] = (width[i] + width[i + 1]) / 3;
+        beside[i] = width[i + 1] / 6;
+    }
+    for (size_t i = 0; i + 1 < inner; ++i) {  // pttrf: L D Lᵀ
+        const double e = beside[i];
+        beside[i] = e / diagonal[i];
+        diagonal[i + 1] -= beside[i] * e;
+    }
+    double *right = curvature + k;
+    for (size_t i = 0; i < inner; ++i) {  // the right side, and pttrs forwards
+        const double *at = value + i * k;
+        double *row = right + i * k;
+        for (size_t c = 0; c < k; ++c) row[c] = (at[2 * k + c] - at[k + c]) / width[i + 1] - (at[k + c] - at[c]) / width[i];
+        for (size_t c = 0; i && c < k; ++c) row[c] -= row[c - k] * beside[i - 1];
+    }
+    for (size_t c = 0; c < k; ++c) right[(inner - 1) * k + c] /= diagonal[inner - 1];
+    for (size_t i = inner - 1; i-- > 0;) {  // pttrs back
+        double *row = right + i * k;
+        for (size_t c = 0; c < k; ++c) row[c] = row[c] / diagonal[i] - row[k + c] * beside[i];
+    }
+}
+
+void combine_anywhere(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
+    combine(values, curvatures, weights, k, to);
+}
+
+void bend_anywhere(const double *width, const double *value, size_t count, size_t k, double *curvature) {
+    bend(width, value, count, k, curvature);
+}
+
+#ifdef HAS_AVX2_TWIN
+WITH_AVX2 void combine_with_avx2(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
+    combine(values, curvatures, weights, k, to);
+}
+
+WITH_AVX2 void bend_with_avx2(const double *width, const double *value, size_t count, size_t k, double *curvature) {
+    bend(width, value, count, k, curvature);
+}
+#endif
+
+void weighted_sum(const double *values, const double *curvatures, const double (&weights)[4], size_t k, double *to) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return combine_with_avx2(values, curvatures, weights, k, to);
+#endif
+    combine_anywhere(values, curvatures, weights, k, to);
+}
+
+void find_curvatures(const double *width, const double *value, size_t count, size_t k, double *curvature) {
+#ifdef HAS_AVX2_TWIN
+    static const bool has_avx2 = processor_has_avx2();
+    if (has_avx2) return bend_with_avx2(width, value, count, k, curvature);
+#endif
+    bend_anywhere(width, value, count, k, curvature);
+}
+
 // The natural cubic spline through values (keys, k) at ascending key frames.
 class Spline {
 public:
@@ -28,7 +102,7 @@ public:
         if (count < 2) return;
         width_.resize(count - 1), curvature_.assign(count * k, 0.0);
         for (size_t i = 0; i + 1 < count; ++i) width_[i] = double(key_[i + 1] - key_[i]);
-        if (count > 2 && k) bend();
+        if (count > 2 && k) find_curvatures(width_.data(), values_.data(), count, k, curvature_.data());
     }
 
     // At a frame: of[0] value(left) + of[1] value(left + 1) + of[2] curvature(left) + of[3] curvature(left + 1).
@@ -51,41 +125,13 @@ public:
             return;
         }
         const Weights weight = weights(t);
-        const double a = weight.of[0], b = weight.of[1], of_left = weight.of[2], of_right = weight.of[3];
-        const double *v = value(weight.left), *c = curvature(weight.left);
-        for (size_t i = 0; i < k_; ++i) out[i] = a * v[i] + b * v[k_ + i] + of_left * c[i] + of_right * c[k_ + i];
+        weighted_sum(value(weight.left), curvature(weight.left), weight.of, k_, out);
     }
 
     const double *value(size_t key) const { return &values_[key * k_]; }
     const double *curvature(size_t key) const { return &curvature_[key * k_]; }
 
 private:
-    // spline._curvature: LAPACK's ptsv.
-    void bend() {
-        const size_t inner = count_ - 2, k = k_;
-        std::vector<double> diagonal(inner), beside(inner);
-        for (size_t i = 0; i < inner; ++i) {
-            diagonal[i] = (width_[i] + width_[i + 1]) / 3;
-            beside[i] = width_[i + 1] / 6;
-        }
-        for (size_t i = 0; i + 1 < inner; ++i) {  // pttrf: L D Lᵀ
-            const double e = beside[i];
-            beside[i] = e / diagonal[i];
-            diagonal[i + 1] -= beside[i] * e;
-        }
-        double *right = curvature_.data() + k;
-        const double *value = values_.data();
-        for (size_t i = 0; i < inner; ++i)
-            for (size_t c = 0; c < k; ++c)
-                right[i * k + c] = (value[(i + 2) * k + c] - value[(i + 1) * k + c]) / width_[i + 1] -
-                                   (value[(i + 1) * k + c] - value[i * k + c]) / width_[i];
-        for (size_t i = 1; i < inner; ++i)  // pttrs: forwards, then back
-            for (size_t c = 0; c < k; ++c) right[i * k + c] -= right[(i - 1) * k + c] * beside[i - 1];
-        for (size_t c = 0; c < k; ++c) right[(inner - 1) * k + c] /= diagonal[inner - 1];
-        for (size_t i = inner - 1; i-- > 0;)
-            for (size_t c = 0; c < k; ++c) right[i * k + c] = right[i * k + c] / diagonal[i] - right[(i + 1) * k + c] * beside[i];
-    }
-
     const int64_t *key_;
     size_t count_, k_, left_ = 0;
     std::vector<double> values_, width_, curvature_;
@@ -128,31 +174,13 @@ ALWAYS_INLINE void multiply(const double *curves, size_t k, const double *basis,
         }
 }
 
-// to (columns) = the sum of two values and two curvatures, each (2, columns), by Spline::Weights.
-ALWAYS_INLINE void combine(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
-    for (size_t column = 0; column < columns; column += 4) {
-        Four left, right, bend_left, bend_right;
-        load(left, values + column), load(right, values + columns + column);
-        load(bend_left, curvatures + column), load(bend_right, curvatures + columns + column);
-        store(left * weights[0] + right * weights[1] + bend_left * weights[2] + bend_right * weights[3], to + column);
-    }
-}
-
 void multiply_anywhere(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
     multiply(curves, k, basis, mean, columns, to);
-}
-
-void combine_anywhere(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
-    combine(values, curvatures, weights, columns, to);
 }
 
 #ifdef HAS_AVX2_TWIN
 WITH_AVX2 void multiply_with_avx2(const double *curves, size_t k, const double *basis, const double *mean, size_t columns, double *to) {
     multiply(curves, k, basis, mean, columns, to);
-}
-
-WITH_AVX2 void combine_with_avx2(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
-    combine(values, curvatures, weights, columns, to);
 }
 #endif
 
@@ -162,14 +190,6 @@ void product(const double *curves, size_t k, const double *basis, const double *
     if (has_avx2) return multiply_with_avx2(curves, k, basis, mean, columns, to);
 #endif
     multiply_anywhere(curves, k, basis, mean, columns, to);
-}
-
-void weighted_sum(const double *values, const double *curvatures, const double (&weights)[4], size_t columns, double *to) {
-#ifdef HAS_AVX2_TWIN
-    static const bool has_avx2 = processor_has_avx2();
-    if (has_avx2) return combine_with_avx2(values, curvatures, weights, columns, to);
-#endif
-    combine_anywhere(values, curvatures, weights, columns, to);
 }
 
 // The spline of a segment_model.KeyframeTrack: key frames (keys) and values (keys, k) by level.

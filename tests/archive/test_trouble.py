@@ -271,6 +271,20 @@ def test_a_lost_catalogue_does_not_cost_the_shards(vault: Path, left: bytes | No
     assert contents(vault / "db") == before
 
 
+def test_an_error_of_sqlite_that_is_no_utf_8(vault: Path) -> None:
+    """SQLite quotes the name of a damaged table."""
+    catalogue = vault / "db/catalogue.sqlite"
+    catalogue.write_bytes(catalogue.read_bytes().replace(b"CREATE TABLE recordings", b"CREATE TABL\xff recordings"))
+    with pytest.raises(mc.Corrupt, match="archive repair"):
+        mc.open_archive(vault / "db")
+
+
+def test_a_lock_that_is_another_file(vault: Path) -> None:
+    (vault / "db/building.lock").write_bytes(b"notes of somebody, which are no database" * 30)
+    with pytest.raises(mc.BadInput, match=r"building\.lock: this is no lock"):
+        archive.build(vault / "raw", vault / "db", OPTIONS)
+
+
 def test_options_that_no_codec_has(made: Path, tmp_path: Path) -> None:
     with pytest.raises(mc.BadInput, match="no setting 'colour'"):
         archive.build(made / "raw", tmp_path / "db", archive.Options(settings={"colour": 1}))

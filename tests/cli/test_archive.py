@@ -55,6 +55,13 @@ def test_commands_take_a_recording_of_an_archive(command: Command, vault: Path, 
         assert (result.code, "no recording named 08/run_02" in result.err) == (3, True), result.err
 
 
+@pytest.mark.parametrize("name", ["info", "verify", "decode", "encode"])
+def test_commands_on_files_refuse_a_whole_archive(command: Command, vault: Path, tmp_path: Path, name: str) -> None:
+    output = ("-o", tmp_path / "out") if name in ("decode", "encode") else ()
+    result = command(name, vault, *output)
+    assert (result.code, f"{vault} is an archive: run `mocodec archive" in result.err) == (2, True), result.err
+
+
 def test_append_remove_merge_extract(command: Command, vault: Path) -> None:
     mc.write(vault.parent / "jump.npz", synthetic.joints(frames=45, rate=60.0, seed=9))
     added = command("archive", "append", vault, vault.parent / "jump.npz", "-j", 2, "--json")
@@ -132,6 +139,15 @@ def test_a_line_break_in_a_name_makes_no_line(command: Command, vault: Path) -> 
     (vault / "shards/000001.mocs").write_bytes(b"")
     assert len(command("archive", "verify", vault).out.splitlines()) == 4
     assert len(command("archive", "extract", vault, "-o", vault / "out").err.splitlines()) == 3
+
+
+def test_a_catalogue_with_a_changed_name_is_damaged(command: Command, vault: Path) -> None:
+    """Its indices still have the name that was written."""
+    path = vault / "catalogue.sqlite"
+    path.write_bytes(path.read_bytes().replace(b"08/run_01", b"08/ran_01", 1))
+    verified = command("archive", "verify", vault)
+    assert verified.code == 4
+    assert "the catalogue is damaged" in verified.err
 
 
 def test_index_similar_and_duplicates(command: Command, vault: Path) -> None:

@@ -186,7 +186,7 @@ def test_compare(command: Command, walk_mocz: Path, walk_trc: Path) -> None:
     assert set(facts["per_point"]) == set(mc.read(walk_trc).names)
     assert facts["ratio"] > 1
     text = command("compare", walk_trc, walk_mocz).out
-    for word in ("mean error", "p99 error", "max error", "d  ", "ratio", "HEAD", "gaps        equal"):
+    for word in ("mean error", "p99 error", "max error", "distortion", "ratio", "HEAD", "gaps        equal"):
         assert word in text
 
 

@@ -37,6 +37,12 @@ def folder(walk: mc.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return tmp_path
 
 
+def test_failures_are_said_without_a_summary_too(folder: Path, command: Command) -> None:
+    result = command("encode", "in", "-o", "out", *FAST, "--quiet")
+    assert result.out == ""
+    assert [line.partition("] ")[2][:23] for line in result.err.splitlines()] == ["sub/broken.trc: failed:"]
+
+
 def files_below(path: str) -> list[str]:
     return sorted(p.relative_to(path).as_posix() for p in Path(path).rglob("*") if p.is_file() and p.name != NAME)
 
@@ -91,7 +97,7 @@ def test_the_table_has_files_totals_and_reasons(folder: Path, command: Command) 
     assert "4 files: 3 done, 1 failed" in result.out
     assert sum("failed: sub/broken.trc" in line for line in lines) == 1
     assert result.err.count("\n") == 4  # one line a file: standard error is no terminal
-    assert command("encode", "in", "-o", "out", *FAST, "--again", "-q").err == ""
+    assert command("encode", "in", "-o", "out", *FAST, "--again", "-q").err.count("\n") == 1  # what failed
 
 
 def test_verify_info_and_decode_take_the_folder_again(folder: Path, command: Command) -> None:

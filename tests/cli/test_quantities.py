@@ -51,6 +51,34 @@ def test_times() -> None:
             quantities.TIME.convert(text, None, None)
 
 
+@pytest.mark.parametrize(
+    ("kind", "texts", "number"),
+    [
+        (quantities.DEGREES, ("1", "1deg", "1°"), 1),
+        (quantities.HERTZ, ("59.94", "59.94Hz"), 59.94),
+        (quantities.DURATION, ("2", "2s"), 2),
+        (quantities.RATIO, ("100",), 100),
+        (quantities.DECIBELS, ("40", "40dB"), 40),
+        (quantities.RESIDUAL, ("25", "25%"), 25),
+    ],
+)
+def test_numbers_with_or_without_their_unit(kind: click.ParamType, texts: tuple[str, ...], number: float) -> None:
+    assert [kind.convert(text, None, None) for text in texts] == [number] * len(texts)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (quantities.DEGREES, "0"), (quantities.DEGREES, "181"), (quantities.DEGREES, "1rad"),
+        (quantities.HERTZ, "0"), (quantities.HERTZ, "1e999"), (quantities.RATIO, "0.5"), (quantities.RATIO, "100:1"),
+        (quantities.DURATION, "-1"), (quantities.DECIBELS, "0"), (quantities.RESIDUAL, "101"),
+    ],
+)  # fmt: skip
+def test_numbers_out_of_range(kind: click.ParamType, text: str) -> None:
+    with pytest.raises(click.BadParameter, match="is not a"):
+        kind.convert(text, None, None)
+
+
 def test_sizes() -> None:
     assert quantities.SIZE.convert("50kB", None, None) == 50_000
     assert quantities.SIZE.convert("2MiB", None, None) == 2 * 2**20

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocodec import not_kept
+from mocodec import encode, not_kept
 from mocodec.codecs.bodycast import Bodycast
 from mocodec.codecs.lien2006 import Lien2006
 from mocodec.errors import CannotEncode
@@ -17,6 +17,12 @@ from mocodec.testing import actors, sequences
 
 pytest.importorskip("av")
 pytest.importorskip("PIL")
+
+
+@pytest.mark.parametrize("codec", ["tempo", "hou2014", "liu2006", "lossless"])
+def test_codecs_of_motions_refuse_point_clouds(codec):
+    with pytest.raises(CannotEncode, match=f"{codec} codes motions, not point clouds"):
+        encode(PointClouds([np.zeros((4, 3))], 15.0), codec)
 
 
 @pytest.mark.parametrize("codec", [Bodycast(), Lien2006(residual=25)], ids=lambda codec: codec.name)

@@ -260,6 +260,22 @@ def test_gaps_are_refused_before_anything_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_no_skeleton_is_left_without_its_motion(tmp_path, monkeypatch):
+    motion = formats.read(pair(tmp_path))
+    (tmp_path / "new").mkdir()
+    real = asf_amc.replace_whole
+
+    def full(path, data):
+        if path.suffix == ".amc":
+            raise BadInput(f"{path}: cannot be written (No space left on device)")
+        real(path, data)
+
+    monkeypatch.setattr(asf_amc, "replace_whole", full)
+    with pytest.raises(BadInput, match="No space left"):
+        formats.write(tmp_path / "new/x.amc", motion)
+    assert not list((tmp_path / "new").iterdir())
+
+
 def test_motions_that_an_amc_cannot_hold_are_refused(tmp_path):
     motion = formats.read(pair(tmp_path))
     assert isinstance(motion, Motion)

@@ -351,6 +351,13 @@ def test_the_size_of_the_file_settles_contradictions_of_header_and_parameters(tm
     assert any("the size of the file" in note for note in formats.notes(motion))
 
 
+def test_another_rate_of_analog_samples_is_noted(tmp_path):
+    motion = read_bytes(tmp_path, built(change=set_parameter("ANALOG", "RATE", f4(1003))))
+    assert motion.extras["analog"].rate == 1000
+    assert any("ANALOG:RATE is 1003 Hz" in note for note in formats.notes(motion))
+    assert not any("ANALOG:RATE" in note for note in formats.notes(read_bytes(tmp_path, built())))
+
+
 def test_a_contradiction_that_the_size_allows_both_ways_is_refused(tmp_path):
     table = np.ones((3, 13))
     table[:, 3:12:4] = table[-1] = 0

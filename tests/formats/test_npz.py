@@ -76,11 +76,18 @@ def test_marker_files(tmp_path):
         ({"positions": np.zeros((5, 2, 3)), "rate": 1.0, "source": "[1]"}, "JSON object"),
         ({"positions": np.array([[[None, 1, 2]]]), "rate": 1.0}, "Python objects"),
         ({"positions": np.zeros((0, 2, 3)), "rate": np.zeros(0)}, "'rate' is empty"),
+        ({"positions": np.zeros((5, 2, 3)), "fps": np.array([30, 60])}, r"'fps' holds values that differ .*rate="),
+        ({"poses": np.zeros((5, 66)), "fps": np.array([30.0, 60.0])}, r"'fps' holds values that differ .*rate="),
+        ({"joints": np.zeros((5, 6)), "rate": 1.0}, r"joints\.reshape\(-1, 2, 3\)"),
     ],
 )
 def test_invalid_arrays_raise_one_line(tmp_path, arrays, says):
     with pytest.raises(BadInput, match=says):
         formats.read(save(tmp_path, **arrays))
+
+
+def test_a_rate_that_is_repeated_is_one(tmp_path):
+    assert formats.read(save(tmp_path, positions=np.zeros((5, 2, 3)), fps=np.full(5, 30.0))).rate == 30
 
 
 @pytest.mark.parametrize("claimed", [(1000000000, 100, 3), (2, 2, 3), (1, 0, 3)])

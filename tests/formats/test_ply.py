@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 
 import numpy as np
 import pytest
@@ -119,6 +120,26 @@ def test_folders_are_not_overwritten_by_accident(tmp_path):
     assert len(ply.read(tmp_path / "out")) == 2
     with pytest.raises(BadInput, match=r"no \.ply"):
         ply.read(tmp_path / "nothing", fps=1)
+
+
+@pytest.mark.parametrize("old_frames", [0, 3])
+def test_a_folder_is_written_as_a_whole_or_not_at_all(tmp_path, monkeypatch, old_frames):
+    """A full disk at the second frame: frames that were there stay."""
+    if old_frames:
+        ply.write(tmp_path / "out", clouds(old_frames))
+    before = {file.name: file.read_bytes() for file in tmp_path.rglob("*.ply")}
+    real = ply.frame_bytes
+
+    def full(recording, frame, encoding):
+        if frame == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(recording, frame, encoding)
+
+    monkeypatch.setattr(ply, "frame_bytes", full)
+    with pytest.raises(BadInput, match="No space left"):
+        formats.write(tmp_path / "out", clouds(2), overwrite=True)
+    assert {file.name: file.read_bytes() for file in tmp_path.rglob("*.ply")} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"] * bool(old_frames)
 
 
 def test_globs_and_folders_through_formats_read(tmp_path):

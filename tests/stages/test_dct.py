@@ -67,12 +67,6 @@ def test_panels_are_the_inverse(frames: int, known: int):
     assert (out[..., 37] == 1).all()
 
 
-@pytest.mark.parametrize(("frames", "first", "last"), [(1, 0, 1), (51, 0, 20), (70, 13, 70), (1500, 30, 90)])
-def test_some_low_frequencies_are_those_of_all(frames: int, first: int, last: int):
-    samples = np.random.default_rng(frames).normal(size=(2, frames, 3))
-    assert np.allclose(dct.low(samples, first, last), dct.forward(samples, last, axis=1)[:, first:], atol=1e-11)
-
-
 @pytest.mark.parametrize(("frames", "known"), [(1, 1), (51, 20), (70, 70), (1500, 90)])
 def test_inverse_of_runs_by_the_matrix(frames: int, known: int):
     spectra = np.random.default_rng(frames).normal(size=(2, known, 5))

@@ -66,7 +66,7 @@ def build(
     shard_bytes: int = shards.SHARD_BYTES,
     report_to: Callable[[int, int, str], None] | None = None,
 ) -> Report:
-    """Put recordings into an archive, which is made if there is none; what is in it already is left as it is.
+    """Put recordings into an archive, which is made if there is none; recordings that it has already stay as they are.
 
     arguments: files, folders, globs, .zip and .tar files, URLs. where: the folder of the archive. options: by default
     those of the archive's last build. workers: processes to work in; or any executor, such as that of a Dask client.
@@ -136,7 +136,7 @@ def last_options(catalogue: Catalogue) -> Options:
 
 
 class Builder:
-    """Writes an archive whose lock this process holds. A context: leaving it commits what is complete."""
+    """Writes an archive whose lock this process holds. A context: leaving it commits the complete recordings."""
 
     def __init__(self, folder: Path, catalogue: Catalogue, options: Options, shard_bytes: int) -> None:
         self.folder, self.catalogue, self.options = folder, catalogue, options
@@ -156,7 +156,7 @@ class Builder:
             self.option_number = catalogue.option_number(options.stored())
 
     def planned(self, found: Sequence[Source], prefix: str) -> Iterator[Planned]:
-        """What is to be done: sources that are new, have changed, or were coded with other options."""
+        """Tasks: sources that are new, have changed, or were coded with other options."""
         taken: dict[str, str] = {}
         for source in found:
             name, before, problem = self._name(source, prefix, taken)
@@ -254,7 +254,7 @@ class Builder:
         self.failures.append((source.path, name, reason))
 
     def commit(self) -> None:
-        """Put what is complete into the catalogue: first its bytes on the disk, then one transaction."""
+        """Put complete recordings into the catalogue: first their bytes on the disk, then one transaction."""
         if self.waiting or self.failures:
             with self._disk():
                 self.appender.flush()
@@ -276,7 +276,7 @@ class Builder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Commit what is complete, also after an interruption; not after an error of the disk."""
+        """Commit complete recordings, also after an interruption; not after an error of the disk."""
         try:
             if kind is None or not issubclass(kind, BadInput):
                 self.commit()
@@ -286,7 +286,7 @@ class Builder:
 
 
 class _Disk:
-    """Errors of the disk as one line that says what is safe."""
+    """Turns errors of the disk into one line that says which recordings are safe."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

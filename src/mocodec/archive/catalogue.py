@@ -135,6 +135,8 @@ class Catalogue:
             raise BadInput(f"{self.path}: {error}") from error
         except sqlite3.DatabaseError as error:
             raise self.damaged(str(error)) from error
+        except UnicodeDecodeError as error:  # of a message of SQLite, which quotes a damaged table
+            raise self.damaged("text that is not UTF-8") from error
 
     @contextmanager
     def transaction(self) -> Generator[None, None, None]:
@@ -150,7 +152,7 @@ class Catalogue:
                 raise
 
     def rows(self, where: str = "1", constants: Sequence[Any] = (), order: str = "name") -> Iterator[Row]:
-        """The rows that meet a condition, in order of names. Raises Corrupt for one that cannot be."""
+        """The rows that meet a condition, in order of names. Raises Corrupt for an invalid row."""
         for found in self.rows_or_problems(where, constants, order):
             if isinstance(found, tuple):
                 raise self.damaged(f"{found[1]} of recording {found[0]}")
@@ -159,7 +161,7 @@ class Catalogue:
     def rows_or_problems(
         self, where: str = "1", constants: Sequence[Any] = (), order: str = "name"
     ) -> Iterator[Row | tuple[str, str]]:
-        """The rows that meet a condition; for one that cannot be, its name and what is wrong."""
+        """The rows that meet a condition; for a damaged one its name and the error."""
         with self._errors():
             cursor = self.connection.execute(
                 f"SELECT {_SELECT} FROM {self._table} WHERE {where} ORDER BY {order}", constants
@@ -243,6 +245,13 @@ class Catalogue:
             ).fetchone()
         if found is not None:
             raise self.damaged(f"the recording {found[0]} lies outside the bytes of its shard that count")
+
+    def require_consistent(self) -> None:
+        """Raises Corrupt if tables and indices contradict each other, as after a flipped bit in a name. Reads all."""
+        with self._errors():
+            (found,) = self.connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if found != "ok":
+            raise self.damaged(str(found).replace("\n", " "))
 
     def damaged(self, why: str) -> Corrupt:
         """The error of a damaged catalogue, with what can be done about it."""

@@ -34,7 +34,7 @@ MAX_LISTED = 5
 
 @dataclass(frozen=True)
 class Entry:
-    """A recording of an archive: what the catalogue says about it (`entry.row`, as attributes too), and its bytes."""
+    """A recording of an archive: its row in the catalogue (`entry.row`, as attributes too), and its bytes."""
 
     folder: str
     row: Row
@@ -99,7 +99,7 @@ class Recordings:
         return self._archive.catalogue.rows(self._where, self._constants)
 
     def rows_or_problems(self) -> Iterator[Row | tuple[str, str]]:
-        """The same; for a row that cannot be, the recording's name and what is wrong, where `rows` raises Corrupt."""
+        """The same; for a row that cannot be, the recording's name and the error, where `rows` raises Corrupt."""
         return self._archive.catalogue.rows_or_problems(self._where, self._constants)
 
     def query(self, text: str) -> Recordings:
@@ -245,7 +245,15 @@ class Archive(Recordings):
 
 
 def open_archive(path: str | PathLike[str]) -> Archive:
-    """Open an archive for reading: a folder, or a URL as `mocodec.open` takes. Raises BadInput, TooNew, Corrupt."""
+    """Open an archive for reading: a folder, or a URL as `mocodec.open` takes.
+
+        with mocodec.open_archive("vault") as db:
+            clip = db["07/walk_02"][60:124]                # a Motion; reads and decodes these frames only
+            for entry in db.query("subject == 8"):
+                print(entry.name, entry.seconds)
+
+    Raises BadInput, TooNew, Corrupt.
+    """
     archive = Archive(path)
     _ = archive.catalogue
     return archive

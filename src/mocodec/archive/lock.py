@@ -30,3 +30,5 @@ def only_builder(folder: Path) -> Generator[None, None, None]:
         if "locked" in str(error):
             raise BadInput(f"{folder}: another process is changing this archive; wait until it has ended") from None
         raise BadInput(f"{folder}: cannot write here ({error})") from error
+    except sqlite3.DatabaseError as error:
+        raise BadInput(f"{folder / NAME}: this is no lock of an archive ({error}); delete it") from error

@@ -59,8 +59,7 @@ class Processes:
 
 
 def _quiet() -> None:
-    """In a worker: an interrupt is for the main process, readers' warnings are for nobody, and the main process's end,
-    however it comes, is that of its workers."""
+    """Set up a worker: it ignores interrupts, hides readers' warnings, and ends with the main process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -48,7 +48,7 @@ def train_prior(
     """The file of a prior, the number of recordings that it is learned from, and that of their frames.
 
     recordings: of an archive; used are those with rotations, without gaps and leaps, and with one skeleton. frames:
-    learn from about so many, spread over the recordings; None: from all. workers: processes; or any executor. The
+    number to learn from, about, spread over the recordings; None: all. workers: processes; or any executor. The
     result does not depend on their number. report_to: is called with the number done, the number of all, and a name.
     Raises BadInput if too few recordings can be used, or one cannot be read.
     """

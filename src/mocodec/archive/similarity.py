@@ -39,7 +39,7 @@ TEMPOS = (0.8, 0.9, 1.0, 1.11, 1.25)
 TRAINING_WINDOWS = 20_000
 """Windows that the components are learned from, at most."""
 SMOOTHING_S = 0.1
-"""Poses are means over this time: what is faster does not matter for what a motion looks like."""
+"""Poses are means over this time, in seconds: faster detail does not matter for the look of a motion."""
 VERSION = 1
 
 
@@ -116,7 +116,7 @@ def index(where: str | PathLike[str], report_to: Callable[[int, int, str], None]
                     report_to(done, count, name)
 
             path = folder / FOLDER / f"{layout}.npz"
-            made = _made(entries, path, show)
+            made = _built(entries, path, show)
             if made is not None:
                 replace_whole(path, made.pack())
                 total += len(made.vectors)
@@ -126,7 +126,7 @@ def index(where: str | PathLike[str], report_to: Callable[[int, int, str], None]
     return total
 
 
-def _made(entries: Sequence[Entry], path: Path, show: Callable[[str], None]) -> Index | None:
+def _built(entries: Sequence[Entry], path: Path, show: Callable[[str], None]) -> Index | None:
     """The index of recordings of one set of points; None if none of them is long enough."""
     old = _known(path)
     flat, kept = dict[str, Floats](), dict[str, Floats]()
@@ -317,8 +317,8 @@ class Pair:
 def duplicates(recordings: Recordings, within_m: float = 0.02, share: float = 0.8) -> list[Pair]:
     """Pairs of recordings of which one shows what the other does, apart from place and heading.
 
-    within_m: how near corresponding windows are. share: how much of the shorter recording must have its like in the
-    other, at one offset in time. Recordings shorter than 1.6 s are compared byte by byte only. Raises Corrupt.
+    within_m: how near corresponding windows are. share: how much of the shorter recording must match the other, at one
+    offset in time. Recordings shorter than 1.6 s are compared byte by byte only. Raises Corrupt.
     """
     rows = list(recordings.rows())
     pairs: dict[tuple[str, str], Pair] = {}

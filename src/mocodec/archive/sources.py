@@ -169,7 +169,7 @@ def is_local(source: Source) -> bool:
 
 @contextmanager
 def local(source: Source) -> Generator[str, None, None]:
-    """A path of the source on this machine; a copy of what is packed or remote lasts as long as the context."""
+    """A path of the source on this machine; a copy of a packed or remote source lasts as long as the context."""
     if is_local(source):
         yield source.origin
         return

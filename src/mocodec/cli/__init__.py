@@ -150,7 +150,7 @@ def message_and_code(error: Exception) -> tuple[str, int]:
     match error:
         case click.UsageError():
             path = error.ctx.command_path if error.ctx else "mocodec"
-            return f"{error.format_message().rstrip('.')} (see '{path} --help')", USAGE
+            return f"{usage_message(error).rstrip('.')} (see '{path} --help')", USAGE
         case click.ClickException():
             return error.format_message(), BAD_INPUT
         case BrokenPromise():
@@ -171,6 +171,17 @@ def message_and_code(error: Exception) -> tuple[str, int]:
             )
 
 
+def usage_message(error: click.UsageError) -> str:
+    """What is wrong with the arguments, with a way out where click does not name one."""
+    match error:
+        case click.MissingParameter(param=click.Option(name="output", metavar=metavar)):
+            return f"name the output: -o {metavar}"
+        case click.NoSuchOption(ctx=click.Context(command=click.Group())):
+            return f"no option {error.option_name} before the name of a command: options of a command stand behind it"
+        case _:
+            return error.format_message()
+
+
 def printable(text: str) -> str:
     """The text without control characters, which files may put into names."""
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
@@ -185,7 +196,7 @@ def print_error(message: str, code: int) -> int:
 
 
 def silence_streams() -> None:
-    """Send what is still to be written nowhere, or Python reports the closed pipe or full disk again at exit."""
+    """Discard buffered output, or Python reports the closed pipe or full disk again at exit."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -20,7 +20,7 @@ from ..archive import Entry, Options, Recordings, Report, Row
 from ..encoded import TARGETS
 from ..errors import BadInput, Corrupt, MocodecError
 from ..selection import counted
-from . import DAMAGED, archive_search, debug_option, files, message_and_code, quantities
+from . import DAMAGED, archive_search, debug_option, files, message_and_code, quantities, sections
 from .quantities import setting
 
 TABLE = ("name", "frames", "rate", "points", "seconds", "bytes", "ratio", "mean_error", "max_error", "labels")
@@ -45,57 +45,77 @@ class Archives(click.Group):
 def command() -> None:
     """Keep many recordings in an archive: a folder with shard files and a catalogue.
 
-    An archive is built from folders, globs, .zip and .tar files and URLs, in several runs if need be.
+    `build` makes an archive from folders, globs, .zip and .tar files and URLs, in several runs if need be. Other
+    commands show one of its recordings as ARCHIVE/NAME: mocodec view vault/walk_01.
     """
-
-
-for searching in archive_search.COMMANDS:
-    command.add_command(searching)
 
 
 def build_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """The options of `build` and `append`."""
     options = (
-        click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for clouds."),
-        click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off: 2mm."),
-        click.option("--mean-error", type=quantities.LENGTH, help="The average distance in each recording: 3mm."),
-        click.option("--ratio", type=click.FloatRange(1), help="Times smaller than float32 positions, each recording."),
+        click.option(
+            "--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds."
+        ),
+        click.option(
+            "--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm."
+        ),
+        click.option(
+            "--mean-error", type=quantities.LENGTH, help="The average distance in each recording is at most this: 3mm."
+        ),
+        click.option(
+            "--ratio",
+            type=quantities.RATIO,
+            metavar="N",
+            help="Each recording is at least N times smaller than float32 positions.",
+        ),
         click.option("--signal-error", metavar="ERROR", help="How far samples of signals may be off: 12bit or 0.1%."),
-        click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec."),
+        click.option(
+            "--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated."
+        ),
         click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters."),
         click.option("--no-rotations", is_flag=True, help="Keep the positions of joints, and not their rotations."),
         click.option(
-            "-j", "--jobs", "--workers", type=click.IntRange(0), default=1, metavar="N",
-            help="Work in N processes; 0: one per core.",
+            "-j",
+            "--jobs",
+            "--workers",
+            type=click.IntRange(0),
+            default=1,
+            metavar="N",
+            help="Work in N processes; 0: one per core; default: 1.",
         ),
         click.option("--dask", metavar="ADDRESS", help="Work on a Dask cluster, whose machines see the same files."),
-        click.option("--prior", metavar="FILE", help="A prior of your own (mocodec prior train)."),
-        click.option("--prefix", default="", metavar="TEXT", help="Put this before every name, such as lab/."),
-        click.option("--index", "is_indexed", is_flag=True, help="Then make or renew the index of similar motion."),
+        click.option(
+            "--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; the archive keeps a copy."
+        ),
+        click.option(
+            "--prefix", default="", metavar="TEXT", help="Put this before the name of every recording, such as lab/."
+        ),
+        click.option("--index", "is_indexed", is_flag=True, help="Also update the index of similar motion."),
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
         files.reader_options,
-    )  # fmt: skip
+    )
     for option in reversed(options):
         function = option(function)
     return function
 
 
-@command.command("build")
+@command.command("build", cls=sections.Command)
 @click.argument("sources", nargs=-1, required=True)
 @click.option("-o", "--output", required=True, metavar="DB", help="The folder of the archive.")
 @build_options
 def build(sources: tuple[str, ...], output: str, **given: Any) -> int:
     """Put the recordings of SOURCES into an archive.
 
-    The archive is made if there is none. SOURCES are files, folders, globs, .zip or .tar files, or URLs (s3://…, with
+    The archive is created if it does not exist. Without a target, no point of a motion is farther off than 5 mm
+    (tempo). SOURCES are files, folders, globs, .zip or .tar files, or URLs (s3://…, with
     fsspec). Run the command again after an interruption, or when files were added or changed: recordings that are
     done are skipped. A .mocz is taken as it is.
     """
     return run_build(sources, output, **given)
 
 
-@command.command("append")
+@command.command("append", cls=sections.Command)
 @click.argument("db", metavar="DB")
 @click.argument("sources", nargs=-1, required=True)
 @build_options
@@ -255,13 +275,17 @@ def cell(row: Row, column: str) -> str:
 @click.option("-o", "--output", required=True, metavar="FOLDER", help="The folder to write to.")
 @click.option("--query", "condition", metavar="CONDITION", help="The recordings that meet a condition.")
 @click.option(
-    "--format", "format_", default="mocz", help="mocz (default: the bytes as they are), c3d, trc, bvh, npz, …"
+    "--format",
+    "format_",
+    default="mocz",
+    metavar="NAME",
+    help="mocz (default: the bytes as they are), c3d, trc, bvh, npz, …",
 )
 def extract(db: str, names: tuple[str, ...], output: str, condition: str | None, format_: str) -> int:
     """Write recordings to files.
 
-    Those with these NAMES, those of a --query, or all recordings of the archive DB. Every byte is checked; recordings
-    that are damaged, or that the format cannot store, are listed, and the others are written.
+    NAMES or a --query choose recordings; without them, all of the archive DB are written. Every byte is checked;
+    recordings that are damaged, or that the format cannot store, are listed, and the others are written.
     """
     suffix = "." + format_.lower().lstrip(".")
     if suffix != files.SUFFIX and suffix not in formats.FORMATS:
@@ -304,6 +328,10 @@ def safe_parts(name: str) -> list[str]:
     return parts
 
 
+for searching in archive_search.COMMANDS:
+    command.add_command(searching)
+
+
 @command.command("verify")
 @click.argument("db", metavar="DB")
 @click.option("--decode", is_flag=True, help="Also decode every frame.")
@@ -316,7 +344,9 @@ def verify(db: str, decode: bool, condition: str | None) -> int:
         for name, reason in archive.damage(chosen, decode):
             damaged += 1
             files.line(f"{name}: {reason}")
-    files.line(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
+        files.line(f"{db}: {count - damaged:,} of {count:,} recordings are undamaged")
+        if not damaged:
+            opened.catalogue.require_consistent()
     return DAMAGED if damaged else 0
 
 
@@ -324,7 +354,7 @@ def verify(db: str, decode: bool, condition: str | None) -> int:
 @click.argument("db", metavar="DB")
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
 def stats(db: str, as_json: bool) -> None:
-    """Show numbers of recordings, frames and bytes, and errors.
+    """Show sums over all recordings: frames, bytes and errors.
 
     Also the bytes that no recording uses, and the sources that failed.
     """
@@ -361,9 +391,9 @@ def merge(archives: tuple[str, ...], output: str, quiet: bool) -> int:
 @click.argument("names", nargs=-1)
 @click.option("--query", "condition", metavar="CONDITION", help="The recordings that meet a condition.")
 def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
-    """Remove recordings.
+    """Remove recordings, by NAMES or a --query.
 
-    Those with these NAMES, or those of a --query. Their bytes stay in the archive DB until a merge.
+    Their bytes stay in the files of the archive DB; merging the archive into a new one leaves them out.
     """
     if bool(names) == bool(condition):
         raise click.UsageError("name the recordings to remove, or give a --query")
@@ -376,11 +406,11 @@ def remove(db: str, names: tuple[str, ...], condition: str | None) -> None:
 @command.command("repair")
 @click.argument("db", metavar="DB")
 def repair(db: str) -> int:
-    """Make a lost or damaged catalogue again from the shards.
+    """Rebuild a lost or damaged catalogue from the shards.
 
     Names and recordings come back, removed ones too; damaged recordings are listed and dropped. Measured errors and
-    where recordings came from are only in the catalogue: they are kept if it can still be read. The old catalogue stays
-    as catalogue.damaged.
+    the paths of sources are only in the catalogue, so they come back only if it can still be read. The old catalogue
+    stays as catalogue.damaged.
     """
     report = archive.repair(db)
     return print_report(db, report, False, False)

@@ -19,7 +19,10 @@ from .cut import Time
 @click.argument("db", metavar="DB")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def index(db: str, quiet: bool) -> None:
-    """Make or update the index for similar and duplicates. Run it again after a build."""
+    """Make or update the index of similar motion.
+
+    `similar` and `duplicates` search it. Run the command again after a build.
+    """
     with files.progress_line(quiet) as show:
         windows = archive.index(db, show)
     if not quiet:
@@ -31,16 +34,21 @@ def index(db: str, quiet: bool) -> None:
 @click.argument("query", metavar="NAME|FILE")
 @click.option("--from", "begin", type=quantities.TIME_OR_SECONDS, default="0s", help="Where the query begins: 1.5s.")
 @click.option("--to", "end", type=quantities.TIME_OR_SECONDS, help="Where the query ends; default: 4 s later.")
-@click.option("-n", "--count", type=click.IntRange(1), default=10, show_default=True, help="How many parts to list.")
-@click.option("--where", "condition", metavar="CONDITION", help="Search recordings that meet a condition only.")
+@click.option(
+    "-n", "--count", type=click.IntRange(1), default=10, metavar="N", help="List at most N parts; default: 10."
+)
+@click.option(
+    "--where", "condition", metavar="CONDITION", help="Search only recordings that meet a condition (see `query`)."
+)
 @click.option("--json", "as_json", is_flag=True, help="As JSON, lengths in metres.")
 def similar(
     db: str, query: str, begin: Time, end: Time | None, count: int, condition: str | None, as_json: bool
 ) -> None:
     """Find motion similar to part of a recording or file.
 
-    NAME is a recording of the archive DB; or give a FILE. Similar parts may happen anywhere, face any way, and be up to
-    a quarter faster or slower.
+    The query is the part of a recording NAME of the archive DB, or of a FILE, from --from to --to. Similar parts may
+    happen anywhere, face any way, and be up to a quarter faster or slower. The nearest come first, with their RMS
+    distance to the query.
     """
     with archive.open_archive(db) as opened:
         inside = query in opened
@@ -70,7 +78,12 @@ def frame_at(time: Time, rate: float) -> int:
 
 @click.command("duplicates")
 @click.argument("db", metavar="DB")
-@click.option("--within", type=quantities.LENGTH, default=0.02, show_default="2cm", help="Distance of the same motion.")
+@click.option(
+    "--within",
+    type=quantities.LENGTH,
+    default=0.02,
+    help="How far apart two motions may be on average and count as the same; default: 2cm.",
+)
 def duplicates(db: str, within: float) -> None:
     """List recordings that are equal or show the same motion."""
     with archive.open_archive(db) as opened:

@@ -109,7 +109,7 @@ LABELS = {
     "views_psnr_db": "views, PSNR",
     "floor_m": "resampling floor of D1",
 }
-"""Of measures in lines; others are named as in JSON."""
+"""Names of measures in lines of text; others are named as in JSON."""
 
 
 def as_text(result: Mapping[str, Any], as_json: bool) -> str:
@@ -123,6 +123,8 @@ def as_text(result: Mapping[str, Any], as_json: bool) -> str:
             parts = sorted(value.items(), key=lambda part: -part[1])
             lines += ["mean distance from the points nearest to each joint:"]
             lines += [f"  {files.printable(part):18}{quantities.length(metres)}" for part, metres in parts]
+        elif name == "measured_frames" and value == result["frames"]:
+            continue
         elif not (isinstance(value, float) and math.isnan(value)):  # without colours, luma has no error
             text = f"{value:.2f} dB" if name.endswith("_db") else f"{value:.6g}"
             text = quantities.length(value) if name.endswith("_m") and math.isfinite(value) else text

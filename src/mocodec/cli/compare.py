@@ -13,10 +13,10 @@ from ..encoded import Recording
 from ..errors import BadInput
 from ..motion import Motion
 from ..pointcloud import PointClouds
-from . import clouds, files, quantities
+from . import clouds, files, quantities, sections
 
 
-@click.command("compare")
+@click.command("compare", cls=sections.Command)
 @click.argument("a", metavar="A")
 @click.argument("b", metavar="B")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, lengths in metres.")
@@ -34,14 +34,14 @@ from . import clouds, files, quantities
     type=quantities.LENGTH,
     metavar="LENGTH",
     default=metrics.SHELL_M,
-    help="Distance of shell points from their joints; by default 3cm.",
+    help="Distance of shell points from their joints; default: 3cm.",
 )
 @files.reader_options
 def command(a: str, b: str, as_json: bool, plot: str | None, poses: str | None, shell: float, **options: Any) -> None:
     """Measure the error of B against A; each is a .mocz or a recording in another format.
 
-    If both have joint rotations, the errors of shell points (beside the joints, where the skin is) and the angles
-    between the joints' frames are measured too.
+    If both have joint rotations, the errors of shell points (3 cm off the joints, where the skin is) and the angles
+    between rotations are measured too.
 
     Reader options such as --asf and --unit apply to each file whose format takes them. If one of the two is a .mocz,
     the ratio is the size of A as float32 positions over the size of the .mocz.
@@ -140,7 +140,7 @@ def table(result: metrics.Comparison) -> list[str]:
         f"p99 error   {quantities.length(result.p99_error)}",
         f"max error   {quantities.length(result.max_error)}{where}",
         f"rms         {quantities.length(result.rms)}",
-        f"d           {result.d_percent:.3g} %",
+        f"distortion  {result.d_percent:.3g} % (d of Liu & McMillan 2006)",
         f"gaps        {'equal' if result.gaps_equal else 'NOT EQUAL'}",
     ]
     if result.ratio is not None:

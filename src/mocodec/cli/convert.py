@@ -12,7 +12,7 @@ from ..encoded import Recording
 from ..errors import BadInput
 from ..motion import Motion
 from ..selection import counted
-from . import decode, files, output
+from . import decode, files, output, sections
 
 
 def reader_options(command: Any) -> Any:
@@ -24,7 +24,7 @@ def reader_options(command: Any) -> Any:
     return command
 
 
-@click.command("convert")
+@click.command("convert", cls=sections.Command)
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT", required=False)
 @click.option("-o", "--output", "other_target", metavar="OUT", help="Another way to name OUT.")

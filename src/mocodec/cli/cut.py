@@ -23,7 +23,7 @@ from ..encoded import Chunk, Encoded, Recording
 from ..errors import BadInput, CannotEncode
 from ..motion import Motion, extras_between, source_from
 from ..signals import bounds
-from . import files, quantities
+from . import files, quantities, sections
 
 Time = tuple[float | None, int | None]
 ERRORS = ("max_error", "mean_error", "max_rotation")
@@ -31,7 +31,7 @@ SECOND_BOUND = 0.5
 """Bound of the second encoding, as a share of the first bound."""
 
 
-@click.command("cut")
+@click.command("cut", cls=sections.Command)
 @click.argument("source", metavar="FILE")
 @click.option(
     "--from",
@@ -123,7 +123,7 @@ def copied_chunks(encoded: Encoded[Any], start: int, stop: int) -> Encoded[Any] 
         extras=extras_between(about.extras, start, stop, about.rate),
         source=source_from(about.source, start),
     )
-    settings = encoded.settings if (start, stop) == (0, encoded.frames) else _still_true(encoded.settings)
+    settings = encoded.settings if (start, stop) == (0, encoded.frames) else _settings_of_part(encoded.settings)
     return dataclasses.replace(encoded, about=about, chunks=kept, settings=settings)
 
 
@@ -161,11 +161,11 @@ def reencoded(opened: api.File[Recording], start: int, stop: int) -> tuple[Encod
     promised = {name: (1 + SECOND_BOUND) * bound for name, bound in errors.items()}
     texts = {n: f"{b:g}°" if n == "max_rotation" else quantities.bound(b) for n, b in promised.items()}
     grown = "".join(f", promised {n.replace('_', ' ')} now {text}" for n, text in texts.items())
-    kept = _still_true({**kept, **({"signal_error": signal_error} if signal_error else {})})
+    kept = _settings_of_part({**kept, **({"signal_error": signal_error} if signal_error else {})})
     return dataclasses.replace(again, settings={**again.settings, **promised, **kept}), f"encoded again{grown}"
 
 
-def _still_true(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _settings_of_part(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings that also hold for a part: without an error of signals that is relative to their range, which is smaller
     in a part, and without the mean error of colours.
     """

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,11 +15,11 @@ from ..encoded import Encoded, Recording, restore
 from ..errors import BadInput, Corrupt, MocodecError
 from ..motion import Motion
 from ..typing import Floats
-from . import DAMAGED, files, many
+from . import DAMAGED, files, many, sections
 from . import output as output_options
 
 
-@click.command("decode")
+@click.command("decode", cls=sections.Command)
 @click.argument("sources", metavar="IN.mocz...", nargs=-1, required=True)
 @click.option(
     "-o",
@@ -106,13 +104,7 @@ def one(
         left_out = formats.dropped(f"motion{suffix}", recording) if suffix else []
         notes += [f"{suffix} cannot store {', '.join(left_out)}"] if left_out else []
         return {"frames": len(recording), "notes": notes}
-    temporary = target.with_name(f".mocodec-{os.urandom(6).hex()}-part")
-    try:
-        api.write(temporary, recording)
-        shutil.rmtree(target, ignore_errors=True)
-        os.replace(temporary, target)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    api.write(target, recording, overwrite=True)
     return {"frames": len(recording), "notes": []}
 
 
@@ -172,7 +164,7 @@ def decoded_for(source: str, suffix: str) -> tuple[Recording, dict[str, Any]]:
 
 
 def salvaged(reader: container.Reader) -> tuple[Motion, list[str]]:
-    """The motion of a damaged file, with gaps for lost frames, and what is lost, in words.
+    """The motion of a damaged file, with gaps for lost frames, and the loss in words.
 
     Raises Corrupt if all frames are lost, BadInput for point clouds.
     """

@@ -6,6 +6,7 @@ recording.mocz ─decode─► jumps.trc ─encode─► one .mocz per codec and
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,10 +48,17 @@ def command(output: str) -> None:
         f"{trc}: {len(original):,} frames of {original.points} joints at {original.rate:g} Hz, {original.seconds:.1f} s"
     )
     files.echo(f"  decoded from {data.RECORDING.name}, {quantities.size(data.RECORDING.stat().st_size)}\n")
-    columns = f"{'codec':8}  {'promise':12}  {'bytes':>9}  {'ratio':>6}  {'mean':>9}  {'max':>9}"
-    files.echo(f"{columns}  {'frames/s in':>11}  {'out':>9}")
+    files.echo(f"{'codec':8}  {'promise':9}  {'bytes':>7}  {'ratio':>6}  {'mean':>8}  {'max':>7}")
+    speeds: dict[str, list[tuple[float, float]]] = {}
     for codec, options in RUNS:
-        files.echo(row(original, codec, options, folder))
+        text, seconds = row(original, codec, options, folder)
+        files.echo(text)
+        speeds.setdefault(codec, []).append(seconds)
+    files.echo(f"\n{'frames/s':8}  {'encoded':>17}  {'decoded':>17}")
+    for codec, seconds in speeds.items():
+        files.echo(
+            f"{codec:8}  " + "  ".join(f"{speed(len(original), times):>17}" for times in zip(*seconds, strict=True))
+        )
     picture = draw(replace(original, skeleton=recording.skeleton), folder)  # TRC cannot store the skeleton
     files.echo(f"\n{CAVEAT}\n\nAcknowledgement: {data.ACKNOWLEDGEMENT}\n\nNow try:")
     first = folder / file_name(*RUNS[0])
@@ -65,8 +73,8 @@ def file_name(codec: str, options: dict[str, Any]) -> str:
     return f"jumps-{codec}{bound}.mocz"
 
 
-def row(original: Motion, codec: str, options: dict[str, Any], folder: Path) -> str:
-    """Encode, decode and measure; one line of the table."""
+def row(original: Motion, codec: str, options: dict[str, Any], folder: Path) -> tuple[str, tuple[float, float]]:
+    """Encode, decode and measure: a line of the table, and the seconds of encoding and of decoding."""
     path = folder / file_name(codec, options)
     with files.working(f"encoding with {codec}"):
         start = time.perf_counter()
@@ -78,11 +86,17 @@ def row(original: Motion, codec: str, options: dict[str, Any], folder: Path) -> 
         end = time.perf_counter()
     error = metrics.compare(original, decoded, path.stat().st_size)
     promise = f"max {quantities.bound(options['max_error'])}" if options else "none"
-    return (
-        f"{codec:8}  {promise:12}  {path.stat().st_size:>9,}  {error.ratio:>6.1f}  "
-        f"{quantities.length(error.mean_error):>9}  {quantities.length(error.max_error):>9}  "
-        f"{len(original) / (encoded - start):>11,.0f}  {len(original) / (end - encoded):>9,.0f}"
+    text = (
+        f"{codec:8}  {promise:9}  {path.stat().st_size:>7,}  {error.ratio:>6.1f}  "
+        f"{quantities.length(error.mean_error):>8}  {quantities.length(error.max_error):>7}"
     )
+    return text, (encoded - start, end - encoded)
+
+
+def speed(frames: int, seconds: Sequence[float]) -> str:
+    """Frames a second, from the slowest to the fastest of the runs."""
+    slowest, fastest = frames / max(seconds), frames / min(seconds)
+    return f"{slowest:,.0f}" if len(seconds) == 1 else f"{slowest:,.0f} – {fastest:,.0f}"
 
 
 def draw(original: Motion, folder: Path) -> Path | None:

@@ -9,7 +9,7 @@ from . import files, summary
 
 
 class Display:
-    """total: files to work on; skipped: files that are done already. quiet: show nothing."""
+    """total: files to work on; skipped: files that are done already. quiet: show only what fails."""
 
     def __init__(self, total: int, skipped: int, quiet: bool) -> None:
         self.total, self.skipped, self.quiet = total, skipped, quiet
@@ -52,7 +52,7 @@ class Display:
     def finish(self, record: dict[str, Any]) -> None:
         """A file is done, or has failed."""
         self.finished += 1
-        if self.quiet:
+        if self.quiet and record["status"] != "failed":
             return
         if self._bars is None:
             files.line(f"[{self.finished}/{self.total}] {summary.line(record)}", err=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,14 @@ from ..encoded import TARGETS, Recording
 from ..errors import CannotEncode
 from ..motion import Motion
 from ..packing import DEFAULT_CODECS
-from . import clouds, files, in_pieces, many, quantities, verify
+from . import clouds, files, in_pieces, many, quantities, sections, verify
 from .codec_options import OPTIONS, codec_with
 
+target_option = partial(sections.option, section=sections.TARGETS)
+cloud_option = partial(sections.option, section=sections.CLOUDS)
 
-@click.command("encode")
+
+@click.command("encode", cls=sections.Command)
 @click.argument("sources", metavar="IN...", nargs=-1, required=True)
 @click.option(
     "-o",
@@ -28,58 +32,67 @@ from .codec_options import OPTIONS, codec_with
     metavar="OUT",
     help='The .mocz file to write, or "-" for standard output; of many files, the folder to write to.',
 )
-@click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds.")
-@click.option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
-@click.option(
+@target_option("--max-error", type=quantities.LENGTH, help="No point of any frame is farther off than this: 2mm.")
+@target_option(
     "--mean-error", type=quantities.LENGTH, help="The average distance over all points and frames is at most this: 1mm."
 )
-@click.option(
-    "--max-rotation",
-    type=click.FloatRange(0, 180, min_open=True),
-    metavar="DEGREES",
-    help="No rotation of a joint is farther off than this, beside any other target: 2.",
+@target_option(
+    "--ratio", type=quantities.RATIO, metavar="N", help="At least N times smaller than float32 positions: 100."
 )
-@click.option("--ratio", type=click.FloatRange(1), help="At least this many times smaller than float32 positions: 100.")
-@click.option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
+@target_option("--size", type=quantities.SIZE, help="The file is at most this large: 50kB.")
+@target_option(
+    "--max-rotation",
+    type=quantities.DEGREES,
+    metavar="DEGREES",
+    help="No joint is rotated farther off than this: 1deg. Alone or with another target.",
+)
+@click.option("--codec", type=click.Choice(list(codecs.CODECS)), help="Default: tempo; bodycast for point clouds.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A setting of the codec; can be repeated. An unknown NAME lists the settings.",
+)
+@click.option(
+    "--chunk-seconds",
+    type=quantities.DURATION,
+    metavar="SECONDS",
+    help="Length of a chunk, the part of a file that one damaged byte costs; default: 4. Shorter chunks take more "
+    "bytes.",
+)
 @click.option(
     "--signal-error",
     metavar="ERROR",
     help="How far samples of signals may be off: 12bit or 0.1% of their range, or by label 'Fz*=0.5N,EMG*=12bit'. "
     "Default: not at all.",
 )
-@click.option(
-    "--chunk-seconds",
-    type=click.FloatRange(0, min_open=True),
-    metavar="S",
-    help="Length of the parts that damage spares or loses as a whole; default 4. Shorter ones lose less and cost more.",
-)
-@click.option("--psnr", type=quantities.DECIBELS, help="For point clouds: the colours have at least this PSNR: 40dB.")
-@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="A setting of the codec; can be repeated.")
-@click.option(
-    "--skeleton",
-    type=click.Path(),
-    metavar="FILE",
-    help="For point clouds: a .bvh or .amc whose first frame has the pose of the first frame.",
-)
-@click.option(
-    "--residual",
-    type=quantities.RESIDUAL,
-    metavar="PERCENT|exact",
-    help="For point clouds, in place of an error: 0 sends a moving surface, 26 to 100 all points, closer and closer; "
-    "'exact' keeps every bit (both with bodycast).",
-)
+@click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--prior", metavar="FILE", help="A prior of your own, by `mocodec prior train`; decoding needs it too.")
 @click.option(
     "--in-pieces",
     "piecewise",
     is_flag=True,
-    help="Encode block by block, in some hundred MB of memory; by default for .c3d .npy .npz .bvh .trc .amc .csv above "
+    help="Encode block by block, in some hundred MB of memory; default for .c3d .npy .npz .bvh .trc .amc .csv above "
     "256 MB.",
 )
 @click.option("--at-once", is_flag=True, help="Never encode block by block.")
-@click.option("--bare", is_flag=True, help="Leave out analog channels, events and parameters.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on standard output.")
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
+@cloud_option(
+    "--residual",
+    type=quantities.RESIDUAL,
+    metavar="PERCENT|exact",
+    help="In place of a target: 0 sends a moving surface, 26 to 100 all points, closer and closer; 'exact' keeps "
+    "every bit (both with bodycast).",
+)
+@cloud_option("--psnr", type=quantities.DECIBELS, help="The colours have at least this PSNR: 40dB.")
+@cloud_option(
+    "--skeleton",
+    type=click.Path(),
+    metavar="FILE",
+    help="A .bvh or .amc whose first frame has the pose of the first cloud.",
+)
 @many.jobs_option
 @many.again_option
 @files.reader_options
@@ -101,7 +114,8 @@ def command(
 ) -> int | None:
     """Compress the recording IN (.c3d .trc .bvh .amc .npz …, a folder of .ply, or "-") into a .mocz file.
 
-    The file is decoded and measured before it is written; the summary on standard error shows the measured error.
+    Without a target, no point of a motion is farther off than 5 mm (tempo). The file is decoded and measured before it
+    is written; the summary on standard error shows the measured error.
 
     Several files, or a folder, are compressed into the folder OUT under the same names; run the command again to go on
     after an interruption. Files that are done are skipped: those whose source, output and options have not changed.
@@ -218,7 +232,9 @@ def encoded(
 def refuse_file(output: str) -> None:
     """Raises a usage error if the output of many files is not a folder."""
     if output == "-" or files.is_mocz(output) or (Path(output).exists() and not Path(output).is_dir()):
-        raise click.UsageError(f"{output}: many files are written to a folder; name one with -o")
+        raise click.UsageError(
+            f"{output}: many files are written to a folder; name one with -o, or an archive: mocodec archive build"
+        )
 
 
 def refuse_settings(codec: str | None, settings: Sequence[str], targets: dict[str, float]) -> None:

@@ -18,54 +18,57 @@ from ..errors import BadInput, MocodecError
 from ..formats.zeros import GAP_OPTIONS
 from ..motion import UP_AXES, Motion
 from ..pointcloud import PointClouds
-from . import closed_streams, printable
+from . import closed_streams, printable, quantities, sections
 
 SUFFIX = ".mocz"
 
+
+def _option(*names: str, **attributes: Any) -> Callable[..., Any]:
+    return sections.option(*names, section=sections.READING, **attributes)
+
+
 READER_OPTIONS = (
-    click.option(
+    _option(
         "--format",
         "format_",
         metavar="NAME",
         help="Format of standard input, such as c3d or trc; not needed for a .mocz.",
     ),
-    click.option(
-        "--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc; by default the .asf file beside it."
+    _option(
+        "--unit", metavar="UNIT", help="Unit of the file's lengths, in place of its own: mm, cm, in; or its metres."
     ),
-    click.option(
+    _option("--up", type=click.Choice(UP_AXES), help="The vertical axis, in place of the file's."),
+    _option("--rate", type=quantities.HERTZ, metavar="HZ", help="Frames per second, in place of the file's: 120."),
+    _option("--fps", type=quantities.HERTZ, metavar="HZ", help="Frames per second of a folder of point clouds: 15."),
+    _option("--start", type=float, metavar="SECONDS", help="Time of the first frame, in place of the file's."),
+    _option("--asf", type=click.Path(), metavar="FILE", help="The skeleton of an .amc; default: the .asf beside it."),
+    _option(
         "--smplx",
         type=click.Path(),
         metavar="FILE",
-        help="Your own SMPL, SMPL-H or SMPL-X model (.npz), for the bones of AMASS files.",
+        help="Your own SMPL, SMPL+H or SMPL-X model (.npz), for the bones of AMASS files.",
     ),
-    click.option("--rate", type=click.FloatRange(0, min_open=True), help="Frames per second, in place of the file's."),
-    click.option(
-        "--fps", type=click.FloatRange(0, min_open=True), help="Frames per second of a folder of point clouds."
-    ),
-    click.option("--unit", metavar="UNIT", help="Unit of the file's lengths, in place of its own: mm, cm, in, 0.02."),
-    click.option("--up", type=click.Choice(UP_AXES), help="The vertical axis, in place of the file's."),
-    click.option("--start", type=float, metavar="SECONDS", help="Time of the first frame, in place of the file's."),
-    click.option("--animation", metavar="NAME|N", help="Which animation of a .glb or .gltf; by default the longest."),
-    click.option("--skin", metavar="NAME|N", help="Which skin of a .glb or .gltf, or all; by default the largest."),
-    click.option(
+    _option("--animation", metavar="NAME|N", help="Which animation of a .glb or .gltf; default: the longest."),
+    _option("--skin", metavar="NAME|N", help="Which skin of a .glb or .gltf, or all; default: the largest."),
+    _option(
         "--gaps",
         type=click.Choice(GAP_OPTIONS),
-        help="Whether markers at exactly (0, 0, 0) are missing (zeros, the default) or positions (keep).",
+        help="Markers at exactly (0, 0, 0) are missing (zeros, the default) or at the origin (keep).",
     ),
-    click.option(
+    _option(
+        "--residuals",
+        is_flag=True,
+        flag_value=True,
+        default=None,
+        help="Keep the residual and camera mask of each sample of a .c3d.",
+    ),
+    _option(
         "--salvage",
         "salvage",
         is_flag=True,
         flag_value=True,
         default=None,
         help="Read a truncated file as far as it goes.",
-    ),
-    click.option(
-        "--residuals",
-        is_flag=True,
-        flag_value=True,
-        default=None,
-        help="Keep the residual and camera mask of each sample of a .c3d.",
     ),
 )
 
@@ -99,6 +102,15 @@ def in_archive(name: str) -> tuple[str, str] | None:
     from ..archive import in_archive
 
     return in_archive(name)
+
+
+def is_archive(name: str) -> bool:
+    """Whether an argument is the folder of an archive on this machine."""
+    if is_url(name) or not Path(name).is_dir():
+        return False
+    from ..archive import is_archive
+
+    return is_archive(name)
 
 
 def is_compressed(name: str) -> bool:

@@ -49,7 +49,7 @@ def encoded(
     except BadInput:
         if asked:
             raise
-        return None  # reading the whole says what is wrong, if anything is
+        return None  # reading the whole raises the error, if there is one
     if chosen.get("bare"):
         blocks = replace(blocks, about=formats.without_extras(blocks.about))
     if not asked and not _is_possible(codec, blocks):

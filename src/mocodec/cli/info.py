@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -13,20 +14,26 @@ from ..encoded import Encoded, Recording
 from ..errors import MocodecError
 from ..geometry import joint_tree
 from ..motion import Motion, Signal
-from . import files, many, quantities
+from . import files, many, quantities, sections
 
 MAX_ITEMS = 60
 """Items of a list that are shown; --json has all."""
+OF_MOTIONS = ("names", "skeleton", "rotations")
+"""What is not shown of point clouds."""
+OF_WRITERS = ("channels", "constant", "first_angles", "offset_digits")
+"""What only the writer of a BVH needs from the source; --json has it."""
 
 
-@click.command("info")
+@click.command("info", cls=sections.Command)
 @click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @many.jobs_option
 @files.reader_options
 def command(sources: tuple[str, ...], as_json: bool, jobs: int, **options: Any) -> int | None:
-    """Show the contents of FILE. Of a .mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-") only header and index
-    are read; with rotations, also the chunks of a path, for the bytes of positions and of rotations.
+    """Show the contents of FILE: a .mocz (a path, a URL, ARCHIVE/NAME of an archive, or "-"), or any other format.
+
+    Of a .mocz, only header and index are read, and nothing is decoded. Of a local one with rotations, the chunks are
+    read too, to tell the bytes of positions from those of rotations.
 
     Of several files, or of a folder, a table shows the main facts; --json has all of them.
     """
@@ -133,8 +140,13 @@ def shown(facts: Mapping[str, Any]) -> Iterator[str]:
     if isinstance(layout := source.get("layout"), list):
         names = [str(entry[0] if isinstance(entry, list | tuple) and entry else entry) for entry in layout]
         source["layout"] = names
+    if brief["kind"] == "clouds":
+        brief = {name: value for name, value in brief.items() if name not in OF_MOTIONS and value is not None}
+        brief["kind"] = "point clouds"
     if "source" in brief:
-        brief["source"] = source
+        brief["source"] = {name: value for name, value in source.items() if name not in OF_WRITERS}
+    if isinstance(chunks := brief.get("chunks"), Mapping):
+        brief["chunks"] = {name: as_range(value) for name, value in chunks.items()}
     yield from lines(brief)
     yield from joint_tree.lines_of(tree)
 
@@ -164,8 +176,30 @@ def lines(facts: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
             yield from lines(value, indent + 2)
         elif isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
             yield label + f"{len(value)}"
+        elif key == "notes" and isinstance(value, list):
+            for note in value:
+                yield from wrapped(label, as_text(note))
+                label = " " * len(label)
         else:
-            yield label + as_text(value)
+            yield from wrapped(label, as_text(value), " " if isinstance(value, str) and indent == 0 else ", ")
+
+
+def wrapped(label: str, text: str, separator: str = " ") -> list[str]:
+    """The label and the text in lines of at most joint_tree.WIDTH characters, broken behind separators."""
+    rows = [label]
+    for part in re.findall(f".+?(?:{separator}|$)", text):
+        if len(rows[-1]) + len(part.rstrip()) > joint_tree.WIDTH and rows[-1] != label:
+            rows.append(" " * len(label))
+        rows[-1] += part
+    return [row.rstrip() for row in rows]
+
+
+def as_range(value: Any) -> Any:
+    """A pair of smallest and largest as text, or one number if they are equal; other values as they are."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        return value
+    low, high = value
+    return low if low == high else f"{low:,} to {high:,}"
 
 
 def as_text(value: Any) -> str:

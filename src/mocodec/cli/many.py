@@ -19,25 +19,32 @@ import click
 
 from .. import formats
 from ..formats.folders import below, mirrored_name
-from . import files, summary
+from . import files, sections, summary
 from .display import Display
 from .journal import Journal
 from .workers import Task, run_tasks
 
 FAILED, SKIPPED, DONE = "failed", "skipped", "done"
+ARCHIVE_COMMANDS = {
+    "info": "stats {0}` or `mocodec archive list {0}",
+    "verify": "verify {0}",
+    "decode": "extract {0} -o FOLDER --format npz",
+    "encode": "build SOURCES -o {0}` to add recordings, `mocodec archive extract {0} -o FOLDER",
+}
+"""What to run on an archive in place of a command on many files."""
 
-jobs_option = click.option(
+jobs_option = sections.option(
     "-j",
     "--jobs",
+    section=sections.MANY,
     type=click.IntRange(0),
     default=1,
-    show_default=True,
     metavar="N",
-    help="Of many files, work on N at the same time; 0: one per core.",
+    help="Work on N files at the same time; 0: one per core; default: 1.",
 )
 """The option of commands that take many files."""
-again_option = click.option(
-    "--again", is_flag=True, help="Of many files, redo also those that are done; replace existing files."
+again_option = sections.option(
+    "--again", section=sections.MANY, is_flag=True, help="Redo also files that are done; replace existing files."
 )
 """The option of commands that write a file for each."""
 
@@ -113,7 +120,13 @@ def find(arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
 
 
 def find_readable(command: str, arguments: Sequence[str], suffixes: Collection[str]) -> list[Source]:
-    """As `find`. Raises a usage error where nothing is found, which says what to do with other files in the folders."""
+    """As `find`. Raises a usage error where nothing is found, which says what to do with other files in the folders;
+    and for archives, whose files are not those of recordings.
+    """
+    for argument in arguments:
+        if files.is_archive(argument):
+            do = ARCHIVE_COMMANDS[command].format(argument)
+            raise click.UsageError(f"{argument} is an archive: run `mocodec archive {do}`")
     found = find(arguments, suffixes)
     if not found:
         names = [name for folder in arguments if Path(folder).is_dir() for name in os.listdir(folder)]

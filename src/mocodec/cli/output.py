@@ -16,33 +16,40 @@ from ..encoded import Recording
 from ..errors import BadInput
 from ..motion import UP_AXES, Motion, Signal
 from ..selection import counted
-from . import quantities
+from . import quantities, sections
 
 CHANGES = ("points", "to_rate", "to_up")
 WRITERS = {"to_unit": "unit", "keys": "keys"}
 """Options that are those of a format's writer, and their names there."""
 
+
+def _option(*names: str, **attributes: Any) -> Callable[..., Any]:
+    return sections.option(*names, section=sections.WRITING, **attributes)
+
+
 OPTIONS = (
-    click.option(
+    _option(
         "--to-rate",
         "--rate",
-        type=click.FloatRange(0, min_open=True),
+        type=quantities.HERTZ,
         metavar="HZ",
-        help="Resample to so many frames per second: rotations by slerp, positions by splines; gaps stay gaps.",
+        help="Resample to this rate, in frames per second: rotations by slerp, positions by splines; gaps stay gaps.",
     ),
-    click.option(
-        "--to-unit", metavar="UNIT", help="Unit of lengths in the output, where its format has one: mm, cm, in."
-    ),
-    click.option("--to-up", type=click.Choice(UP_AXES), help="Turn the motion so that this axis is vertical."),
-    click.option(
+    _option("--to-unit", metavar="UNIT", help="Unit of lengths in the output, where its format has one: mm, cm, in."),
+    _option("--to-up", type=click.Choice(UP_AXES), help="Turn the motion so that this axis is vertical."),
+    _option(
         "--points",
         "--joints",
         multiple=True,
         metavar="NAMES",
-        help="Only these points or joints, separated by commas; leaving out leaves or limbs keeps the skeleton.",
+        help="Only these points or joints, separated by commas. The skeleton is kept if no joint between two of them "
+        "is left out.",
     ),
-    click.option(
-        "--keys", type=quantities.LENGTH, metavar="LENGTH", help="Of a .glb: few key frames, within this distance: 1mm."
+    _option(
+        "--keys",
+        type=quantities.LENGTH,
+        metavar="LENGTH",
+        help="Of a .glb: few key frames in place of every frame, every joint within this distance: 1mm.",
     ),
 )
 
@@ -61,7 +68,7 @@ def split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def prepared(recording: Recording, suffix: str, changes: dict[str, Any]) -> tuple[Recording, list[str]]:
-    """The recording with the changes, for a file with this suffix, and notes on what is left out. Raises BadInput."""
+    """The recording with the changes, for a file with this suffix, and notes on the parts left out. Raises BadInput."""
     return _in_whole_frames(_changed(recording, **changes), suffix, changes)
 
 

@@ -22,7 +22,10 @@ def command() -> None:
 @click.option("-o", "--output", required=True, metavar="FILE", help="The file to write, such as mine.prior.")
 @click.option("--query", "condition", metavar="CONDITION", help="Only the recordings that meet a condition.")
 @click.option(
-    "--frames", type=click.IntRange(1), help="Learn from about this many frames, spread over the archive; default: all."
+    "--frames",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Learn from about N frames, spread over the archive; default: all.",
 )
 @click.option(
     "-j",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import Field, fields
 from typing import Any
@@ -84,36 +85,47 @@ class Size(click.ParamType):
         return int(number * BYTES[unit])
 
 
-class Residual(click.ParamType):
-    """A percentage from 0 to 100, or "exact"."""
+class Number(click.ParamType):
+    """A number with or without its unit, above `above` or from `least` on, and up to `most`."""
 
-    name = "residual"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
-        if isinstance(value, float) or value == "exact":
-            return value
-        number, unit = split_unit(value) or (-1.0, "")
-        if unit not in ("", "%") or not 0 <= number <= 100:
-            self.fail(f"{value!r} is not a percentage from 0 to 100 or 'exact'", param, ctx)
-        return number
-
-
-class Decibels(click.ParamType):
-    """A ratio in dB, above zero."""
-
-    name = "decibels"
+    def __init__(
+        self,
+        name: str,
+        what: str,
+        units: tuple[str, ...] = (),
+        *,
+        above: float = -math.inf,
+        least: float = -math.inf,
+        most: float = math.inf,
+    ) -> None:
+        self.name, self.what, self.units = name, what, ("", *units)
+        self.above, self.least, self.most = above, least, most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
             return value
-        number, unit = split_unit(value) or (-1.0, "")
-        if unit not in ("", "dB") or not 0 < number < float("inf"):
-            self.fail(f"{value!r} is not a number of decibels above zero; write it as 40dB", param, ctx)
+        number, unit = split_unit(value) or (math.nan, "")
+        in_range = self.above < number and self.least <= number <= self.most and math.isfinite(number)
+        if unit not in self.units or not in_range:
+            self.fail(f"{value!r} is not {self.what}", param, ctx)
         return number
 
 
-LENGTH, TIME, SIZE, RESIDUAL, DECIBELS = Length(), Time(), Size(), Residual(), Decibels()
+class Residual(Number):
+    """A percentage from 0 to 100, or "exact"."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if value == "exact" else super().convert(value, param, ctx)
+
+
+LENGTH, TIME, SIZE = Length(), Time(), Size()
 TIME_OR_SECONDS = TimeOrSeconds()
+RESIDUAL = Residual("residual", "a percentage from 0 to 100 or 'exact'", ("%",), least=0, most=100)
+DECIBELS = Number("decibels", "a number of decibels above zero; write it as 40dB", ("dB",), above=0)
+DEGREES = Number("degrees", "an angle above 0 and up to 180 degrees; write it as 1deg", ("deg", "°"), above=0, most=180)
+HERTZ = Number("hz", "a number of frames per second above zero; write it as 120 or 59.94", ("Hz", "fps"), above=0)
+RATIO = Number("ratio", "a ratio of 1 or more; write it as 100", least=1)
+DURATION = Number("seconds", "a number of seconds above zero; write it as 2s", ("s",), above=0)
 
 
 def setting(codec_class: Any, text: str) -> tuple[str, Any]:

@@ -1,6 +1,6 @@
 """The summary of a command on many files: records to totals, and both to a table.
 
-A record is what is known of one file: `file`, `status` ("done", "skipped", "failed"), with `reason` and `code` if it
+A record describes one file: `file`, `status` ("done", "skipped", "failed"), with `reason` and `code` if it
 failed, and measures in metres, bytes and seconds. It is JSON.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from ..selection import counted
 from . import quantities
 
 Record = Mapping[str, Any]
@@ -35,8 +36,8 @@ FORMATS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "rate": ("Hz", lambda value: f"{value:.6g}"),
     "duration": ("duration", _seconds),
     "bytes": ("bytes", _count),
-    "ratio": ("of float32", _ratio),
-    "file_ratio": ("of file", _ratio),
+    "ratio": ("to float32", _ratio),
+    "file_ratio": ("to file", _ratio),
     "mean_error": ("mean", quantities.length),
     "max_error": ("max", quantities.length),
     "promise": ("promise", str),
@@ -44,6 +45,16 @@ FORMATS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "seconds": ("time", _seconds),
 }
 """Heading and format of each value of a record."""
+
+IN_WORDS = {
+    "bytes": "{} bytes",
+    "ratio": "{} to float32",
+    "file_ratio": "{} to the file",
+    "mean_error": "mean error {}",
+    "max_error": "max {}",
+    "seconds": "{}",
+}
+"""The values that the line of a finished file shows, each with its name."""
 
 COLUMNS = {
     "encode": ("bytes", "ratio", "file_ratio", "mean_error", "max_error", "seconds"),
@@ -58,9 +69,8 @@ def line(record: Record) -> str:
     """A record in one line."""
     if record["status"] == "failed":
         return f"{record['file']}: failed: {record['reason']}"
-    shown = ("bytes", "ratio", "file_ratio", "mean_error", "max_error", "seconds")
     return f"{record['file']}: " + ", ".join(
-        f"{FORMATS[name][0]} {FORMATS[name][1](record[name])}" for name in shown if record.get(name) is not None
+        words.format(FORMATS[name][1](record[name])) for name, words in IN_WORDS.items() if record.get(name) is not None
     )
 
 
@@ -104,7 +114,7 @@ def lines(command: str, report_: Mapping[str, Any]) -> Iterator[str]:
         yield ""
     parts = [f"{totals[status]} {status}" for status in ("done", "skipped", "failed") if totals[status]]
     worst = f"; largest error in {totals['max_error_in']}" if "max_error_in" in totals else ""
-    yield f"{totals['files']} files: {', '.join(parts)}{worst}"
+    yield f"{counted(totals['files'], 'file')}: {', '.join(parts)}{worst}"
     by_note: dict[str, list[str]] = {}
     for record in records:
         for note in record.get("notes") or ():

@@ -18,12 +18,12 @@ from ..errors import BadInput
 from ..motion import Motion, Signal
 from ..pointcloud import PointClouds
 from ..signals import bounds
-from . import PROMISE_BROKEN, BrokenPromise, clouds, files, many, quantities
+from . import PROMISE_BROKEN, BrokenPromise, clouds, files, many, quantities, sections
 
 SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the last bit of a sum
 
 
-@click.command("verify")
+@click.command("verify", cls=sections.Command)
 @click.argument("sources", metavar="FILE.mocz...", nargs=-1, required=True)
 @click.option(
     "--against",
@@ -36,9 +36,9 @@ SLACK = 1 + 1e-9  # rounding: a bound that is met exactly may be exceeded by the
 def command(sources: tuple[str, ...], against: str | None, as_json: bool, jobs: int, **options: Any) -> int | None:
     """Check that every part of FILE is undamaged and decodes and, with --against, that its promises are kept.
 
-    Promises are the max-error, mean-error, max-rotation, ratio or size that it was encoded with. If the file keeps
-    rotations, errors are promised of joints and of shell points beside them. Equal names, rate, gaps and extras
-    (analog channels, events, …) are always promised, but for extras that the file says to lack (`encode --bare`).
+    A promise is the max-error, mean-error, max-rotation, signal-error, ratio or size that FILE was encoded with. If it
+    keeps rotations, the errors are those of joints and of shell points (3 cm off each joint). Names, rate, gaps and
+    extras (analog channels, events, …) must be equal, except extras that FILE was encoded without (`encode --bare`).
 
     Several files, or a folder, are checked one by one; --against names the folder that they were encoded from.
     """
@@ -256,9 +256,17 @@ def lines(report: dict[str, Any], against: str | None) -> list[str]:
     left_out = report.get("left_out", [])
     if left_out:
         text.append(f"not in the file, which was encoded without them: {', '.join(left_out)}")
-    equal = "frames and rate" if "d1" in report else f"names, rate, gaps and {'other ' * bool(left_out)}extras"
-    kept = "the promise is kept" if report["promise"] else f"no bound was promised; {equal} are equal"
+    kept = f"{'the promise is kept' if report['promise'] else 'no bound was promised'}; {equal_parts(report)}"
     return text + ([f"broken: {what}" for what in report["broken"]] or [kept])
+
+
+def equal_parts(report: Mapping[str, Any]) -> str:
+    """What is equal in the file and its source, besides the positions, in words."""
+    if "d1" in report:
+        return "frames and rate are equal"
+    others = "other " * bool(report.get("left_out"))
+    bounded = " (signals within their error)" if "signal_error" in report["promise"] else ""
+    return f"names, rate, gaps and {others}extras are equal{bounded}"
 
 
 def promise_as_text(name: str, value: Any) -> str:

@@ -16,12 +16,12 @@ from ..pointcloud import PointClouds
 from ..viewer import film, page, session
 from ..viewer.recording import Shown, of_path
 from ..viewer.server import ArchiveServer, Server
-from . import compare, files
+from . import compare, files, sections
 
 ServerT = TypeVar("ServerT", bound=Server)
 
 
-@click.command("view")
+@click.command("view", cls=sections.Command)
 @click.argument("sources", metavar="FILE…", nargs=-1, required=True)
 @click.option("--against", metavar="ORIGINAL", help="Show the error against this recording, and its points in grey.")
 @click.option(
@@ -45,7 +45,9 @@ ServerT = TypeVar("ServerT", bound=Server)
     metavar="OUT.mp4",
     help="Film the recording, without a browser; needs the [cloud] extra.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port on 127.0.0.1; by default any free one.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, metavar="N", help="Port on 127.0.0.1; default: any free one."
+)
 @click.option("--no-browser", is_flag=True, help="Print the address, but open no browser.")
 @files.reader_options
 def command(
@@ -74,7 +76,7 @@ def command(
             raise click.UsageError("an archive is only served; name a recording of it for a page, a picture or a film")
         with ExitStack() as opened:
             archive = opened.enter_context(open_archive(sources[0]))
-            serve(opened.enter_context(listening(ArchiveServer, archive, Path(sources[0]).name, port)), not no_browser)
+            serve(opened.enter_context(server_at(ArchiveServer, archive, Path(sources[0]).name, port)), not no_browser)
         return
     names = (*sources, *((against,) if against else ()))
     if "-" in names:
@@ -97,12 +99,12 @@ def command(
         if html_path or png_path or mp4_path:
             return
         with files.working("measuring"):
-            server = listening(Server, pairs, title, port)
+            server = server_at(Server, pairs, title, port)
         with server:
             serve(server, not no_browser)
 
 
-def listening(kind: type[ServerT], content: Any, title: str, port: int) -> ServerT:
+def server_at(kind: type[ServerT], content: Any, title: str, port: int) -> ServerT:
     """A server at a port. Raises BadInput if it is taken."""
     try:
         return kind(content, title, port)

@@ -86,7 +86,7 @@ def run_tasks(
                         worker.give(task)
             for ready in wait([worker.connection for worker in workers]):
                 worker = next(w for w in workers if w.connection is ready)
-                yield from _heard(worker, workers, display)
+                yield from _take_message(worker, workers, display)
     finally:
         for worker in workers:
             worker.process.terminate()
@@ -94,7 +94,7 @@ def run_tasks(
             worker.stop()
 
 
-def _heard(worker: Worker, workers: list[Worker], display: Display) -> Iterator[tuple[Task, dict[str, Any]]]:
+def _take_message(worker: Worker, workers: list[Worker], display: Display) -> Iterator[tuple[Task, dict[str, Any]]]:
     """Take a message of a worker: progress, a record, or its end."""
     task = worker.task
     try:

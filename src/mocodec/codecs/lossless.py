@@ -47,7 +47,9 @@ WITH_ROTATIONS = b"\x01"  # the second shared part, if chunks begin with rotatio
 
 @dataclass(frozen=True)
 class Lossless:
-    """Settings. chunk_seconds: duration of a chunk; each chunk decodes without the others.
+    """Settings of lossless: positions as float32 in the unit of their file, bit for bit.
+
+    chunk_seconds: duration of a chunk; each chunk decodes without the others.
 
     float64: store every bit of float64 positions in metres; always so beyond the range of float32.
     """

@@ -66,7 +66,7 @@ def require_kept(
     encoded: Encoded[Motion],
     decode: Callable[[Encoded[Motion]], Motion],
 ) -> None:
-    """Raises CannotEncode unless what is decoded has the gaps of the motion and keeps the promise."""
+    """Raises CannotEncode unless the decoded motion has the gaps of the motion and keeps the promise."""
     decoded = decode(encoded)
     found = None
     if decoded.positions.shape == motion.positions.shape:

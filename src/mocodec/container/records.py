@@ -115,7 +115,7 @@ def _read_rate(cursor: Cursor, _: Mapping[str, Any]) -> float:
 
 
 def _write_skeleton(value: tuple[Skeleton, bool], record: Mapping[str, Any]) -> bytes:
-    """Of a skeleton, and whether rotations are coded."""
+    """Bytes of a skeleton and of whether rotations are coded."""
     skeleton, has_rotations = value
     pack = skeletons.pack_with_rotations if has_rotations else skeletons.pack
     return pack(skeleton, record["names"], exact=record["codec"] == "lossless")

@@ -26,7 +26,7 @@ END_BYTES = 40 << 10
 SMALL_BYTES = 4 * BLOCK_BYTES
 """A file of at most this size is fetched whole."""
 MOST_AHEAD_BYTES = 8 << 20
-"""The most that is fetched ahead of what is read."""
+"""Bytes that are fetched ahead of a reader, at most."""
 CACHE_BYTES = 16 << 20
 """Pieces that stay in memory, of each open file."""
 TIMEOUT_S = 30.0
@@ -39,6 +39,8 @@ WHOLE_BYTES = 1 << 18
 """A file of at most this many bytes is taken as a whole if a server sends it so."""
 FINAL_STATUS = (401, 403, 404, 410)
 """Answers that do not change if another range is asked for."""
+VALIDATORS = ("ETag", "Last-Modified")
+"""Headers that tell versions of a file apart (RFC 9110, 8.8); the first that two answers share is compared."""
 
 Piece = tuple[int, bytes]
 """Offset in the file, and the bytes from there on."""
@@ -124,16 +126,17 @@ class StoreFile(RemoteFile):
         super().__init__(url, part)
         self.files, self.path = file_system(url)
         if part is None:
-            size = self._asked(lambda: self.files.info(self.path)["size"])
+            size = self._requested(lambda: self.files.info(self.path)["size"])
             if not isinstance(size, int):
                 raise BadInput(f"{url}: its size is unknown; download it first")
             self.size = size
 
     def _fetch(self, start: int, stop: int) -> bytes:
         first, past = self.origin + start, self.origin + stop
-        return self._asked(lambda: self.files.cat_file(self.path, start=first, end=past))
+        return self._requested(lambda: self.files.cat_file(self.path, start=first, end=past))
 
-    def _asked(self, request: Any) -> Any:
+    def _requested(self, request: Any) -> Any:
+        """The result of a request, which is counted; its errors as BadInput."""
         self.requests += 1
         try:
             return request()
@@ -159,15 +162,16 @@ class Url(RemoteFile):
     def __init__(self, url: str, part: FileRange | None = None) -> None:
         super().__init__(url, part)
         self.whole_size = 0
+        self._version = dict[str, str]()
         if part is not None and part.size <= SMALL_BYTES:
             return
         head = f"bytes={self.origin}-{self.origin + BLOCK_BYTES - 1}"
         end = self.origin + self.size
         tail = f"{max(end - END_BYTES, self.origin + BLOCK_BYTES)}-{end - 1}" if part else f"-{END_BYTES}"
         try:
-            answer = self._answer(f"{head},{tail}", WHOLE_BYTES)
+            answer = self._request(f"{head},{tail}", WHOLE_BYTES)
         except SeveralRangesRefused:
-            answer = self._answer(head)
+            answer = self._request(head)
         self.size = answer[0] if part is None else self.size
         for offset, data in answer[1]:
             if offset >= self.origin:
@@ -175,12 +179,12 @@ class Url(RemoteFile):
 
     def _fetch(self, start: int, stop: int) -> bytes:
         first, past = self.origin + start, self.origin + stop
-        _, [(offset, data), *_] = self._answer(f"bytes={first}-{past - 1}")
+        _, [(offset, data), *_] = self._request(f"bytes={first}-{past - 1}")
         if offset > first:
             raise BadInput(f"{self.url}: the server sent other bytes than were asked for")
         return data[first - offset : past - offset]
 
-    def _answer(self, ranges: str, most_whole: int | None = None) -> tuple[int, list[Piece]]:
+    def _request(self, ranges: str, most_whole: int | None = None) -> tuple[int, list[Piece]]:
         """Size of the file and the pieces that one request brings. ranges: the value of the header Range.
 
         most_whole: the largest file that is taken whole from a server that does not send these ranges, but could send
@@ -202,17 +206,33 @@ class Url(RemoteFile):
             is_refused = code not in FINAL_STATUS if isinstance(error, HTTPError) else isinstance(error, HTTPException)
             if most_whole is not None and is_refused:
                 raise SeveralRangesRefused from error
+            if code == 416 and self.whole_size:
+                raise self._changed() from error
             if code == 416:
-                raise Truncated(f"{self.url} is empty") from error
+                where = f"ends before byte {self.origin:,}" if self.origin else "is empty"
+                raise Truncated(f"{self.url} {where}") from error
             raise BadInput(f"{self.url}: {error}") from error
         if self.whole_size not in (0, size):
-            raise BadInput(f"{self.url} changed while it was being read; open it again")
+            raise self._changed()
         self.whole_size = size
         return size, pieces
+
+    def _changed(self) -> BadInput:
+        """The error for a file that is not the one that was opened."""
+        return BadInput(f"{self.url} changed while it was being read; open it again")
+
+    def _require_same_version(self, headers: Any) -> None:
+        """Raises BadInput if the first validator that this answer shares with earlier ones differs."""
+        seen = {name: value for name in VALIDATORS if (value := headers.get(name))}
+        shared = [name for name in VALIDATORS if name in seen and name in self._version]
+        if shared and seen[shared[0]] != self._version[shared[0]]:
+            raise self._changed()
+        self._version = seen | self._version
 
     def _pieces_of(self, response: Any, most_whole: int | None) -> tuple[int, list[Piece]]:
         """What an answer contains: size of the file, and its pieces."""
         headers = response.headers
+        self._require_same_version(headers)
         parts = re.match(r"multipart/byteranges", headers.get("Content-Type", ""), re.IGNORECASE)
         if response.status == 206 and parts and most_whole is not None:
             return several_parts(self._receive(response, END_BYTES + 2 * BLOCK_BYTES), self.url)

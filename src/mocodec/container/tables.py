@@ -202,7 +202,7 @@ SOURCES: tuple[dict[str, object], ...] = (
     {"format": "bvh", "units": "cm", "unit_m": 0.01},
     {"format": "bvh", "units": "ASF", "unit_m": 0.0254 / 0.45},
 )
-"""How files usually are: a source is stored as one of these by number, and what is different or follows."""
+"""Usual sources: a source is stored as the number of one of these, with its differences."""
 
 C3D_DESCRIPTIONS = [
     "Left front waist", "Right front waist", "Left back waist", "Right back waist", "Left thigh", "Left knee",

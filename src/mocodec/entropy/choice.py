@@ -23,7 +23,7 @@ OFFSETS = 8
 ZERO_LAWS = 32
 """This many laws, the first, may be the one where all neighbours are zero."""
 COUNTED = 3000
-"""About so many tokens are counted."""
+"""Number of tokens that are counted, about."""
 
 
 class Parameters(NamedTuple):

@@ -29,7 +29,7 @@ from .rans import LOW, WORD_BITS
 __all__ = ["StateDecoder", "StateEncoder", "Tables", "pack", "unpack"]
 
 SPARSE = b"\0\0"
-"""Instead of a stream: places and values of what is not zero."""
+"""Instead of a stream: places and values of the integers that are not zero."""
 BULK = 1
 """First byte of a stream of many states, plus the order of differences."""
 MAX_MAGNITUDE = 1 << 62

@@ -37,7 +37,7 @@ def mean_shift(step: int) -> int:
 
 
 class Neighbours(NamedTuple):
-    """Of each token (steps, lanes) the five neighbours of MIXTURES; at the edges, what is nearest inside.
+    """The five neighbours of MIXTURES of each token (steps, lanes); at the edges, the nearest inside.
 
     hints (steps, lanes): tokens of expected magnitudes.
     """

@@ -120,7 +120,7 @@ class StateDecoder:
         return bit_fields.unpack(stream, bits.ravel()).view(np.uint64).reshape(bits.shape)
 
     def _low_bits(self, total: int) -> Bytes:
-        """So many bits from the low end of the state: whole bytes, then those that are left."""
+        """`total` bits from the low end of the state: whole bytes, then the bits left over."""
         if (kernel := native.kernel("entropy_raw")) is not None:
             pieces, self.x, self.at = kernel(self.x, self.at, np.array(self.words, np.uint16), total)
             return pieces

@@ -35,7 +35,7 @@ def of_magnitudes(magnitudes: AnyInteger) -> Integers:
 
 
 def raw_bits(values: Integers, symbols: AnyInteger, signed: int | None = None) -> Bytes:
-    """The raw bits of values (n,) beside their symbols (n,): what is left of each magnitude, then the signs.
+    """The raw bits of values (n,) beside their symbols (n,): the rest of each magnitude, then the signs.
 
     signed: only the first `signed` values have signs, the others are not negative; all by default.
     """

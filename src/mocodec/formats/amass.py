@@ -26,7 +26,7 @@ from ..motion import Motion, Signal
 from ..typing import Floats, Integers
 from . import smpl
 from .conventions import unit_of, unit_option
-from .numpy_files import Archive
+from .numpy_files import GIVE_RATE, Archive
 
 POSES = ("poses", "smpl_poses", "fullpose")
 TRANS = ("trans", "smpl_trans", "transl")
@@ -90,12 +90,12 @@ def read(
     else:
         root = _numbers(arrays, trans_key, frames, 3) * unit_m * _scaling(arrays)
     if rate is None and rate_key is not None:
-        value = arrays.single(rate_key)
+        value = arrays.single(rate_key, GIVE_RATE)
         rate = float(np.nan if np.iscomplexobj(value) else value)
     elif rate is None and "smpl_poses" in arrays.names:
         rate, source["rate_guessed"] = AIST_RATE, True
     elif rate is None:
-        raise BadInput(f"{arrays.path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
+        raise BadInput(f"{arrays.path}: has no frame rate{GIVE_RATE} or as {', '.join(RATES)}")
     if not 0 < rate < np.inf:
         raise BadInput(f"{arrays.path}: the frame rate must be positive, not {rate}")
     if up is None and "up" in arrays.names:

@@ -80,9 +80,13 @@ def read_asf(path: str | Path) -> Acclaim:
     path = Path(path)
     if not path.is_file():
         raise BadInput(f"{path}: no such skeleton file")
-    sections = _sections(read_text(path))
+    return parse_asf(read_text(path), path)
+
+
+def parse_asf(text: str, path: Path) -> Acclaim:
+    """As `read_asf`, of the text of a file; path: for messages."""
     try:
-        return _acclaim(sections)
+        return _acclaim(_sections(text))
     except (IndexError, KeyError, ValueError) as error:
         what = error if isinstance(error, BadInput) else f"not an ASF that can be read ({error!r})"
         raise BadInput(f"{path}: {what}") from None
@@ -222,7 +226,7 @@ def axis_frame(bone: Bone, acclaim: Acclaim) -> Floats:
 
 
 def acclaim_axes(order: str, frame: Floats, degrees: bool, digits: int) -> tuple[float, float, float]:
-    """The inverse of `axis_frame`: x, y and z of a frame C (4,), rounded to so many decimals."""
+    """The inverse of `axis_frame`: x, y and z of a frame C (4,), rounded to `digits` decimals."""
     angles = rigid.to_euler(order, frame)
     angles = np.degrees(angles) if degrees else angles
     x, y, z = (round(float(angles[order.index(letter)]), digits) + 0.0 for letter in "xyz")

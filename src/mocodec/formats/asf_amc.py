@@ -23,7 +23,7 @@ from ..geometry import bone_frames, euler_curves, kinematics, rigid
 from ..motion import Motion
 from ..typing import Floats
 from . import replace_whole
-from .asf import Acclaim, Bone, asf_text, axis_frame, read_asf
+from .asf import Acclaim, Bone, asf_text, axis_frame, parse_asf, read_asf
 from .asf_memory import acclaim_of, remembered
 from .conventions import first_frame, unit_of, unit_option
 from .text import numbers, plain, read_text
@@ -248,13 +248,13 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None, unit:
     if unit is not None:
         unit_m = unit_option(unit, {"ASF": CMU_UNIT_M})[1]
         acclaim = acclaim if acclaim is not None and math.isclose(acclaim.unit_m, unit_m) else None
+    new_asf = ""
     if acclaim is None:
         asf = path.with_suffix(".asf")
         if asf.exists():
             raise BadInput(f"{path}: {asf} is another skeleton's or in another unit; remove it, or write elsewhere")
-        text = asf_text(acclaim_of(own, unit_m))
-        replace_whole(asf, text.encode("utf-8"))
-        acclaim = read_asf(asf)
+        new_asf = asf_text(acclaim_of(own, unit_m))
+        acclaim = parse_asf(new_asf, asf)
     elif not _has_bones(acclaim, own):
         raise BadInput(f"{path}: {asf} differs from this motion's skeleton; name the right one with asf= (--asf)")
     is_degrees = {"deg": True, "rad": False}.get(str(own.source.get("amc_angle")), acclaim.degrees)
@@ -262,7 +262,14 @@ def write(path: str | Path, motion: Motion, asf: str | Path | None = None, unit:
     if own.rate != CMU_RATE or own.source.get("rate_given"):
         lines.append(f":SAMPLES-PER-SECOND {own.rate:.10g}")
     lines += _frame_lines(path, own, acclaim, is_degrees)
-    replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
+    if new_asf:
+        replace_whole(path.with_suffix(".asf"), new_asf.encode("utf-8"))
+    try:
+        replace_whole(path, ("\n".join(lines) + "\n").encode("utf-8"))
+    except BaseException:
+        if new_asf:
+            path.with_suffix(".asf").unlink(missing_ok=True)
+        raise
 
 
 def _own_frames(path: Path, motion: Motion) -> Motion:

@@ -162,7 +162,7 @@ def motion_of(
 
 
 class Table(NamedTuple):
-    """What is known of a table but its numbers. units: of each column; unit: of the points, name and metres."""
+    """The header of a table. units: of each column; unit: of the points, name and metres."""
 
     labels: list[str]
     units: list[str]

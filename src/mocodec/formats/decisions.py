@@ -19,7 +19,7 @@ ASSUMED_AMC_RATE = 120.0
 
 
 def notes(recording: Motion | PointClouds) -> list[str]:
-    """Sentences for the user: one with all guesses and their options, what is left out, the notes of the reader."""
+    """Sentences for the user: one with all guesses and their options, the parts left out, the notes of the reader."""
     guessed = guesses(recording)
     kept: Any = recording.source.get("notes", [])
     sentences = [str(note) for note in kept] if isinstance(kept, list | tuple) else []

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..motion import Motion
+from ..motion import Motion, reshape_hint
 from ..typing import Floats
 from . import replace_whole, smpl
 from .blocks import Blocks, block_frames, of_ranges
@@ -103,8 +103,8 @@ def _motion_of(
     elif values.ndim == 3 and values.shape[2] == 3:
         positions = values.astype(np.float64)
     else:
-        what = OTHER_FEATURES.get(values.shape[-1], "no positions (frames, joints, 3)") if values.ndim == 2 else ""
-        hint = f": these look like {what}" if what and values.shape[-1] in OTHER_FEATURES else ""
+        what = OTHER_FEATURES.get(values.shape[-1]) if values.ndim == 2 else None
+        hint = f": these look like {what}" if what else reshape_hint(values.shape, "array")
         raise BadInput(f"{path}: must be joints (frames, joints, 3), not {values.shape}{hint}")
     if rate is None and positions.shape[1] == HUMANML_JOINTS:
         rate, source["rate_guessed"] = HUMANML_RATE, True

@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
-from ..motion import Limits, Motion, Skeleton
+from ..motion import Limits, Motion, Skeleton, reshape_hint
 from ..pointcloud import PointClouds
 from ..typing import Floats
 from . import amass, smpl
 from .blocks import Blocks, block_frames
 from .conventions import guess_unit, guess_up, unit_option
 from .npz_salvage import archive_of
-from .numpy_files import Archive, Rows, reading, save
+from .numpy_files import GIVE_RATE, Archive, Rows, reading, save
 
 HOLDS = frozenset({"skeleton", "joint rotations"})
 """What an NPZ stores beside the positions."""
@@ -93,7 +93,9 @@ def read_blocks(
             raise BadInput(f"{path}: only positions are read in pieces")
         shape = arrays.header(key).shape
         if len(shape) != 3:
-            raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {shape}")
+            raise BadInput(
+                f"{path}: {key!r} must be numbers (frames, points, 3), not {shape}{reshape_hint(shape, key)}"
+            )
         by_frame = (key, "rotations") if "rotations" in arrays.names else (key,)
         each = block_frames(shape[1])
         head, unit_m = _motion_and_unit(Rows(archive, path, by_frame, each), rate, unit, up)
@@ -170,7 +172,8 @@ def _positions(arrays: Archive) -> tuple[str, Floats]:
         raise BadInput(f"{path}: has none of the arrays {', '.join(POSITIONS)}; it has {present}")
     positions = arrays.load(key)
     if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
-        raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {positions.dtype} {positions.shape}")
+        what = f"{positions.dtype} {positions.shape}{reshape_hint(positions.shape, key)}"
+        raise BadInput(f"{path}: {key!r} must be numbers (frames, points, 3), not {what}")
     return key, positions.astype(np.float64)
 
 
@@ -178,8 +181,8 @@ def _rate(arrays: Archive) -> float:
     """The rate that the arrays declare, hertz. Raises BadInput without one."""
     key = arrays.first(RATES)
     if key is None:
-        raise BadInput(f"{arrays.path}: has no frame rate; give it with rate= (--rate) or as {', '.join(RATES)}")
-    return float(arrays.single(key))
+        raise BadInput(f"{arrays.path}: has no frame rate{GIVE_RATE} or as {', '.join(RATES)}")
+    return float(arrays.single(key, GIVE_RATE))
 
 
 def _names(arrays: Archive, points: int, notes: list[str]) -> tuple[str, ...]:
@@ -198,7 +201,7 @@ def _names(arrays: Archive, points: int, notes: list[str]) -> tuple[str, ...]:
 
 
 def _skeleton(arrays: Archive, names: tuple[str, ...], points: int) -> tuple[Skeleton | None, Floats | None]:
-    """The skeleton and the rotations (frames, joints, 4) that mocodec writes; None for what is not there."""
+    """The skeleton and the rotations (frames, joints, 4) that mocodec writes; None for each that is missing."""
     if not {"parents", "offsets"} <= arrays.names.keys():
         return None, None
     parents = arrays.load("parents").reshape(-1).astype(int).tolist()

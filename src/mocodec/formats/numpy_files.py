@@ -23,6 +23,8 @@ MAX_DEFLATE_RATIO = 1100
 """Deflate packs at most about 1,032 bytes into one."""
 
 MAX_HEADER_BYTES = 1 << 16
+GIVE_RATE = "; give it with rate= (--rate)"
+"""What to do where a file does not say its frame rate."""
 
 
 class Header(NamedTuple):
@@ -85,15 +87,21 @@ class Archive:
         """One array. Raises BadInput for arrays of objects and for declared sizes that the archive cannot hold."""
         return array_of(self.raw(name), f"{self.path}: array {name!r}")
 
-    def single(self, name: str) -> Any:
-        """The first value of an array. Raises BadInput where it has none."""
+    def single(self, name: str, remedy: str = "") -> Any:
+        """The value of an array that repeats one value. Raises BadInput where it has none, or values that differ.
+
+        remedy: what to do about the latter.
+        """
         values = self.load(name).reshape(-1)
         if not len(values):
             raise BadInput(f"{self.path}: array {name!r} is empty")
+        if len(values) > 1 and (values != values[0]).any():
+            shown = ", ".join(map(str, values[:3]))
+            raise BadInput(f"{self.path}: array {name!r} holds values that differ ({shown}, …), not one{remedy}")
         return values[0]
 
     def word(self, name: str) -> str:
-        """The first value of an array as text."""
+        """As `single`, as text."""
         value = self.single(name)
         return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 

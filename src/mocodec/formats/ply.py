@@ -11,6 +11,9 @@ from __future__ import annotations
 import glob
 import os
 import re
+import shutil
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -193,14 +196,34 @@ def write(
         return
     if target.is_file():
         raise BadInput(f"{target}: is a file, not a folder")
-    target.mkdir(parents=True, exist_ok=True)
-    if old := sorted(target.glob("*.ply")):
-        if not overwrite:
-            raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
+    old = sorted(target.glob("*.ply"))
+    if old and not overwrite:
+        raise BadInput(f"{target}: already has {len(old)} .ply files; name an empty folder, or pass overwrite=True")
+    with _frames_together(Path(os.path.realpath(target)), old) as folder:
+        for frame in range(len(clouds)):
+            (folder / f"frame_{frame:06d}.ply").write_bytes(frame_bytes(clouds, frame, encoding))
+
+
+@contextmanager
+def _frames_together(target: Path, old: Sequence[Path]) -> Generator[Path, None, None]:
+    """A temporary folder whose files become those of `target`, in place of `old`, at the end of the context, unless it
+    raises.
+    """
+    is_new = not target.is_dir()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = (target.parent if is_new else target) / f".mocodec-{os.urandom(6).hex()}-part"
+    temporary.mkdir()
+    try:
+        yield temporary
+        if is_new:
+            os.replace(temporary, target)
+            return
         for file in old:
             file.unlink()
-    for frame in range(len(clouds)):
-        replace_whole(target / f"frame_{frame:06d}.ply", frame_bytes(clouds, frame, encoding))
+        for file in sorted(temporary.iterdir()):
+            os.replace(file, target / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def frame_files(path: str | PathLike[str]) -> list[Path]:

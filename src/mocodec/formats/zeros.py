@@ -46,7 +46,7 @@ def parked_at_origin(positions: Floats, gap: Booleans, is_part: bool = False) ->
 
 
 def is_near_origin(positions: Floats) -> Booleans:
-    """Whether positions (…, 3) are so near the origin that zeros beside them belong to a trajectory; not for NaN."""
+    """Whether positions (…, 3) lie near the origin, where zeros beside them belong to the trajectory; False for NaN."""
     with np.errstate(over="ignore"):
         return np.linalg.norm(positions, axis=-1) < NEAR_ORIGIN_M
 

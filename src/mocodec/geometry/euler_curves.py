@@ -83,7 +83,7 @@ def along_time(order: str, q: Floats, near: Floats | None = None, fixed: Mapping
 
 
 def _one_branch(order: str, angles: Floats, near: Floats | None) -> Floats:
-    """Of the two triples of each frame (frames, 3) the one that continues the frame before; turns are left open."""
+    """The one of the two triples of each frame (frames, 3) that continues the frame before, without whole turns."""
     locked = np.pi / 2 - np.abs(angles[:, 1]) < LOCKED_RAD
     known = np.flatnonzero(~locked)
     if len(known):

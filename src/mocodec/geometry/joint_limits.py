@@ -25,7 +25,7 @@ TOLERANCE_RAD = 0.1
 ROUNDING_RAD = 1e-9
 """An angle is within its range if it is beyond it by this or less, radians."""
 SWEEPS = 4
-"""Of coordinate descent over the three angles of a clamped rotation."""
+"""Number of sweeps of coordinate descent over the three angles of a clamped rotation."""
 
 
 class LinkLimits(NamedTuple):

@@ -23,7 +23,7 @@ from .limb_chains import LimbChain
 HYPOTHESES = 300
 """Random poses of a limb that are drawn at first, for each pose of its base."""
 FIRST_STRIDE = 2
-"""The first draws are scored by one of so many template points and unexplained points."""
+"""The first draws are scored on every FIRST_STRIDE-th template point and unexplained point."""
 SPREADS_RAD, KEPT, DRAWN = (0.4, 0.2), 20, 8
 """Standard deviations of later draws, how many poses each of them starts from, and how many it draws near each."""
 CONSIDERED, REFINED = 60, 4
@@ -173,7 +173,7 @@ class LimbSearch(NamedTuple):
         return score
 
     def _distinct(self, hypotheses: Floats, order: AnyInteger) -> AnyInteger:
-        """Of hypotheses in this order, those in which bend and end of the limb differ by DISTINCT_M or more from the
+        """The hypotheses, in this order, in which bend and end of the limb differ by DISTINCT_M or more from the
         pose and from all chosen before.
         """
         body, limb, pose = self.matcher.body, self.limb, self.pose

@@ -4,8 +4,8 @@
                        root and moving joints' translations ─► cubic splines ─┴─► forward kinematics ─► positions
     positions alone    cubic spline of each run of a point between its gaps ─► positions; gaps stay gaps
 
-Nothing is filtered: a lower rate keeps what is at its times, and vibration above half of it appears as slower motion,
-as it does in a camera.
+Nothing is filtered: a lower rate keeps the samples at its times, and vibration above half of it appears as slower
+motion, as it does in a camera.
 """
 
 from __future__ import annotations

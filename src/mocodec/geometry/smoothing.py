@@ -18,7 +18,7 @@ RIDGE = 1e-3
 def project_to_surface(points: Floats, among: Floats) -> Floats:
     """(n, 3): points moved along their normals onto the local surface of `among` (m, 3), metres.
 
-    A quadric, because a plane would flatten what is round. Robust, so that the other side of a thin limb has little
+    A quadric, because a plane would flatten round surfaces. Robust, so that the other side of a thin limb has little
     influence. Fewer than 24 points in `among` leave the points as they are.
     """
     from scipy.spatial import KDTree

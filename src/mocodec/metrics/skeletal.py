@@ -58,7 +58,7 @@ class SkeletalErrors:
 
 
 class Poses(NamedTuple):
-    """Of some frames: errors of joints (frames, joints) and shell points (frames, joints, 3), metres; angles of the
+    """Errors of frames: of joints (frames, joints) and shell points (frames, joints, 3), metres; angles of the
     world and local rotations (frames, joints), degrees. NaN where a joint is missing.
     """
 
@@ -203,7 +203,7 @@ def compare(original: Motion, decoded: Motion, shell_m: float = SHELL_M) -> Skel
 
 
 def _spread(values: Floats, names: tuple[str, ...]) -> Spread:
-    """Of errors (frames, joints) or (frames, joints, points of a joint)."""
+    """The spread of errors (frames, joints) or (frames, joints, points of a joint)."""
     present = values[~np.isnan(values)]
     if not present.size:
         return Spread(0.0, 0.0, 0.0, None)
@@ -241,7 +241,7 @@ def _kinematic_gap(original: Motion, decoded: Motion) -> float:
 
 
 def _largest_gap(motion: Motion) -> Floats:
-    """Of each joint (joints,): the largest distance from where the bone of the parent places it."""
+    """Largest distance of each joint (joints,) from where the bone of the parent places it."""
     assert motion.skeleton is not None
     parents = np.array(motion.skeleton.parents)
     _, world = _frames(motion)

@@ -64,7 +64,10 @@ def parse(text: str) -> list[Rule]:
                 f"signal error {part.strip()!r}: must be above zero, and bits whole numbers up to {MOST_BITS}"
             )
         if not equals and unit not in ("bit", "%"):
-            raise BadInput(f"signal error {part.strip()!r}: for all channels give bits or a percentage of their range")
+            raise BadInput(
+                f"signal error {part.strip()!r}: give all channels bits or a percentage of their range, or name the "
+                f"channels that have this unit, such as Fz*={part.strip()}"
+            )
         rules.append(Rule(pattern.strip() or "*", number, unit))
     return rules
 
@@ -121,7 +124,8 @@ def _in_unit(given: str, unit: str, label: str) -> float:
         return 1.0
     (base, size), (of_channel, unit_size) = _base(given), _base(unit.strip())
     if base != of_channel or not base:
-        raise BadInput(f"signal error: channel {label!r} has the unit {unit.strip() or 'none'!r}, not {given!r}")
+        has = f"the unit {unit.strip()!r}, not" if unit.strip() else "no unit, so its error cannot be in"
+        raise BadInput(f"signal error: channel {label!r} has {has} {given!r}; choose channels by a longer label")
     return size / unit_size
 
 
@@ -210,7 +214,7 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     exact = values.astype(np.float64)
     finite = exact[np.isfinite(exact)]
     rounding = float(np.spacing(np.abs(finite).max(initial=0.0).astype(values.dtype)))
-    step = _few_bits(2 * bound - 2 * rounding, rounding)
+    step = _step_of_few_bits(2 * bound - 2 * rounding, rounding)
     own = _own_steps(values, bound, rounding)
     if own is not None and own.step > step:
         on_own = _within(forms.rounded(own, values), values, bound)
@@ -224,9 +228,10 @@ def _floats_on_steps(values: Array, bound: float) -> Array:
     return _within(forms.rounded(Form(forms.COUNTS, step), values), values, bound)
 
 
-def _few_bits(step: float, rounding: float) -> float:
-    """The next lower number of up to STEP_BITS bits, so few that its multiples are exact in the type of the values:
-    then the step can be found from them. rounding: the last bit of the largest value."""
+def _step_of_few_bits(step: float, rounding: float) -> float:
+    """The next lower step of up to STEP_BITS bits whose multiples are exact in the type of the values, so that decoders
+    find the step from them. rounding: the last bit of the largest value.
+    """
     mantissa, exponent = np.frexp(step)
     bits = int(np.clip(exponent - np.frexp(rounding)[1], 1, STEP_BITS))
     return float(np.ldexp(np.floor(np.ldexp(mantissa, bits)), int(exponent) - bits))

@@ -247,7 +247,7 @@ class Decoder:
         )
 
     def decode(self, payload: bytes, samples: int, first: int, wanted: Sequence[int], out: Array) -> None:
-        """Put samples from `first` on of the wanted channels, in a chunk of so many, into `out` (rows, wanted).
+        """Put the samples of the wanted channels from `first` on into `out` (rows, wanted). samples: of the chunk.
 
         Raises Corrupt.
         """
@@ -263,7 +263,7 @@ class Decoder:
 def decode(
     payload: bytes, channel_forms: Sequence[Form], dtype: np.dtype[Any], samples: int, wanted: Iterable[int]
 ) -> dict[int, Array]:
-    """The samples of the wanted channels in a chunk of so many samples, by channel. Raises Corrupt."""
+    """The values of the wanted channels, by channel. samples: of the chunk. Raises Corrupt."""
     cursor = Cursor(payload, "a chunk of signals", ends_early=Corrupt)
     records: dict[int, _Record] = {}
     before = np.zeros(samples, np.uint8)

@@ -31,9 +31,9 @@ BLOCK = 32
 TAP_BITS = 12.0
 MIN_SAMPLES = 24
 FIT_SAMPLES = 2048
-"""Predictors are fitted to about so many samples of a chunk, in blocks that are spread over it."""
+"""Number of samples of a chunk that predictors are fitted to, about: blocks that are spread over it."""
 PURSUIT_SAMPLES = 640
-"""Other channels are chosen from about so many samples, likewise."""
+"""The same for the choice of other channels."""
 RIDGE = 1e-13
 LEAST_PIVOT = 1e-14
 LOG2_CUBIC = (1.2556887796, -4.1961258395, 6.0966363124, -3.1560362794)
@@ -142,7 +142,7 @@ def _log2(values: Floats) -> Floats:
 
 
 def _rows(count: int, most: int) -> Integers:
-    """At most about so many samples: all, or blocks at equal distances."""
+    """Indices of at most about `most` samples: all, or blocks at equal distances."""
     blocks = -(-count // BLOCK)
     step = -(-blocks * BLOCK // most)
     rows = (np.arange(0, blocks, step)[:, None] * BLOCK + np.arange(BLOCK)).ravel()
@@ -160,10 +160,10 @@ def _pursuit(samples: Integers, target: int, candidates: list[int], kept: Boolea
         return []
     least = TAP_BITS * REFERENCE_TAPS / (len(kept) / 2)
     most = min(MOST_REFERENCES, len(candidates))
-    return _explaining(samples, target, candidates, rows, least, most)
+    return _orthogonal_pursuit(samples, target, candidates, rows, least, most)
 
 
-def _explaining(
+def _orthogonal_pursuit(
     samples: Integers, target: int, candidates: list[int], rows: Integers, least: float, most: int
 ) -> list[int]:
     """`_pursuit` at these samples. least: by how many bits a sample a channel must shorten the target."""
@@ -241,7 +241,7 @@ def _fits(own: Integers, places: Integers, others: Integers, rows: Integers, ord
     alone = np.concatenate([matrix[:, :1], past], axis=1)
     short = np.concatenate([alone[:, : 1 + min(FIRST_ORDER, order)], alone[:, -1:]], axis=1)
     taps = _taps(*_cholesky(_gram(short)), short.shape[1] - 1)
-    weights = _weights(_left(short, taps))[:, None]
+    weights = _weights(_residual(short, taps))[:, None]
     gram = _gram(matrix * weights)
     inside = np.r_[0, 1 + REFERENCE_TAPS * len(others) : len(gram)]
     result = []
@@ -252,7 +252,7 @@ def _fits(own: Integers, places: Integers, others: Integers, rows: Integers, ord
         taps = _taps(lower, scale, size)
         used = np.concatenate([columns_of[:, :size], columns_of[:, -1:]], axis=1)
         largest = float(np.abs(used[:, 1:]).max(initial=1.0))
-        result.append(_Fit(taps, _code_bits(np.abs(_left(used, taps))) / len(rows), largest))
+        result.append(_Fit(taps, _code_bits(np.abs(_residual(used, taps))) / len(rows), largest))
     return result
 
 
@@ -312,8 +312,8 @@ def _best_size(lower: Floats, fixed: int, order: int, count: int) -> int:
     return best
 
 
-def _left(matrix: Floats, taps: Floats) -> Floats:
-    """What the taps leave of the last column."""
+def _residual(matrix: Floats, taps: Floats) -> Floats:
+    """The last column minus its prediction from the others by the taps."""
     return matrix[:, -1] - _sum((matrix[:, :-1] * taps).T)
 
 

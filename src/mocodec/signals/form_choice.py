@@ -42,7 +42,7 @@ MOST_SPECIAL = 0.03
 """The share of samples that may differ from their counts; zeros and gaps do not matter."""
 GRID_BITS = 28
 SAMPLE = 256
-"""Forms are compared at about so many samples; the best is then checked at all."""
+"""Number of samples that forms are compared on, about; the best is then checked on all samples."""
 CORRECTION_COST = 2.0
 """Bits a sample that corrections take beyond the logarithm of their size."""
 
@@ -58,10 +58,10 @@ def fit(values: Array, known: list[Form]) -> Form | None:
         step = _common_step(values) if high < 1 << 62 else 1
         return Form(INTEGERS, step) if low // step > -MAX_INTEGER and high // step < MAX_INTEGER else None
     binary = steps.binary(values, MANTISSA_BITS[values.dtype.itemsize]) or 0.0
-    for form in _giving_back([form for form in known if form.step > 0.9 * binary], values):
+    for form in _exact_forms([form for form in known if form.step > 0.9 * binary], values):
         return form
     candidates = count_forms(values, binary or None)
-    best = _largest_step(list(_giving_back(candidates, values)), values)
+    best = _largest_step(list(_exact_forms(candidates, values)), values)
     return best or _corrected(values, [*known, *candidates]) or _grid(values)
 
 
@@ -100,8 +100,8 @@ def count_forms(values: Array, exact: float | None) -> list[Form]:
     return [Form(COUNTS, step, offset) for step, offset in usable]
 
 
-def _giving_back(forms: Sequence[Form], values: Array) -> Iterator[Form]:
-    """The forms of counts in which few samples of a channel are special; the first samples decide early."""
+def _exact_forms(forms: Sequence[Form], values: Array) -> Iterator[Form]:
+    """The forms of counts that give nearly all samples of a channel back exactly; the first samples decide early."""
     if not forms:
         return
     usual = _usual(values[: 4 * SAMPLE])

@@ -35,7 +35,7 @@ MAX_ZEROS = 30
 FAST, SLOW = 3, 6
 """The running means forget by 1/8 and 1/64 a sample."""
 SLOWER_AFTER = 64
-"""Tables adapt by 1/128 a symbol, and by 1/256 after so many symbols."""
+"""Number of symbols after which tables adapt by 1/256 a symbol; before, by 1/128."""
 FLOORS = {HIGH: 8, LOW: 64}
 """The least frequency of a symbol in adapted tables, about."""
 
@@ -118,7 +118,7 @@ def encode(lanes: Sequence[Integers]) -> list[Lane]:
 
 
 def decode(lanes: Sequence[Lane], counts: Sequence[int]) -> list[Integers]:
-    """The inverse of `encode`. Raises Corrupt for bytes that are no lane of so many residuals."""
+    """The inverse of `encode`. counts: residuals of each lane. Raises Corrupt for bytes that do not hold as many."""
     high, low = tables()
     if (kernel := native.kernel("signals_decode")) is not None:
         fields = [

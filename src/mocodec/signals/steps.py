@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 SAMPLE = 1 << 13
-"""Steps are found from about so many samples."""
+"""Number of samples that steps are found from, about."""
 FINEST = 2
 """Steps below 2 to this power last bits of the largest value are no counts, but the last bits of floats."""
 FIRST_SAMPLE = 64
-"""So many values show that most channels of floats have no exact step."""
+"""Number of values that show that most channels of floats have no exact step."""
 NEAR_GAPS, MOST_STEPS_OF_GAP = 12, 20.5
 MOST_DEVIATION = 0.2
 """Gaps between counts are whole numbers of steps: where at least NEAR_GAPS of up to MOST_STEPS_OF_GAP steps are farther

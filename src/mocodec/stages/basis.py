@@ -32,7 +32,7 @@ ZERO = 1e-9
 """Entries of orthonormal columns that are smaller may be zeros with rounding errors."""
 FREE_STEPS = 1 << 28
 STEPS_PER_BYTE = 1 << 14
-"""Decoding a basis (n, k) takes n k² steps: at most FREE_STEPS, and so many more for each byte that is stored."""
+"""Decoding a basis (n, k) takes n k² steps. A stored basis may take FREE_STEPS, and STEPS_PER_BYTE for each byte."""
 
 
 def fit(covariance: Floats, components: int | None = None) -> tuple[Floats, Floats]:
@@ -61,7 +61,7 @@ class Principal(NamedTuple):
 
 
 def principal_of_rows(rows: Floats) -> Principal:
-    """Of rowsᵀ rows, (samples, n), where samples are fewer than dimensions."""
+    """Eigenvectors of rowsᵀ rows. rows: (samples, n), with fewer samples than dimensions."""
     variances, weights = np.linalg.eigh(rows @ rows.T)
     real = variances > np.finfo(float).eps * len(rows) * max(float(variances[-1]), 0.0)
     variances, weights = variances[real][::-1], weights[:, real][:, ::-1]
@@ -102,7 +102,7 @@ class Completion:
 
     @classmethod
     def of(cls, known: Floats) -> Completion:
-        """Of orthonormal columns (n, k)."""
+        """The completion of orthonormal columns (n, k)."""
         moved = np.array(known, np.float64)
         count = moved.shape[1]
         signs = _signs_of_reflections(moved[:count])
@@ -111,7 +111,7 @@ class Completion:
 
     @property
     def count(self) -> int:
-        """Of known columns."""
+        """Number of known columns."""
         return len(self.signs)
 
     def rows_after(self, first: Floats) -> Floats:

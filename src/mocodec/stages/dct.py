@@ -48,17 +48,6 @@ def forward(samples: Floats, frequencies: int | None = None, axis: int = 0) -> F
     return out.reshape(count, *samples.shape[1:])
 
 
-def low(samples: Floats, first: int, last: int) -> Floats:
-    """The coefficients of few low frequencies, (runs, frames, columns) → (runs, last − first, columns)."""
-    return _low_matrix(samples.shape[1], first, last) @ samples
-
-
-@lru_cache(maxsize=32)
-def _low_matrix(frames: int, first: int, last: int) -> Floats:
-    """The cosines of some low frequencies, (last − first, frames)."""
-    return np.ascontiguousarray(_cosines(frames, first, last).T)
-
-
 def inverse(coefficients: Floats, frames: int, axis: int = 0) -> Floats:
     """The samples of the lowest frequencies along an axis: (frequencies ≤ frames, …) → (frames, …)."""
     if axis:
@@ -170,19 +159,18 @@ def _turns(frames: int) -> NDArray[np.complex128]:
 @lru_cache(maxsize=8)
 def _low_half_matrices(frames: int, frequencies: int) -> tuple[Floats, Floats]:
     """`_half_matrices` of the lowest frequencies of a long run, from one table of cosines."""
-    cosines = _cosines(frames, 0, min(frequencies, frames))[: (frames + 1) // 2]
+    cosines = _cosines(frames, min(frequencies, frames))[: (frames + 1) // 2]
     return np.ascontiguousarray(cosines[:, ::2]), np.ascontiguousarray(cosines[:, 1::2])
 
 
-def _cosines(frames: int, first: int, last: int) -> Floats:
-    """Some frequencies of the orthonormal DCT, (frames, last − first), as cosines of sums: the tables are small."""
+def _cosines(frames: int, frequencies: int) -> Floats:
+    """The lowest frequencies of the orthonormal DCT, (frames, frequencies), by cosines of sums from small tables."""
     at = (np.arange(frames)[:, None] + 0.5) * (np.pi / frames)
-    coarse, fine = at * np.arange(first, last, 16), at * np.arange(16)
+    coarse, fine = at * np.arange(0, frequencies, 16), at * np.arange(16)
     cosines = (np.cos(coarse) * np.sqrt(2 / frames))[:, :, None] * np.cos(fine)[:, None]
     cosines -= (np.sin(coarse) * np.sqrt(2 / frames))[:, :, None] * np.sin(fine)[:, None]
-    cosines = cosines.reshape(frames, -1)[:, : last - first]
-    if first == 0:
-        cosines[:, :1] /= np.sqrt(2)  # there is none where all runs are zero
+    cosines = cosines.reshape(frames, -1)[:, :frequencies]
+    cosines[:, :1] /= np.sqrt(2)  # there is none where all runs are zero
     return cosines
 
 

@@ -298,7 +298,7 @@ def apart(data: bytes, shape: tuple[int, int]) -> Booleans:
 
 
 class _Stored(NamedTuple):
-    """What is stored of a chunk with frozen runs.
+    """The stored form of a chunk with frozen runs.
 
     missing (frames, points): mask. first, length: frames of each run; point: its column; which: its value, HELD or its
     number in the table, from 1. table (values, 3).

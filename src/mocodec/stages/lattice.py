@@ -33,9 +33,9 @@ from .lattice_chunk import NEIGHBOURS
 STRIDES, USUAL_STRIDE = range(5), 2
 """log₂ of the distances between the first frames that an encoder tries, and the one that it begins with."""
 LEAST_BITS_OF_SHORT = 4
-"""Where a sample takes more bits, what is far away in time predicts less than noise hides: short strides suit it."""
+"""Where a sample takes more bits, short strides suit it: samples far away in time predict less than the noise hides."""
 LARGEST_STRIDE, SPIKED = 6, 128
-"""Of the first byte of a chunk: the stride, and whether spikes are stored apart."""
+"""The first byte of a chunk holds the stride, at most LARGEST_STRIDE, and SPIKED if spikes are stored apart."""
 SAMPLED_FRAMES = 200
 """Frames that neighbours are chosen by."""
 CANDIDATES, MANY_POINTS, CANDIDATES_OF_MANY = 64, 128, 24
@@ -60,7 +60,7 @@ def half_step(bound: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Of each point, up to three that are coded before it, in (points, 3), −1 for none; the first is its partner."""
+    """For each point up to three that are coded before it, (points, 3), −1 for none; the first is its partner."""
 
     table: NDArray[np.int32]
 
@@ -100,7 +100,7 @@ class Neighbours:
 
 
 def neighbours(positions: Floats) -> Neighbours:
-    """Of points in positions (frames, points, 3), metres, without gaps.
+    """The neighbours of points. positions: (frames, points, 3), metres, without gaps.
 
     Partners are points at the most constant distance, so that they form a tree; the others move most alike.
     """

@@ -15,7 +15,7 @@ from ..entropy import adaptive_bits
 DISTORTION = 384.0
 """Cost of an error at the bound, 1/256 bit: what it does to predictions."""
 BUCKETS, COMMON = 96, 30
-"""Of magnitudes; those beyond the second share a context."""
+"""Number of buckets of magnitudes; from bucket COMMON on they share a context."""
 LARGEST_WIDTH = 42
 RADIUS_2 = 1.25
 """Squared covering radius of the lattice, half steps."""

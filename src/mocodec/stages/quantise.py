@@ -29,9 +29,15 @@ def forward(values: Floats, step: float | Floats, rounding: float | Floats = 0.5
     for Laplacian coefficients 0.35 to 0.45 is near the best trade. Raises CannotEncode beyond ±2^52.
     """
     scaled = np.asarray(values / step)
-    if scaled.size and not np.abs(scaled).max() < LARGEST:
-        raise CannotEncode(f"a value is more than 2^52 steps of {np.min(step):g} m: ask for a larger error")
+    if scaled.size:
+        require_exact(np.abs(scaled).max(), float(np.min(step)))
     return np.copysign(np.floor(np.abs(scaled) + rounding), scaled).astype(np.int64)
+
+
+def require_exact(largest: float, step: float) -> None:
+    """Raises CannotEncode for a largest magnitude, in steps of `step` metres, that float64 does not round exactly."""
+    if not largest < LARGEST:
+        raise CannotEncode(f"a value is more than 2^52 steps of {step:g} m: ask for a larger error")
 
 
 def inverse(integers: Integers, step: float | Floats) -> Floats:

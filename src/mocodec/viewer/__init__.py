@@ -39,7 +39,8 @@ def shown(source: Viewable, opened: ExitStack, name: str | None = None, **option
 
     A .mocz and ARCHIVE/NAME, a recording of an archive, are opened; other formats are read.
 
-    opened: closes what is opened here. options: of the format's reader. Raises BadInput, and what `open` raises.
+    opened: closes the files that are opened here. options: of the format's reader. Raises BadInput and the errors of
+    `open`.
     """
     if isinstance(source, Motion | PointClouds):
         return Shown(name or str(source.source.get("name") or "recording"), source)

@@ -65,7 +65,7 @@ def first_points(shown: Shown) -> int:
 
 
 def damage_notes(shown: Shown) -> list[str]:
-    """What is missing of a damaged or truncated file, in words."""
+    """The missing parts of a damaged or truncated file, in words."""
     lost = sum(stop - start for start, stop in shown.damage)
     notes = [f"{lost:,} of {shown.frames:,} frames are damaged and left out"] if lost else []
     return notes + (["the file was cut short: these are the frames that are left"] if shown.is_truncated else [])
@@ -124,7 +124,7 @@ def label_rank(label: str) -> int:
 
 
 def envelope(values: Floats) -> dict[str, list[float]]:
-    """Smallest and largest of values (samples,) in up to BINS equal parts; what is not finite counts as 0."""
+    """Smallest and largest of values (samples,) in up to BINS equal parts; values that are not finite count as 0."""
     values = np.where(np.isfinite(values), values, 0.0)
     starts = np.unique(np.linspace(0, len(values), min(BINS, len(values)), endpoint=False).astype(int))
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)

@@ -29,7 +29,7 @@ FINEST = 2
 """Pictures are drawn this many times larger and made smaller, for smooth edges."""
 MOST_RATE = 30.0
 TILT = np.radians(14.0)
-"""Of the view, from above: the ground can be seen."""
+"""Angle of the view from above, radians, which shows the ground."""
 PAPER, INK, GHOST, GRID = (251, 251, 248), (29, 36, 48), (176, 180, 188), (226, 226, 220)
 RAMP = np.array([[63, 110, 168], [224, 160, 48], [200, 68, 46]], np.float64)
 """Colours of no error, half of the scale, and the whole scale."""

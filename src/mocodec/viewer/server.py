@@ -90,7 +90,7 @@ class Server(ThreadingHTTPServer):
             self.serve_forever()
 
     def resource(self, place: str, asked: Query) -> tuple[str, bytes]:
-        """Type and bytes of what is at a place. Raises KeyError, IndexError, ValueError, MocodecError."""
+        """Type and bytes of the resource at a place. Raises KeyError, IndexError, ValueError, MocodecError."""
         if place == "":
             return HTML, page.viewer().encode()
         if named := PRIOR.fullmatch(place):

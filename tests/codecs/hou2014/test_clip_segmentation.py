@@ -65,7 +65,7 @@ def test_masking_moves_error_to_fast_clips(walk: Motion):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 3.0])
-def test_equal_length_with_the_fewest_bits_is_found_by_low_frequencies(noise: float):
+def test_equal_length_with_the_fewest_bits_is_found(noise: float):
     random = np.random.default_rng(5)
     t = np.arange(1700)[:, None] / 40
     curves = np.concatenate([20 * np.sin(t + 0.1 * t**1.5), 7 * np.cos(3 * t), 1e-3 * t], axis=1)

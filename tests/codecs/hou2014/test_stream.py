@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mocodec import native
-from mocodec.codecs.hou2014 import clip_segmentation, left_transform, stream
+from mocodec.codecs.hou2014 import clip_segmentation, left_transform, quantised_motion, stream
+from mocodec.errors import CannotEncode
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="the compiled module is not built")
 
@@ -39,13 +40,41 @@ def test_both_reconstruct_the_same_positions(points: int, transforms: int, lengt
         assert np.abs(compiled - by_numpy).max() <= 1e-12 * np.abs(by_numpy).max()
 
 
-@pytest.mark.parametrize(("frames", "columns"), [(1, 1), (7, 3), (300, 8), (1125, 17)])
-def test_both_count_the_same_bits(frames: int, columns: int) -> None:
-    kernel = native.kernel("bits_of_length")
+@pytest.mark.parametrize(("frames", "columns"), [(2, 1), (300, 8), (1125, 17)])
+@pytest.mark.parametrize("step", [1e-3, 0.1, 10.0])
+def test_both_find_the_same_length(frames: int, columns: int, step: float) -> None:
+    random = np.random.default_rng(frames)
+    curves = np.cumsum(random.normal(size=(frames, columns)), axis=0) / np.arange(1, columns + 1)
+    compiled = clip_segmentation.best_equal_length(curves, step, 5000)
+    with native.without():
+        assert clip_segmentation.best_equal_length(curves, step, 5000) == compiled
+
+
+def test_curves_that_are_too_large_are_left_to_numpy() -> None:
+    kernel = native.kernel("best_length")
     assert kernel is not None
-    curves = np.cumsum(np.random.default_rng(1).normal(size=(frames, columns)), axis=0)
-    for length in {1, min(frames, 2), min(frames, 97), min(frames, 140), frames}:
-        lengths = stream.equal_lengths(frames, length)
-        bits = clip_segmentation.bits_of_spectra(clip_segmentation.spectra_of_clips(curves, lengths), 1.0)
-        assert kernel(curves, length) == pytest.approx(bits, rel=1e-11)
-    assert kernel(curves * 1e9, 1) is None
+    assert kernel(np.full((9, 2), 1e9), np.array([3, 9]), 24.0, np.zeros(2)) is None
+
+
+@pytest.mark.parametrize(("clips", "frequencies", "components"), [(1, 1, 1), (3, 40, 13), (2, 5, 0)])
+@pytest.mark.parametrize("economy", [0.0, 0.2])
+def test_both_quantise_to_the_same_integers(clips: int, frequencies: int, components: int, economy: float) -> None:
+    random = np.random.default_rng(components)
+    size = 4 / np.arange(1, frequencies + 1)[:, None]
+    spectra = random.laplace(size=(clips, frequencies, components)) * size
+    steps = random.uniform(0.1, 0.9, clips)
+    compiled = quantised_motion._quantised(spectra, steps, economy)
+    with native.without():
+        by_numpy = quantised_motion._quantised(spectra, steps, economy)
+    assert np.array_equal(compiled, by_numpy)
+    with pytest.raises(CannotEncode):
+        quantised_motion._quantised(np.full((clips, 1, 1), 1.0), np.full(clips, 1e-17), economy)
+
+
+def test_both_find_the_same_extent() -> None:
+    random = np.random.default_rng(4)
+    for density in (0.0, 0.01, 0.2, 1.0):
+        spectrum = (random.random((30, 17)) < density) * random.integers(1, 5, (30, 17))
+        compiled = stream.extent(spectrum)
+        with native.without():
+            assert stream.extent(spectrum) == compiled

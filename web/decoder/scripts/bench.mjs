@@ -1,5 +1,5 @@
 // Speed of decoding: node scripts/bench.mjs FILE.mocz … (after npm run build). Prints frames a second of processor time,
-// the best of several runs that open and decode the whole file, and the time to open it and decode one frame in the middle.
+// best of several runs that open and decode the whole file, and the time to open it and decode one frame in the middle.
 
 import { readFileSync } from "node:fs";
 import { open } from "../dist/mocodec.js";

@@ -1,6 +1,6 @@
 // Builds the package: dist/mocodec.js, an ES module that loads the modules of rarer codecs when a file needs them;
-// dist/mocodec.single.js, the same in one file; types; and priors/, copied from the Python package.
-// Prints the sizes that a page pays for. With a path, it writes only the one file there.
+// dist/mocodec.single.js, all modules in one file; types; and priors/, copied from the Python package.
+// Prints the sizes that a page loads. With a path, it writes only the single file there.
 
 import { execFileSync } from "node:child_process";
 import { copyFileSync, mkdirSync, readFileSync, rmSync } from "node:fs";
@@ -34,7 +34,7 @@ for (const name of ["points.npz", "directions.npz"]) copyFileSync(`${priors}/${n
 
 const gzipped = (path) => gzipSync(readFileSync(path), { level: 9 }).length;
 
-/** A script and all that it imports at once. */
+/** A script and its static imports, direct and indirect. */
 function closure(path, found = new Set()) {
   if (found.has(path)) return found;
   found.add(path);

@@ -1,8 +1,8 @@
 // Decodes files for comparison with another decoder: node scripts/decode.mjs MODULE PRIORS OUT FILE.mocz …
 //
-// MODULE is the built decoder, PRIORS the folder of points.npz and directions.npz. For each file, OUT gets NAME.json (what the
-// file says, its events, its signals, or the name and text of the error), NAME.positions, NAME.rotations, NAME.signal-N and
-// NAME.poses-N (float64, little-endian). Of point clouds NAME.positions and NAME.colours (bytes) hold one frame after the other.
+// MODULE is the built decoder, PRIORS the folder of points.npz and directions.npz. For each file, OUT gets NAME.json (the
+// file's header, events and signals, or the name and text of the error), NAME.positions, NAME.rotations, NAME.signal-N and
+// NAME.poses-N (float64, little-endian). For point clouds, NAME.positions and NAME.colours (bytes) hold frame after frame.
 
 import { readFileSync, writeFileSync } from "node:fs";
 import { basename } from "node:path";
@@ -36,7 +36,7 @@ async function decode(path, target) {
   return { info: file.info, events, signals, marks: await file.marks() };
 }
 
-/** Points of each frame. */
+/** Writes the points of all frames; returns the numbers of points. */
 async function decodeClouds(file, target) {
   const clouds = [];
   for await (const cloud of file.clouds()) clouds.push(cloud);

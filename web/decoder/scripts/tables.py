@@ -20,7 +20,7 @@ SOURCE = Path(__file__).parents[1] / "src"
 
 
 def contents() -> dict[str, str]:
-    """The text of each file. Dictionaries of bytes are texts with a character for each byte."""
+    """The text of each file. A dictionary of bytes is a text with one character for each byte."""
     lab_words = values.lab_dictionary().removesuffix(values.dictionary())
     return {"tables.json": compact(literal_tables()), "lab_words.json": compact({"dictionary": as_text(lab_words)})}
 

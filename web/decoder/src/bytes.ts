@@ -1,4 +1,4 @@
-/** Numbers and blobs as they stand in a file (docs/format.md, docs/payloads/index.md). */
+/** Reads numbers and blobs of a file (docs/format.md, docs/payloads/index.md). */
 
 import { Corrupt, check } from "./errors.js";
 
@@ -34,14 +34,14 @@ export class Bytes {
     return this.take(1)[0]!;
   }
 
-  /** An unsigned varint below 2^53; larger ones, which no part of a file needs, are corrupt. */
+  /** An unsigned varint below 2^53; no part of a file needs larger ones, so they are corrupt. */
   varint(): number {
     const value = this.bigVarint();
     check(value <= Number.MAX_SAFE_INTEGER, `${this.what}: the number ${value} is too large`);
     return Number(value);
   }
 
-  /** An unsigned varint below 2^63, as a number where it is exact. */
+  /** An unsigned varint below 2^63: a number if that is exact, else a bigint. */
   bigVarint(): number | bigint {
     let value = 0;
     let factor = 1;
@@ -58,7 +58,7 @@ export class Bytes {
     }
   }
 
-  /** The end of a varint from its eighth byte on. */
+  /** Reads the rest of a varint from its eighth byte on. */
   private longVarint(low: number, digits: number, byte: number): bigint {
     let value = BigInt(low) | (BigInt(digits) << 49n);
     if (byte >= 128) {
@@ -69,13 +69,13 @@ export class Bytes {
     return value;
   }
 
-  /** A signed varint: 0, −1, 1, −2, … are stored as 0, 1, 2, 3, … */
+  /** A signed number: 0, −1, 1, −2, … are stored as the varints 0, 1, 2, 3, … */
   folded(): number {
     const number = this.varint();
     return number % 2 ? -(number + 1) / 2 : number / 2;
   }
 
-  /** A folded number within limits. */
+  /** A signed number within limits. */
   foldedWithin(least: number, greatest: number, name: string): number {
     const value = this.folded();
     check(value >= least && value <= greatest, `${this.what}: ${name} is ${value}`);
@@ -185,7 +185,7 @@ export class Bits {
     return value;
   }
 
-  /** Unused bits at the end: fewer than 8, all 0. */
+  /** Checks the unused bits at the end: fewer than 8, all 0. */
   end(): void {
     check(this.left < 8, `${this.what}: ${this.left} bits are left over`);
     while (this.left) check(this.bit() === 0, `${this.what}: a padding bit is not 0`);

@@ -1,4 +1,4 @@
-/** Corrections, which hold a bound on the error (docs/payloads/stages.md). */
+/** Corrections, which guarantee a bound on the error (docs/payloads/stages.md). */
 
 import { Bits, Bytes } from "./bytes.js";
 import { check } from "./errors.js";

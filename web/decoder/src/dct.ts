@@ -1,14 +1,14 @@
-/** Inverse DCT along time of many columns at once. */
+/** Inverse DCT along time, for many columns. */
 
-/** Sums of at most this many frequencies are made term by term: halving them would not pay. */
+/** Sums of at most this many frequencies are computed term by term: halving them takes longer. */
 const FEW_FREQUENCIES = 32;
-/** Halvings at most: each divides by small cosines, which costs digits. */
+/** Most halvings: each divides by small cosines, which loses precision. */
 const MOST_HALVINGS = 6;
 
 /**
  * Frame t is Σ_f c_f · y[f] · cos(π (t + ½) f / F), with c₀ = √(1 / F) and c_f = √(2 / F).
  *
- * y: (frequencies, lanes), frequencies ≤ frames; it is overwritten. The result is (frames, lanes).
+ * y: (frequencies, lanes), overwritten; frequencies ≤ frames. The result is (frames, lanes).
  */
 export function inverseDct(y: Float64Array, frequencies: number, frames: number, lanes: number): Float64Array {
   const out = new Float64Array(frames * lanes);
@@ -27,7 +27,7 @@ function sum(y: Float64Array, frequencies: number, frames: number, lanes: number
 }
 
 /**
- * Two sums of half the size. Even frequencies are one as they stand. With θ = π (t + ½) / frames and y[−1] = 0, odd ones are
+ * Two sums of half the size. The even frequencies are one of them. With θ = π (t + ½) / frames and y[−1] = 0, the odd ones give
  *
  *     Σ y[2f+1] cos((2f+1) θ) = 1 / (2 cos θ) · Σ (y[2f+1] + y[2f−1]) cos(2f θ)
  *
@@ -136,7 +136,7 @@ function parity(
 let lastFrames = 0;
 let lastCosines = new Float64Array(0);
 
-/** cos(π i / (2 frames)) for a whole turn, i = 0 … 4 · frames − 1. */
+/** cos(π i / (2 frames)) for i = 0 … 4 · frames − 1, a whole turn. */
 function quarterTurns(frames: number): Float64Array {
   if (frames !== lastFrames) {
     lastFrames = frames;

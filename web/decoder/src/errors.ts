@@ -1,9 +1,9 @@
 /**
- * Every error that the decoder raises on purpose, sorted by what the caller can do next. The names are those of the Python package.
+ * Errors that the decoder throws on purpose, sorted by what the caller can do next. Names as in the Python package.
  *
  *     MocodecError
  *     ├── BadInput             the source or the arguments are not usable: correct them
- *     │   └── FrameOutOfRange  there is no frame of this number
+ *     │   └── FrameOutOfRange  there is no frame with this number
  *     ├── UnknownCodec         the file names a codec that this version does not have
  *     ├── Unsupported          the file is fine, but this decoder cannot decode this part of it
  *     ├── TooNew               the file has a later format version
@@ -11,9 +11,9 @@
  *     └── Corrupt              bytes are damaged: restore the file from a copy
  */
 
-/** Base class of every error that the decoder raises on purpose. Its message has no control characters. */
+/** Base class of all errors that the decoder throws on purpose. Messages have no control characters. */
 export class MocodecError extends Error {
-  /** The name of the class, also where a bundler has shortened it. */
+  /** Name of the class, even if a bundler renames the class. */
   override name = "MocodecError";
 
   constructor(message: string) {
@@ -26,12 +26,12 @@ export class BadInput extends MocodecError {
   override name = "BadInput";
 }
 
-/** There is no frame of this number. */
+/** There is no frame with this number. */
 export class FrameOutOfRange extends BadInput {
   override name = "FrameOutOfRange";
 }
 
-/** This version has no codec of that name. */
+/** This version does not have the file's codec. */
 export class UnknownCodec extends MocodecError {
   override name = "UnknownCodec";
 }
@@ -61,7 +61,7 @@ export function check(condition: boolean, message: string): asserts condition {
   if (!condition) throw new Corrupt(message);
 }
 
-/** The text without control characters: names from a file could otherwise move the cursor of a terminal. */
+/** The text without control characters, which could move the cursor of a terminal. */
 function printable(text: string): string {
   return text.replace(/[\p{Cc}\p{Cf}\p{Zl}\p{Zp}]/gu, "\ufffd");
 }

@@ -22,7 +22,7 @@ export interface Event {
   context: string;
 }
 
-/** Everything beside the points. */
+/** All content besides the points. */
 export interface Extras {
   /** All entries: parameters, notes, arrays, signals. */
   tree: Tree;

@@ -1,4 +1,4 @@
-/** An open file: what it says about itself, and its frames. */
+/** An open file: its header facts and its frames. */
 
 import { chunkDecoder } from "./codecs/index.js";
 import type { Body } from "./codecs/bodies.js";
@@ -13,7 +13,7 @@ import type { Extras } from "./extras.js";
 import { type ByteSource, type Source, byteSource } from "./sources.js";
 
 export interface OpenOptions {
-  /** Finds priors by their identifier (8 hexadecimal digits); the default loads those of the package. */
+  /** Loads priors by their identifier (8 hexadecimal digits); default: those of the package. */
   priors?: PriorLoader;
   /** Passed to fetch: headers, credentials, signal. */
   request?: RequestInit;
@@ -21,7 +21,7 @@ export interface OpenOptions {
   salvage?: boolean;
 }
 
-/** What a file says about itself; reading it decodes nothing. */
+/** Facts from the header and index; reading them decodes no frames. */
 export interface Info {
   kind: "motion" | "clouds";
   codec: string;
@@ -44,14 +44,14 @@ export interface Info {
   rotations: boolean;
   /** Settings of the encoder that differ from its defaults. */
   settings: Tree;
-  /** The greatest error that the file promises, metres; undefined if it promises none. */
+  /** Error bound that the file promises, metres; undefined without one. */
   maxError: number | undefined;
-  /** How the original file was: format, units, metres in a unit, … */
+  /** Facts about the original file: format, units, metres in a unit, … */
   source: Tree;
   chunks: ChunkPlace[];
   /** Neighbouring chunks on each side that a chunk needs. */
   margin: number;
-  /** Bytes: of the extras section, of what it unpacks to, of the coded signals. */
+  /** Bytes of the extras section, of its unpacked content, and of the coded signals. */
   extras: { section: number; unpacked: number; signals: number };
 }
 
@@ -62,9 +62,9 @@ export interface Damage {
   error: MocodecError;
 }
 
-/** Decoded chunks that a file keeps, so that short reads in sequence decode each chunk once. */
+/** Size of the cache of decoded chunks: short reads in sequence decode each chunk once. */
 const KEPT_CHUNKS = 4;
-/** Numbers that one call returns at most: 2 GiB. */
+/** Most numbers that one call returns: 2 GiB. */
 const MOST_VALUES = 2 ** 28;
 
 /** Opens a `.mocz` file: a URL (read by range requests), a Blob or File, or bytes. */
@@ -84,12 +84,12 @@ export async function open(source: Source, options: OpenOptions = {}): Promise<M
 
 export class MoczFile {
   readonly info: Info;
-  /** Frames that were decoded as gaps, because their chunks are damaged; filled only with `salvage`. */
+  /** Frames that became gaps because their chunks are damaged; filled only with `salvage`. */
   readonly damage: Damage[] = [];
   private decoder: Promise<ChunkDecoder> | undefined;
   private readonly decoded = new Map<number, Decoded>();
   private pointDecoder: PointDecoder | undefined;
-  /** The chunk whose clouds were read last: the frames that are decoded, and those to come. */
+  /** The last read chunk of clouds. */
   private cloudsOfChunk: CloudChunk | undefined;
 
   constructor(
@@ -138,8 +138,8 @@ export class MoczFile {
   }
 
   /**
-   * Point clouds of `lien2006` and `bodycast` only: bodies, and for each the poses of frames a … b − 1, (b − a, links, 2, 3): origin and tip
-   * of each link in metres, NaN where a frame does not show the body. Throws BadInput for motions.
+   * Bodies of point clouds (`lien2006` and `bodycast`), and the poses of each body in frames a … b − 1, (b − a, links, 2, 3): origin and
+   * tip of each link in metres, NaN in frames without the body. Throws BadInput for motions.
    */
   async poses(a = 0, b = this.info.frames): Promise<{ bodies: Body[]; poses: Float64Array[] }> {
     const { codec } = this.info;
@@ -161,8 +161,8 @@ export class MoczFile {
   }
 
   /**
-   * Point clouds: frames a … b − 1, one after the other, as each is decoded. The points of a frame follow from those of the frames before it in
-   * its chunk: read in order. Throws BadInput for motions, and Unsupported for pictures of surfaces that another encoder made.
+   * Point clouds: yields frames a … b − 1 as they are decoded. Read in order: a frame may need the earlier frames of its chunk. Throws
+   * BadInput for motions, and Unsupported for pictures of other encoders.
    */
   async *clouds(a = 0, b = this.info.frames): AsyncGenerator<Cloud> {
     if (this.info.kind !== "clouds") throw new BadInput("the file has no point clouds");
@@ -194,7 +194,7 @@ export class MoczFile {
         const next = rest.next();
         if (next.done) throw new Corrupt("a chunk could not be decoded");
         decoded.push(next.value);
-        if (decoded.length === frames) rest.next(); // checks that nothing is left
+        if (decoded.length === frames) rest.next(); // checks that no bytes are left
       }
     } catch (error) {
       this.cloudsOfChunk = undefined;
@@ -205,15 +205,15 @@ export class MoczFile {
     return decoded[frame]!;
   }
 
-  /** Everything beside the points: parameters, events, arrays and signals. */
+  /** All content besides the points: parameters, events, arrays and signals. */
   async extras(): Promise<Extras> {
     const { readExtras } = await import("./extras.js");
     return readExtras(this.source, this.header, this.headerEnd);
   }
 
   /**
-   * Frames at which the codec begins something, by what begins there: "clip" of `hou2014`, "segment" and "key frame" of `liu2006`. Reads
-   * all chunks and decodes no positions; with `salvage`, damaged chunks have none.
+   * Frames at which a "clip" (`hou2014`), a "segment" or a "key frame" (`liu2006`) begins, by kind. Reads all chunks and decodes no
+   * positions; with `salvage`, damaged chunks have none.
    */
   async marks(): Promise<Record<string, number[]>> {
     const found: Record<string, number[]> = {};
@@ -273,7 +273,7 @@ export class MoczFile {
     return low;
   }
 
-  /** Bytes of the chunks that frames up to `end` need, from chunk `first` on, read at once; those kept are not read. */
+  /** Reads in one request the chunks that frames up to `end` need, from chunk `first` on, except cached chunks. */
   private async window(first: number, end: number): Promise<Window> {
     const kept = new Map(this.decoded);
     const needed: number[] = [];
@@ -315,14 +315,14 @@ export class MoczFile {
   }
 }
 
-/** Bytes of consecutive chunks, and the chunks that are decoded already. */
+/** Bytes of consecutive chunks, and the cached decoded chunks. */
 interface Window {
   kept: Map<number, Decoded>;
   offset: number;
   bytes: Uint8Array;
 }
 
-/** A chunk of point clouds: the frames that are decoded, and those to come. */
+/** A chunk of point clouds: decoded frames, and a generator of the rest. */
 interface CloudChunk {
   number: number;
   decoded: Cloud[];

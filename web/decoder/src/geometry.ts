@@ -1,4 +1,4 @@
-/** Vectors and rotations; quaternions are (w, x, y, z) and unit. */
+/** Vectors and rotations. Rotations are unit quaternions (w, x, y, z). */
 
 export type Vector = [number, number, number];
 export type Quaternion = [number, number, number, number];
@@ -89,14 +89,14 @@ export function unitQuaternion(q: ArrayLike<number>): Quaternion {
   return [w * factor, x * factor, y * factor, z * factor];
 }
 
-/** The product of rotations about the axes of `order` ("zyx" is Rz · Ry · Rx) by these angles, radians. */
+/** Product of rotations about the axes of `order` ("zyx" is Rz · Ry · Rx). angles: radians. */
 export function fromEuler(order: string, angles: ArrayLike<number>): Quaternion {
   let q = NO_ROTATION;
   for (let i = 0; i < order.length; i++) q = multiplied(q, about("xyz".indexOf(order[i]!), angles[i]!));
   return q;
 }
 
-/** The angles of `fromEuler`, the second from −π/2 to π/2. */
+/** Inverse of `fromEuler`; the second angle is in −π/2 … π/2. */
 export function toEuler(order: string, q: Quaternion): Vector {
   const [i, j, k] = Array.from(order, (letter) => "xyz".indexOf(letter)) as Vector;
   const sign = (j - i + 3) % 3 === 1 ? 1 : -1;
@@ -125,7 +125,7 @@ export function matrixOf(q: ArrayLike<number>): number[] {
   ];
 }
 
-/** The rotation of a matrix, row by row; its component of the largest magnitude is positive. */
+/** The quaternion of a matrix, given row by row; its component of the largest magnitude is positive. */
 export function fromMatrix(m: ArrayLike<number>): Quaternion {
   const xx = m[0]!;
   const yy = m[4]!;

@@ -1,4 +1,4 @@
-/** Raw deflate (RFC 1951), with a preset dictionary and a limit of the size. */
+/** Raw deflate (RFC 1951), with a preset dictionary and a size limit. */
 
 import { Corrupt, check } from "./errors.js";
 
@@ -11,7 +11,7 @@ const DISTANCE_BASE = [
 const DISTANCE_BITS = DISTANCE_BASE.map((_, i) => Math.max(0, (i >> 1) - 1));
 const ORDER_OF_LENGTHS = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
 
-/** A canonical Huffman code: how many codes each length has, and the symbols in the order of their codes. */
+/** A canonical Huffman code: the number of codes of each length, and the symbols in the order of their codes. */
 interface Huffman {
   counts: Uint16Array;
   symbols: Uint16Array;
@@ -53,7 +53,7 @@ class Inflater {
     this.size = dictionary.length;
   }
 
-  /** All blocks; returns the result and how many bytes of the data were read. */
+  /** Decodes all blocks; returns the result and the number of bytes read. */
   run(): { bytes: Uint8Array; used: number } {
     let last = 0;
     while (!last) {
@@ -91,7 +91,7 @@ class Inflater {
       first = (first + count) << 1;
       value <<= 1;
     }
-    throw new Corrupt("deflate: a code that stands for nothing");
+    throw new Corrupt("deflate: an unused code");
   }
 
   private room(count: number): void {
@@ -165,16 +165,16 @@ class Inflater {
 
 const NO_DICTIONARY = new Uint8Array(0);
 
-/** The bytes behind raw deflate: at most `limit` of them, and the stream must end where the data ends. */
+/** Inflates raw deflate data to at most `limit` bytes. The stream must end where the data ends. */
 export function inflate(data: Uint8Array, limit: number, dictionary: Uint8Array = NO_DICTIONARY): Uint8Array {
   const { bytes, used } = new Inflater(data, dictionary, limit).run();
   check(used === data.length, "deflate: bytes are left over");
   return bytes;
 }
 
-/** The bytes behind a zlib stream (RFC 1950), whose Adler-32 is checked. */
+/** Inflates a zlib stream (RFC 1950), and checks its Adler-32. */
 export function inflateZlib(data: Uint8Array, limit: number): Uint8Array {
-  check(data.length >= 6 && (data[0]! & 15) === 8 && ((data[0]! << 8) | data[1]!) % 31 === 0, "zlib: no such header");
+  check(data.length >= 6 && (data[0]! & 15) === 8 && ((data[0]! << 8) | data[1]!) % 31 === 0, "zlib: a wrong header");
   check((data[1]! & 32) === 0, "zlib: a preset dictionary");
   const { bytes, used } = new Inflater(data.subarray(2), NO_DICTIONARY, limit).run();
   check(used + 6 === data.length, "zlib: bytes are left over");
@@ -185,6 +185,6 @@ export function inflateZlib(data: Uint8Array, limit: number): Uint8Array {
     b = (b + a) % 65521;
   }
   const tail = data.subarray(used + 2);
-  check(((tail[0]! << 8) | tail[1]!) === b && ((tail[2]! << 8) | tail[3]!) === a, "zlib: the checksum does not hold");
+  check(((tail[0]! << 8) | tail[1]!) === b && ((tail[2]! << 8) | tail[3]!) === a, "zlib: the checksum does not match");
   return bytes;
 }

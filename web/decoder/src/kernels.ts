@@ -1,6 +1,6 @@
 /**
  * Kernels in WebAssembly: the C++ of the Python package's compiled module (wasm/kernels.cpp). scripts/wasm writes kernels.json.
- * The code in TypeScript does the same where an engine cannot run them, and says what is wrong with bytes that they refuse.
+ * Without WebAssembly the TypeScript code decodes. It also decodes streams that kernels refuse, and reports their errors.
  */
 
 import { inflate } from "./inflate.js";
@@ -10,7 +10,7 @@ interface Exports {
   memory: WebAssembly.Memory;
   /** Frees all memory. */
   begin(): void;
-  /** Takes memory, and returns its address. */
+  /** Allocates memory, and returns its address. */
   reserve(bytes: number): number;
   lattice(...numbers: number[]): number;
   joints(...numbers: number[]): number;
@@ -18,11 +18,11 @@ interface Exports {
 
 type Numbers = Uint8Array | Int32Array | BigInt64Array | Float64Array;
 
-/** Called kernels share one memory, which holds what the last call was given and returned. */
+/** Calls kernels. All calls use one memory, which keeps the last call's arguments and result. */
 export class Kernels {
   private constructor(private readonly exports: Exports) {}
 
-  /** The kernels; undefined where the engine has no WebAssembly with vectors, or the page does not allow it. */
+  /** Loads the kernels; undefined if the engine lacks WebAssembly SIMD or the page forbids it. */
   static async load(): Promise<Kernels | undefined> {
     const { sin, cos, acos, atan2, hypot } = Math;
     try {
@@ -34,7 +34,7 @@ export class Kernels {
     }
   }
 
-  /** Calls a kernel with arrays and numbers. The result: `count` float64, valid until the next call; null if it refuses. */
+  /** Calls a kernel with arrays and numbers. Returns `count` float64, valid until the next call; null if the kernel refuses. */
   call(name: "lattice" | "joints", given: (Numbers | number)[], count: number): Float64Array | null {
     const { exports } = this;
     try {
@@ -43,7 +43,7 @@ export class Kernels {
       const at = exports[name](...numbers);
       return at === 0 ? null : new Float64Array(exports.memory.buffer, at, count);
     } catch (error) {
-      if (error instanceof WebAssembly.RuntimeError) return null; // no memory
+      if (error instanceof WebAssembly.RuntimeError) return null; // out of memory
       throw error;
     }
   }
@@ -63,7 +63,7 @@ export function loadKernels(): Promise<void> {
   return (loading ??= Kernels.load().then((found) => void (loaded = found)));
 }
 
-/** The kernels, if `loadKernels` has found that they can be used. */
+/** The kernels, if `loadKernels` could load them. */
 export function kernels(): Kernels | undefined {
   return loaded;
 }

@@ -7,13 +7,13 @@ const MOVE_BITS = 5;
 const STATES = 12;
 const DICTIONARY_BYTES = 2 ** 22;
 
-/** The bytes behind a stream of at most `limit` bytes, which must end where the data ends. */
+/** Decompresses a stream to at most `limit` bytes. The stream must end where the data ends. */
 export function inflateLzma2(data: Uint8Array, limit: number): Uint8Array {
   const decoder = new Lzma2(data, limit);
   return decoder.run();
 }
 
-/** Reads bits of adaptive probabilities. */
+/** Reads bits with adaptive probabilities. */
 class RangeDecoder {
   private range = 0xffffffff;
   private code = 0;
@@ -24,7 +24,7 @@ class RangeDecoder {
     start: number,
     private readonly end: number,
   ) {
-    check(end - start >= 5 && data[start] === 0, "LZMA2: a chunk does not begin as it should");
+    check(end - start >= 5 && data[start] === 0, "LZMA2: a chunk has a wrong beginning");
     this.at = start + 1;
     for (let i = 0; i < 4; i++) this.code = ((this.code << 8) | data[this.at++]!) >>> 0;
   }
@@ -44,7 +44,7 @@ class RangeDecoder {
     return 1;
   }
 
-  /** A number of `count` bits without a model, highest first. */
+  /** Reads a number of `count` bits without a model, highest bit first. */
   direct(count: number): number {
     let value = 0;
     for (let i = 0; i < count; i++) {
@@ -57,14 +57,14 @@ class RangeDecoder {
     return value;
   }
 
-  /** A number of `count` bits by a tree of models from `start` on, highest bit first. */
+  /** Reads a number of `count` bits with a tree of models from `start` on, highest bit first. */
   tree(model: Uint16Array, start: number, count: number): number {
     let node = 1;
     for (let i = 0; i < count; i++) node = 2 * node + this.bit(model, start + node);
     return node - 2 ** count;
   }
 
-  /** As `tree`, lowest bit first. */
+  /** `tree`, but lowest bit first. */
   reverseTree(model: Uint16Array, start: number, count: number): number {
     let node = 1;
     let value = 0;
@@ -76,10 +76,10 @@ class RangeDecoder {
     return value;
   }
 
-  /** The chunk must be used up. */
+  /** Checks that the whole chunk was read. */
   finish(): void {
     this.normalise();
-    check(this.at === this.end && this.code === 0, "LZMA2: a chunk does not end where it should");
+    check(this.at === this.end && this.code === 0, "LZMA2: a chunk has a wrong end");
   }
 
   private normalise(): void {
@@ -90,7 +90,7 @@ class RangeDecoder {
   }
 }
 
-/** Models of the length of a match: 2 to 273. */
+/** Models of match lengths, 2 to 273. */
 class Lengths {
   private readonly choice = new Uint16Array(2).fill(BIT_MODEL_TOTAL / 2);
   private readonly low = new Uint16Array(16 * 8).fill(BIT_MODEL_TOTAL / 2);
@@ -106,7 +106,7 @@ class Lengths {
 
 const halves = (count: number) => new Uint16Array(count).fill(BIT_MODEL_TOTAL / 2);
 
-/** Everything that a state reset begins anew. */
+/** All models, which a state reset initialises. */
 class Models {
   readonly isMatch = halves(STATES * 16);
   readonly isRep = halves(STATES);
@@ -131,7 +131,7 @@ class Models {
 class Lzma2 {
   private out: Uint8Array;
   private size = 0;
-  /** Where the dictionary begins. */
+  /** Start of the dictionary. */
   private dictionary = 0;
   private lc = 0;
   private lp = 0;

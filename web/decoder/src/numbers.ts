@@ -1,6 +1,6 @@
 /** Rounding and clipping of numbers. */
 
-/** 0.5 rounds to 0, 1.5 to 2. */
+/** Rounds halves to even: 0.5 to 0, 1.5 to 2. */
 export function halfToEven(value: number): number {
   const floor = Math.floor(value);
   const rest = value - floor;

@@ -1,10 +1,10 @@
-/** Where the bytes of a file come from: memory, a Blob or File, or HTTP range requests. */
+/** Sources of a file's bytes: memory, a Blob or File, or HTTP range requests. */
 
 import { BadInput, Corrupt, Truncated } from "./errors.js";
 
 export interface ByteSource {
   readonly size: number;
-  /** Bytes from `start` on: exactly `count`, within the size. */
+  /** Reads exactly `count` bytes from `start` on; the range lies within the file. */
   read(start: number, count: number): Promise<Uint8Array>;
 }
 
@@ -50,7 +50,7 @@ class FromBlob implements ByteSource {
   }
 }
 
-/** Parts of a file by HTTP range requests; front and end are kept, since opening a file reads both in pieces. */
+/** Parts of a file by HTTP range requests; caches front and end, since opening a file reads both in pieces. */
 class Http implements ByteSource {
   private tail: { start: number; bytes: Uint8Array } | undefined;
 
@@ -94,7 +94,7 @@ class Http implements ByteSource {
       throw new BadInput(`${this.url}: the file has changed on the server`);
     }
     const bytes = await body(answer, this.url);
-    if (bytes.length !== count) throw new Truncated(`${this.url}: ${count} bytes were asked for, ${bytes.length} came`);
+    if (bytes.length !== count) throw new Truncated(`${this.url}: ${count} bytes were requested, ${bytes.length} arrived`);
     return bytes;
   }
 }
@@ -109,7 +109,7 @@ async function get(url: string, request: RequestInit, start: number, count: numb
   }
 }
 
-/** The size of the whole file, which a partial answer names. */
+/** The size of the whole file, from a partial response. */
 function totalOf(answer: Response): number | undefined {
   const match = /^bytes \d+-\d+\/(\d{1,15})$/.exec(answer.headers.get("content-range") ?? "");
   return match ? Number(match[1]) : undefined;

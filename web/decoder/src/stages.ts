@@ -1,10 +1,10 @@
-/** Parts that several codecs share (docs/payloads/stages.md). */
+/** Stages that several codecs share (docs/payloads/stages.md). */
 
 import { Bytes } from "./bytes.js";
 import { check } from "./errors.js";
 import { readIntegers, readIntegersWithin } from "./integers/read.js";
 
-/** Decoding a basis (n, k) takes n k² steps: at most these, and so many more for each byte. */
+/** Limit of the n k² steps that decoding a basis (n, k) takes: FREE_STEPS, plus STEPS_A_BYTE for each byte. */
 const FREE_STEPS = 2 ** 28;
 const STEPS_A_BYTE = 2 ** 14;
 
@@ -17,22 +17,22 @@ interface FrozenRun {
   point: number;
   frame: number;
   frames: number;
-  /** Number of its value; 0: the sample before the run. */
+  /** Index of the run's value, from 1; 0: the sample before the run. */
   value: number;
 }
 
-/** Which samples of a chunk are missing, and which stand still at one exact value. */
+/** Missing samples of a chunk, and frozen runs, in which a point keeps one exact value. */
 export class Gaps {
   private constructor(
     private readonly frames: number,
     private readonly points: number,
-    /** (frames, points): 1 where a sample is missing; null: nowhere. */
+    /** (frames, points): 1 where a sample is missing; null: no gaps. */
     private readonly missing: Uint8Array | null,
     private readonly runs: FrozenRun[],
     private readonly values: Float64Array,
   ) {}
 
-  /** The gap mask or frozen runs of `frames` frames of `points` points. */
+  /** Reads the gap mask or frozen runs of a chunk. */
   static read(data: Uint8Array, frames: number, points: number): Gaps {
     if (data.length === 0 || data[0] !== 0) return new Gaps(frames, points, gapMask(data, frames, points), [], new Float64Array(0));
     const part = new Bytes(data, "frozen runs");
@@ -53,11 +53,11 @@ export class Gaps {
       at += run.frames;
       largest = Math.max(largest, run.value);
     }
-    check(largest <= count, "frozen runs: a value without number");
+    check(largest <= count, "frozen runs: a value that does not exist");
     return new Gaps(frames, points, missing, runs, frozenValues(part.rest(), largest));
   }
 
-  /** (frames, points): 1 where a sample is missing or frozen; null: nowhere. */
+  /** (frames, points): 1 where a sample is missing or frozen; null: none. */
   apart(): Uint8Array | null {
     if (this.runs.length === 0) return this.missing;
     const mask = this.missing?.slice() ?? new Uint8Array(this.frames * this.points);
@@ -65,7 +65,7 @@ export class Gaps {
     return mask;
   }
 
-  /** Puts NaN into gaps and their values into frozen runs; positions: (frames, points, 3). */
+  /** Writes NaN into gaps and exact values into frozen runs of positions (frames, points, 3). */
   restore(positions: Float64Array): void {
     if (this.missing) {
       this.missing.forEach((missing, i) => {
@@ -113,16 +113,16 @@ function gapMask(data: Uint8Array, frames: number, points: number): Uint8Array |
 }
 
 /**
- * An orthonormal basis (dimensions, components), row by row.
+ * Reads an orthonormal basis (dimensions, components), row by row.
  *
- * alike: for each dimension an earlier one from which the first columns are stored as differences, or −1; null: none.
+ * alike: for each dimension, an earlier one that predicts it in the first columns, or −1; null: no prediction.
  */
 export function readBasis(data: Uint8Array, dimensions: number, components: number, alike: Int32Array | null): Float64Array {
   check(components <= dimensions, "basis: more components than dimensions");
   const part = new Bytes(data, "basis");
   const leading = part.varintWithin(0, components, "the number of differences");
-  check(alike !== null || leading === 0, "basis: differences where there are none");
-  check(dimensions * components ** 2 <= FREE_STEPS + STEPS_A_BYTE * part.left, "basis: a few bytes that take too long to decode");
+  check(alike !== null || leading === 0, "basis: differences without a prediction");
+  check(dimensions * components ** 2 <= FREE_STEPS + STEPS_A_BYTE * part.left, "basis: too large for its number of bytes");
   const entries = readIntegers(part.rest(), dimensions, components);
   for (let r = 0; alike && r < dimensions; r++) {
     const other = alike[r]!;
@@ -145,7 +145,7 @@ export function readBasis(data: Uint8Array, dimensions: number, components: numb
   return basis;
 }
 
-/** The unit vector of the reflection that column `i` of the entries stands for, in rows i … of `u`. */
+/** Writes the unit vector of the Householder reflection in column `i` of the entries to rows i … of `u`. */
 function reflector(entries: Float64Array, columns: number, i: number, u: Float64Array): void {
   const rows = entries.length / columns;
   let any = false;

@@ -4,10 +4,10 @@ import { type Header, payloadOf } from "../src/container/header.js";
 import { MocodecError, open } from "../src/index.js";
 import { goldenBytes, goldenTwin } from "./golden.js";
 
-/** The twins have six digits after the point. */
+/** The twins have six decimals. */
 const TOLERANCE_M = 0.6e-6;
 
-describe("points are those of the twins", () => {
+describe("points match the twins", () => {
   const names = ["jumper", "jumper-bounded", "jumper-learned", "jumper-smoothed", "jumper-cubes", "covered", "exact", "exact-steps"].map((name) => `bodycast-${name}`);
   test.each([...names, "lien2006-jumper", "lien2006-lines"])("%s", async (name) => {
     const twin = goldenTwin(name) as unknown as { positions: number[][][]; colours: number[][][] };

@@ -17,7 +17,7 @@ async function everything(bytes: Uint8Array, salvage = false): Promise<MoczFile>
   return file;
 }
 
-/** The error of decoding everything, undefined for none; any other exception than a MocodecError is thrown. */
+/** The MocodecError of decoding the whole file, or undefined. Throws any other exception. */
 async function errorOf(bytes: Uint8Array, salvage = false): Promise<MocodecError | undefined> {
   try {
     await everything(bytes, salvage);
@@ -28,7 +28,7 @@ async function errorOf(bytes: Uint8Array, salvage = false): Promise<MocodecError
   }
 }
 
-/** Numbers below `limit` that are the same in every run. */
+/** Pseudo-random numbers below `limit`, equal in every run. */
 function numbers(seed: number): (limit: number) => number {
   let state = seed >>> 0;
   return (limit) => {
@@ -41,7 +41,7 @@ function sign(bytes: Uint8Array, start: number, end: number): void {
   new DataView(bytes.buffer, bytes.byteOffset).setUint32(end - 4, crc32(bytes.subarray(start, end - 4)), true);
 }
 
-/** Files whose models take long to make are damaged less often. */
+/** Fewer trials for files with slow models. */
 function times(name: string, count: number): number {
   return name.includes("markers-on-bones") || name.includes("matched") ? Math.ceil(count / 8) : count;
 }

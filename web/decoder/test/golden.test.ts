@@ -4,9 +4,9 @@ import { goldenBytes, goldenNames, goldenTwin, priors } from "./golden.js";
 
 const CLOUDS = new Set(["lien2006", "bodycast"]);
 const MOTIONS = goldenNames().filter((name) => !CLOUDS.has(goldenTwin(name).codec));
-/** The twins have ten digits after the point. */
+/** The twins have ten decimals. */
 const TOLERANCE_M = 1e-9;
-/** Angles where a bone is stretched follow from the square root of what rounding leaves. */
+/** Angles at stretched bones are square roots of rounding errors. */
 const TOLERANCE_OF_ROTATIONS = 1e-7;
 
 describe("golden files decode to their twins", () => {

@@ -1,4 +1,4 @@
-/** Golden files of the Python package, and what they decode to. */
+/** Golden files of the Python package, and their decoded values. */
 
 import { readFileSync, readdirSync } from "node:fs";
 import { fileURLToPath } from "node:url";

@@ -1,11 +1,11 @@
-/** Files decode to the same numbers with the kernels in WebAssembly and without them. */
+/** Files decode to the same numbers with and without the WebAssembly kernels. */
 
 import { afterEach, describe, expect, test, vi } from "vitest";
 import { goldenBytes, priors } from "./golden.js";
 
 const LATTICE = ["tempo-lattice", "tempo-lattice-joints", "tempo-lattice-spikes", "hou2014-markers-fine", "liu2006-markers-fine"];
 const ROTATIONS = ["rotations-figure", "rotations-own-frame", "rotations-translations"];
-/** Sums of products in another order. */
+/** Kernels sum products in another order. */
 const TOLERANCE = 1e-9;
 
 afterEach(() => {

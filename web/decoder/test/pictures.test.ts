@@ -1,4 +1,4 @@
-/** Pictures of 200 × 136 samples that `mocodec.codecs.bodycast.video.encode` wrote, and checksums of the planes that FFmpeg decodes. */
+/** Pictures of 200 × 136 samples from `mocodec.codecs.bodycast.video.encode`, and checksums of the planes that FFmpeg decodes. */
 
 import { readFileSync } from "node:fs";
 import { describe, expect, test } from "vitest";
@@ -18,7 +18,7 @@ function packet(name: string): Uint8Array {
   return new Uint8Array(readFileSync(new URL(`pictures/${name}.h265`, import.meta.url)));
 }
 
-/** Name of a video (what it shows, rate factor) and CRC-32 of Y, Cb, Cr of each picture. A packet follows its size, four bytes. */
+/** Name of a video (content, rate factor) and CRC-32 of Y, Cb, Cr of each picture. Four bytes before a packet are its size. */
 const VIDEOS: [string, number[]][] = [
   ["moving-34", [1011835157, 413971393, 1222126634, 1872208982, 3571568836, 2344560323, 311872321, 1356851060]],
   ["fading-34", [720915075, 2793717585, 3229485010, 3661202248, 3185493852, 2511361010]],

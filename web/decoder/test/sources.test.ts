@@ -1,4 +1,4 @@
-/** Sources: URLs by range requests, Blobs, and what a file says about itself. */
+/** Sources: URLs by range requests, Blobs; and the facts of a file. */
 
 import { type Server, createServer } from "node:http";
 import type { AddressInfo } from "node:net";
@@ -7,7 +7,7 @@ import { BadInput, FrameOutOfRange, Truncated, open } from "../src/index.js";
 import { Bytes, crc32 } from "../src/bytes.js";
 import { goldenBytes, goldenTwin, priors } from "./golden.js";
 
-const NAME = "liu2006-markers"; // several chunks, of which each needs its neighbours
+const NAME = "liu2006-markers"; // has several chunks; each needs its neighbours
 const bytes = goldenBytes(NAME);
 const requests: string[] = [];
 let server: Server;
@@ -70,7 +70,7 @@ describe("sources", () => {
     await expect(file.rotations()).rejects.toBeInstanceOf(BadInput);
   });
 
-  test("a file that changes on the server, or comes short, is an error", async () => {
+  test("a file that changes on the server, or arrives short, is an error", async () => {
     body = longFile();
     const changing = await open(`${url}/changing`).catch((error: unknown) => error);
     expect(changing).toBeInstanceOf(BadInput);
@@ -111,7 +111,7 @@ describe("salvage", () => {
   });
 });
 
-test("info names what the file says", async () => {
+test("info has the facts of the header", async () => {
   const { info } = await open(goldenBytes("liu2006-markers-bounded"));
   const twin = goldenTwin("liu2006-markers-bounded");
   expect(info).toMatchObject({ kind: "motion", codec: "liu2006", maxError: 0.002, rotations: false, margin: 0, bytes: goldenBytes("liu2006-markers-bounded").length });
@@ -123,7 +123,7 @@ function varint(value: number): number[] {
   return value < 128 ? [value] : [(value & 127) | 128, ...varint(value >> 7)];
 }
 
-/** A golden file whose first chunk comes 2,000 times, with the index that it needs. */
+/** A golden file with its first chunk 2,000 times, and a matching index. */
 function longFile(): Uint8Array {
   const golden = goldenBytes("lossless-markers");
   const { frames, offset, size, payloadBytes } = chunkOf(golden);
@@ -140,7 +140,7 @@ function longFile(): Uint8Array {
   return out;
 }
 
-/** The first chunk, from its head and the header's length. */
+/** The place of the first chunk, from its head and the header's length. */
 function chunkOf(golden: Uint8Array): { frames: number; offset: number; size: number; payloadBytes: number } {
   const part = new Bytes(golden, "a golden file");
   part.take(5);

@@ -1,8 +1,7 @@
 // Kernels of the decoder in WebAssembly, from the code of the compiled module (src/native): the lattice engine, and rotations
 // of joints. scripts/wasm compiles them; src/kernels.ts calls them.
 //
-// There is no C library. What a call takes by `reserve` and operator new is free again at the next `begin`. Sines and their
-// like come from JavaScript.
+// There is no C library. `begin` frees all memory of `reserve` and operator new. Sines and other functions come from JavaScript.
 
 #include "../../../src/native/joint_solver.h"
 #include "../../../src/native/lattice.h"
@@ -54,7 +53,7 @@ EXPORT("begin") void begin() { next = reinterpret_cast<size_t>(&__heap_base); }
 
 EXPORT("reserve") void *reserve(size_t size) { return taken(size); }
 
-// Samples (points, frames, 4), the fourth number 0; null for bytes that are no stream.
+// Samples (points, frames, 4), the fourth number 0; null for a damaged stream.
 EXPORT("lattice")
 const double *decode_lattice(const uint8_t *data, size_t size, size_t frames, size_t points, const uint8_t *missing,
                              const int32_t *sequence, const int32_t *neighbours, int stride_log, const int32_t *squash,
@@ -66,7 +65,7 @@ const double *decode_lattice(const uint8_t *data, size_t size, size_t frames, si
 }
 
 // Local rotations (frames, joints, 4), then positions (frames, joints, 3). integers, floats and carried vectors as in
-// codecs/tempo/rotation_layer/compiled.py. values, aimed, hinges: of side values of a frame, carried vectors, hinges.
+// codecs/tempo/rotation_layer/compiled.py. values, aimed, hinges: numbers of side values a frame, carried vectors, hinges.
 EXPORT("joints")
 const double *solve_joints(size_t frames, size_t joints, size_t values, size_t aimed, size_t hinges, const double *targets,
                            const double *side, const void *integers, const void *floats, const int64_t *targets_of,

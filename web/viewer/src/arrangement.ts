@@ -1,22 +1,22 @@
-/** Where recordings stand beside each other, and the camera before them. */
+/** Places recordings side by side, and the camera in front of them. */
 
 import type { Vector3 } from "three";
 import type { Stage } from "./scene.ts";
 import type { Palette } from "./theme.ts";
 import type { RecordingView } from "./view.ts";
 
-/** Of the extent of a figure: from a figure to the original beside it, and how much of its up and down the camera leaves visible. */
+/** Shares of a figure's extent: distance to the original beside it; vertical motion that the camera does not follow. */
 const BESIDE = 0.75;
 const STILL = 0.12;
 
 export class Arrangement {
   private views: RecordingView[] = [];
-  /** How far the last of several recordings stands from the first, metres. */
+  /** Distance from the first recording to the last, metres. */
   private width = 0;
 
   constructor(private readonly stage: Stage) {}
 
-  /** Put recordings beside each other. */
+  /** Put recordings side by side. */
   place(views: RecordingView[]): void {
     this.views = views;
     this.width = 0;
@@ -28,7 +28,7 @@ export class Arrangement {
     });
   }
 
-  /** Put the camera before all recordings. isBeside: whether an original stands beside the decoded figure. */
+  /** Put the camera in front of all recordings. isBeside: whether an original stands beside the decoded figure. */
   frame(view: RecordingView, isBeside: boolean): void {
     const middle = this.middle(view, isBeside);
     if (this.views.length > 1) middle.x += this.views[0].middle().x + this.width / 2 - view.middle().x;

@@ -1,4 +1,4 @@
-/** Channels of signals in .mocz files: the range of their values in equal parts of the recording, as mocodec.viewer.facts has them. */
+/** Channels of signals in .mocz files: ranges of their values in equal parts of the recording, as in mocodec.viewer.facts. */
 
 import type { Signal } from "../../decoder/src/index.js";
 import type { SignalFacts } from "./session.ts";
@@ -7,7 +7,7 @@ const BINS = 1024;
 const MOST_SAMPLES = 8_000_000;
 const MOST_CHANNELS = 64;
 
-/** The ranges of channels of numbers, forces first. */
+/** Ranges of the numeric channels, forces first. */
 export async function channelsOf(signals: Signal[]): Promise<SignalFacts[]> {
   const found: SignalFacts[] = [];
   const seen = new Map<string, number>();
@@ -33,7 +33,7 @@ function rank(label: string): number {
   return /residual/i.test(label) ? 2 : 1;
 }
 
-/** The smallest and largest value of a channel in up to BINS parts; what is not finite counts as 0. */
+/** The smallest and largest value of a channel in up to BINS parts; values that are not finite count as 0. */
 function envelope(values: ArrayLike<number>, channel: number, channels: number, samples: number): { low: number[]; high: number[] } {
   const bins = Math.min(BINS, samples);
   const [low, high] = [new Array<number>(bins).fill(Infinity), new Array<number>(bins).fill(-Infinity)];

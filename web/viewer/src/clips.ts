@@ -102,7 +102,7 @@ export class Clips {
     return row;
   }
 
-  /** Draw the pose of a row that came into view. */
+  /** Draw the pose of a row that becomes visible. */
   private async draw(row: HTMLElement): Promise<void> {
     if (this.drawn.has(row)) return;
     this.drawn.add(row);

@@ -1,5 +1,5 @@
 /**
- * Point clouds of .mocz files, decoded in a worker, so that the page can draw meanwhile.
+ * Point clouds of .mocz files, decoded in a worker, so that the page can still draw.
  *
  *     page: CloudReader ── { ticket, source | a, b } ─► worker: serve ─► { ticket, frames | error }
  *
@@ -10,15 +10,15 @@ import type { MoczFile, Source } from "../../decoder/src/index.js";
 import type { Frame } from "./frames.ts";
 import { openFile } from "./opening.ts";
 
-/** Decoding in the page pauses after this long, milliseconds, so that it can draw. */
+/** Decoding in the page pauses after this time, milliseconds, so that the page can draw. */
 const BUSY_MS = 30;
 
-/** The script of the page, before anything else runs; empty in a worker. */
+/** The script of the page; empty in a worker. `currentScript` is set only while the script first runs. */
 const SCRIPT = typeof document === "undefined" ? "" : (document.currentScript?.textContent ?? "");
 
 interface Request {
   ticket: number;
-  /** The file, first; then ranges of its frames. */
+  /** The file, only in the first request; later ones ask for ranges of its frames. */
   source?: Source;
   a: number;
   b: number;
@@ -38,7 +38,7 @@ interface Damage {
   message: string;
 }
 
-/** What was found damaged in a file so far. */
+/** Damage found in a file so far. */
 export function damageOf(file: MoczFile): Damage[] {
   return file.damage.map(({ start, frames, error }) => ({ start, frames, message: error.message }));
 }
@@ -49,14 +49,14 @@ interface Pending {
   reject: (error: Error) => void;
 }
 
-/** Frames of one file, in the order in which they are asked for. */
+/** Decodes frames of one file, in the order of the requests. */
 export class CloudReader {
-  /** What was found damaged so far. */
+  /** Damage found so far. */
   damage: Damage[] = [];
   private worker: Worker | null = null;
   private readonly pending = new Map<number, Pending>();
   private tickets = 0;
-  /** The file, where the page decodes it itself. */
+  /** The file, if the page decodes it itself. */
   private file: Promise<MoczFile> | undefined;
 
   constructor(private readonly source: Source) {
@@ -66,7 +66,7 @@ export class CloudReader {
       this.worker.onmessage = ({ data }: MessageEvent<Answer>) => this.settle(data);
       this.worker.onerror = () => this.goOnHere();
     } catch {
-      this.worker = null; // where pages may not start workers
+      this.worker = null; // the browser forbids workers
     }
     if (this.worker) void this.ask({ source, a: 0, b: 0 });
   }
@@ -97,7 +97,7 @@ export class CloudReader {
     else waiting?.reject(new Error(error));
   }
 
-  /** Without the worker: it could not start. */
+  /** Decode without the worker, which could not start. */
   private goOnHere(): void {
     this.worker?.terminate();
     this.worker = null;
@@ -140,7 +140,7 @@ export function serve(): void {
     queue = queue.then(async () => {
       if (data.source !== undefined) {
         file = openFile(data.source);
-        file.catch(() => undefined); // the requests for its frames say why
+        file.catch(() => undefined); // the requests for its frames report the error
       }
       const answer = data.source === undefined ? await answered(data.ticket, file!, data.a, data.b, false) : { ticket: data.ticket, frames: [], damage: [] };
       const buffers = answer.frames.flatMap(({ positions, colours }) => [positions.buffer, ...(colours ? [colours.buffer] : [])]);

@@ -4,21 +4,21 @@ import { listenKeys } from "./keys.ts";
 import type { Facts } from "./session.ts";
 import type { OriginalPlace } from "./view.ts";
 
-/** A press of the pointer that moves farther than this turns the picture instead of choosing a point, pixels. */
+/** A press that moves at most this far, pixels, chooses a point; otherwise it turns the picture. */
 const CLICK_PX = 4;
 
-/** What the page can be asked to do. */
+/** The commands of the page. */
 export interface Commands {
   /** Without an argument: pause if it plays, otherwise play. */
   play(on?: boolean): void;
-  /** Show a frame, or the nearest that there is. */
+  /** Show a frame; before the first or after the last, the nearest. */
   seek(frame: number): void;
   step(count: number, unit: "frames" | "seconds"): void;
   /** Go to the frame and point of the largest error. */
   worst(): void;
-  /** Put the camera before the whole figure. */
+  /** Put the camera where it sees the whole figure. */
   reset(): void;
-  /** Press or release a button that keeps its state. */
+  /** Press or release a toggle button. */
   toggle(id: "loop" | "follow" | "trails"): void;
   togglePanel(): void;
   switchTheme(): void;
@@ -26,7 +26,7 @@ export interface Commands {
   nextPlace(): void;
   setUnit(unit: string): void;
   setUp(up: Facts["up"]): void;
-  /** Select the point that is drawn at this place of the picture, pixels. */
+  /** Select the point at this place of the picture, pixels. */
   pick(x: number, y: number): void;
   openFiles(files: FileList | null): Promise<void>;
 }

@@ -1,6 +1,6 @@
 /**
- * Points drawn as lit discs that face the camera. One vertex a point: spheres of triangles take four times as long without a graphics
- * card.
+ * Points drawn as lit discs that face the camera, one vertex a point: without a graphics card, spheres of triangles take four times
+ * as long.
  */
 
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Points, ShaderMaterial } from "three";
@@ -44,14 +44,14 @@ void main() {
 #endif
 }`;
 
-/** Where points of a cloud without a place are put. */
+/** Coordinates of points without a position, which must not be visible. */
 const OUT_OF_SIGHT_M = 1e30;
 
 export class Dots {
   readonly object: Points<BufferGeometry, ShaderMaterial>;
   private capacity = 0;
 
-  /** isFlat: without light, of one radius and in sRGB bytes, as the points of a cloud are: a third of the numbers to move. */
+  /** isFlat: points of a cloud, without light, of one radius, in sRGB bytes: a third of the data to upload. */
   constructor(
     opacity: number,
     private readonly isFlat: boolean,
@@ -72,7 +72,7 @@ export class Dots {
     };
   }
 
-  /** Draw points at positions (n · 3), NaN for none, in linear colours (n · 3, 0 to 1), with one radius; `selected` is larger. */
+  /** Draw points at positions (n · 3; NaN: gap) in linear colours (n · 3, 0 to 1), with one radius; `selected` is larger. */
   show(positions: Float32Array, colours: Float32Array, radius: number, selected: number): void {
     const count = positions.length / 3;
     this.reserve(count);

@@ -1,11 +1,11 @@
-/** Files that a user drops on the page, or that its address names: .mocz, decoded here; two of equal shape are compared. */
+/** .mocz files dropped on the page or named in its address. The page decodes them, and compares two of equal shape. */
 
 import { measure } from "./errors.ts";
-import { inMemory } from "./frames.ts";
+import { inMemory } from "./loaders.ts";
 import { closeBefore, factsOf, fileOf } from "./mocz.ts";
 import type { Facts, Media, Session } from "./session.ts";
 
-/** A session of files. progress: called with the share of the measuring that is done. */
+/** A session of files. progress: called with the measured share. */
 export async function dropped(files: File[], progress: (share: number) => void): Promise<Session> {
   const others = files.filter((file) => !file.name.toLowerCase().endsWith(".mocz"));
   if (others.length) {
@@ -39,7 +39,7 @@ function sameShape(a: Facts, b: Facts): boolean {
   return isMotion(a) && isMotion(b) && a.frames === b.frames && a.points === b.points && a.names.every((name, i) => name === b.names[i]);
 }
 
-/** The original first: the one without a promise, or the larger. */
+/** Two recordings, the original first: the lossless one, or the larger file. */
 function ordered(a: Facts, b: Facts): [Facts, Facts] {
   const fine = (facts: Facts) => (facts.codec === "lossless" ? Infinity : (facts.bytes ?? 0));
   return fine(b) > fine(a) ? [b, a] : [a, b];

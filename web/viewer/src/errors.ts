@@ -13,7 +13,7 @@ export function distances(decoded: Frame, original: Frame, out: Float32Array): F
   return out;
 }
 
-/** Mean and largest of one frame's distances, and the point of the largest (−1 without points). */
+/** Mean and largest distance in a frame, and the point of the largest (−1 without points). */
 export function summary(errors: Float32Array): { mean: number; max: number; at: number } {
   let sum = 0;
   let count = 0;
@@ -34,7 +34,7 @@ export function summary(errors: Float32Array): { mean: number; max: number; at: 
 
 const BINS = 2048;
 
-/** Errors over all frames, for two files that were dropped: reports progress and lets the page draw in between. */
+/** Errors over all frames of two dropped files. Reports progress and lets the page draw in between. */
 export async function measure(
   frames: number,
   points: number,

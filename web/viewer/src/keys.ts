@@ -1,4 +1,4 @@
-/** Keys of the page: what they do, and the table in the help. */
+/** Keys of the page: their actions, and their table in the help. */
 
 import { element } from "./panel.ts";
 
@@ -19,7 +19,7 @@ const KEYS = [
   ["?", "these keys"],
 ] as const;
 
-/** Call the action of a key, by its name or its small letter, unless the key belongs to a field or a button. */
+/** Call the action of a pressed key, by its name or lower-case letter, unless a field or a button takes the key. */
 export function listenKeys(actions: Record<string, (isShifted: boolean) => void>): void {
   document.addEventListener("keydown", (event) => {
     const target = event.target as HTMLElement;

@@ -1,11 +1,11 @@
-/** Links between markers: pairs whose distance stays the same, as in mocodec's geometry/links.py. */
+/** Links between markers: pairs of constant distance, as in mocodec's geometry/links.py. */
 
 const RIGID_M = 0.012;
 const LONGEST_M = 0.6;
 const FIRM_M = 0.004;
 const WEIGHT_OF_SPREAD = 12;
 
-/** Pairs of points to connect, of frames (points · 3) in metres: a minimum spanning forest and near rigid neighbours. */
+/** Pairs of points to connect: a minimum spanning forest and near rigid neighbours. sample: frames (points · 3) in metres. */
 export function findLinks(sample: Float64Array[], points: number): [number, number][] {
   const pairs: { a: number; b: number; weight: number; isFirm: boolean }[] = [];
   for (let a = 0; a < points; a++) {
@@ -34,7 +34,7 @@ export function findLinks(sample: Float64Array[], points: number): [number, numb
   return links;
 }
 
-/** Mean and standard deviation of the distance of two points, metres; infinite with fewer than two frames of both. */
+/** Mean and standard deviation of the distance of two points, metres; infinite if fewer than two frames have both. */
 function distance(sample: Float64Array[], a: number, b: number): { mean: number; spread: number } {
   let count = 0;
   let sum = 0;

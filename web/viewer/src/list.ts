@@ -1,4 +1,4 @@
-/** The list of points, the largest error first. It has as many rows as can be read: others are found by name. */
+/** The list of points, the largest error first. Its number of rows is limited: other points are found by name. */
 
 import { element } from "./panel.ts";
 import type { Facts } from "./session.ts";
@@ -43,7 +43,7 @@ export class PointList {
     this.fill();
   }
 
-  /** Make the rows of the points whose names have the text of the filter; the chosen point has a row in any case. */
+  /** Make rows for the points whose names contain the filter text, and always for the chosen point. */
   fill(): void {
     const { facts } = this;
     if (!facts) return;
@@ -70,7 +70,7 @@ export class PointList {
     return { row, now };
   }
 
-  /** Errors of the shown frame. */
+  /** Show the errors of the current frame. */
   update(errors: Float32Array): void {
     for (const [point, { now }] of this.rows) now.textContent = Number.isNaN(errors[point]) ? "" : length(errors[point]);
   }

@@ -28,7 +28,7 @@ class Page implements Commands {
   private keepsNotice = false;
   private theme: "light" | "dark" = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
   private scale: ErrorScale | null = null;
-  /** Whether the panel is open: of recordings with a list of points, and of those without. */
+  /** Whether the panel is open, for recordings with a list of points and for those without. */
   private readonly isPanelOpen = { points: innerWidth > 720, display: false };
   private readonly strips = new Set<number>();
   private needsFrame = true;
@@ -37,7 +37,7 @@ class Page implements Commands {
   private readonly readout = new Readout($("clock"), $("mark"));
   private readonly timeline = new Timeline($("time"), $("tip"), $("head"), $("pointer"), (frame) => this.seek(frame));
   private readonly list = new PointList($("list"), $("filter"), () => (this.needsFrame = true));
-  /** Frames drawn late while playing: shown by tests and by `mocodecViewer.late`. */
+  /** Frames drawn late while playing, for tests and `mocodecViewer.late`. */
   late = 0;
   drawn = 0;
 
@@ -99,13 +99,13 @@ class Page implements Commands {
     return this.view?.frameAt(this.seconds) ?? 0;
   }
 
-  /** Make a recording the one that timeline, numbers and list are of. */
+  /** Show a recording in timeline, numbers and list. */
   private choose(number: number, first = false): void {
     this.active = number;
     const { facts } = this.views[number];
     $("title").textContent = facts.name;
     $("title").title = facts.name;
-    $("title").hidden = this.views.length > 1; // the tabs say it
+    $("title").hidden = this.views.length > 1; // the tabs show the names
     showTabs($("tabs"), this.views.map((view) => view.facts.name), number, (other) => this.choose(other));
     this.readout.here = showNumbers($("numbers"), facts);
     this.list.show(facts);
@@ -125,7 +125,7 @@ class Page implements Commands {
     this.needsFrame = true;
   }
 
-  /** Put recordings beside each other, and the camera before them. */
+  /** Put recordings side by side, and the camera in front of them. */
   private arrange(): void {
     this.arrangement.place(this.views);
     this.reset();
@@ -172,7 +172,7 @@ class Page implements Commands {
     const view = this.view;
     if (on && view && this.frame >= view.facts.frames - 1) this.seconds = 0;
     this.isPlaying = on;
-    this.needsFrame = true; // with the text of the frame where it stops
+    this.needsFrame = true; // draws the text of the frame where it stops
     $("play").dataset.playing = String(on);
     $("play").setAttribute("aria-label", on ? "Pause" : "Play");
   }
@@ -252,7 +252,7 @@ class Page implements Commands {
     if (this.view) this.ground();
   }
 
-  /** Open or close the panel: the list of points with signals, display and notes; of point clouds without the list. */
+  /** Open or close the panel: list of points (not for point clouds), signals, display and notes. */
   togglePanel(): void {
     this.isPanelOpen[this.panelKind] = !this.isPanelOpen[this.panelKind];
     this.showPanel();
@@ -286,7 +286,7 @@ class Page implements Commands {
     this.reset();
   }
 
-  /** From over the decoded figure to beside it, then hidden. */
+  /** Move the original on: over the decoded figure, beside it, hidden. */
   nextPlace(): void {
     this.setPlace(this.place === "over" ? "beside" : this.place === "beside" ? "off" : "over");
   }
@@ -298,7 +298,7 @@ class Page implements Commands {
     this.list.select(selected);
   }
 
-  /** Show the recording with another vertical axis than its file names. */
+  /** Show the recording with another vertical axis than that of its file. */
   setUp(up: Facts["up"]): void {
     this.view?.orient(up);
     this.arrange();
@@ -322,7 +322,7 @@ class Page implements Commands {
     this.applyTheme();
   }
 
-  /** Select the point of a motion that is drawn at this place of the picture, pixels. */
+  /** Select the point of a motion at this place of the picture, pixels. */
   pick(x: number, y: number): void {
     const view = this.view;
     if (view?.facts.kind !== "motion" || !view.positions) return;

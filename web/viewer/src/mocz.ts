@@ -1,4 +1,4 @@
-/** Opens .mocz files with the decoder in web/decoder, and says of them what the page shows. */
+/** Opens .mocz files with the decoder in web/decoder, and collects the facts that the page shows. */
 
 import type { MoczFile, Source } from "../../decoder/src/index.js";
 import { channelsOf } from "./channels.ts";
@@ -12,9 +12,9 @@ const opened = new Map<number, MoczFile>();
 const readers = new Map<number, CloudReader>();
 const BINS = 1024;
 const SAMPLED_FRAMES = 24;
-/** Of longer recordings, opening does not read all chunks for gaps, marks and signals. */
+/** Only in recordings up to this length does opening read all chunks for gaps, marks and signals. */
 const MOST_READ_FRAMES = 20_000;
-/** More marks of a kind would fill the timeline from end to end. */
+/** Marks of a kind: more would fill the whole timeline. */
 const MOST_MARKS = 5_000;
 
 type Mocz = Extract<Media, { type: "mocz" }>;
@@ -28,8 +28,8 @@ function sourceOf({ url, base64 }: Mocz): Source {
   return url === undefined ? fromBase64(base64 ?? "") : new URL(url, location.href).href;
 }
 
-/** Opens a file. Its facts need the first frame of point clouds; of a motion a few frames for links and, if it is short, all for gaps
- * and marks. */
+/** Opens a file and collects its facts. Reads the first frame of point clouds; of a motion a few frames for links and, if it is
+ * short, all for gaps and marks. */
 export async function factsOf(source: Source, name: string): Promise<Facts> {
   const file = await openFile(source);
   const { info } = file;
@@ -48,7 +48,7 @@ export async function factsOf(source: Source, name: string): Promise<Facts> {
   const { kind } = info;
   const reader = kind === "clouds" ? readerOfFile(id, source) : null;
   const { names, links } = kind === "clouds" ? { names: [], links: [] } : await shownOfMotion(file);
-  // reading a frame names what cannot be decoded
+  // reading a frame reports damage
   const [first] = reader ? await reader.read(0, Math.min(1, info.frames)) : [];
   const points = first ? first.positions.length / 3 : names.length;
   const isRead = kind === "motion" && info.frames <= MOST_READ_FRAMES;
@@ -103,7 +103,7 @@ function readerOfFile(id: number, source: Source): CloudReader {
   return reader;
 }
 
-/** End the decoders of files that were opened before the last `count`. */
+/** Stop the decoders of all files but the last `count`. */
 export function closeBefore(count: number): void {
   for (const [id, reader] of readers) {
     if (id >= opened.size - count) continue;

@@ -2,7 +2,7 @@
 
 import { type MoczFile, type PriorLoader, type Source, open } from "../../decoder/src/index.js";
 
-/** Priors from a folder beside the page. */
+/** Loads priors from a folder beside the page. */
 const priors: PriorLoader = async (id) => {
   const url = new URL(`priors/${id}.npz`, location.href);
   const response = await fetch(url).catch(() => null);

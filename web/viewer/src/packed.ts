@@ -1,7 +1,7 @@
 /** Frames within a page: base64 of a zlib stream of 16-bit numbers, first all low bytes, then all high bytes.
  *
- * Positions: number = round((coordinate − origin) / step); of each frame the difference to the frame before, modulo
- * 2^16, is stored. Relative positions: number = 32767 + round((coordinate − decoded coordinate) / step), as it is.
+ * Positions: number = round((coordinate − origin) / step), stored as the difference to the frame before, modulo 2^16.
+ * Relative positions: number = 32767 + round((coordinate − decoded coordinate) / step), stored without differences.
  * 65535 in all three coordinates is a gap.
  */
 
@@ -24,7 +24,7 @@ export async function inflate(bytes: Uint8Array): Promise<Uint8Array> {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** The numbers of a packed media, 16 bits: of each `width` numbers, the sum with those before, unless width is 0. */
+/** The 16-bit numbers of packed media. Each is stored as the difference to the number `width` before it, unless width is 0. */
 export async function unpackNumbers(base64: string, width: number): Promise<Uint16Array> {
   const bytes = await inflate(fromBase64(base64));
   const count = bytes.length >> 1;
@@ -36,13 +36,13 @@ export async function unpackNumbers(base64: string, width: number): Promise<Uint
   return values;
 }
 
-/** Positions (frames · points · 3) in metres of packed motion. decoded: those that relative ones are relative to. */
+/** Positions (frames · points · 3) in metres of packed motion. decoded: the positions that `relative` media refer to. */
 export async function unpackMotion(
   media: Extract<Media, { type: "packed" }>,
   points: number,
   decoded: Float32Array | null,
 ): Promise<Float32Array> {
-  if (media.relative && decoded === null) throw new Error("these frames are relative to others that are not there");
+  if (media.relative && decoded === null) throw new Error("these frames are relative to decoded frames, which are missing");
   const numbers = await unpackNumbers(media.base64, media.relative ? 0 : points * 3);
   const positions = new Float32Array(numbers.length);
   for (let i = 0; i < numbers.length; i += 3) {
@@ -57,7 +57,7 @@ export async function unpackMotion(
   return positions;
 }
 
-/** Points and colours of packed point clouds: of each frame, positions in metres and colours 0 to 255. */
+/** Frames of packed point clouds: positions in metres and colours 0 to 255. */
 export async function unpackClouds(media: Extract<Media, { type: "packed-clouds" }>): Promise<Cloud[]> {
   const bytes = await inflate(fromBase64(media.base64));
   const total = media.counts.reduce((a, b) => a + b, 0);

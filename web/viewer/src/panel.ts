@@ -1,4 +1,4 @@
-/** Numbers, tabs, signals and notes: text beside the picture. Names are only ever set as text. */
+/** Numbers, tabs, signals and notes: text beside the picture. Names are set as text, never as HTML. */
 
 import type { Facts } from "./session.ts";
 import { bytes, length, promise, ratio, time, whole } from "./text.ts";
@@ -14,7 +14,7 @@ export function element<K extends keyof HTMLElementTagNameMap>(tag: K, text: str
 export function showNumbers(target: HTMLElement, facts: Facts): { mean: HTMLElement; max: HTMLElement } | null {
   const { errors } = facts;
   target.replaceChildren();
-  // without the size of the original file, nothing tells how small signals became
+  // without the size of the original file, the ratio of signals is unknown
   const ofFile = facts.signals.length > 0;
   const large = ofFile ? facts.bytes && facts.originalBytes && facts.originalBytes / facts.bytes : facts.ratio;
   if (large) {
@@ -79,7 +79,7 @@ export function showSignals(box: HTMLElement, list: HTMLElement, facts: Facts, c
   );
 }
 
-/** The scale of colours, and what the grey figure is. */
+/** The scale of colours, and the meaning of the grey figure. */
 export function showLegend(target: HTMLElement, scale: number | null, hasOriginal: boolean): void {
   target.replaceChildren();
   if (scale === null) return;
@@ -87,7 +87,7 @@ export function showLegend(target: HTMLElement, scale: number | null, hasOrigina
   if (hasOriginal) target.append(document.createElement("b"), element("span", "original"));
 }
 
-/** The button that goes to the largest error: it says where and how large that is. */
+/** The button that goes to the largest error shows its size, point and time. */
 export function showWorst(button: HTMLElement, facts: Facts): void {
   const { errors } = facts;
   button.hidden = !errors?.maxAt;

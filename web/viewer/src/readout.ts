@@ -1,4 +1,4 @@
-/** Texts that follow the frame: the clock, the errors here, and the name of the chosen point beside it. */
+/** Texts that change with the frame: the clock, the frame's errors, and the name beside the chosen point. */
 
 import { Vector3 } from "three";
 import { summary } from "./errors.ts";
@@ -6,11 +6,11 @@ import type { Stage } from "./scene.ts";
 import { length, time, whole } from "./text.ts";
 import type { RecordingView } from "./view.ts";
 
-/** Texts change at most this often while playing, milliseconds: faster, nobody could read them. */
+/** Least time between changes of texts while playing, milliseconds: faster changes are not readable. */
 const TEXT_MS = 100;
 
 export class Readout {
-  /** Where the errors of the frame are shown. */
+  /** Elements that show the errors of the frame. */
   here: { mean: HTMLElement; max: HTMLElement } | null = null;
   private lastText = 0;
 
@@ -19,7 +19,7 @@ export class Readout {
     private readonly label: HTMLElement,
   ) {}
 
-  /** Show the time and the errors of a frame, unless it is too early; whether there are errors to show. */
+  /** Show time and errors of a frame, at most every TEXT_MS. Returns whether it showed errors. */
   show(view: RecordingView, frame: number, isPlaying: boolean): boolean {
     if (isPlaying && performance.now() - this.lastText <= TEXT_MS) return false;
     this.lastText = performance.now();
@@ -31,7 +31,7 @@ export class Readout {
     return true;
   }
 
-  /** Show the name and error of a point beside it, or of none (−1). */
+  /** Show the name and error of a point beside it; −1: of no point. */
   mark(view: RecordingView, point: number, stage: Stage): void {
     const { label } = this;
     const { positions, errors, facts } = view;

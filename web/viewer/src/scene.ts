@@ -29,7 +29,7 @@ import type { Palette } from "./theme.ts";
 
 const TRAIL_SECONDS = 2;
 const UPWARDS = new Vector3(0, 1, 0);
-/** Sides of a bone: as few as look round at their size, since triangles are slow without a graphics card. */
+/** Sides of a bone: the fewest that look round, since triangles are slow without a graphics card. */
 const BONE_SIDES = 6;
 /** Narrower pictures show the figure lower, by this share of their height. */
 const NARROW_PX = 720;
@@ -67,7 +67,7 @@ export class Figure {
     this.group.add(this.bones, this.trail, this.dots.object);
   }
 
-  /** Show a frame; colours (points · 3, 0 to 1) of the points. */
+  /** Show a frame. colours: of the points (points · 3, 0 to 1). */
   show(frame: Frame, colours: Float32Array, selected: number): void {
     this.dots.show(frame.positions, colours, this.size, selected);
     this.links.forEach(([a, b], k) => this.showBone(k, a, b, frame.positions, colours));
@@ -75,7 +75,7 @@ export class Figure {
     if (this.bones.instanceColor) this.bones.instanceColor.needsUpdate = true;
   }
 
-  /** A cylinder between two points; of no size if one of them is missing. */
+  /** Place bone k between two points; with size 0 if one of them is missing. */
   private showBone(k: number, a: number, b: number, p: Float32Array, colours: Float32Array): void {
     this.from.set(p[3 * a], p[3 * a + 1], p[3 * a + 2]);
     this.along.set(p[3 * b], p[3 * b + 1], p[3 * b + 2]).sub(this.from);
@@ -134,7 +134,7 @@ export class Stage {
   readonly controls: OrbitControls;
   private grid: GridHelper | null = null;
   private dirty = true;
-  /** Without a graphics card edges are smooth only in stills, which have twice the pixels: multisampling costs a fifth of the frames. */
+  /** No graphics card: only stills have smooth edges, from twice the pixels. Multisampling costs a fifth of the frame rate. */
   private readonly isSoftware: boolean;
   private isMoving = false;
 
@@ -165,17 +165,17 @@ export class Stage {
     return this.isSoftware ? (this.isMoving ? 1 : 2) : Math.min(2, devicePixelRatio);
   }
 
-  /** Say whether frames follow one another. */
+  /** Set whether the recording plays. */
   setMoving(isMoving: boolean): void {
     if (isMoving === this.isMoving) return;
     this.isMoving = isMoving;
     if (!this.isSoftware) return;
-    document.documentElement.toggleAttribute("data-layers", isMoving); // see style.css
+    document.documentElement.toggleAttribute("data-layers", isMoving); // used in style.css
     this.renderer.setPixelRatio(this.ratio);
     this.dirty = true;
   }
 
-  /** The colour behind everything, that of the page. */
+  /** Set the background to the colour of the page. */
   setBackground(colour: number): void {
     this.renderer.setClearColor(colour);
     this.dirty = true;
@@ -195,7 +195,7 @@ export class Stage {
     this.dirty = true;
   }
 
-  /** Put the camera where a box of this size around the centre fills the picture. */
+  /** Place the camera so that a box of this size around the centre fills the picture. */
   frame(centre: Vector3, size: number): void {
     const narrow = Math.max(1, 0.9 / this.camera.aspect);
     const distance = (0.62 * size * narrow) / Math.tan((this.camera.fov * Math.PI) / 360);
@@ -215,14 +215,14 @@ export class Stage {
     this.dirty = true;
   }
 
-  /** A point of the scene in the picture, pixels of the canvas. */
+  /** Pixel of the canvas at which a point of the scene is drawn. */
   project(position: Vector3): Vector2 {
     this.camera.updateMatrixWorld();
     const p = position.clone().project(this.camera);
     return new Vector2(((p.x + 1) / 2) * this.canvas.clientWidth, ((1 - p.y) / 2) * this.canvas.clientHeight);
   }
 
-  /** The point of a frame nearest to the pixel (x, y), within 18 pixels; −1 for none. place: from its axes to the scene's. */
+  /** The point of a frame nearest to the pixel (x, y), within 18 pixels; −1 for none. place: recording to scene. */
   pick(x: number, y: number, positions: Float32Array, place: (position: Vector3) => Vector3): number {
     let best = -1;
     let nearest = 18;
@@ -270,7 +270,7 @@ function drawsInSoftware(): boolean {
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
-/** How many frames of a trail to draw. */
+/** Number of frames in a trail. */
 export function trailFrames(rate: number): number {
   return Math.round(TRAIL_SECONDS * rate);
 }

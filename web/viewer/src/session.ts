@@ -1,4 +1,4 @@
-/** The session: what a page shows, as JSON that `mocodec.viewer.session` writes (or that this page makes of dropped files).
+/** The session: the content of a page, as JSON from `mocodec.viewer.session` (or made by this page from dropped files).
  *
  * Lengths are metres, times seconds. Frames count from 0.
  */
@@ -11,7 +11,7 @@ export interface Session {
   recordings: Facts[];
 }
 
-/** Facts about one recording, and where its frames come from. */
+/** Facts about one recording, and the source of its frames. */
 export interface Facts {
   name: string;
   kind: "motion" | "clouds";
@@ -23,15 +23,15 @@ export interface Facts {
   /** Pairs of points to connect by a line. */
   links: [number, number][];
   codec: string | null;
-  /** Size of the compressed file, and size as float32 positions over it. */
+  /** Size of the compressed file. `ratio`: size of its positions as float32 over it. */
   bytes: number | null;
-  /** Size of the file that it is compared with, if that is one file. */
+  /** Size of the file to compare with, if it is one file. */
   originalBytes: number | null;
   ratio: number | null;
   promise: Record<string, number>;
   /** First frame and bytes of chunks, or of runs of chunks in a long file. */
   chunks: [number, number][];
-  /** Kinds of frames at which the codec begins something (clip, segment, key frame), each with its frames. */
+  /** Frames at which a clip, segment or key frame of the codec begins, by kind. */
   marks: { label: string; frames: number[] }[];
   events: { label: string; seconds: number }[];
   signals: SignalFacts[];
@@ -60,34 +60,34 @@ export interface ErrorFacts {
   max: number;
   /** Frame and point of the largest error. */
   maxAt: [number, number] | null;
-  /** Runs of `binFrames` frames each: mean and largest error, and the frame of the largest; −1 where nothing is known. */
+  /** Runs of `binFrames` frames: mean and largest error, and the frame of the largest; −1 where no error is known. */
   binFrames: number;
   binMean: number[];
   binMax: number[];
   binWorst: number[];
-  /** Of each point. */
+  /** Mean and largest error of each point. */
   pointMean: number[];
   pointMax: number[];
 }
 
-/** Where frames come from. */
+/** The source of frames. */
 export type Media =
   /** A server that decodes: GET url?from=a&to=b (docs/howto/view.md). */
   | { type: "frames"; url: string }
   /** A .mocz that this page decodes. */
   | { type: "mocz"; url?: string; base64?: string; id?: number }
-  /** All frames within the page: see packed.ts. `step` metres, `origin` metres; relative to the decoded frames or not. */
+  /** All frames within the page: see packed.ts. `step`, `origin`: metres; `relative`: to the decoded frames. */
   | { type: "packed"; base64: string; step: number; origin: [number, number, number]; relative: boolean }
   /** All frames of point clouds within the page. */
   | { type: "packed-clouds"; base64: string; counts: number[]; step: number; origin: [number, number, number] };
 
-/** The session at a place, or the one embedded in this page; null if there is none and files must be dropped. */
+/** The session embedded in this page, or at `place`; null without one: files must be dropped. */
 export async function load(place = new URLSearchParams(location.search).get("session")): Promise<Session | null> {
   const embedded = document.getElementById("session")?.textContent?.trim();
   if (embedded && embedded !== "null") return checked(JSON.parse(embedded));
   if (place === null) return null;
   const url = new URL(place, location.href);
-  if (url.origin !== location.origin) throw new Error("a session must come from the place of this page");
+  if (url.origin !== location.origin) throw new Error("a session must come from the server of this page");
   const response = await fetch(url);
   if (!response.ok) throw new Error((await response.text()) || `the server answers ${response.status} for ${place}`);
   return checked(await response.json());

@@ -1,17 +1,17 @@
 /** Numbers as text. */
 
-/** Units of length: how many are in a metre. */
+/** Units of length in a metre. */
 const UNITS = { m: 1, cm: 100, mm: 1000, in: 1 / 0.0254 } as const;
 export type Unit = keyof typeof UNITS;
 
 let chosen: Unit | null = null;
 
-/** Show lengths in this unit; null: in the one that suits each. */
+/** Show lengths in this unit; null: choose it by the length. */
 export function useUnit(unit: Unit | null): void {
   chosen = unit;
 }
 
-/** A length in metres, in the chosen unit or in one that suits it; three digits, or as many as it has if `isExact`. */
+/** A length in metres, in the chosen unit or one that suits it; three digits, or all if `isExact`. */
 export function length(metres: number | null | undefined, isExact = false): string {
   if (metres === null || metres === undefined || Number.isNaN(metres)) return "–";
   if (chosen) return `${digits(metres * UNITS[chosen])} ${chosen}`;
@@ -22,7 +22,7 @@ export function length(metres: number | null | undefined, isExact = false): stri
   return `${text} ${unit}`;
 }
 
-/** A text of a file: control characters and marks that turn the direction of writing become their numbers, so that no name poses as another. */
+/** A text of a file. Control characters and direction marks become their code points, so that no name can look like another. */
 export function readable(text: string): string {
   return text.replace(/[\p{Cc}\p{Zl}\p{Zp}\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/gu, (character) => `⟨${character.codePointAt(0)!.toString(16).toUpperCase().padStart(4, "0")}⟩`);
 }

@@ -1,4 +1,4 @@
-/** Colours of the picture in the light and the dark theme; those of the page are in style.css. */
+/** Colours of the picture in the light and the dark theme; the colours of the page are in style.css. */
 
 import { Color } from "three";
 

@@ -15,7 +15,7 @@ export class Timeline {
   private strips: number[] = [];
   private facts: Facts | null = null;
   private frame = 0;
-  /** Of the canvas, pixels of the page: kept, since asking for it makes the browser lay out the page. */
+  /** Width of the canvas in CSS pixels. Cached, since reading it makes the browser lay out the page. */
   private width = 1;
 
   constructor(
@@ -58,20 +58,20 @@ export class Timeline {
     this.refresh();
   }
 
-  /** Move the head: an element of its own, since drawing the canvas anew in each frame takes longer. */
+  /** Move the head, which is a separate element: drawing the canvas again in each frame takes longer. */
   setFrame(frame: number): void {
     this.frame = frame;
     const x = Math.max(1, Math.min(this.width - 1, this.x(frame)));
     this.head.style.transform = `translateX(${x.toFixed(1)}px)`;
   }
 
-  /** Say the frame to screen readers: not while playing, where it would change too often to be read. */
+  /** Announce the frame to screen readers. Not called while playing, since it changes too fast. */
   announce(): void {
     this.canvas.setAttribute("aria-valuenow", String(this.frame));
     if (this.facts) this.canvas.setAttribute("aria-valuetext", `frame ${this.frame}, ${time(this.frame / this.facts.rate)}`);
   }
 
-  /** Draw everything anew, after a change of size, theme or data. */
+  /** Draw everything again, after a change of size, theme or data. */
   refresh(): void {
     const hasErrors = this.facts?.errors != null;
     const height = LABELS + (hasErrors ? ERROR_HEIGHT + GUTTER : 0) + (RIBBON + GUTTER) * (1 + Number(this.hasGaps) + (this.facts?.marks.length ?? 0)) + this.strips.length * (SIGNAL_HEIGHT + 2) + 2;
@@ -89,7 +89,7 @@ export class Timeline {
     return Math.max(0, Math.min(count - 1, Math.round((x / this.width) * (count - 1))));
   }
 
-  /** The frame under the pointer; in the error curve, that of the largest error within three pixels. */
+  /** The frame under the pointer; in the error curve, the frame of the largest error within three pixels. */
   private nearestPeak(x: number, y: number): number {
     const errors = this.facts?.errors;
     if (!errors || y > LABELS + ERROR_HEIGHT) return this.frameAt(x);
@@ -191,7 +191,7 @@ export class Timeline {
         let count = 0;
         let largest = 0;
         for (let i = first; i < last; i++) {
-          if (values[i] < 0) continue; // nothing was measured there
+          if (values[i] < 0) continue; // no error is known here
           sum += values[i];
           count++;
           largest = Math.max(largest, values[i]);
@@ -234,7 +234,7 @@ export class Timeline {
     if (!chunks.length) return;
     const counts = chunks.map(([start], i) => Math.max(1, (chunks[i + 1]?.[0] ?? frames) - start));
     const densities = chunks.map(([, bytes], i) => bytes / counts[i]);
-    const usual = densities.filter((_, i) => counts[i] >= rate / 4); // a chunk of a frame or two would outshine all
+    const usual = densities.filter((_, i) => counts[i] >= rate / 4); // a chunk of one or two frames would dwarf all others
     const largest = Math.max(...(usual.length ? usual : densities), 1e-9);
     chunks.forEach(([start], i) => {
       const stop = chunks[i + 1]?.[0] ?? frames;
@@ -291,7 +291,7 @@ export class Timeline {
     const smallest = Math.min(...low);
     const range = Math.max(...high) - smallest || 1;
     const y = (value: number) => top + (SIGNAL_HEIGHT - 2) * (1 - (value - smallest) / range) + 1;
-    // one line through the range of every part: boxes of steep signals would not touch one another
+    // one line through all ranges: boxes would leave holes in steep signals
     pen.strokeStyle = css("--green");
     pen.lineWidth = 1.25;
     pen.lineJoin = "round";

@@ -2,12 +2,13 @@
 
 import { Color, Group, Vector3 } from "three";
 import { distances } from "./errors.ts";
-import { type Frame, Frames, loaders } from "./frames.ts";
+import { type Frame, Frames } from "./frames.ts";
+import { loaders } from "./loaders.ts";
 import { CloudFigure, Figure, type Stage, trailFrames } from "./scene.ts";
 import type { Facts } from "./session.ts";
 import { ErrorScale, type Palette } from "./theme.ts";
 
-/** Of frames that are loaded before they are shown. */
+/** Frames are loaded this long before they are shown. */
 const AHEAD_SECONDS = 1.5;
 
 export type OriginalPlace = "over" | "beside" | "off";
@@ -16,13 +17,13 @@ export class RecordingView {
   readonly decoded: Frames;
   readonly original: Frames | null;
   readonly errors: Float32Array;
-  /** Turned so that the recording's vertical axis is up, and put where it stands in the scene. */
+  /** Turns the recording's vertical axis up, and places the recording in the scene. */
   private readonly root = new Group();
-  /** Centre and size of the first frame that has points, in its own axes, metres. */
+  /** Centre and size of the first frame that has points, in the recording's axes, metres. */
   centre = new Vector3();
   extent = 1;
   lowest = 0;
-  /** Smallest coordinates of that frame. */
+  /** Smallest coordinates of the same frame. */
   private readonly corner = new Vector3();
   private figure: Figure | CloudFigure | null = null;
   private ghost: Figure | CloudFigure | null = null;
@@ -135,7 +136,7 @@ export class RecordingView {
     return isWhole;
   }
 
-  /** Show the path of one point, or of none. */
+  /** Show the path of one point; −1: of none. */
   async trail(point: number, frame: number, colour: number): Promise<void> {
     if (!(this.figure instanceof Figure)) return;
     const segments: number[] = [];
@@ -155,17 +156,17 @@ export class RecordingView {
     return this.shown?.positions ?? null;
   }
 
-  /** A point in the recording's axes as a point of the scene. */
+  /** Maps a point from the recording's axes to the scene's. */
   toScene(position: Vector3): Vector3 {
     return position.applyQuaternion(this.root.quaternion).add(this.root.position);
   }
 
-  /** A direction in the recording's axes as one of the scene. */
+  /** Maps a direction from the recording's axes to the scene's. */
   turned(direction: Vector3): Vector3 {
     return direction.applyQuaternion(this.root.quaternion);
   }
 
-  /** Put the recording so that the centre of its first frame is over this place of the ground, metres. */
+  /** Put the centre of the recording's first frame over this place of the ground, metres. */
   putAt(x: number, height: number, z: number): void {
     const centre = this.turned(this.centre.clone());
     this.root.position.set(x - centre.x, height - this.lowest, z - centre.z);
@@ -188,7 +189,7 @@ export class RecordingView {
     return this.toScene(middle);
   }
 
-  /** A step to the side of this length: along the first horizontal axis. */
+  /** A vector of this length along the first horizontal axis. */
   sideways(metres: number): Vector3 {
     return this.facts.up === "x" ? new Vector3(0, metres, 0) : new Vector3(metres, 0, 0);
   }
@@ -200,7 +201,7 @@ export class RecordingView {
   }
 }
 
-/** Radius of a point: smaller where there are many, which would hide one another. */
+/** Radius of a point: smaller for many points, which would hide one another. */
 function pointSize(points: number, extent: number): number {
   return 0.0075 * extent * Math.min(1, Math.cbrt(400 / Math.max(1, points)));
 }

@@ -21,7 +21,7 @@ function processorTime() {
       const fields = text.slice(text.lastIndexOf(")") + 2).split(" ");
       processes.set(Number(id), { parent: Number(fields[1]), ticks: Number(fields[11]) + Number(fields[12]) });
     } catch {
-      continue; // it has ended
+      continue; // the process has ended
     }
   }
   let ticks = 0;

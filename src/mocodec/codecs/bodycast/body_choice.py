@@ -37,7 +37,7 @@ def bodies_pay(
 ) -> bool:
     """Whether points of all frames take no more bytes with the bodies than alone.
 
-    A thing may look like a body, and a short recording does not earn back what is sent once. spans: of chunks; the
+    A thing may look like a body, and a short recording does not earn back the bytes of a model. spans: of chunks; the
     first one with a body stands for all.
     """
     with_bodies = [span for span in spans if not absences(bodies, span).all()]

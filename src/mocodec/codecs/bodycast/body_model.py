@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...entropy import varint
-from ...errors import Corrupt
+from ...errors import BadInput, Corrupt
 from ...typing import Booleans
 from ..clouds.body_record import pack_body, unpack_body
 from .pose_stream import PoseSteps
@@ -61,3 +61,13 @@ def unpack_model(data: bytes) -> BodyModel:
 def unpack_models(shared: Sequence[bytes]) -> list[BodyModel]:
     """The models of all bodies of a recording, none where no body was found. Raises Corrupt."""
     return [unpack_model(data) for data in shared]
+
+
+def body_model(models: Sequence[BodyModel], body: int) -> BodyModel:
+    """The model of a body, counted from 0. Raises BadInput if the recording does not have it."""
+    if not models:
+        raise BadInput("this recording was coded as points, without a body: it has no motion; decode it to .ply frames")
+    if not 0 <= body < len(models):
+        counts = f"{len(models)} {'body' if len(models) == 1 else 'bodies'}"
+        raise BadInput(f"this recording has {counts}, counted from 0, and no number {body}")
+    return models[body]

@@ -29,7 +29,7 @@ from ..clouds.raw_frames import MAX_COORDINATE_M, Cloud, pack_raw_frames, usable
 from ..clouds.tracked_motion import joints_of_links, tracked_motion
 from . import exact_points, lattice_frames, residual_scale
 from .body_choice import absences, bodies_pay, bytes_alone
-from .body_model import MAX_POINTS, unpack_models
+from .body_model import MAX_POINTS, body_model, unpack_models
 from .chunk_payload import ChunkStreams, pack_chunk, unpack_chunk
 from .decoder import BodyDecoder, SceneDecoder
 from .encoder import BodyEncoder, CodingParameters
@@ -56,7 +56,7 @@ FILE_BYTES, CHUNK_BYTES = 600, 48  # about what a container needs besides its ch
 
 @dataclass(frozen=True)
 class Bodycast:
-    """Settings.
+    """Settings of bodycast, the default codec for point clouds of people: tracked bodies and their surfaces.
 
     Targets, at most one of the first four: max_error: no point is farther from the nearest decoded point than this, and
     no decoded point from the nearest point, metres; mean_error: neither mean of these distances is larger; size: bytes
@@ -150,11 +150,12 @@ class Bodycast:
 
     @staticmethod
     def track(encoded: Encoded[PointClouds], frames: slice | None = None, body: int = 0) -> Motion:
-        """A tracked body, counted from 0: markerless motion capture, which can be written as BVH. Raises Corrupt."""
+        """A tracked body, counted from 0: markerless motion capture, which can be written as BVH.
+
+        Raises Corrupt; BadInput for a body that the recording does not have.
+        """
         models = unpack_models(encoded.shared)
-        if not 0 <= body < len(models):
-            raise BadInput(f"there are {len(models)} bodies, counted from 0, and no number {body}")
-        model = models[body]
+        model = body_model(models, body)
         start, stop = encoded.range(frames)
         poses = list[Pose]()
         for chunk in encoded.covering(start, stop):
@@ -165,11 +166,11 @@ class Bodycast:
 
     @staticmethod
     def surface(encoded: Encoded[PointClouds], body: int = 0) -> Surface:
-        """The static surface of a body, skinned to the joints of `track`: what a GLB shows. Raises Corrupt."""
-        models = unpack_models(encoded.shared)
-        if not 0 <= body < len(models):
-            raise BadInput(f"there are {len(models)} bodies, counted from 0, and no number {body}")
-        decoder = BodyDecoder(models[body])
+        """The static surface of a body, skinned to the joints of `track`: what a GLB shows.
+
+        Raises Corrupt; BadInput for a body that the recording does not have.
+        """
+        decoder = BodyDecoder(body_model(unpack_models(encoded.shared), body))
         joints, rest = joints_of_links(decoder.body)
         weights = np.stack([decoder.skin.weights, 1 - decoder.skin.weights], axis=1)
         colours = decoder.colours if decoder.model.coloured else None

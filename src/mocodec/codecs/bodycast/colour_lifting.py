@@ -47,12 +47,12 @@ class ColourSteps(NamedTuple):
 
     @property
     def of_channels(self) -> tuple[int, int, int]:
-        """Of Y, Co, Cg."""
+        """The steps of Y, Co and Cg."""
         return self.luma, self.chroma, self.chroma
 
 
 class Neighbourhood(NamedTuple):
-    """What is known around points before they are coded, each (n, 3): base: the expected colour, or the mean colour of
+    """The surroundings of points before they are coded, each (n, 3): base: the expected colour, or the mean colour of
     the neighbours. correction: mean error of the bases around, zero without a neighbour. activity: mean magnitude of
     these errors. spread: of the neighbours' colours.
     """

@@ -140,7 +140,7 @@ class _Passage:
         self.distances, self.narrow, self.wide = [0] * 8, [0] * 8, [0] * 8
 
     def expect(self, i: int, octants: Sequence[int]) -> None:
-        """Set what is expected of the children of cube i, which has a sample."""
+        """Set the expected occupancy of the children of cube i, which has a sample."""
         offset, variance = self._surface(i)
         own, cut = self.nearest[i], self.size**2 // 48  # variance of the places within a child
         first = [

@@ -23,7 +23,7 @@ from .point_scene import ChunkBodies
 
 
 class PointTarget(NamedTuple):
-    """What is asked of the points: at most one of the first three. size: bytes of all chunks' points. beside: bytes of
+    """The target of the points: at most one of the first three. size: bytes of all chunks' points. beside: bytes of
     the file besides them.
     """
 
@@ -162,7 +162,7 @@ class _CodedChunk(NamedTuple):
     places: CodedPlaces
 
     def pairs(self) -> list[tuple[LatticeFrame, LocatedPoints]]:
-        """The frames with points, and what is decoded of them."""
+        """The frames with points, and their decoded points."""
         return list(zip((f for f in self.places.sources if len(f.codes)), self.places.frames, strict=True))
 
     def with_colours(self, steps: ColourSteps | None) -> tuple[bytes, list[Bytes]]:

@@ -42,10 +42,13 @@ from .surface_memory import ColourMemory, SampleTable
 
 UNLEARNED, LEARNED, SMOOTHED, REFERRED, CUBED = 3, 4, 5, 6, 8
 KINDS = (UNLEARNED, LEARNED, SMOOTHED, REFERRED, CUBED)
-"""Of the part that holds all points; 0 to 2 are those of `exact_points`. UNLEARNED is decoded only: its surface and
-colours do not depend on earlier frames. The points of LEARNED are those of the lattice: exact ones. CUBED is as
-SMOOTHED with the octrees of `cube_octree`. REFERRED stands before a part of kind LEARNED, SMOOTHED or CUBED, whose
-frames refer to earlier ones.
+"""Kinds of the part that holds all points; 0 to 2 are those of `exact_points`.
+
+UNLEARNED  decoded only: its surface and colours do not depend on earlier frames
+LEARNED    the decoded points are those of the lattice
+SMOOTHED   the points of the lattice are smoothed
+CUBED      as SMOOTHED, with the octrees of `cube_octree`
+REFERRED   stands before a part of kind LEARNED, SMOOTHED or CUBED, whose frames refer to earlier ones
 """
 POINTS_PER_BYTE = 8 * 16384  # most points that a byte of coded data can stand for
 

@@ -24,7 +24,7 @@ COLOUR_BOUND_M = 0.002  # of frames with a target for their colours alone
 FINEST_BOUND_M, COARSEST_BOUND_M = 2e-5, 0.04  # that a size is met with
 SIZE_ATTEMPTS = 9  # codings of the points to meet a size
 TIGHTENING = 0.98  # factor on a bound whose mean error is too large, at most
-LEAST_MEAN_SHARE, MEAN_ATTEMPTS = 0.97, 4  # how much of a mean error is to be used, if so many codings find a bound
+LEAST_MEAN_SHARE, MEAN_ATTEMPTS = 0.97, 4  # least share of a mean error to use; most codings
 MEAN_PER_BOUND = 0.59  # mean distance over the bound, of points on a smooth surface
 BODY_MEAN_PER_BOUND = 0.57  # the same of points that `point_choice` chooses
 

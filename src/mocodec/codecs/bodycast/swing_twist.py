@@ -1,7 +1,7 @@
 """Rotations of links as swing and twist.
 
 A swing turns a link's axis; a twist, applied first, turns the link about its own axis. A swing moves the far end of
-the link, a twist only what is around the axis. So each can be quantised by what it moves, at any angle.
+the link, a twist only the surface around the axis. So each can be quantised by what it moves, at any angle.
 """
 
 from __future__ import annotations

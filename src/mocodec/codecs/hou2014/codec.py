@@ -29,7 +29,9 @@ PROMISING_BITS = 1.1
 
 @dataclass(frozen=True)
 class Hou2014(Settings):
-    """Settings; lengths in metres. One target or none: `max_error`, `mean_error`, `ratio` (float32 over payload bytes).
+    """Settings of hou2014: DCT along time and one basis across points (Hou et al. 2014).
+
+    Lengths are in metres. One target or none: `max_error`, `mean_error`, `ratio` (float32 over payload bytes).
 
     A setting that is None follows the paper's rule; with a target, encoding searches for its best value.
     `as_published` gives the paper's own coding of numbers.
@@ -63,7 +65,7 @@ class Hou2014(Settings):
             rung = encoder.rung_for_mean_error(target)
             encoded = encoder.encoded(rung)
             size = encoded.payload_bytes
-            promising = encoder.bits_over(bounded.first_rung, rung) < PROMISING_BITS
+            promising = encoder.takes_few_bits(bounded.first_rung, rung, PROMISING_BITS)
             promising = promising and by_bound().estimate(limit=size)[0] < size
         except CannotEncode as error:
             failure = error

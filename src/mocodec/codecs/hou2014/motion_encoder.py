@@ -22,11 +22,15 @@ from ...stages import bounded, frozen, lattice, quantise, search
 from ...typing import Floats, Integers
 from .. import base
 from . import clip_segmentation, decoding, left_transform, parameters, quantised_motion, stream
-from .quantised_motion import PreparedMotion, QuantisedMotion
+from .quantised_motion import PreparedMotion, QuantisedMotion, Rows
 from .settings import Settings
 
 SAMPLED_CHUNKS = 3
 """Chunks that the search under a bound encodes at each step: the best step is similar for all chunks."""
+
+SAMPLED_FREQUENCIES, CLEAR_BITS, UNCLEAR = 8, 1000.0, 0.08
+"""Bits at two steps are compared by one frequency in this many, unless these frequencies take fewer bits, or the ratio
+of both is this near to the limit."""
 
 FARTHEST_RUNGS = 30 * quantise.LADDER
 """No rung that is tried is farther than this from the first: 30 octaves."""
@@ -66,13 +70,16 @@ class MotionEncoder:
         length = codec.clip_frames or (len(motion) if codec.has_target else parameters.CLIP_FRAMES)
         length = min(length, most_chunk_frames(motion.points))
         lengths = stream.equal_lengths(len(motion), length)
+        weights = _weight_rungs(codec.point_weights, motion.names)
         prepared = PreparedMotion(
             points=motion.points,
-            rows=filled.reshape(len(motion), -1),
+            rows=Rows(
+                filled.reshape(len(motion), -1), None if weights is None else stream.row_weights(weights, motion.points)
+            ),
             lengths=lengths,
             clip_frames=length,
             rung_offsets=np.zeros(len(lengths), np.int64),
-            weight_rungs=_weight_rungs(codec.point_weights, motion.names),
+            weight_rungs=weights,
             components=codec.components or (None if codec.has_target else parameters.COMPONENTS),
             unit=codec.unit,
             centre=codec.centre,
@@ -134,12 +141,19 @@ class MotionEncoder:
         size = self.sampled_size(rung, times, chunks, limit)
         return size, math.nan if self.codec.max_error is not None else self.mean_error(rung)
 
-    def bits_over(self, rung: int, other: int) -> float:
-        """How many times the bits of the coefficients at one step those at another are, estimated."""
+    def takes_few_bits(self, rung: int, other: int, most: float) -> bool:
+        """Whether the coefficients at one step take less than `most` times the bits of those at another, estimated."""
+        bits, allowed = self._bits_at(rung, other, SAMPLED_FREQUENCIES)
+        if allowed < CLEAR_BITS or abs(bits / allowed - most) < UNCLEAR:
+            bits, allowed = self._bits_at(rung, other)
+        return bits < most * max(allowed, 1.0)
+
+    def _bits_at(self, rung: int, other: int, every: int = 1) -> tuple[float, float]:
+        """Estimated bits of the coefficients at two steps. every: distance of the frequencies that are counted."""
         unit, step = self.codec.unit, quantise.step
-        spectra = quantised_motion.component_spectra(self.prepared, unit * step(max(rung, other)))
-        bits = [clip_segmentation.bits_of_spectra(spectra, unit * step(one)) for one in (rung, other)]
-        return bits[0] / max(bits[1], 1.0)
+        spectra = quantised_motion.component_spectra(self.prepared, unit * step(max(rung, other)), every)
+        at_one, at_other = (clip_segmentation.bits_of_spectra(spectra, unit * step(one)) for one in (rung, other))
+        return at_one, at_other
 
     def mean_error(self, rung: int) -> float:
         """Mean distance in metres between the motion and its reconstruction at this step."""
@@ -218,7 +232,7 @@ class MotionEncoder:
         return self.encoded(found)
 
     def _closest_within(self, share: Callable[[int], float], rising: bool) -> int | None:
-        """The rung at which a share of what is allowed comes nearest to 1 from below."""
+        """The rung whose share of the allowed error is nearest to 1 from below."""
         found = search.closest_within(
             progress.attempts(lambda rung: (share(int(rung)), None)),
             self.codec.first_rung,

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ... import native
 from ...stages import dct, quantise
 from ...typing import Floats, Integers
 from . import left_transform, parameters, stream
@@ -32,22 +33,50 @@ SMOOTHED_FREQUENCIES = 2
 ALMOST_HALF = 0.49
 """Coefficients of this many steps round to zero, also where a stored basis is not quite orthonormal."""
 
+ROUNDING = (0.02, 0.5)
+"""Limits of the rounding offset of `quantise.forward`."""
+
+WITHOUT_SIGN_BELOW = 1.5
+"""Steps: rounding a smaller coefficient to zero saves the bit of its sign too."""
+
 MIN_GEOMETRIC_RATIO = 1e-4
 """Lower limit of E / (1 + E), the ratio of the geometric distribution with mean magnitude E."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Mᵀ without gaps: positions (frames, 3 points), metres. weights (3 points,): of the rows of M, None for ones."""
+
+    positions: Floats
+    weights: Floats | None = None
+
+    def weighted(self, rows: Floats) -> Floats:
+        """Rows of Mᵀ (…, 3 points) times the weights."""
+        return rows if self.weights is None else rows * self.weights
+
+    @cached_property
+    def mean(self) -> Floats:
+        """The mean pose, (3 points,), metres."""
+        return self.positions.mean(axis=0)
+
+    @cached_property
+    def centred(self) -> Floats:
+        """Mᵀ about the mean pose, weighted, (frames, 3 points); not to be written to."""
+        return self.weighted(self.positions - self.mean)
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedMotion:
     """A motion and its coding parameters, independent of the quantisation step.
 
-    rows (frames, 3 points): Mᵀ without gaps, metres. lengths (N,): L_i. clip_frames: L; 0 if clips are adaptive.
+    rows: Mᵀ, with the weights of `weight_rungs`. lengths (N,): L_i. clip_frames: L; 0 if clips are adaptive.
     rung_offsets (N,): rungs to add to the common quantisation step of each clip. frequencies (N,): l_i at most; None
     for no limit. components: k at most; None for as many as reduce the cost. fitted: B of these rows; None if `learned`
     holds left transforms from a database. The other fields are those of `Hou2014` and `SharedHeader`.
     """
 
     points: int
-    rows: Floats
+    rows: Rows
     lengths: Integers
     clip_frames: int
     rung_offsets: Integers
@@ -62,19 +91,10 @@ class PreparedMotion:
     fitted: LeftTransform | None = None
     learned: tuple[LeftTransform, ...] = ()
 
-    def weighted(self, rows: Floats) -> Floats:
-        """Rows of Mᵀ (…, 3 points) times the weights of the points."""
-        return rows if self.weight_rungs is None else rows * stream.row_weights(self.weight_rungs, self.points)
-
-    @cached_property
-    def mean(self) -> Floats:
-        """The mean pose, (3 points,), metres."""
-        return self.rows.mean(axis=0)
-
     @cached_property
     def spectra(self) -> tuple[ClipSpectra, ...]:
         """The spectra that all steps quantise, run after run."""
-        rows = self.weighted(self.rows - self.mean)
+        rows = self.rows.centred
         spectra: list[ClipSpectra] = []
         for length, run, frames in _clip_runs(self.lengths):
             count = None if self.frequencies is None else int(self.frequencies[run.start])
@@ -109,7 +129,7 @@ def with_fitted_transform(motion: PreparedMotion) -> PreparedMotion:
     """With B fitted to C = Σ M_i D̃ D̃ᵀ M_iᵀ: equation (5) and Theorem 1. Unchanged if transforms are learned."""
     if motion.learned:
         return motion
-    rows = motion.weighted(motion.rows - motion.mean if motion.centre else motion.rows)
+    rows = motion.rows.centred if motion.centre else motion.rows.weighted(motion.rows.positions)
     if motion.frequencies is None:
         return replace(motion, fitted=left_transform.fit_rows(rows))
     spectra: list[Floats] = []
@@ -138,20 +158,20 @@ def quantise_motion(motion: PreparedMotion, rung: int) -> QuantisedMotion:
     )
     if motion.centre:
         header = _with_mean_pose(header, motion)
-    rest = motion.weighted(motion.mean - header.mean_pose)  # of the mean pose, which the clips code
+    rest = motion.rows.weighted(motion.rows.mean - header.mean_pose)  # of the mean pose, which the clips code
     transform_index = _best_transforms(motion, header.mean_pose, transforms)
     spectra: list[Integers] = []
     for clips in motion.spectra:
         steps = header.steps_m(motion.rung_offsets[clips.run])
-        scaled = _project(clips, rest, steps, transforms, transform_index[clips.run])
-        spectra.extend(_quantised(scaled, motion.economy))
+        projected = _project(clips, rest, steps, transforms, transform_index[clips.run])
+        spectra.extend(_quantised(projected, steps, motion.economy))
     return _without_zero_components(header, motion, spectra, transform_index)
 
 
 def _project(
     clips: ClipSpectra, rest: Floats, steps: Floats, transforms: tuple[LeftTransform, ...], transform_index: Integers
 ) -> Floats:
-    """B_jᵀ M_i D̃ of a run of clips, transposed, in steps: (clips, l, k), up to the last frequency that matters.
+    """B_jᵀ M_i D̃ of a run of clips, transposed, in metres: (clips, l, k), up to the last frequency that matters.
 
     rest (3 points,): added to every frame. steps (clips,), metres.
     """
@@ -159,35 +179,70 @@ def _project(
     reach = int(np.flatnonzero(large).max(initial=0)) + 1 + SMOOTHED_FREQUENCIES
     constant = rest * clips.length**0.5
     if len(transforms) == 1:
-        scaled = clips.spectrum[:, :reach] @ transforms[0].matrix
-        scaled[:, :1] += constant @ transforms[0].matrix
+        projected = clips.spectrum[:, :reach] @ transforms[0].matrix
+        projected[:, :1] += constant @ transforms[0].matrix
     else:
         matrices = [transforms[j].matrix for j in transform_index.tolist()]
-        scaled = np.stack([one[:reach] @ matrix for one, matrix in zip(clips.spectrum, matrices, strict=True)])
-        scaled[:, :1] += np.stack([constant @ matrix for matrix in matrices])[:, None]
-    scaled /= steps[:, None, None]
-    return scaled
+        projected = np.stack([one[:reach] @ matrix for one, matrix in zip(clips.spectrum, matrices, strict=True)])
+        projected[:, :1] += np.stack([constant @ matrix for matrix in matrices])[:, None]
+    return projected
 
 
-def _quantised(scaled: Floats, economy: float) -> Integers:
-    """Coefficients (clips, l, k) in steps as integers, without the highest frequencies: those below half a step."""
-    largest = np.maximum(scaled.max(axis=(0, 2), initial=0.0), -scaled.min(axis=(0, 2), initial=0.0))
+def _quantised(projected: Floats, steps: Floats, economy: float) -> Integers:
+    """Coefficients (clips, l, k) as integers, without the highest frequencies: those below half a step.
+
+    steps (clips,): in the unit of the coefficients. Raises CannotEncode if a step is too small.
+    """
+    largest, means = _magnitudes(projected, steps)
     known = int(np.flatnonzero(largest >= 0.5).max(initial=-1)) + 1
-    low = scaled[:, : known + SMOOTHED_FREQUENCIES]
-    rounding = _rdo_rounding(low, economy)[:, :known] if economy else 0.5
-    return quantise.forward(low[:, :known], 1.0, rounding)
+    quantise.require_exact(largest[:known].max(initial=0.0), float(steps.min()))
+    bits = _bits_of_a_step(means[: known + SMOOTHED_FREQUENCIES])[:known] if economy else None
+    return _to_integers(projected, steps, known, bits, economy)
+
+
+def _magnitudes(projected: Floats, steps: Floats) -> tuple[Floats, Floats]:
+    """Magnitudes in steps: the largest of each frequency, (l,), and the means over the clips, (l, k)."""
+    if (kernel := native.kernel("clip_magnitudes")) is not None:
+        return kernel(projected, steps)
+    magnitudes = np.abs(projected / steps[:, None, None])
+    return magnitudes.max(axis=(0, 2), initial=0.0), magnitudes.mean(axis=0)
+
+
+def _bits_of_a_step(means: Floats) -> Floats:
+    """What a step of a coefficient costs, from mean magnitudes (l, k): a Laplacian (two-sided geometric) model."""
+    expected = _smooth_magnitudes(means)
+    return -np.log2(np.maximum(expected / (1 + expected), MIN_GEOMETRIC_RATIO))
+
+
+def _to_integers(projected: Floats, steps: Floats, known: int, bits: Floats | None, economy: float) -> Integers:
+    """The lowest `known` frequencies (clips, known, k) as integers.
+
+    bits (known, k): of a step of each coefficient, for rate–distortion optimised rounding; None rounds to nearest.
+    economy: RDO λ, the squared error in squared steps that justifies one bit; 0.12 at high rates in theory.
+    """
+    if bits is not None and (kernel := native.kernel("clip_integers")) is not None:
+        return kernel(projected, steps, bits, economy / 2, WITHOUT_SIGN_BELOW, *ROUNDING)
+    scaled = projected[:, :known] / steps[:, None, None]
+    rounding = 0.5
+    if bits is not None:
+        saved = np.where(np.abs(scaled) < WITHOUT_SIGN_BELOW, bits + 1, bits)
+        rounding = np.clip(0.5 - economy / 2 * saved, *ROUNDING)
+    return quantise.forward(scaled, 1.0, rounding)
 
 
 def component_curves(motion: PreparedMotion, step: float) -> Floats:
     """Bᵀ M, transposed: (frames, k), the input of the DCT along time, before segmentation into clips."""
     transform = motion.learned[0] if motion.fitted is None else _worthwhile_components(motion, motion.fitted, step)
-    return motion.weighted(motion.rows - motion.mean) @ transform.matrix
+    return motion.rows.centred @ transform.matrix
 
 
-def component_spectra(motion: PreparedMotion, step: float) -> list[Floats]:
-    """The coefficients of `component_curves`, (clips, l, k) of each run of clips of equal length."""
+def component_spectra(motion: PreparedMotion, step: float, every: int = 1) -> list[Floats]:
+    """The coefficients of `component_curves`, (clips, l / every, k) of each run of clips of equal length.
+
+    every: distance of the frequencies that are taken.
+    """
     transform = motion.learned[0] if motion.fitted is None else _worthwhile_components(motion, motion.fitted, step)
-    return [clips.spectrum @ transform.matrix for clips in motion.spectra]
+    return [clips.spectrum[:, ::every] @ transform.matrix for clips in motion.spectra]
 
 
 def _worthwhile_components(motion: PreparedMotion, fitted: LeftTransform, step: float) -> LeftTransform:
@@ -217,9 +272,9 @@ def _rounded_transforms(motion: PreparedMotion, step: float) -> tuple[LeftTransf
 
 def _with_mean_pose(header: SharedHeader, motion: PreparedMotion) -> SharedHeader:
     """With the mean pose, rounded to multiples of step / √frames, since its error is the same in every frame."""
-    rung = round(header.rung - quantise.LADDER * 0.5 * math.log2(len(motion.rows)))
+    rung = round(header.rung - quantise.LADDER * 0.5 * math.log2(len(motion.rows.positions)))
     step = header.unit * quantise.step(rung)
-    return replace(header, mean_numbers=quantise.forward(motion.mean, step), mean_rung=rung)
+    return replace(header, mean_numbers=quantise.forward(motion.rows.mean, step), mean_rung=rung)
 
 
 def _best_transforms(motion: PreparedMotion, mean_pose: Floats, transforms: tuple[LeftTransform, ...]) -> Integers:
@@ -227,28 +282,16 @@ def _best_transforms(motion: PreparedMotion, mean_pose: Floats, transforms: tupl
     lengths = motion.lengths
     if len(transforms) == 1:
         return np.zeros(len(lengths), np.int64)
-    rows = motion.weighted(motion.rows - mean_pose)
+    rows = motion.rows.weighted(motion.rows.positions - mean_pose)
     starts = np.cumsum(lengths) - lengths
     energies = [np.add.reduceat(np.einsum("fk,fk->f", c := rows @ one.matrix, c), starts) for one in transforms]
     return np.argmax(energies, axis=0)
 
 
-def _rdo_rounding(scaled: Floats, economy: float) -> Floats:
-    """Rate–distortion optimised rounding: the rounding offset of `quantise.forward` for each coefficient.
-
-    scaled (clips, l, k): coefficients in steps. economy: RDO λ, the squared error in squared steps that justifies one
-    bit; 0.12 at high rates in theory. The bits of a coefficient come from a Laplacian (two-sided geometric) model of
-    the local mean magnitude.
-    """
-    magnitudes = np.abs(scaled)
-    expected = _smooth_magnitudes(magnitudes.mean(axis=0))
-    bits_per_unit = -np.log2(np.maximum(expected / (1 + expected), MIN_GEOMETRIC_RATIO))
-    saved_bits = np.where(magnitudes < 1.5, bits_per_unit + 1, bits_per_unit)  # rounding to zero saves the sign too
-    return np.clip(0.5 - economy / 2 * saved_bits, 0.02, 0.5)
-
-
 def _smooth_magnitudes(magnitudes: Floats) -> Floats:
     """Weighted means over five frequencies and three components, (l, k)."""
+    if (kernel := native.kernel("smooth_magnitudes")) is not None:
+        return kernel(magnitudes)
     if not magnitudes.size:
         return magnitudes
     for axis, kernel in ((0, (1, 3, 4, 3, 1)), (1, (1, 2, 1))):
@@ -265,8 +308,7 @@ def _without_zero_components(
     header: SharedHeader, motion: PreparedMotion, spectra: list[Integers], transform_index: Integers
 ) -> QuantisedMotion:
     """Without trailing components and frequencies whose coefficients are all zero."""
-    used = [np.flatnonzero(spectrum.any(axis=0)).max(initial=-1) + 1 for spectrum in spectra]
-    k = int(max(used))
-    clips = stream.join_clips(motion.lengths, [s[:, :k] for s in spectra], transform_index, motion.rung_offsets)
+    k = max(stream.extent(spectrum)[1] for spectrum in spectra)
+    clips = stream.join_clips(motion.lengths, spectra, transform_index, motion.rung_offsets, k)
     transforms = tuple(transform.leading(k) for transform in header.transforms)
     return QuantisedMotion(replace(header, transforms=transforms, components=k), clips)

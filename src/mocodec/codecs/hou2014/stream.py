@@ -33,7 +33,7 @@ MEAN_POSE, POINT_WEIGHTS, ERROR_BOUND, CUSTOM_UNIT, CLIP_STEPS, ADAPTIVE_CLIPS, 
 LARGEST_RUNG = 1 << 12
 """Limit for every rung in a file: 64 octaves of the ladder of steps."""
 MAX_TRANSFORM_ENTRIES = 1 << 24
-"""Of all left transforms of a file together."""
+"""Limit for the entries of all left transforms of a file together."""
 LONGEST_SERIES = 1 << 14
 """Frames of a clip up to which the compiled module decodes it: beyond, its tables take much memory."""
 
@@ -202,17 +202,33 @@ class QuantisedClips:
 
 
 def join_clips(
-    lengths: Integers, spectra: Sequence[Integers], transform_index: Integers, rung_offsets: Integers
+    lengths: Integers,
+    spectra: Sequence[Integers],
+    transform_index: Integers,
+    rung_offsets: Integers,
+    components: int | None = None,
 ) -> QuantisedClips:
-    """Clips with these spectra, (any l_i, k) each, at the smallest bandwidth that keeps every nonzero coefficient."""
-    needed = np.array([np.flatnonzero(s.any(axis=1)).max(initial=-1) + 1 for s in spectra], np.int64)
+    """Clips with these spectra, (any l_i, any k) each, at the smallest bandwidth that keeps every nonzero coefficient.
+
+    components: those that are kept; all by default.
+    """
+    needed = np.array([extent(spectrum)[0] for spectrum in spectra], np.int64)
     bandwidth = int((-(-needed * lengths.max() // lengths)).max())
     frequencies = frequencies_per_clip(lengths, bandwidth)
-    resized = [
-        np.pad(s[:count], ((0, max(0, count - len(s))), (0, 0)))
-        for s, count in zip(spectra, frequencies.tolist(), strict=True)
-    ]
-    return QuantisedClips(lengths, bandwidth, np.concatenate(resized), transform_index, rung_offsets)
+    k = spectra[0].shape[1] if components is None else components
+    coefficients = np.zeros((int(frequencies.sum()), k), np.int64)
+    for spectrum, out in zip(spectra, np.split(coefficients, np.cumsum(frequencies)[:-1]), strict=True):
+        count = min(len(spectrum), len(out))
+        out[:count] = spectrum[:count, :k]
+    return QuantisedClips(lengths, bandwidth, coefficients, transform_index, rung_offsets)
+
+
+def extent(spectrum: Integers) -> tuple[int, int]:
+    """Frequencies and components of a spectrum (l, k) up to the last coefficient that is not zero."""
+    if (kernel := native.kernel("integers_extent")) is not None:
+        return kernel(spectrum)
+    frequencies, components = (np.flatnonzero(spectrum.any(axis=axis)).max(initial=-1) + 1 for axis in (1, 0))
+    return int(frequencies), int(components)
 
 
 def frequencies_per_clip(lengths: Integers, bandwidth: int) -> Integers:

@@ -49,7 +49,7 @@ class TrackedFrames(NamedTuple):
 
 @dataclass(frozen=True)
 class Lien2006:
-    """Settings.
+    """Settings of lien2006: point clouds of people by articulated ICP and residual maps (Lien & Bajcsy 2006).
 
     residual: percent of the full residual maps; 0 sends poses alone. skeleton: a Motion, or the path of one (.bvh,
     .amc), whose first frame is the pose of the first frame; without one, a body is fitted. model_share: share of the

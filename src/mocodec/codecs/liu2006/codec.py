@@ -64,12 +64,14 @@ USUAL_MEAN_M = 0.028
 Fit = Callable[[float], list[SegmentModel]]
 """The models of all segments at a scale of the tolerances."""
 Components = list[list[PrincipalComponents]]
-"""Of each segment and PCA group."""
+"""The principal components of each segment and PCA group."""
 
 
 @dataclass(frozen=True)
 class Liu2006:
-    """Settings, with the paper's values as defaults. Lengths in metres, durations in frames.
+    """Settings of liu2006: segments, PCA and key frames (Liu & McMillan 2006), with the paper's values as defaults.
+
+    Lengths are in metres, durations in frames.
 
     Tolerances are per marker: a PCA error may be tolerance × √markers (root mean square over frames), a spline error
     tolerance × markers in any frame (L2 norm over the group); docs/papers/liu2006.md gives the reasons. A `mean_error`

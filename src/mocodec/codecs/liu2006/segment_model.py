@@ -146,14 +146,14 @@ def fit_normalisation_markers(markers: Floats, tolerance: float, fineness: float
 
 
 class PrincipalComponents(NamedTuple):
-    """Of poses (frames, dimensions): vectors (dimensions, dimensions), strongest first; variances (dimensions,)."""
+    """Principal components of poses: vectors (dimensions, dimensions), strongest first; variances (dimensions,)."""
 
     vectors: Floats
     variances: Floats
 
 
 def principal_components(poses: Floats) -> PrincipalComponents:
-    """Of poses (frames, dimensions): section 3.3."""
+    """The principal components of poses (frames, dimensions): section 3.3."""
     centred = poses - poses.mean(axis=0)
     return PrincipalComponents(*basis.fit(centred.T @ centred / len(centred)))
 

@@ -45,7 +45,7 @@ BATCH = 64
 LONGEST_SECONDS, ALWAYS_FRAMES = 16, 32
 """No encoder writes chunks that are longer than both: at most 10 s or 16 frames are asked for, rounding adds half."""
 REFILLS = 3
-"""Rounds of replacing what fills gaps by what is decoded there."""
+"""Rounds of refilling gaps with decoded positions."""
 BOUND_SLOPE = 0.1
 """Rate–distortion λ under a bound: smaller than elsewhere, since zeroing coefficients causes error peaks."""
 FIRST_OFFSET = 44
@@ -163,7 +163,7 @@ class ChunkEncoder:
 
     @classmethod
     def of(cls, model: Model, source: Prepared, frames: slice, spectrum: Floats | None = None) -> ChunkEncoder:
-        """Of some frames of a recording."""
+        """The encoder of some frames of a recording."""
         positions, smooth = source.positions[frames], source.smooth[frames]
         return cls(model, positions, smooth, source.apart[frames], source.spikes[frames], spectrum)
 
@@ -233,8 +233,8 @@ class ChunkEncoder:
         return bool((off <= bound).all())
 
     def within_bound(self, bound: float, offset: int, most_bits: float = np.inf) -> Draft:
-        """The chunk in a step so far above the bound (metres), log₂ in 1/32 octave, with corrections that should bring
-        every sample within it; a direct draft where the transform fails, or takes `most_bits` or more without them."""
+        """The chunk in a step this far above the bound (metres), log₂ in 1/32 octave, with corrections that should
+        bring every sample within it. A direct draft where the transform fails or takes `most_bits` without them."""
         found = None
         if self.spectrum is not None:
             found = self.attempt(lambda: self._transform_within(bound, offset, most_bits))
@@ -340,7 +340,7 @@ def _in_order(positions: Floats) -> Floats:
 def encoders(
     model: Model, source: Prepared, bounds: Sequence[tuple[int, int]], spectra: Mapping[int, Floats] | None = None
 ) -> list[ChunkEncoder]:
-    """Of chunks with these bounds, analysed in the threads of `parallel`. spectra: those that are known, by number."""
+    """Encoders of chunks with these bounds, analysed in the threads of `parallel`. spectra: known ones, by number."""
     known = spectra or {}
     for length in {stop - start for start, stop in bounds}:
         compiled_chunks.encodes(model, length)  # what all threads share is made here
@@ -349,7 +349,7 @@ def encoders(
 
 
 def drafts_of_step(encoders: Sequence[ChunkEncoder], step: int) -> list[Draft]:
-    """Of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
+    """Drafts of all chunks in one step (log₂, 1/32 octave), in the threads of `parallel`."""
     return list(parallel.over(lambda encoder: encoder.draft(step), encoders))
 
 

@@ -126,7 +126,7 @@ def _decode_by_numpy(model: Model, chunks: Sequence[Chunk]) -> list[Floats]:
 
 
 def _positions(model: Model, frames: int, numbers: coefficients.DecodedNumbers, size: float) -> Floats:
-    """Of the transform; size: the step of corrections, metres."""
+    """Positions of the transform, with corrections. size: step of corrections, metres."""
     sizes = rows.sizes(model.rows, frames, numbers.step)
     positions = model.synthesise(quantise.dequantise(numbers.values, sizes), frames)
     if numbers.lists.size:

@@ -6,7 +6,7 @@
     integers, corrections ─contexts─► payload                                                             `pack`
 
 `coding.coefficients`, `Model` and `trial` define the result: integers are the same, coefficients and positions agree to
-rounding. Bytes that no encoder writes are left to them, since they say what is wrong. The interpreter is free
+rounding. Bytes that no encoder writes are left to them, since they raise the error. The interpreter is free
 meanwhile, so that chunks are coded and decoded in several threads.
 """
 

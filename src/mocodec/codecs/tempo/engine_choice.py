@@ -34,14 +34,14 @@ ALONE, ALONE_PER_OCTAVE = 0.9, 0.06
 """The lattice is used alone where it takes less than this share of a transform fitted to the sample. The share rises
 with log₂ of frames over frames sampled, since a short sample is less varied than the recording."""
 SAMPLE_OFFSET = 28
-"""These shares are of a transform in a step so many 1/32 octaves above the bound."""
+"""The step of the transform that these shares refer to, in 1/32 octaves above the bound."""
 CERTAIN = 0.68
 """Below this share, which rises likewise, the lattice is so much smaller that hou2014 is not tried either."""
 MANY_POINTS = 256
-"""Of more points, it is enough that the lattice is used alone, since hou2014's basis takes a second or more to fit. It
-is used alone only where it is smaller in the sample, whose few frames say little about the recording."""
+"""With more points, hou2014 is not tried where the lattice is used alone: its basis takes seconds to fit. It is used
+alone only where it is smaller in the sample, whose few frames say little about the recording."""
 WIDER = 2 * OCTAVE
-"""Of the step in which points that keep their distances may be joints: rounded joints keep theirs less exactly."""
+"""How much wider the step is in which points of constant distance may be joints, since rounding moves joints."""
 LEAST_SAVING = 0.05
 """The lattice codes a chunk, or all chunks at a mean error, where it saves at least this share of the bytes, since
 the transform decodes some four times faster."""
@@ -50,16 +50,16 @@ HOPELESS = 1.25
 TRIED_EVERY = 5
 """The lattice engine is tried for one chunk in this many at least."""
 FEWEST_TRIED, MEMORY = 2, 0.5
-"""Both are tried for this many chunks first, since one may be still; a chunk counts so much less in the next."""
+"""Both are tried for FEWEST_TRIED chunks first, since one may be still. MEMORY is the weight of a chunk in the next."""
 REMEMBERED, FEWEST_FAILED, USEFUL_SAVING = 32, 4, 0.03
 """Number of trials of the lattice engine that are remembered from block to block. A trial that saves less than
 USEFUL_SAVING fails. Another one is ruled out if FEWEST_FAILED at lower estimates failed, and all at higher ones."""
 LEAST_BITS = 0.38
-"""Of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
+"""Bits of a coordinate of a body: joints and known points move smoothly, so that the lattice is smaller only where the
 transform takes at least as many bits for a chunk."""
 
 UNLIKELY, UNLIKELY_OF_POINTS = 1.05, 2.5
-"""The lattice engine is not tried for chunks for which its estimate is above so many times the bytes of the transform.
+"""Largest ratio of the estimated bytes of the lattice engine to those of the transform at which the engine is tried.
 That of joints hardly ever exceeds the bytes by more than a tenth; that of points that move alike, by up to twice."""
 
 
@@ -88,7 +88,7 @@ class LatticePlan:
 
     @property
     def unlikely(self) -> float:
-        """The engine is not tried where its estimate is above so many times the bytes of the transform."""
+        """Largest ratio of the estimate to the bytes of the transform at which the engine is tried."""
         return UNLIKELY if self.least_bits else UNLIKELY_OF_POINTS
 
 
@@ -131,7 +131,7 @@ def plan(
 
 
 def _transform_bytes(motion: Motion, source: Prepared, some: slice, bound: float, step: int) -> float:
-    """Of some frames, by a transform with their own basis, which is counted in proportion to the frames; infinite for
+    """Bytes of some frames by a transform with their own basis, counted in proportion to the frames; infinite for
     more points than a stored basis has."""
     if 3 * motion.points > MOST_DIMENSIONS:
         return np.inf
@@ -171,7 +171,7 @@ class EngineTrials:
 
     def __init__(self) -> None:
         self._chunks, self._transform_bytes, self._lattice_bytes = 0, 0.0, 0.0
-        """Of the chunks for which both were tried: their number, and bytes that fade."""
+        """Number of chunks for which both were tried, and fading sums of their bytes."""
 
     def tries_lattice(self, number: int) -> bool:
         """For chunk `number`."""
@@ -194,7 +194,7 @@ class Outcomes:
 
     def __init__(self) -> None:
         self._tried = deque[tuple[float, bool]](maxlen=REMEMBERED)
-        """Of each trial: estimate over the transform's bytes, and whether it failed."""
+        """For each trial the estimate over the transform's bytes, and whether it failed."""
         self._ruled_out = 0
 
     def rule_out(self, estimate: float) -> bool:

@@ -39,9 +39,9 @@ USUAL_RISE, RISES = 0.75, (0.4, 1.0)
 STEP_RISE, SLOPE_RISE = USUAL_RISE / OCTAVE, 0.2 / SLOPE_OCTAVE
 """Usual rise of log₂ of the error per number of the step and of λ."""
 MOST_MOVES = 2
-"""In one direction."""
+"""Number of moves in one direction, at most."""
 FINER = 6
-"""So many times all chunks are tried in finer steps, ever finer, while their least errors exceed what is allowed."""
+"""Number of times that all chunks are tried in finer steps while their least errors exceed the target."""
 TUNING = 2
 """Trials of λ that use up what other chunks leave, from each of two settings."""
 TUNED = 3e-4
@@ -232,7 +232,7 @@ def _within(curves: Sequence[Curve], allowed: float) -> list[Setting] | None:
 
 
 def _tune(curve: Curve, ends: Sequence[Setting], left: float, allowed: float) -> None:
-    """Try settings between two, and near them, whose error uses up what is left of the error allowed."""
+    """Try settings between two, and near them, that use up the rest of the allowed error."""
     for sparser in (0, 1, -1):
         for end in ends:
             coarser = np.floor(_octaves(left, curve.tried[end].error) / STEP_RISE)

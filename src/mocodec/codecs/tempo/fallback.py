@@ -45,15 +45,15 @@ PROMISING_FREQUENCIES, PROMISING_BITS = 128, 0.82
 all chunks, and is stored."""
 
 PROMISING_CHUNKS, PROMISING_POINTS = 4, 128
-"""The basis is fitted to so many chunks; of more points this takes longer than the trial that it spares."""
+"""Number of chunks that the basis is fitted to. With more points the fit takes longer than the trial that it spares."""
 
 PROMISING, PROMISING_BYTES = 1.06, 256
 """A first coding of at most PROMISING times tempo's bytes, plus PROMISING_BYTES, may still be smaller at its best step:
 most bytes of still recordings are the basis, which a coarser step makes much smaller."""
 
 STRETCH_FRAMES = 1000
-"""Of a long recording a stretch is coded first. It looks better than the whole, since it is less varied and the basis
-is counted once; if it is larger all the same, the whole is not promising."""
+"""Length of the stretch of a long recording that is coded first. It looks better than the whole, since it is less
+varied and the basis is counted once; if it is larger all the same, the whole is not promising."""
 
 BYTES_SLOPE = 0.7
 """Fall of the logarithm of the bytes per logarithm of the mean error."""
@@ -62,7 +62,7 @@ MEAN_OF_BOUND = 0.5
 """Usual mean error under a bound: where the search for a mean by way of a bound begins."""
 
 MEAN_WITHIN, MEAN_AIM, MEAN_TRIES = 0.03, 0.99, 7
-"""The search for a mean ends at most this far below it, aims at this share of it, and codes so often."""
+"""The search for a mean ends within MEAN_WITHIN below it, aims at MEAN_AIM of it and codes at most MEAN_TRIES times."""
 
 
 class Sample(NamedTuple):

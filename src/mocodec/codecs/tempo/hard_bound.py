@@ -36,12 +36,12 @@ to begin."""
 BEST_OFFSET, BEST_SLOPE = 31.2, -8.6
 """Offsets are log₂ of the step in bounds, 1/32 octave."""
 STRIDE, NEAR = 8, 5
-"""A search ends with one offset to either side. An offset so near to the predicted one is not changed."""
+"""A search ends with an offset STRIDE to either side. An offset within NEAR of the predicted one is not changed."""
 TOGETHER = 4
-"""So many chunks are tried by the lattice engine before the next ones learn from them, in any number of threads."""
+"""Number of chunks that the lattice engine tries before the next ones learn from them, in any number of threads."""
 LEAST_OFFSET, MOST_OFFSET = -32, 128
 EXACT_TO = 1e6
-"""Of samples up to this many bounds from the origin, rounding moves no decoded sample beyond the bound: the trial of a
+"""Distance from the origin, in bounds, up to which rounding moves no decoded sample beyond the bound: the trial of a
 step has measured what the compiled module decodes."""
 
 

@@ -203,7 +203,7 @@ class PieceEncoder:
 
 
 def joined(motions: Sequence[Motion]) -> Motion:
-    """One after the other."""
+    """Parts of a motion, one after the other, as one motion."""
     if len(motions) == 1:
         return motions[0]
     turned = [m.rotations for m in motions if m.rotations is not None]

@@ -22,18 +22,18 @@ LEAST_SHARE, AIM = 0.97, 0.99
 """The search ends at a mean of at least this share of the one asked for, and aims at the other share."""
 TRIES = 5
 FEWEST_BITS = 0.3
-"""Of a coordinate: the lattice is not tried where the transform takes less."""
+"""Bits of a coordinate: the lattice is not tried where the transform takes fewer."""
 PROMISING = 1.05
 """The whole recording is coded where a chunk takes at most this many times the transform's bytes."""
 
 FEW_CHUNKS, UNUSUAL_SHARE = 2, 0.5
-"""A mean error is also tried as a bound for up to so many chunks, or if more than this share of them is unusual."""
+"""A mean error is also tried as a bound for up to FEW_CHUNKS chunks, or if a larger share than this is unusual."""
 
 SHORT_FRAMES, SHORT_SAMPLES = 16, 2048
-"""Recordings up to so long are tried at other targets too: few settings come near the mean error. Other targets try the
+"""Recordings up to these lengths are tried at other targets too: few settings come near the mean. Other targets try the
 kinds of model and engine alone that were smallest at the mean error and under it as a bound."""
 BOUND_RATIO, WIDEST_BOUND = 2**0.5, 8.0
-"""Bounds that are tried: each this many times the one before, up to so many times the mean error asked for."""
+"""Bounds that are tried: ratio of each to the one before, and of the largest to the mean error asked for."""
 SMALLER_MEANS = (0.5, 0.25)
 """Means that are tried, of the one asked for: a file for half of a target is then never smaller than one for it."""
 
@@ -46,7 +46,7 @@ Kinds = frozenset[str]
 EncodeAt = Callable[[str, float, Kinds | None], Encoded[Motion]]
 """All of a motion at "mean_error" or "max_error", metres, by these kinds alone, or by any (None)."""
 MeanError = Callable[[Encoded[Motion], Motion], float]
-"""Of an encoding, against the motion: metres."""
+"""Mean error of an encoding of a motion, metres."""
 
 
 def on_lattice(

@@ -28,13 +28,13 @@ KNOWN_NAME_MODELS = ("points-prior", "directions-prior")
 """Where the prior knows the points by name, the other models are not tried."""
 PRICED_CHUNKS = 4
 CLEARLY = 0.85
-"""Of two models of known points one chunk decides, where the cheaper takes less than this share."""
+"""One chunk decides between two models of known points where the cheaper takes less than this share of the other."""
 WORTH_PRIOR = 0.25
 """Markers are placed on the prior's bones only where the stored basis takes at least this share of the bytes."""
 FINER_UP_TO = 0.65
-"""Of very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where it
-takes more, the coarser one is tried too. Of fewer points both are tried, since trials cost little, and a finer pose may
-be all that a still recording needs."""
+"""With very many points a stored basis in finer rounding is kept where it takes at most this share of the bytes; where
+it takes more, the coarser one is tried too. With fewer points both are tried, since trials cost little, and a
+still recording may need no more than a finer pose."""
 REFINED = 2
 """How often the step for a mean error is refined, before a basis is rounded by it."""
 COARSER_MODELS = 7

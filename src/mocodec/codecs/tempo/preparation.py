@@ -34,7 +34,7 @@ class Prepared:
 def prepare(
     positions: Floats, up: str, tolerance: float | None = None, bones: bool = False, holds: bool = True
 ) -> Prepared:
-    """Of positions (frames, points, 3), metres, NaN in gaps; the rest as in `frozen.split`."""
+    """Prepare positions (frames, points, 3), metres, NaN in gaps, for coding; the rest as in `frozen.split`."""
     missing = repeats = spike = leap = True
     if (kernel := native.kernel("screen_positions")) is not None:
 

@@ -32,7 +32,7 @@ _OVERRUN = "tempo: run lengths that do not fill their chunk"
 
 
 def distinct_frames(motion: Motion, seconds: float) -> Booleans | None:
-    """Mask (frames,) of the frames that differ from the one before in some sample, and of one in so many seconds.
+    """Mask (frames,) of the frames that differ from the one before in some sample, and of one frame every `seconds`.
 
     None where too few frames repeat to make it worthwhile.
     """

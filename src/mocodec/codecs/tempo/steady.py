@@ -18,9 +18,9 @@ from .chunk import ChunkEncoder
 from .coding.contexts import OCTAVE
 
 MOST_OF_BLOCK = 2.0
-"""A block may spend at most so many times its own share of what is allowed."""
+"""Largest ratio of the cost of a block to its own share of the allowed cost."""
 AIM = 0.99
-"""The steady step is made coarser, or finer, while less than this share of what is allowed has been spent."""
+"""Share of the allowed cost that the first step aims at; after a block the step changes while less is spent."""
 SLOWLY = 2
 """The steady step changes by at most this much after a block, 1/32 octave."""
 TRIES, SAMPLE_TRIES = 12, 8
@@ -100,7 +100,7 @@ def for_mean(sample: Sequence[ChunkEncoder], mean_error: float) -> SteadyMean:
 
 
 def for_size(sample: Sequence[ChunkEncoder], bytes_a_frame: float) -> SteadySize:
-    """So many bytes a frame, at a step that suits the sample. Raises CannotEncode for less than one byte in all."""
+    """A target in bytes a frame, from a step that suits the sample. Raises CannotEncode for less than a byte in all."""
     if bytes_a_frame <= 0:
         raise CannotEncode("the header alone takes more bytes than are asked for")
     found = SteadySize(_bytes, _frames, bytes_a_frame, target.COARSE_STEP, 1, SIZE_SLOPE)
@@ -128,7 +128,7 @@ def _frames(encoders: Sequence[ChunkEncoder]) -> int:
 
 
 def _excess(cost: float, budget: float) -> float:
-    """In 1/32 octave."""
+    """The ratio of a cost to a budget in 1/32 octave."""
     return OCTAVE * float(np.log2(max(cost, 1e-12) / max(budget, 1e-12)))
 
 

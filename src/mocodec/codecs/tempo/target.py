@@ -1,4 +1,4 @@
-"""Steps for a target, about; and the payloads of all chunks in a size, or directly at a mean error.
+"""Approximate steps for a target; and the payloads of all chunks within a size, or coded directly at a mean error.
 
 `equal_slopes` has the mean error by the transform, `hard_bound` the bound.
 """
@@ -23,7 +23,7 @@ USUAL_STEP = 140
 CUBE_MEAN = 0.4803
 """Mean distance of the points of a cube from its centre, in sides."""
 FINER_GRIDS = 64
-"""A grid for a mean error is tried at most so much finer, 1/256 octave."""
+"""How much finer grids are tried for a mean error, at most, 1/256 octave."""
 LARGEST_INTEGER = 2.0**40
 """The finest step is the largest sample divided by this, whatever the size asked for."""
 COARSE_STEP = round(np.log2(0.004) * OCTAVE)

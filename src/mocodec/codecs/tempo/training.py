@@ -56,7 +56,7 @@ DEAD_ZONE = 0.38
 LEAST_SYMBOLS = 500
 """Tables with fewer symbols borrow from the neighbouring classes."""
 SAMPLE_EVERY, MOST_SAMPLES = 8, 300_000
-"""The mean pose and the bone tree are learned from one pose in so many, and from about so many at most."""
+"""The mean pose and the bone tree are learned from every SAMPLE_EVERY-th pose, at most about MOST_SAMPLES poses."""
 SHARED = 1e-3
 """Weight of all frequencies in the basis of each band."""
 REDUNDANT_BONES = ("lhipjoint", "rhipjoint", "lthumb", "rthumb")
@@ -234,7 +234,7 @@ def _with_arms(columns: Sequence[int], work: Callable[[Motion], Any], motion: Mo
 
 
 def rotating_points(motion: Motion, columns: Sequence[int]) -> Motion:
-    """Of each bone its joint and three points that rotate with it, `ARM_M` along the axes it has at rest."""
+    """For each bone its joint and three points that rotate with it, `ARM_M` along the axes it has at rest."""
     assert motion.skeleton is not None
     assert motion.rotations is not None
     rotations = kinematics.world_rotations(motion.skeleton, motion.rotations)[:, columns]
@@ -270,7 +270,7 @@ def joint_set(each: Each, found: Sequence[Facts], directions: bool) -> JointSet:
 
 
 def _sample(every: int, motion: Motion) -> tuple[tuple[str, ...], Floats]:
-    """The names of the points, and one pose in so many."""
+    """The names of the points, and every `every`-th pose."""
     return motion.names, _centred(heading.to_y_up(motion.positions[::every], motion.up))
 
 
@@ -321,7 +321,7 @@ def direction_coordinates(each: Each, found: Sequence[Facts], pose: Floats, ever
 
 
 def _aligned(pose: Floats, every: int, motion: Motion) -> Floats:
-    """One pose in so many, in the body's frame."""
+    """Every `every`-th pose, in the body's frame."""
     centred = _centred(heading.to_y_up(motion.positions, motion.up))
     out = []
     for a, b in chunk_bounds(len(centred), motion.rate, CHUNK_SECONDS):
@@ -364,7 +364,7 @@ def _with_spreads(joints: JointSet, each: Each) -> Statistics:
 
 
 def _magnitudes(joints: JointSet, motion: Motion) -> tuple[Floats, Floats, Floats, float]:
-    """Of a recording: sums of magnitudes (rows, frequencies) and their weights (frequencies,); of the means (rows,) and
+    """Sums of magnitudes of a recording (rows, frequencies) and their weights (frequencies,); of the means (rows,) and
     their weight."""
     nodes = np.array(contexts.BANDS_MHZ[1:])
     total, count = np.zeros((POSE + len(joints.statistics.bases[0]), len(nodes))), np.zeros(len(nodes))

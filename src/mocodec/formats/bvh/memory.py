@@ -69,7 +69,7 @@ def channels(joints: Sequence[Joint], names: Sequence[str]) -> list[str]:
 def channels_of(stored: Any, names: Sequence[str], parents: Sequence[int]) -> list[str | None] | None:
     """The inverse of `channels`: of each joint, None for an End Site; None for a skeleton of other joints.
 
-    Raises BadInput for what is no list of channels.
+    Raises BadInput if it is not a list of channels.
     """
     entries = expanded(stored, CHANNEL_RUN, "channels")
     if any(run.startswith("end") for run in stored):

@@ -32,6 +32,16 @@ def analog_signal(samples: NDArray[Any], rate: float, layout: Layout, parameters
     return Signal(samples, rate * layout.samples_per_frame, labels, units)
 
 
+def note_analog_rate(parameters: Parameters, rate: float, layout: Layout, notes: list[str]) -> None:
+    """Note that ANALOG:RATE differs from the samples that the file has in a frame. rate: of frames."""
+    declared, counted = parameters.number("ANALOG", "RATE"), rate * layout.samples_per_frame
+    if declared and not abs(declared - counted) <= 1e-3 * counted:
+        notes.append(
+            f"ANALOG:RATE is {declared:g} Hz; {layout.samples_per_frame} samples in each frame at {rate:g} Hz give "
+            f"{counted:g} Hz, which is used"
+        )
+
+
 def is_unsigned(parameters: Parameters) -> bool:
     """Whether analog samples and offsets are unsigned: ANALOG:FORMAT says so for integer and float files."""
     return "".join(parameters.texts("ANALOG", "FORMAT")).strip().upper() == "UNSIGNED"

@@ -18,7 +18,7 @@ from ...motion import Motion, Signal
 from ...typing import Booleans, Floats
 from ..conventions import UNITS_M, guess_up, metres_in, unit_option
 from ..zeros import parked_at_origin, store_parked, zeros_are_gaps
-from .analog import read_analog, smallest
+from .analog import note_analog_rate, read_analog, smallest
 from .by_label import find_by_label
 from .events import read_events, read_header_events
 from .labels import unique_names
@@ -113,6 +113,8 @@ def opened(head: bytes, data: Bytes, options: Options) -> Opened:
     layout, frames = settle(header, parameters, data, start, available, notes, options.salvage)
     if not layout.width and not parameters.count("ROTATION", "USED"):
         raise BadInput("has no points, no analog channels and no rotations: nothing to code")
+    if layout.channels:
+        note_analog_rate(parameters, rate, layout, notes)
     scale = 1.0 if layout.item == 4 else _scale(header, parameters, notes)
     return Opened(header, parameters, processor, order, first, rate, start, layout, frames, scale, source, notes)
 

@@ -16,7 +16,7 @@ END_M = 0.02
 """Half the size of the octahedron at a joint without children."""
 MIN_LENGTH_M = 1e-4
 TRIANGLES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
-"""Of the corners: start, four around, end; counter-clockwise seen from outside."""
+"""Triangles of an octahedron with the corners start, four around, end; counter-clockwise seen from outside."""
 
 
 class Mesh(NamedTuple):

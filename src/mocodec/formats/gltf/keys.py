@@ -50,7 +50,7 @@ class Curve(NamedTuple):
 
 
 class Property(NamedTuple):
-    """What is to be keyed: values (frames, width), whether they are quaternions, and the metres that a unit moves."""
+    """An animated value: values (frames, width), whether they are quaternions, and the metres that a unit moves."""
 
     values: Floats
     is_rotation: bool

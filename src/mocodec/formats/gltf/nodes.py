@@ -52,7 +52,7 @@ class Pose(NamedTuple):
 
 
 MIN_DETERMINANT = 1e-30
-"""Of a matrix; a smaller one is scaled to nothing."""
+"""A matrix with a smaller determinant scales to nothing."""
 MIN_ROTATION = 1e-9
 """Largest component of a rotation; a smaller one is none."""
 WORLD = Pose(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]), np.ones(3), None)

@@ -24,10 +24,10 @@ export interface Body {
   names: string[];
   /** Index of each link's parent, −1 for the root. */
   parents: number[];
-  /** Joint of each link with its parent, and its other end, metres. */
+  /** Ends of each link, metres: its joint with the parent, and the other end. */
   origins: Vector[];
   tips: Vector[];
-  /** Of the cylinder around each link, metres. */
+  /** Radius of the cylinder around each link, metres. */
   radii: number[];
 }
 
@@ -70,13 +70,13 @@ export function readBody(part: Bytes): Body {
   return body;
 }
 
-/** A rotation A and a translation b in metres: x stands at A x + b. */
+/** A rigid motion x ↦ A x + b: rotation A (`turn`) and translation b in metres (`shift`). */
 export interface Placement {
   turn: Quaternion;
   shift: Vector;
 }
 
-/** Where the links stand. local: rotation of each link in the frame of its parent; root: its translation. */
+/** Forward kinematics. local: rotation of each link in the frame of its parent; root: translation of the root. */
 function placements(body: Body, local: Quaternion[], root: Vector): Placement[] {
   const placed: Placement[] = [];
   body.parents.forEach((parent, l) => {
@@ -91,7 +91,7 @@ function placements(body: Body, local: Quaternion[], root: Vector): Placement[] 
   return placed;
 }
 
-/** Writes origins and tips of a frame. */
+/** Writes origins and tips of the links in a frame. */
 function write(body: Body, placed: Placement[], out: Float64Array, at: number): void {
   placed.forEach(({ turn, shift }, l) => {
     out.set(plus(rotated(turn, body.origins[l]!), shift), at + 6 * l);
@@ -99,7 +99,7 @@ function write(body: Body, placed: Placement[], out: Float64Array, at: number): 
   });
 }
 
-/** The rotation of a rotation vector. */
+/** The quaternion of a rotation vector. */
 function ofVector(v: Vector): Quaternion {
   const angle = lengthOf(v);
   return angle < 1e-9 ? [1, v[0] / 2, v[1] / 2, v[2] / 2] : aboutAxis(times(1 / angle, v), angle);
@@ -123,13 +123,13 @@ class Lien2006 implements PoseDecoder {
 
 /** The parts of a chunk of lien2006. */
 export interface LienChunk {
-  /** Of each frame: where the links stand; null for the next raw frame. */
+  /** Poses of the links in each frame; null for a raw frame. */
   placed: (Placement[] | null)[];
   rawFrames: Uint8Array;
   images: Uint8Array[];
 }
 
-/** Throws Corrupt. */
+/** Splits a chunk of lien2006. Throws Corrupt. */
 export function readLienChunk({ frames, payload }: StoredChunk, body: Body): LienChunk {
   const part = new Bytes(payload, "lien2006");
   const [poseBytes, rawBytes, count] = [part.varint(), part.varint(), part.varintWithin(0, 2 * frames, "the number of images")];
@@ -149,7 +149,7 @@ export function readLienChunk({ frames, payload }: StoredChunk, body: Body): Lie
   return { placed, rawFrames, images };
 }
 
-/** Step of each joint, radians. */
+/** Quantisation step of each joint, radians. */
 function jointSteps({ parents, origins, tips }: Body): number[] {
   return origins.map((o, l) => {
     let farthest = 0;
@@ -167,18 +167,18 @@ function isBelow(parents: number[], link: number, above: number): boolean {
   return at === above;
 }
 
-/** A body of bodycast, and how its poses are coded. */
+/** A body of bodycast, and the quantisation of its poses. */
 export interface PosedBody {
   body: Body;
-  /** Metres of a step of the root, and of a joint at its lever. */
+  /** Quantisation step, metres: of the root's position, and of a joint's motion at its lever. */
   step: number;
-  /** (links, 3), metres. */
+  /** Lever of each rotation (links, 3), metres. */
   levers: Float64Array;
-  /** The rotation of the rows side, across, axis of each link. */
+  /** Rotation into the frame of each link, with rows side, across, axis. */
   frames: Quaternion[];
 }
 
-/** Reads the front of a shared blob of bodycast. */
+/** Reads the first part of a shared blob of bodycast. */
 export function readPosedBody(part: Bytes): PosedBody {
   const body = readBody(part);
   const step = part.varintWithin(1, 2 ** 17, "the pose step") / 100_000;
@@ -189,12 +189,12 @@ export function readPosedBody(part: Bytes): PosedBody {
 
 /** The parts of a chunk of bodycast. */
 export interface ChunkParts {
-  /** (frames, bodies): not 0 where a body is not in a frame. */
+  /** (frames, bodies): not 0 where a frame does not have a body. */
   absent: Float64Array;
   rawFrames: Uint8Array;
   outliers: Uint8Array;
   exactPoints: Uint8Array;
-  /** Of each body: its poses, and its packets of pictures. */
+  /** Coded poses of each body. `pictures`: packets of its video. */
   poses: Uint8Array[];
   pictures: Uint8Array[][];
 }
@@ -236,7 +236,7 @@ class Bodycast implements PoseDecoder {
   }
 }
 
-/** The rotation of vectors into the frame of a link: rows side, across, axis. */
+/** The rotation into the frame of a link, with rows side, across, axis. */
 function linkFrame(origin: Vector, tip: Vector): Quaternion {
   const along = minus(tip, origin);
   const axis = times(1 / Math.max(lengthOf(along), 1e-9), along);
@@ -244,7 +244,7 @@ function linkFrame(origin: Vector, tip: Vector): Quaternion {
   return fromMatrix([...side, ...cross(axis, side), ...axis]);
 }
 
-/** Where the links of a body stand in each frame of a chunk. */
+/** Poses of a body's links in each frame of a chunk. */
 export function readPlacements(data: Uint8Array, frames: number, { body, step, levers, frames: linkFrames }: PosedBody): Placement[][] {
   const links = body.parents.length;
   const part = new Bytes(data, "bodycast");

@@ -1,14 +1,14 @@
-/** What a codec gets and gives (docs/payloads/index.md). */
+/** Input and output of codecs (docs/payloads/index.md). */
 
 import type { Skeleton } from "../container/skeleton.js";
 
-/** A chunk as it stands in the file. */
+/** A chunk as stored in the file. */
 export interface StoredChunk {
   frames: number;
   payload: Uint8Array;
 }
 
-/** What a codec needs of the header. */
+/** Facts from the header that a codec needs. */
 export interface Facts {
   names: string[];
   points: number;
@@ -25,14 +25,14 @@ export interface Facts {
 export interface Decoded {
   /** (frames, points, 3), metres; NaN in gaps. */
   positions: Float64Array;
-  /** (frames, joints, 4), quaternions, w first; only where the file has rotations. */
+  /** (frames, joints, 4), quaternions, w first; only if the file has rotations. */
   rotations?: Float64Array;
 }
 
 /** Decodes the chunks of one file. */
 export interface ChunkDecoder {
-  /** Chunk `which` of a window of neighbouring chunks: those within the file's margin around it. */
+  /** Decodes chunk `which` of a window, which contains its neighbours within the file's margin. */
   decode(window: StoredChunk[], which: number): Decoded;
-  /** Frames of a chunk, counted from its first, at which the codec begins something, by what begins there. Absent: nothing ever does. */
+  /** Frames of a chunk, counted from its first, at which a clip, segment or key frame begins, by kind. Absent: the codec has none. */
   marks?(chunk: StoredChunk): Record<string, number[]>;
 }

@@ -1,4 +1,4 @@
-/** The codec `hou2014`: a DCT along time and one basis across points (docs/payloads/hou2014.md). Tempo falls back to it. */
+/** The codec `hou2014`: a DCT along time and one basis across points (docs/payloads/hou2014.md). Also the fallback of tempo. */
 
 import { Bytes } from "../bytes.js";
 import { addCorrections } from "../corrections.js";
@@ -18,7 +18,7 @@ const ADAPTIVE = 32;
 const SHARED = 64;
 const MOST_RUNG = 4096;
 
-/** What hou2014 needs of the header. */
+/** Facts from the header that hou2014 needs. */
 export interface HouFacts {
   points: number;
   parents: number[] | undefined;
@@ -36,7 +36,7 @@ interface Clip {
   frequencies: number;
 }
 
-/** Reads the shared bytes. */
+/** Opens the decoder, from the shared bytes. */
 export async function openHou2014(facts: HouFacts): Promise<ChunkDecoder> {
   await loadKernels();
   return new Hou2014(facts);

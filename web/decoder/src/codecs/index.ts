@@ -1,4 +1,4 @@
-/** Which module decodes which codec. Modules of rarer codecs are loaded when a file needs them. */
+/** Chooses the decoder of a codec. Modules of rarer codecs are loaded when a file needs them. */
 
 import { Corrupt, UnknownCodec, Unsupported, check } from "../errors.js";
 import type { ChunkDecoder, Decoded, Facts, StoredChunk } from "./codec.js";

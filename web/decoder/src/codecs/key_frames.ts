@@ -3,7 +3,7 @@
 import type { Bits } from "../bytes.js";
 import { halfToEven } from "../numbers.js";
 
-/** Key frames of a run of `frames` frames, level after level, each ascending. */
+/** Key frames among `frames` frames, level by level, ascending in each level. */
 export function readKeyFrames(bits: Bits, frames: number): number[][] {
   const first = [...new Set([0, 1, 2, 3].map((i) => halfToEven((i * (frames - 1)) / 3)))].sort((a, b) => a - b);
   const levels = [first];
@@ -23,7 +23,7 @@ export function readKeyFrames(bits: Bits, frames: number): number[][] {
   }
 }
 
-/** Trajectories (frames, lanes) as key frames with values. */
+/** Trajectories (frames, lanes), stored as values at key frames. */
 export class Track {
   /** Second derivatives at the key frames. */
   private readonly bends: Float64Array;
@@ -37,7 +37,7 @@ export class Track {
     this.bends = secondDerivatives(keys, values, lanes);
   }
 
-  /** From the numbers (key frames, lanes) of each key frame, in the order of the levels. */
+  /** A track from its numbers (key frames, lanes), in the order of the levels. */
   static read(levels: number[][], numbers: Float64Array, lanes: number, step: number): Track {
     const first = levels[0]!;
     const values = numbers.slice(0, first.length * lanes).map((v) => v * step);
@@ -64,7 +64,7 @@ export class Track {
     return new Track(both.map(({ key }) => key), values, lanes);
   }
 
-  /** The natural cubic spline at a frame, written to `out` from index `place` on. */
+  /** Writes the value of the natural cubic spline at a frame to `out`, from index `place` on. */
   at(frame: number, out: Float64Array, place: number): void {
     const { keys, values, lanes, bends } = this;
     if (keys.length < 2) {
@@ -91,7 +91,7 @@ export class Track {
   }
 }
 
-/** Of the natural spline: zero at both ends, a tridiagonal system between. */
+/** Second derivatives of the natural spline at its keys: zero at both ends, a tridiagonal system between. */
 function secondDerivatives(keys: number[], values: Float64Array, lanes: number): Float64Array {
   const n = keys.length;
   const bends = new Float64Array(n * lanes);

@@ -12,10 +12,10 @@ import { Track, readKeyFrames } from "./key_frames.js";
 const MOST_RUNG = 3840;
 const MOST_REACH = 2 ** 17;
 const SHORTEST_M = 1e-6;
-/** Sections before and after those of the groups. */
+/** Number of sections besides those of the groups. */
 const SECTIONS = 6;
 
-/** Turns three markers: rows of the matrix of the page, each times its factor. */
+/** Rotation of three markers: rows of the matrix of the page, each with its factor. */
 const TRIPLE = [
   [1, 1, 1].map((v) => v / Math.sqrt(3)),
   [0, -1, 1].map((v) => v / Math.sqrt(2)),
@@ -23,7 +23,7 @@ const TRIPLE = [
 ] as const;
 
 interface GroupModel {
-  /** (3 · points of the group). */
+  /** Mean pose (3 · points of the group). */
   mean: Float64Array;
   /** (3 · points of the group, components). */
   basis: Float64Array;
@@ -41,13 +41,13 @@ interface Segment {
   corrections: Uint8Array;
 }
 
-/** A segment of a window, and where it begins there. */
+/** A segment, and its first frame within a window. */
 interface Placed {
   segment: Segment;
   start: number;
 }
 
-/** Reads the shared bytes. */
+/** Opens the decoder, from the shared bytes. */
 export async function openLiu2006(facts: Facts): Promise<ChunkDecoder> {
   await loadKernels();
   return new Liu2006(facts);
@@ -103,7 +103,7 @@ class Liu2006 implements ChunkDecoder {
     return { positions };
   }
 
-  /** Key frames are those of any group of markers. */
+  /** A key frame of any marker group counts. */
   marks(chunk: StoredChunk): Record<string, number[]> {
     const { frames, before, markers, groups } = this.segment(chunk);
     const keys = [...markers.keys, ...groups.flatMap(({ track }) => track.keys.map((key) => key - before))];
@@ -111,7 +111,7 @@ class Liu2006 implements ChunkDecoder {
     return { segment: [0], "key frame": inside.sort((a, b) => a - b) };
   }
 
-  /** A segment, read once while its payload is at hand. */
+  /** The segment of a chunk, read once and cached by its payload. */
   private segment({ frames, payload }: StoredChunk): Segment {
     let segment = this.segments.get(payload);
     if (!segment) this.segments.set(payload, (segment = this.readSegment(payload, frames)));
@@ -143,7 +143,7 @@ class Liu2006 implements ChunkDecoder {
     return { frames, before, after, markers, groups, gaps: sections.at(-2)!, corrections: sections.at(-1)! };
   }
 
-  /** Positions (frames, markers, 3) of the normalisation markers, which are also written to `positions`. */
+  /** Positions (frames, markers, 3) of the normalisation markers, also written to `positions`. */
   private placeMarkers({ frames, markers: track }: Segment, positions: Float64Array): Float64Array {
     const { markers } = this;
     const lanes = 3 * markers.length;
@@ -208,7 +208,7 @@ function readGroup(head: Bytes, splits: Bits, mean: Float64Array, frames: number
   return { mean: mean.map((v) => v * factor), basis, components, track };
 }
 
-/** For each dimension: the same coordinate of the earlier point whose mean is nearest, or −1. */
+/** For each dimension, the same coordinate of the earlier point with the nearest mean, or −1. */
 function nearestBefore(mean: Float64Array): Int32Array {
   const alike = new Int32Array(mean.length).fill(-1);
   for (let p = 3; p < mean.length; p += 3) {
@@ -226,7 +226,7 @@ function nearestBefore(mean: Float64Array): Int32Array {
   return alike;
 }
 
-/** The pose of a group's model at frame t of its segment, which may lie in its reach. */
+/** The pose of a group's model at frame t of its segment; t may lie in the reach before or after it. */
 function poseOf({ groups, before }: Segment, group: number, t: number, out: Float64Array): void {
   const { mean, basis, components, track } = groups[group]!;
   const values = new Float64Array(components);

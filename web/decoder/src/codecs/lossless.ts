@@ -70,7 +70,7 @@ export class Lossless implements ChunkDecoder {
     return this.ranks(residuals, frames, channels, fromLevel, toLevel).map((rank) => floatOf(rank) * this.unit);
   }
 
-  /** Ranks from their residuals: a linear predictor over the eight samples before, in every channel. */
+  /** Ranks from their residuals, with a linear predictor over eight earlier samples of each channel. */
   private ranks(
     residuals: Float64Array,
     frames: number,
@@ -98,7 +98,7 @@ export class Lossless implements ChunkDecoder {
     return ranks;
   }
 
-  /** (Σ tap · (past − latest) + 2^13) >> 14; where the sum is not exact in float64, in big integers. */
+  /** (Σ tap · (past − latest) + 2^13) >> 14, in big integers if float64 would not be exact. */
   private drift(past: Float64Array): number {
     let sum = 8192;
     let size = 8192;
@@ -121,7 +121,7 @@ function clip(value: number, most: number): number {
 const FLOAT = new Float32Array(1);
 const BITS = new Int32Array(FLOAT.buffer);
 
-/** The float32 of a rank, of which the lowest 32 bits count. */
+/** The float32 of a rank, modulo 2^32. */
 function floatOf(rank: number): number {
   BITS[0] = rank < 0 ? rank ^ 0x7fffffff : rank; // modulo 2^32: |rank| is at most 2^37
   return FLOAT[0]!;
@@ -134,7 +134,7 @@ function rankOf(value: number): number {
   return bits < 0 ? bits ^ 0x7fffffff : bits;
 }
 
-/** Form 2: 64-bit ranks as four words each, and sums along time modulo 2^64, as pairs of 32 bits. */
+/** Form 2: 64-bit ranks, stored as differences along time modulo 2^64, in four words each. Computed as pairs of 32 bits. */
 function doubles(words: Float64Array, frames: number, channels: number): Float64Array {
   const bits = new Uint32Array(2 * frames * channels);
   const high = new Uint32Array(channels);
@@ -159,7 +159,7 @@ function doubles(words: Float64Array, frames: number, channels: number): Float64
   return values;
 }
 
-/** Quaternions (frames, joints, 4): byte planes of 64-bit numbers, each combined with the one before it in time. */
+/** Quaternions (frames, joints, 4): byte planes of 64-bit numbers, each XORed with the number before it in time. */
 function readRotations(data: Uint8Array, frames: number, joints: number): Float64Array {
   const numbers = 4 * joints * frames;
   const bytes = inflateZlib(data, 8 * numbers);

@@ -6,14 +6,14 @@ import { inflate } from "../inflate.js";
 import { inflateLzma2 } from "../lzma2.js";
 import { StoredArray, itemSize, readShape, sizeOf } from "./values.js";
 
-/** An array at this place, of at most `limit` bytes when unpacked. */
+/** Reads an array of at most `limit` unpacked bytes. */
 export function readArray(part: Bytes, limit: number): StoredArray {
   const array = new StoredArray("", [], new Uint8Array(0));
   fillArray(array, part, limit);
   return array;
 }
 
-/** Reads an array into a placeholder; returns the bytes that it took when unpacked. */
+/** Reads an array into a placeholder; returns its unpacked bytes. */
 export function fillArray(array: StoredArray, part: Bytes, limit: number): number {
   array.dtype = part.string();
   const width = itemSize(array.dtype);
@@ -49,7 +49,7 @@ function decompressed(data: Uint8Array, coder: number, size: number): Uint8Array
   return bytes;
 }
 
-/** Items as in memory: undoes moved axes, byte planes, differences and steps. */
+/** Items as in memory: undoes transposition, byte planes, differences and steps. */
 function untransformed(bytes: Uint8Array, array: StoredArray, transform: number, step: number): Uint8Array {
   if (transform === 0) return bytes.slice();
   const kind = array.dtype[1]!;
@@ -72,7 +72,7 @@ function untransformed(bytes: Uint8Array, array: StoredArray, transform: number,
   return transform === 3 ? scaled(out, array, step) : out;
 }
 
-/** Sums along the first axis, modulo 2 to the bits of a number. */
+/** Cumulative sums along the first axis, modulo 2^bits of a number. */
 function accumulate(out: Uint8Array, rows: number, others: number, width: number, bigEndian: boolean): void {
   for (let i = others; i < rows * others; i++) {
     let carry = 0;
@@ -85,7 +85,7 @@ function accumulate(out: Uint8Array, rows: number, others: number, width: number
   }
 }
 
-/** Transform 3: multiples of a step as 32-bit integers become floats of the array's type. */
+/** Transform 3: converts 32-bit integers, multiples of a step, to floats of the array's type. */
 function scaled(bytes: Uint8Array, array: StoredArray, step: number): Uint8Array {
   const width = itemSize(array.dtype);
   const little = array.dtype[0] !== ">";

@@ -34,24 +34,24 @@ export interface Header {
   rotations: boolean;
   settings: Tree;
   source: Tree;
-  /** Bytes of the extras section without its checksum, of its content, and of the signals behind it; 0: none. */
+  /** Bytes of the extras section without its checksum, of its unpacked content, and of the signals after it; 0: none. */
   extras: { section: number; unpacked: number; signals: number };
   shared: Uint8Array[];
 }
 
-/** Where a chunk is. */
+/** Position of a chunk in the file. */
 export interface ChunkPlace {
   /** Number of its first frame. */
   start: number;
   frames: number;
-  /** Byte offset of the chunk, of which the payload is a part. */
+  /** Byte offset of the chunk, which begins with its head. */
   offset: number;
   /** Bytes of the chunk with head and checksum. */
   size: number;
   payloadBytes: number;
 }
 
-/** Reads the header; `end` is the byte offset behind its checksum. Throws BadInput, TooNew, Truncated, Corrupt. */
+/** Reads the header; `end` is the byte offset after its checksum. Throws BadInput, TooNew, Truncated, Corrupt. */
 export async function readHeader(source: ByteSource): Promise<{ header: Header; end: number }> {
   const front = await source.read(0, Math.min(source.size, 16));
   if (!MAGIC.every((byte, i) => front[i] === byte)) {
@@ -93,7 +93,7 @@ async function hasEndMagic(source: ByteSource): Promise<boolean> {
   return END_MAGIC.every((byte, i) => tail[i] === byte);
 }
 
-/** Whether the last four bytes are the checksum of those before. */
+/** Whether the last four bytes are the checksum of the bytes before. */
 export function checksumHolds(bytes: Uint8Array): boolean {
   const body = bytes.subarray(0, bytes.length - CHECKSUM_BYTES);
   return bytes.length >= CHECKSUM_BYTES && new Bytes(bytes.subarray(body.length), "a checksum").uint32() === crc32(body);
@@ -116,7 +116,7 @@ async function readFields(part: Bytes): Promise<Header> {
   const shared: Uint8Array[] = [];
   for (let count = part.varintWithin(0, part.left, "the number of shared blobs"); count > 0; count--) {
     const head = part.varint();
-    check(head % 2 === 0, "the header: shared bytes kept elsewhere, which this version does not read");
+    check(head % 2 === 0, "the header: shared bytes outside the file, which this version does not read");
     shared.push(part.take(head / 2));
   }
   return { kind: isMotion ? "motion" : "clouds", up, codec, rate, margin, names, channels, ...skeleton, settings, source, extras, shared };
@@ -148,7 +148,7 @@ function readSizes(part: Bytes): Header["extras"] {
   return sizes;
 }
 
-/** Byte offset of the first chunk, from that of the end of the header. */
+/** Byte offset of the first chunk. end: byte offset of the end of the header. */
 export function chunksStart(header: Header, end: number): number {
   const { section, signals } = header.extras;
   return end + (section ? section + CHECKSUM_BYTES : 0) + signals;
@@ -158,7 +158,7 @@ function mostFrames(header: Header): number {
   return Math.floor(MOST_SAMPLES / (header.kind === "clouds" ? CLOUD_SAMPLES : Math.max(1, header.names.length)));
 }
 
-/** All chunks, by the index. Throws Truncated, Corrupt. */
+/** Positions of all chunks, from the index. Throws Truncated, Corrupt. */
 export async function readIndex(source: ByteSource, header: Header, first: number): Promise<ChunkPlace[]> {
   if (first > source.size) throw new Truncated("the file ends before its first chunk");
   const tail = await source.read(Math.max(0, source.size - MOST_TAIL_BYTES), Math.min(MOST_TAIL_BYTES, source.size));
@@ -210,7 +210,7 @@ function placed(frames: number[], lengths: number[], header: Header, first: numb
   return chunks;
 }
 
-/** Chunks from the front to the first that is incomplete, without an index. */
+/** Positions of the chunks before the first incomplete one, found without the index. */
 export async function walkChunks(source: ByteSource, header: Header, first: number): Promise<ChunkPlace[]> {
   const chunks: ChunkPlace[] = [];
   let start = 0;

@@ -45,7 +45,7 @@ export function readLimits(data: Uint8Array, joints: number): Limits {
     result = { orders, ranges, axes };
   }
   part.end();
-  for (let i = 0; i < 3 * joints; i++) check(result.ranges[2 * i]! <= result.ranges[2 * i + 1]!, "joint limits: a range without angles");
+  for (let i = 0; i < 3 * joints; i++) check(result.ranges[2 * i]! <= result.ranges[2 * i + 1]!, "joint limits: an empty range");
   return result;
 }
 
@@ -55,7 +55,7 @@ function reference(number: number, joints: number): Reference {
     return { orders: zeros, kinds: zeros, ranges: zeros, frames: zeros };
   }
   const table = REFERENCE_LIMITS[number];
-  check(table !== undefined && table.length === joints, "joint limits: a reference of another skeleton");
+  check(table !== undefined && table.length === joints, "joint limits: a reference to another skeleton");
   const ranges = table.flatMap(([, entry]) => LIMIT_RANGES[entry!]!);
   const kinds = ranges.map(([least, greatest], i) => (i < 3 ? UNLIMITED : least === 0 && greatest === 0 ? LOCKED : RANGE));
   return { orders: table.map(([order]) => order!), kinds, ranges: ranges.flat(), frames: table.flatMap(([, , frame]) => LIMIT_FRAMES[frame!]!) };

@@ -9,7 +9,7 @@ import { VOCABULARY, nameDictionary } from "./tables.js";
 const MOST_NAMES = 65_536;
 const MOST_TEXT_BYTES = 1 << 22;
 
-/** The names at this place of the header. */
+/** Reads the names of the header. */
 export function readNames(part: Bytes): string[] {
   const head = part.varint();
   const count = Math.floor(head / 8);

@@ -2,9 +2,9 @@
 
 export const ORDERS = ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"] as const;
 
-/** For each joint: its order of axes, the least and greatest angle of each (radians), and the frame of the axes. */
+/** Limits of each joint: order of axes, least and greatest angle of each axis, and frame of the axes. */
 export interface Limits {
-  /** Index in ORDERS of each joint. */
+  /** Index in ORDERS for each joint. */
   orders: number[];
   /** (joints, 3, 2), radians; ±∞ for an axis without limits. */
   ranges: Float64Array;

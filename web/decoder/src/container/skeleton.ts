@@ -8,9 +8,9 @@ import { REFERENCE_OFFSETS, TREES } from "./tables.js";
 
 export interface Skeleton {
   names: string[];
-  /** Index of each joint's parent, −1 for a root. Parents stand before their children. */
+  /** Index of each joint's parent, −1 for a root. Parents come before their children. */
   parents: number[];
-  /** (joints, 3), metres: from the parent, in the rest pose. */
+  /** Offsets from the parent in the rest pose (joints, 3), metres. */
   offsets: Float64Array;
   limits?: Limits;
 }
@@ -19,7 +19,7 @@ const STEPS_A_METRE = 100_000;
 const MOST_STEPS = 2 ** 31;
 const EXTENDED = 112;
 
-/** The skeleton at this place of the header, and whether the file has rotations of its joints. */
+/** Reads the skeleton of the header, and whether the file has rotations of its joints. */
 export async function readSkeleton(part: Bytes, pointNames: string[]): Promise<{ skeleton: Skeleton; rotations: boolean }> {
   if (part.left === 0 || part.data[part.at] !== EXTENDED) return { skeleton: await plain(part, pointNames), rotations: false };
   part.byte();
@@ -60,7 +60,7 @@ async function plain(part: Bytes, pointNames: string[]): Promise<Skeleton> {
   return { names, parents, offsets };
 }
 
-/** Bits, the lowest of each byte first, padded with zeros to a whole byte. */
+/** Reads bits, the lowest of each byte first, padded with zeros to a whole byte. */
 class LowBits {
   private byte = 0;
   private remaining = 0;
@@ -78,14 +78,14 @@ class LowBits {
     return bit;
   }
 
-  /** A number of `count` digits, the lowest first. */
+  /** Reads a number of `count` bits, the lowest first. */
   number(count: number): number {
     let value = 0;
     for (let i = 0, factor = 1; i < count; i++, factor *= 2) value += this.bit() * factor;
     return value;
   }
 
-  /** Exponential Golomb code of order k. */
+  /** Reads an exponential Golomb code of order k. */
   golomb(k: number): number {
     let zeros = 0;
     while (this.bit() === 0) {
@@ -107,7 +107,7 @@ function readParents(bits: LowBits, joints: number): number[] {
   return parents;
 }
 
-/** How a joint's offset is predicted: by the mirrored offset of an earlier joint, or by a fixed one. */
+/** Prediction of a joint's offset: the mirrored offset of an earlier joint, or a fixed offset. */
 type Predictor = { partner: number; axis: number } | { offset: number[] };
 
 function predictors(names: string[], tree: number, mirror: number): Predictor[] {
@@ -132,7 +132,7 @@ const SIDES = [
   ["R", "L"],
 ] as const;
 
-/** Names of the same joint on the other side, in the order in which they are tried. */
+/** Possible names of the joint on the other side, in the order of trial. */
 function otherSides(name: string): string[] {
   const found: string[] = [];
   for (const [side, other] of SIDES) {
@@ -143,7 +143,7 @@ function otherSides(name: string): string[] {
   return found;
 }
 
-/** Offsets (joints, 3) in metres. */
+/** Reads offsets (joints, 3) in metres. */
 function readOffsets(bits: LowBits, predicted: Predictor[], chained: boolean): Float64Array {
   const orders = [bits.number(4), bits.number(4)] as const;
   const steps: number[][] = [];
@@ -173,7 +173,7 @@ function residual(bits: LowBits, order: number): number {
   return number % 2 ? -(number + 1) / 2 : number / 2;
 }
 
-/** The first of the coordinates of the largest magnitude. */
+/** Axis of the first coordinate of the largest magnitude. */
 function largest(vector: number[]): number {
   let main = 0;
   for (let c = 1; c < 3; c++) if (Math.abs(vector[c]!) > Math.abs(vector[main]!)) main = c;

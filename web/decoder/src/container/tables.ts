@@ -1,4 +1,4 @@
-/** The literal tables of the format. `scripts/tables.py` writes tables.json from those of the Python package. */
+/** The literal tables of the format. `scripts/tables.py` writes tables.json from the tables of the Python package. */
 
 import tables from "../tables.json";
 
@@ -26,7 +26,7 @@ export function valueDictionary(): Uint8Array {
   return fromText(tables.valueDictionary);
 }
 
-/** Bytes of a text with a character for each. */
+/** Bytes of a text with one character for each byte. */
 export function fromText(text: string): Uint8Array {
   return Uint8Array.from(text, (character) => character.charCodeAt(0));
 }

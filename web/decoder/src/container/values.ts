@@ -5,13 +5,13 @@ import { Corrupt, check } from "../errors.js";
 import { inflate } from "../inflate.js";
 import { MORE_WORDS, SOURCES, WORDS, valueDictionary } from "./tables.js";
 
-/** What a tree consists of. Integers beyond 2^53 are bigint; dicts are objects without a prototype. */
+/** A value of a tree. Integers beyond 2^53 are bigint; dicts are objects without a prototype. */
 export type Value = null | boolean | number | bigint | string | Uint8Array | StoredArray | StoredSignal | CodedSignal | Value[] | Tree;
 export interface Tree {
   [key: string]: Value;
 }
 
-/** An array of extras; `bytes` holds its items as in memory, last axis fastest, or waits for the section. */
+/** An array of extras. bytes: its items as in memory, last axis fastest; empty until the section is read. */
 export class StoredArray {
   constructor(
     /** A NumPy type string with its byte order, such as `<f4`. */
@@ -21,7 +21,7 @@ export class StoredArray {
   ) {}
 }
 
-/** A signal whose samples are an array of the extras (type 12). */
+/** A signal with its samples in an array of the extras (type 12). */
 export class StoredSignal {
   constructor(
     readonly rate: number,
@@ -31,7 +31,7 @@ export class StoredSignal {
   ) {}
 }
 
-/** A signal whose chunks stand in the section of signals (type 15). */
+/** A signal with its chunks in the section of signals (type 15). */
 export class CodedSignal {
   constructor(
     readonly rate: number,
@@ -44,12 +44,12 @@ export class CodedSignal {
 
 const MOST_STREAM_BYTES = 1 << 26;
 const MOST_LEVELS = 64;
-/** Stands in place of the length of a stream that is deflated with the dictionary of laboratories. */
+/** Replaces the length of a stream that is deflated with the laboratory dictionary. */
 const LAB_WORDS = 1;
 const MOST_DIMENSIONS = 16;
 const MOST_ARRAY_BYTES_IN_TREE = 64;
 
-/** The stream of a tree at this place: plain or inflated. labWords: the first part of the dictionary of laboratories, of extras. */
+/** Reads the stream of a tree, inflated if it is deflated. labWords: first part of the laboratory dictionary, for extras only. */
 export function treeStream(part: Bytes, labWords?: Uint8Array): Uint8Array {
   const head = part.varint();
   const size = head === LAB_WORDS ? part.varint() : Math.floor(head / 2);
@@ -62,12 +62,12 @@ export function treeStream(part: Bytes, labWords?: Uint8Array): Uint8Array {
   return bytes;
 }
 
-/** A tree without arrays. */
+/** Reads a tree without arrays. */
 export function readTree(part: Bytes): Tree {
   return new TreeReader(new Bytes(treeStream(part), part.what), false).all();
 }
 
-/** The source of a recording: an entry of the table SOURCES, and what replaces or follows it. */
+/** Reads the source of a recording: an entry of the table SOURCES, updated by a tree. */
 export function readSource(part: Bytes): Tree {
   const number = part.varint();
   check(number < SOURCES.length, `${part.what}: a reserved number of a source`);
@@ -75,7 +75,7 @@ export function readSource(part: Bytes): Tree {
 }
 
 export class TreeReader {
-  /** Arrays of type 11 and coded signals, in the order of the tree: their data follow it. */
+  /** Arrays of type 11 and coded signals, in the order of the tree; their data come after the tree. */
   readonly pending: (StoredArray | CodedSignal)[] = [];
   private level = 0;
 
@@ -92,7 +92,7 @@ export class TreeReader {
 
   private entry(tree: Tree): void {
     const key = this.value();
-    check(typeof key === "string" && !(key in tree), `${this.part.what}: a key that is no string or occurs twice`);
+    check(typeof key === "string" && !(key in tree), `${this.part.what}: a key that is not a string or occurs twice`);
     tree[key] = this.value();
   }
 
@@ -208,7 +208,7 @@ export function isTexts(value: Value): value is string[] {
   return Array.isArray(value) && value.every((item) => typeof item === "string");
 }
 
-/** Dimensions: their number, then each. */
+/** Reads the number of dimensions, then each dimension. */
 export function readShape(part: Bytes): number[] {
   const dimensions = part.varintWithin(0, MOST_DIMENSIONS, "the number of dimensions");
   return Array.from({ length: dimensions }, () => part.varint());
@@ -244,7 +244,7 @@ function exact(value: bigint): number | bigint {
   return Number.isSafeInteger(number) ? number : value;
 }
 
-/** Rejects what no tree of extras has: events without a time. */
+/** Throws Corrupt if an event of the extras has no time. */
 export function checkEvents(tree: Tree): void {
   const events = tree["events"];
   if (events === undefined) return;

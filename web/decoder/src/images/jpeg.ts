@@ -1,7 +1,7 @@
 /**
  * JPEG pictures of three components, sequential, with Huffman codes of 8 bits (ITU-T T.81, JFIF).
  *
- *     segments ─► tables, size ─► codes ─► coefficients ─► blocks ─► planes, enlarged ─► red, green, blue
+ *     segments ─► tables, size ─► codes ─► coefficients ─► blocks ─► planes, upsampled ─► red, green, blue
  */
 
 import { Bytes } from "../bytes.js";
@@ -12,15 +12,15 @@ const END = 0xd9;
 const [SOF0, SOF1, SOF2] = [0xc0, 0xc1, 0xc2];
 const [HUFFMAN, TABLES, SCAN, RESTART] = [0xc4, 0xdb, 0xda, 0xdd];
 const FASTEST_BITS = 9;
-/** Bytes that a decoder looks ahead. */
+/** Most bytes that the decoder reads past the end. */
 const MOST_BEYOND = 4;
 
-/** Places of coefficients in a block, in the order of their codes. */
+/** Positions of coefficients in a block, in the order of their codes. */
 const ZIGZAG = Uint8Array.of(
   0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20, 13, 6, 7, 14, 21, 28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22,
   15, 23, 30, 37, 44, 51, 58, 59, 52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
 );
-/** Fractional bits of factors, and of the values between the two passes of the transform. */
+/** Fractional bits of factors, and of values between the two passes of the transform. */
 const FACTOR_BITS = 13;
 const BETWEEN_BITS = 2;
 
@@ -36,15 +36,15 @@ interface Component {
   down: number;
   table: number;
   codes: [number, number];
-  /** Samples of whole blocks, and their width. */
+  /** Samples of whole blocks. `stride`: samples in a line. */
   samples: Uint8Array;
   stride: number;
-  /** The part of them that the picture has. */
+  /** Size of the part within the picture. */
   width: number;
   height: number;
 }
 
-/** Throws Corrupt, and Unsupported for other kinds of JPEG. most: pixels at most. */
+/** Decodes a JPEG. most: limit of pixels. Throws Corrupt, and Unsupported for other kinds of JPEG. */
 export function readJpeg(data: Uint8Array, most: number): Colours {
   const part = new Bytes(data, "JPEG");
   check(part.byte() === 0xff && part.byte() === 0xd8, "JPEG: another signature");
@@ -83,11 +83,11 @@ function readTables(segment: Bytes, tables: Uint16Array[]): void {
   }
 }
 
-/** A Huffman code: symbols in order, and of each length the first code and number. */
+/** A Huffman code: symbols in the order of their codes, and the number of codes of each length. */
 interface Huffman {
   symbols: Uint8Array;
   counts: Uint8Array;
-  /** Of the next FASTEST_BITS bits: length · 256 + symbol, 0 for longer codes. */
+  /** Lookup by the next FASTEST_BITS bits: length · 256 + symbol; 0 for longer codes. */
   fast: Uint16Array;
 }
 
@@ -114,7 +114,7 @@ function readCodes(segment: Bytes, codes: Huffman[]): void {
 function readFrame(segment: Bytes, most: number): { width: number; height: number; components: Map<number, Component> } {
   if (segment.byte() !== 8) throw new Unsupported("a JPEG of more than 8 bits");
   const [height, width, count] = [number16(segment), number16(segment), segment.byte()];
-  check(width > 0 && height > 0 && width * height <= most, "JPEG: its size");
+  check(width > 0 && height > 0 && width * height <= most, "JPEG: wrong size");
   if (count !== 3) throw new Unsupported("a JPEG without three components");
   const raw = [0, 1, 2].map(() => {
     const [id, factors, table] = [segment.byte(), segment.byte(), segment.byte()];
@@ -131,7 +131,7 @@ function readFrame(segment: Bytes, most: number): { width: number; height: numbe
     const size = { width: Math.ceil((width * own.across) / across), height: Math.ceil((height * own.down) / down) };
     components.set(own.id, { ...own, codes: [0, 0], samples, stride, ...size });
   }
-  check(components.size === 3, "JPEG: a component comes twice");
+  check(components.size === 3, "JPEG: a component occurs twice");
   return { width, height, components };
 }
 
@@ -146,12 +146,12 @@ function readScan(segment: Bytes, components: Map<number, Component>): Component
   });
 }
 
-/** Bits behind the scan's header; bytes 0 after 255 are left out. */
+/** Reads bits after the scan's header; skips bytes 0 after 255. */
 class Codes {
   private at = 0;
   private bits = 0;
   private count = 0;
-  /** Bytes read behind the end. */
+  /** Bytes read past the end. */
   private beyond = 0;
 
   constructor(private readonly data: Uint8Array) {}
@@ -162,13 +162,13 @@ class Codes {
       if (this.at < this.data.length && !(this.data[this.at] === 255 && this.data[this.at + 1] !== 0)) {
         byte = this.data[this.at]!;
         this.at += byte === 255 ? 2 : 1;
-      } else check(++this.beyond <= MOST_BEYOND, "JPEG: its scan is cut off");
+      } else check(++this.beyond <= MOST_BEYOND, "JPEG: the scan is cut off");
       this.bits = ((this.bits << 8) | byte) & 0xffffff;
       this.count += 8;
     }
   }
 
-  /** The next bits as a number. */
+  /** Reads a number of `count` bits. */
   number(count: number): number {
     if (count === 0) return 0;
     this.fill(count);
@@ -176,7 +176,7 @@ class Codes {
     return (this.bits >> this.count) & ((1 << count) - 1);
   }
 
-  /** A number of `count` bits; without its highest bit it is negative. */
+  /** Reads a signed number of `count` bits; it is negative if the highest bit is 0. */
   signed(count: number): number {
     const value = this.number(count);
     return count && value < 1 << (count - 1) ? value - (1 << count) + 1 : value;
@@ -225,7 +225,7 @@ function decodeScan(bits: Codes, components: Component[], { width, height }: { w
   }
 }
 
-/** Reads a block, scaled; returns the difference of its mean. */
+/** Reads a block, dequantised; returns the difference of its DC coefficient. */
 function readBlock(bits: Codes, block: Int32Array, scale: Uint16Array, dc: Huffman, ac: Huffman, before: number): number {
   block.fill(0);
   const difference = bits.signed(Math.min(bits.symbol(dc), 15));
@@ -242,7 +242,7 @@ function readBlock(bits: Codes, block: Int32Array, scale: Uint16Array, dc: Huffm
   return difference;
 }
 
-/** The inverse cosine transform of a block, to samples from `at` on: first columns, then rows, rounded as libjpeg does. */
+/** Inverse cosine transform of a block into samples from `at` on: columns, then rows, rounded as in libjpeg. */
 function inverse(block: Int32Array, samples: Uint8Array, at: number, stride: number): void {
   for (let x = 0; x < 8; x++) transform(block, x, 8, FACTOR_BITS - BETWEEN_BITS);
   for (let y = 0; y < 8; y++) transform(block, 8 * y, 1, FACTOR_BITS + BETWEEN_BITS + 3);
@@ -252,7 +252,7 @@ function inverse(block: Int32Array, samples: Uint8Array, at: number, stride: num
   }
 }
 
-/** A number times 2^FACTOR_BITS. */
+/** A number in fixed point, FACTOR_BITS fractional bits. */
 function factor(value: number): number {
   return Math.round(value * 2 ** FACTOR_BITS);
 }
@@ -261,7 +261,7 @@ const TURN = [factor(0.541196100), factor(1.847759065), factor(0.765366865)] as 
 const ODD = [factor(0.298631336), factor(2.053119869), factor(3.072711026), factor(1.501321110)] as const;
 const SHARED = [factor(1.175875602), factor(0.899976223), factor(2.562915447), factor(1.961570560), factor(0.390180644)] as const;
 
-/** Eight values of a block, in place (Loeffler, Ligtenberg and Moschytz 1989: 11 multiplications). */
+/** Transforms eight values of a block in place (Loeffler, Ligtenberg and Moschytz 1989: 11 multiplications). */
 function transform(v: Int32Array, at: number, step: number, shift: number): void {
   const turned = (v[at + 2 * step]! + v[at + 6 * step]!) * TURN[0];
   const even2 = turned - v[at + 6 * step]! * TURN[1];
@@ -284,7 +284,7 @@ function transform(v: Int32Array, at: number, step: number, shift: number): void
   write(v, at, step, shift, even0 - even3, odd0, 3);
 }
 
-/** Values `place` and 7 − `place`. */
+/** Writes values `place` and 7 − `place`. */
 function write(v: Int32Array, at: number, step: number, shift: number, even: number, odd: number, place: number): void {
   const half = 1 << (shift - 1);
   v[at + place * step] = (even + odd + half) >> shift;
@@ -303,11 +303,11 @@ function coloured(components: Component[], { width, height }: { width: number; h
   return pixels;
 }
 
-/** The samples of a component at all pixels: between two samples, three quarters of the nearer and one of the other. */
+/** Upsamples a component to all pixels: 3/4 of the nearer sample plus 1/4 of the other. */
 function enlarged({ samples, stride, width: w, height: h, across, down }: Component, width: number, height: number, whole: Component): Uint8Array {
   const [halfX, halfY] = [across < whole.across, down < whole.down];
   const out = new Uint8Array(width * height);
-  const smooth = w > 2; // as libjpeg does
+  const smooth = w > 2; // as in libjpeg
   const clip = (value: number, most: number) => (value < 0 ? 0 : value > most ? most : value);
   for (let y = 0; y < height; y++) {
     const row = halfY ? y >> 1 : y;

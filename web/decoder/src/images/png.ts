@@ -1,4 +1,4 @@
-/** PNG pictures with one value a pixel: grey, or numbers of a palette, which stay as they are (ISO/IEC 15948). */
+/** PNG pictures with one value a pixel: grey, or indices of a palette, not resolved (ISO/IEC 15948). */
 
 import { Bytes } from "../bytes.js";
 import { Unsupported, check } from "../errors.js";
@@ -16,7 +16,7 @@ export interface Values {
   pixels: Uint8Array;
 }
 
-/** Throws Corrupt, and Unsupported for colours, 16 bits and interlaced pictures. most: pixels at most. */
+/** Decodes a PNG. most: limit of pixels. Throws Corrupt, and Unsupported for colours, 16 bits and interlaced pictures. */
 export function readPng(data: Uint8Array, most: number): Values {
   const part = new Bytes(data, "PNG");
   check(SIGNATURE.every((byte) => byte === part.byte()), "PNG: another signature");
@@ -66,7 +66,7 @@ function concatenated(parts: Uint8Array[]): Uint8Array {
   return out;
 }
 
-/** Undoes the prediction of each line from its left and the line above, in place; the byte before each line names it. */
+/** Undoes the prediction of each line in place; the byte before a line is the type of its filter. */
 function unfilter(lines: Uint8Array, height: number, stride: number): void {
   for (let y = 0; y < height; y++) {
     const first = y * (stride + 1) + 1;

@@ -6,7 +6,7 @@ import { type Fields, Laws, MANTISSA_BITS, MIXTURES, TOKENS, type Table, checkMi
 
 const PRECISION = 12;
 
-/** How the coded part is cut: groups of lanes, each cut into pieces of steps; a segment is a piece of a group. */
+/** Layout of the coded part: groups of lanes, each cut into pieces of steps. A segment is a piece of a group. */
 interface Layout {
   rows: number;
   columns: number;
@@ -31,7 +31,7 @@ function layoutOf(rows: number, columns: number): Layout {
   return { rows, columns, transposed, long, lanes, wide: short - groups * (lanes - 1), pieces, steps, segments: groups * pieces };
 }
 
-/** The coded part (rows, columns) of an array, and its fields. */
+/** Decodes the coded part (rows, columns) of an array, and its fields. */
 export function manyStates(data: Uint8Array, steps: number, lanes: number, hints: Uint8Array | null): { fields: Fields; part: Float64Array; lanes: number } {
   const rest = data[2]! | (data[3]! << 8) | (data[4]! << 16);
   const fields: Fields = {
@@ -75,7 +75,7 @@ class States {
     this.at = part.at;
   }
 
-  /** The next symbol belongs to state 0 again. */
+  /** Makes state 0 decode the next symbol. */
   restart(): void {
     this.turn = 0;
   }
@@ -95,12 +95,12 @@ class States {
     return symbol;
   }
 
-  /** The bits of all final states, then all remaining bytes, as one bit string. */
+  /** Raw bits: those of all final states, then all remaining bytes. */
   rawBits(): { bits: Bits; inStates: number } {
     const inStates = 2 * this.x.length;
     const bytes = new Uint8Array(inStates + this.data.length - this.at);
     this.x.forEach((x, i) => {
-      check(x >>> 16 === 1, "coded integers: the stream does not end where it should");
+      check(x >>> 16 === 1, "coded integers: the stream has a wrong end");
       bytes[2 * i] = (x >> 8) & 255;
       bytes[2 * i + 1] = x & 255;
     });
@@ -151,7 +151,7 @@ class Diagonals {
     return this.tokens;
   }
 
-  /** The token of each of the first `count` segments at this step and lane. */
+  /** Decodes the tokens of the first `count` segments at this step and lane. */
   private row(t: number, lane: number, count: number, escaped: number[]): void {
     const { tokens, means, lawOf, states, layout } = this;
     const { lanes, segments } = layout;
@@ -180,7 +180,7 @@ class Diagonals {
     }
   }
 
-  /** Where the tokens of a step and lane stand, or of what takes their place outside the array; −1: they are 0. */
+  /** Index of the tokens of a step and lane; outside the array, of their substitutes; −1: they are 0. */
   private place(t: number, lane: number): number {
     if (lane < 0) {
       t += lane;
@@ -204,7 +204,7 @@ class Diagonals {
     }
   }
 
-  /** The context of a place, 0 in the padding of the last piece. */
+  /** The context of a token, 0 in the padding of the last piece. */
   private hint(t: number, lane: number, segment: number): number {
     const { pieces, steps, lanes, wide, long, transposed } = this.layout;
     const along = (segment % pieces) * steps + t;
@@ -214,7 +214,7 @@ class Diagonals {
   }
 }
 
-/** Tokens (rows, columns) of the array, from tokens (step, lane, segment). */
+/** Reorders tokens (step, lane, segment) to (rows, columns). */
 function untransposed(tokens: Uint8Array, layout: Layout): Uint8Array {
   const { rows, columns, transposed, long, lanes, wide, pieces, steps, segments } = layout;
   const out = new Uint8Array(rows * columns);
@@ -264,7 +264,7 @@ function withRawBits(raw: { bits: Bits; inStates: number }, tokens: Uint8Array):
   return values;
 }
 
-/** What is left over: fewer than 8 bits in the bytes after the words, and all of it 0. */
+/** Checks the unread bits: fewer than 8 in the bytes after the words, and all 0. */
 function checkRest(bits: Bits, inStates: number): void {
   const unread = 8 * bits.data.length - Math.max(bits.at, inStates);
   check(unread < 8, "coded integers: bytes are left over");

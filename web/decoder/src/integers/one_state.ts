@@ -17,7 +17,7 @@ const FIELD_TABLES: Table[] = [
   [...new Array<number>(31).fill(1), 120],
 ].map((weights) => tableOf(weights.map(BigInt), PRECISION));
 
-/** A state of 32 bits and words of 16 bits, without tables: bits of adaptive coders use it too. */
+/** A rANS state of 32 bits with words of 16 bits, without tables. */
 export class State {
   x = 0;
   private at: number;
@@ -35,13 +35,13 @@ export class State {
     return symbol;
   }
 
-  /** Leaves the symbol of this start and frequency behind, which `slot` named. */
+  /** Removes the symbol in `slot`, which has this start and frequency, from the state. */
   advance(slot: number, start: number, frequency: number): void {
     this.x = frequency * (this.x >>> PRECISION) + slot - start;
     this.refill();
   }
 
-  /** The lowest `count` bits (at most 8). */
+  /** Reads the lowest `count` bits (at most 8). */
   low(count: number): number {
     const value = this.x & ((1 << count) - 1);
     this.x = this.x >>> count;
@@ -56,7 +56,7 @@ export class State {
     }
   }
 
-  /** A bit string of known length, which is read from its end: eight bits at a time. */
+  /** Reads a bit string of known length from its end, eight bits at a time. */
   bitString(length: number): Uint8Array {
     const bits = new Uint8Array(length);
     for (let end = length; end > 0; ) {
@@ -69,17 +69,17 @@ export class State {
   }
 
   end(what: string): void {
-    check(this.x === 1 && this.at === this.data.length, `${what}: the stream does not end where it should`);
+    check(this.x === 1 && this.at === this.data.length, `${what}: the stream has a wrong end`);
   }
 }
 
 const EIGHT_FIELDS = ["mixture", "shape", "silent", "offset", "order", "large", "rows", "columns"] as const;
 
-/** The coded part (steps, lanes) of an array, and its fields. */
+/** Decodes the coded part (steps, lanes) of an array, and its fields. */
 export function oneState(data: Uint8Array, steps: number, lanes: number, hints: Uint8Array | null): { fields: Fields; part: Float64Array; lanes: number } {
   const state = new State(data);
   const marker = state.x % 16384;
-  check(marker >= 64, "coded integers: the stream does not begin as it should");
+  check(marker >= 64, "coded integers: the stream has a wrong beginning");
   state.advance(marker, 64, 16320);
   const fields = {} as Fields;
   EIGHT_FIELDS.forEach((name, i) => (fields[name] = state.symbol(FIELD_TABLES[i]!)));
@@ -100,7 +100,7 @@ function readTokens(state: State, fields: Fields, height: number, width: number,
   const [up1, up2, left1, left2, corner, meanWeight, hintWeight] = MIXTURES[fields.mixture]! as [number, number, number, number, number, number, number];
   const tokens = new Uint8Array(height * width);
   const means = new Int32Array(width);
-  const before = new Uint8Array(width); // the steps before the first: each lane's left neighbour at step 0
+  const before = new Uint8Array(width); // stands for the steps before the first: each lane's left neighbour at step 0
   for (let t = 0; t < height; t++) {
     const row = tokens.subarray(t * width, t * width + width);
     const above = t > 0 ? tokens.subarray((t - 1) * width, t * width) : before;

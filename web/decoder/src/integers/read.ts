@@ -8,14 +8,14 @@ import { tokenOf } from "./tables.js";
 const MOST_VALUES = 2 ** 24;
 
 /**
- * The array (steps, lanes) of a stream, row by row. Every value is an exact integer.
+ * Decodes an array (steps, lanes), row by row. Every value is an exact integer.
  *
- * contexts: magnitudes that the mixtures 7 to 9 need, one for each step. Throws Corrupt.
+ * contexts: one magnitude for each step, which the mixtures 7 to 9 need. Throws Corrupt.
  */
 export function readIntegers(data: Uint8Array, steps: number, lanes: number, contexts?: ArrayLike<number>): Float64Array {
   check(steps * lanes <= MOST_VALUES, `coded integers: ${steps} × ${lanes} values`);
   if (data.length === 0) return new Float64Array(steps * lanes);
-  check(steps * lanes > 0 && data.length >= 2, "coded integers: bytes of an empty array, or too few");
+  check(steps * lanes > 0 && data.length >= 2, "coded integers: bytes for an empty array, or too few bytes");
   if (isSparse(data)) return sparse(data, steps * lanes);
   const hints = contexts ? Uint8Array.from({ length: steps }, (_, t) => tokenOf(contexts[t]!)) : null;
   const many = data.length >= 6 && ((data[0]! | (data[1]! << 8)) & 0x3fff) < 64;
@@ -29,7 +29,7 @@ export function readIntegers(data: Uint8Array, steps: number, lanes: number, con
   return result;
 }
 
-/** As `readIntegers`, with limits for every value. */
+/** `readIntegers` with limits for every value. */
 export function readIntegersWithin(data: Uint8Array, steps: number, lanes: number, least: number, greatest: number, what: string): Float64Array {
   const values = readIntegers(data, steps, lanes);
   for (const v of values) check(v >= least && v <= greatest, `${what}: ${v} is out of range`);

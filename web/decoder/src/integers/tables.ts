@@ -1,4 +1,4 @@
-/** Tokens, laws and their frequency tables (docs/payloads/integers.md). Laws need integers of 1,900 bits, made once each. */
+/** Tokens, laws and their frequency tables (docs/payloads/integers.md). Laws need integers of 1,900 bits and are computed once. */
 
 import { Corrupt, check } from "../errors.js";
 
@@ -19,7 +19,7 @@ export function tokenOf(magnitude: number): number {
   return token;
 }
 
-/** The magnitude of a token with these mantissa bits; beyond 2^53 it would not be exact, and no field needs it. */
+/** The magnitude of a token with these mantissa bits. Throws Corrupt beyond 2^53, which no field needs. */
 export function magnitudeOf(token: number, mantissa: number): number {
   const magnitude = TOKEN_FLOOR[token]! + mantissa;
   if (magnitude > Number.MAX_SAFE_INTEGER) throw new Corrupt("coded integers: a number is too large");
@@ -53,7 +53,7 @@ export function tableOf(weights: bigint[], precision: number): Table {
   return { symbols: weights.length, start, frequency, symbolOf };
 }
 
-/** The scale of a law, times 2^(law // 3). */
+/** The scale of a law: 40, 50 or 63, times 2^(law // 3). */
 function sigma(law: number): bigint {
   return BigInt([40, 50, 63][law % 3]!) << BigInt(Math.floor(law / 3));
 }
@@ -82,7 +82,7 @@ const ESCAPES = 255;
 
 const cache = new Map<number, Table>();
 
-/** The laws of a ladder and a shape, and the table of excess, made when they are first needed. */
+/** The laws of a ladder and a shape, and the table of excess, computed at their first use. */
 export class Laws {
   readonly count: number;
 
@@ -99,7 +99,7 @@ export class Laws {
     return this.cached(law, () => lawWeights(law, this.shape, this.precision));
   }
 
-  /** The table of what is added to an escape. */
+  /** The table of the excess after an escape. */
   excess(): Table {
     return this.cached(ESCAPES - (this.large ? 1 : 0), () => {
       const reach = this.precision === 12 ? (this.large ? TOKENS : 64) : this.table(this.count - 1).symbols;
@@ -117,7 +117,7 @@ export class Laws {
 
 let usual: Uint8Array | undefined;
 
-/** The law of each expected token in sixteenths, before `offset`. Large tokens need more than 53 bits. */
+/** The law of each expected token (unit 1/16), without `offset`. Large tokens need more than 53 bits. */
 function usualLaws(): Uint8Array {
   if (usual) return usual;
   usual = new Uint8Array(4096);
@@ -135,7 +135,7 @@ function usualLaws(): Uint8Array {
   return usual;
 }
 
-/** What the eight fields of a stream say. */
+/** The eight fields of a stream. */
 export interface Fields {
   mixture: number;
   shape: number;
@@ -147,7 +147,7 @@ export interface Fields {
   columns: number;
 }
 
-/** The law of each expected token E (0 … 4095), in sixteenths. */
+/** The law of each expected token E (0 … 4095, unit 1/16). */
 export function lawOfExpected(fields: Fields, laws: number): Uint8Array {
   const usual = usualLaws();
   const result = new Uint8Array(4096);
@@ -172,7 +172,7 @@ export const MIXTURES: readonly (readonly number[])[] = [
   [1, 0, 1, 0, 0, 2, 12],
 ];
 
-/** Coded steps or lanes: the first ones of `extent`. */
+/** Number of coded steps or lanes, the first ones of `extent`. */
 export function kept(extent: number, thirtySeconds: number): number {
   return Math.max(1, Math.ceil((extent * (thirtySeconds + 1)) / 32));
 }

@@ -1,4 +1,4 @@
-/** Adaptive bits of the lattice engine: five counters, mixed, and a range coder (docs/payloads/tempo-lattice.md, "Adaptive bits"). */
+/** Adaptive bits of the lattice engine: five mixed counters and a range coder (docs/payloads/tempo-lattice.md, "Adaptive bits"). */
 
 import { check } from "../errors.js";
 
@@ -17,14 +17,14 @@ export const STRETCH = Int32Array.from({ length: 4096 }, (_, i) => {
 });
 export const RATE = Int32Array.from({ length: MOST_SEEN + 1 }, (_, i) => Math.floor(65536 / (i + 1.6)));
 
-/** A mixer's weight after a bit. */
+/** Updates a mixer's weight after a bit. */
 function shifted(weight: number, stretched: number, error: number): number {
   const moved = weight + (Math.imul(stretched, error) >> 16);
   return moved < -MOST_WEIGHT ? -MOST_WEIGHT : moved > MOST_WEIGHT ? MOST_WEIGHT : moved;
 }
 
 export class AdaptiveBits {
-  /** Context of each input, times 257; the kind of a bit is added. */
+  /** Context of each input, times 257; `bit` adds the kind of bit. */
   readonly contexts = new Int32Array(INPUTS);
   private readonly probabilities = new Uint16Array(INPUTS * COUNTERS).fill(32768);
   private readonly seen = new Uint8Array(INPUTS * COUNTERS);
@@ -37,7 +37,7 @@ export class AdaptiveBits {
     for (let i = 0; i < 4; i++) this.range[2] = (this.range[2]! << 8) | this.next();
   }
 
-  /** A bit of a kind, under the contexts, with the weights of a mixer. */
+  /** Reads a bit of a kind in the current contexts, with the weights of a mixer. */
   bit(kind: number, mixer: number): number {
     const { contexts, probabilities, weights } = this;
     const slot0 = Math.imul(contexts[0]! + kind, HASH) >>> 17;
@@ -75,7 +75,7 @@ export class AdaptiveBits {
     return bit;
   }
 
-  /** Moves a counter's probability towards 0 or 65535. Products fit 31 bits: a counter that saw nothing stands at 32768. */
+  /** Moves a counter's probability towards 0 or 65535. Products fit in 31 bits, since a new counter starts at 32768. */
   private count(slot: number, goal: number): void {
     const { probabilities, seen } = this;
     const p = probabilities[slot]!;
@@ -84,14 +84,14 @@ export class AdaptiveBits {
     if (count < MOST_SEEN) seen[slot] = count + 1;
   }
 
-  /** A bit of probability 1/2. */
+  /** Reads a bit of probability 1/2. */
   evenBit(): number {
     return this.decode(32768);
   }
 
-  /** All bytes must have been read, and at most four beyond their end. */
+  /** Checks that all bytes were read, and at most four past the end. */
   end(): void {
-    check(this.at >= this.data.length && this.at <= this.data.length + 4, "tempo: the lattice stream does not end where it should");
+    check(this.at >= this.data.length && this.at <= this.data.length + 4, "tempo: the lattice stream has a wrong end");
   }
 
   private decode(probability: number): number {

@@ -1,4 +1,4 @@
-/** A linear filter of ten features, found by recursive least squares (docs/payloads/tempo-lattice.md, "Filter"). */
+/** A linear filter of ten features, adapted by recursive least squares (docs/payloads/tempo-lattice.md, "Filter"). */
 
 export const FEATURES = 10;
 const FIRST_COVARIANCE = 1 / 128;
@@ -8,7 +8,7 @@ export class Filter {
   private readonly covariance = new Float64Array(FEATURES * FEATURES);
   private readonly gains = new Float64Array(FEATURES);
 
-  /** Begins with these coefficients. */
+  /** Resets the filter to these coefficients. */
   begin(coefficients: Float64Array): void {
     this.coefficients.set(coefficients);
     this.forget();
@@ -19,7 +19,7 @@ export class Filter {
     for (let i = 0; i < FEATURES; i++) this.covariance[i * FEATURES + i] = FIRST_COVARIANCE;
   }
 
-  /** f·x, for features from index `at` on. */
+  /** f·x, with the features from index `at` on. */
   product(x: Float64Array, at: number): number {
     const f = this.coefficients;
     return (
@@ -36,7 +36,7 @@ export class Filter {
     );
   }
 
-  /** One step of recursive least squares. Written out, since loops over ten numbers would take twice as long. */
+  /** One step of recursive least squares. Unrolled, since loops over ten numbers take twice as long. */
   learn(x: Float64Array, at: number, error: number, forgetting: number): void {
     const { covariance: c, coefficients: f } = this;
     let [g0, g1, g2, g3, g4, g5, g6, g7, g8, g9] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0];

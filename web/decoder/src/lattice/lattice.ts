@@ -1,6 +1,6 @@
 /**
- * The lattice engine (docs/payloads/tempo-lattice.md): samples predicted from decoded ones, residuals on a lattice.
- * Every operation of float64 stands in the order of the page, since later bits depend on every rounding.
+ * The lattice engine (docs/payloads/tempo-lattice.md): predicts samples from decoded ones and adds residuals on a lattice.
+ * All float64 operations follow the order of the page, since later bits depend on every rounding.
  */
 
 import { Bytes } from "../bytes.js";
@@ -17,12 +17,12 @@ const MOST_LEVELS = 6;
 const MOST_ACTIVITY = 4000;
 const LIMIT = 2 ** 40;
 const NO_MORE = -1;
-/** Of larger chunks the memory of the kernel would not suffice. */
+/** Larger chunks do not fit in the kernel's memory. */
 const MOST_KERNEL_SAMPLES = 2 ** 24;
-/** Numbers of a sample of the kernel: x, y, z, 0. */
+/** Numbers of a sample in the kernel: x, y, z, 0. */
 const KERNEL_LANES = 4;
 
-/** Neighbours of each point (points, 3), −1 for none, and the sequence in which points are coded. */
+/** Neighbours of each point (points, 3), −1: none, and the coding order of points. */
 export interface Network {
   neighbours: Int32Array;
   sequence: Int32Array;
@@ -37,14 +37,14 @@ export function readNetwork(data: Uint8Array, points: number): Network {
       const difference = numbers[NEIGHBOURS * p + q]!;
       if (difference === 0) continue;
       const other = p - difference;
-      check(other >= 0 && other < points && (q === 0 || neighbours[NEIGHBOURS * p + q - 1] !== NO_MORE), "lattice: neighbours that do not exist");
+      check(other >= 0 && other < points && (q === 0 || neighbours[NEIGHBOURS * p + q - 1] !== NO_MORE), "lattice: a neighbour that does not exist");
       neighbours[NEIGHBOURS * p + q] = other;
     }
   }
   return { neighbours, sequence: sequenceOf(neighbours, points) };
 }
 
-/** Rounds: each appends all points whose neighbours were all there before it, ascending. */
+/** The coding order, in rounds: each appends, ascending, the points whose neighbours are all in earlier rounds. */
 function sequenceOf(neighbours: Int32Array, points: number): Int32Array {
   const waiting = new Int32Array(points);
   const followers: number[][] = Array.from({ length: points }, () => []);
@@ -61,7 +61,7 @@ function sequenceOf(neighbours: Int32Array, points: number): Int32Array {
     for (const p of round) for (const follower of followers[p]!) if (--waiting[follower]! === 0) next.push(follower);
     round = next.sort((a, b) => a - b);
   }
-  check(sequence.length === points, "lattice: neighbours that wait for each other");
+  check(sequence.length === points, "lattice: a cycle of neighbours");
   return Int32Array.from(sequence);
 }
 
@@ -86,7 +86,7 @@ function readStream(stream: Uint8Array, frames: number, points: number, levels: 
   return samples.byFrame();
 }
 
-/** The same by the kernel; null without it, and for a stream that it refuses. */
+/** Reads a stream with the kernel; null without a kernel, and if it refuses the stream. */
 function readByKernel(
   stream: Uint8Array,
   frames: number,
@@ -110,12 +110,12 @@ function addSpikes(data: Uint8Array, positions: Float64Array, count: number): vo
   let at = 0;
   for (let i = 0; i < n; i++) {
     at += numbers[4 * i]!;
-    check(at >= 0 && at < count, "lattice: a spike of no sample");
+    check(at >= 0 && at < count, "lattice: a spike without a sample");
     for (let c = 0; c < 3; c++) positions[3 * at + c]! += numbers[4 * i + 1 + c]!;
   }
 }
 
-/** What a level keeps from point to point. */
+/** State of a level, kept from point to point. */
 interface LevelState {
   mean: Float64Array;
   activity: number;
@@ -126,7 +126,7 @@ class Engine {
   private readonly filter = new Filter();
   private readonly features = new Float64Array(3 * FEATURES);
   private readonly base = new Float64Array(3);
-  /** Of the filter and the features of each coordinate. */
+  /** f·x of each coordinate. */
   private readonly products = new Float64Array(3);
   private readonly linear = new Float64Array(3);
   private readonly predicted = new Float64Array(3);
@@ -134,12 +134,12 @@ class Engine {
   private readonly z = new Float64Array(3);
   private readonly around: Surroundings;
   private readonly others = new Int32Array(NEIGHBOURS);
-  // of the point
+  // state of the current point
   private point = 0;
   private isFirst = true;
   private distances = 0;
   private weights = 0;
-  // of the level of the point
+  // state of the point's current level
   private level = 0;
   private half = 0;
   private step = 0;
@@ -254,7 +254,7 @@ class Engine {
     }
   }
 
-  /** Second differences Z(s) − 2 Z(s − half) + Z(s − 2 half) of the point itself. */
+  /** Features of level 0: second differences Z(s) − 2 Z(s − half) + Z(s − 2 half) of the point itself. */
   private featuresOfFirst(t: number): void {
     const { samples, point, half, base, features } = this;
     const { values, frames } = samples;
@@ -266,7 +266,7 @@ class Engine {
     }
   }
 
-  /** Second differences of a neighbour, whose sample t begins at `at`. */
+  /** Features of level 0: second differences of a neighbour. at: index of its sample t. */
   private besideFirst(t: number, at: number, feature: number): void {
     const { half, features } = this;
     const { values, frames } = this.samples;
@@ -297,7 +297,7 @@ class Engine {
     }
   }
 
-  /** Bends Z(s) − (Z(s − half) + Z(s + half)) / 2 of a neighbour, whose sample t begins at `at`; 0 beside the ends. */
+  /** Features of higher levels: Z(s) − (Z(s − half) + Z(s + half)) / 2 of a neighbour, 0 at the ends. at: index of its sample t. */
   private besideBetween(t: number, at: number, feature: number): void {
     const { half, features } = this;
     const { values, frames } = this.samples;
@@ -315,7 +315,7 @@ class Engine {
     }
   }
 
-  /** "Along the direction to the partner": writes `axes`, `predicted` and e; false if the direction is not used. */
+  /** "Along the direction to the partner": writes `axes`, `predicted` and e. Returns whether the direction is used. */
   private direct(t: number): boolean {
     const { samples, linear, axes, predicted } = this;
     const partner = this.others[0]!;
@@ -359,7 +359,7 @@ class Engine {
     return true;
   }
 
-  /** Activities around a sample: fills `around`. */
+  /** Fills `around` with the activities around a sample. */
   private look(t: number, inside: boolean, directed: boolean): void {
     const { samples, point, half, step, around, others } = this;
     const { frames } = samples;
@@ -419,7 +419,7 @@ class Engine {
     }
     if (!inside) return;
     for (let c = 0; c < 3; c++) {
-      // the filter has changed since the prediction, but for the first coordinate
+      // learning changes the filter, so only the first coordinate's product is still valid
       const product = c === 0 ? products[0]! : filter.product(features, c * FEATURES);
       filter.learn(features, c * FEATURES, predicted[c]! - base[c]! - product, c === 0 ? 0.999 : 1);
     }

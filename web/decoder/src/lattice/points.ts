@@ -7,7 +7,7 @@ const LOGS = 24;
 const MOST_BITS_WITHIN = 42;
 const FIRST_BUCKET_WITH_BITS = 5;
 
-/** log of an integer in half octaves, 0 to 23. */
+/** Logarithm of an integer in half octaves, 0 to 23. */
 export function halfOctaves(v: number): number {
   if (v <= 0) return 0;
   const octave = 31 - Math.clz32(v);
@@ -22,7 +22,7 @@ function bitsWithin(bucket: number): number {
 const BUCKET_STARTS: number[] = [0];
 while (bitsWithin(BUCKET_STARTS.length - 1) <= MOST_BITS_WITHIN) BUCKET_STARTS.push(BUCKET_STARTS.at(-1)! + 2 ** bitsWithin(BUCKET_STARTS.length - 1));
 
-/** Activities around a sample, from which the contexts of its bits follow. */
+/** Activities around a sample, which give the contexts of its bits. */
 export interface Surroundings {
   class: number;
   slow: number;

@@ -1,4 +1,4 @@
-/** Decoded samples of a chunk, point after point, and their activities. */
+/** Decoded samples of a chunk, point by point, and their activities. */
 
 export class Samples {
   /** (points, frames, 3). */
@@ -51,7 +51,7 @@ export class Samples {
   }
 }
 
-/** Values (points, frames, lanes), of which the first three count, as (frames, points, 3). */
+/** Reorders the first three lanes of values (points, frames, lanes) to (frames, points, 3). */
 export function byFrame(values: Float64Array, frames: number, points: number, lanes: number): Float64Array {
   const out = new Float64Array(3 * frames * points);
   for (let point = 0, from = 0; point < points; point++) {

@@ -27,7 +27,7 @@ interface Predictor {
 
 interface Record {
   form: Form;
-  /** All items, where the record holds them as they are. */
+  /** All items, if the record stores them verbatim. */
   items: Uint8Array | undefined;
   /** A code for each sample. */
   codes: Uint8Array;
@@ -37,11 +37,11 @@ interface Record {
   residuals: Float64Array;
   corrections: Float64Array | undefined;
   lower: Uint8Array;
-  /** Integers of all samples, once they are known; null while they are being found. */
+  /** Integers of all samples, once computed; null during the computation. */
   integers: Float64Array | null | undefined;
 }
 
-/** The items (samples, channels) of a chunk. */
+/** Decodes the items (samples, channels) of a chunk. */
 export function readChunk(payload: Uint8Array, forms: Form[], type: ItemType, samples: number): Uint8Array {
   const part = new Bytes(payload, "signals");
   const records: (Record | undefined)[] = [];
@@ -135,7 +135,7 @@ function readPredictor(part: Bytes): Predictor {
   return { shift, bias, own, others: channels.map((channel) => ({ channel, taps: Array.from({ length: REFERENCE_TAPS }, tap) })) };
 }
 
-/** Integers of all samples of a channel, which others may refer to. */
+/** Integers of all samples of a channel, which other channels may refer to. */
 function integersOf(records: (Record | undefined)[], channel: number): Float64Array {
   const record = records[channel];
   check(record !== undefined && record.items === undefined, "signals: a reference to a channel without integers");
@@ -173,7 +173,7 @@ function restored(record: Record, records: (Record | undefined)[]): Float64Array
   return out;
 }
 
-/** Sums of taps and samples, modulo 2^64: in float64 where that is exact, else in big integers. */
+/** Σ tap · sample, modulo 2^64: in float64 if exact, else in big integers. */
 class Prediction {
   private readonly base: number;
 

@@ -1,4 +1,4 @@
-/** How the integers of a channel become items (docs/payloads/signals.md, "Head"). */
+/** Forms of channels, which map their integers to items (docs/payloads/signals.md, "Head"). */
 
 import { Bits, Bytes, half } from "../bytes.js";
 import { check } from "../errors.js";
@@ -32,12 +32,12 @@ export type Form =
   | { kind: typeof PALETTE; count: number; items: Uint8Array }
   | { kind: typeof COPY; channel: number };
 
-/** The forms of so many channels. */
+/** Reads the form of each channel. */
 export function readForms(part: Bytes, type: ItemType, channels: number): Form[] {
   const forms: Form[] = [];
   for (let i = 0; i < channels; i++) {
     const form = readForm(part, type);
-    check(form.kind !== COPY || (form.channel < i && forms[form.channel]!.kind !== COPY), "signals: a copy of no earlier channel");
+    check(form.kind !== COPY || (form.channel < i && forms[form.channel]!.kind !== COPY), "signals: a copy without an earlier channel");
     forms.push(form);
   }
   return forms;
@@ -89,7 +89,7 @@ function setBits(items: DataView, i: number, bits: bigint, { width, little }: It
   else items.setUint16(2 * i, Number(bits), little);
 }
 
-/** What form 3 says of integer k: the exponent of the last bit of its float, and how many bits are stored below k's own. */
+/** Form 3: for integer k, the exponent of the last bit of its float, and the number of stored bits below k's last bit. */
 export function lastBit(exponent: number, k: number, width: number): { last: number; lower: number } {
   const [mantissaBits, least] = width === 2 ? [10, -24] : width === 4 ? [23, -149] : [52, -1074];
   const last = Math.max(exponent + Math.floor(Math.log2(Math.abs(k))) - mantissaBits!, least!);
@@ -131,7 +131,7 @@ function setFloat(items: DataView, i: number, value: number, { width, little }: 
   else items.setUint16(2 * i, halfBits(value), little);
 }
 
-/** Moves a float as many floats up as `by` says. */
+/** Replaces a float by the `by`-th float above it. */
 function moveRank(items: DataView, i: number, by: number, type: ItemType): void {
   const { width, little } = type;
   const sign = 1n << BigInt(8 * width - 1);
@@ -143,7 +143,7 @@ function moveRank(items: DataView, i: number, by: number, type: ItemType): void 
   setBits(items, i, rank < 0n ? sign | size : size, type);
 }
 
-/** The float16 nearest to a number, halves to even, as bits. */
+/** Bits of the float16 nearest to a number, halves to even. */
 function halfBits(value: number): number {
   const sign = value < 0 || Object.is(value, -0) ? 0x8000 : 0;
   const magnitude = Math.abs(value);

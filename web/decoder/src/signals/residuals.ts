@@ -1,4 +1,4 @@
-/** Lanes of residuals: an adaptive coder whose tables start from the shape of noise (docs/payloads/signals.md, "Residuals"). */
+/** Lanes of residuals: an adaptive coder with initial tables for noise (docs/payloads/signals.md, "Residuals"). */
 
 import { Bits, Bytes } from "../bytes.js";
 import { GAUSS_RATIOS, LAPLACE_RATIOS } from "../container/tables.js";
@@ -19,7 +19,7 @@ const MOST_SIZE = 2 ** 30;
 
 interface FirstTables {
   high: Int32Array;
-  /** (16, 4). */
+  /** Low tables (16, 4). */
   low: Int32Array;
 }
 
@@ -38,7 +38,7 @@ function makeFirstTables(context: number): FirstTables {
   return { high: Int32Array.from(startsOf(high, HIGH_FLOOR)), low };
 }
 
-/** The mass of each magnitude 0 … 32 of one of the two lists. */
+/** Mass of each magnitude 0 … 32 in a Laplace or Gauss distribution. */
 function masses(ratio: bigint, isGauss: boolean): number[] {
   const weights = [1n << 30n];
   let factor = ratio;
@@ -61,7 +61,7 @@ function startsOf(mass: number[], floor: number): number[] {
   });
 }
 
-/** Adaptive tables of a lane, which share one rANS state. */
+/** Adaptive tables of a lane, with one rANS state. */
 class Tables {
   private readonly high = new Int32Array(CONTEXTS * HIGH);
   private readonly low = new Int32Array(CONTEXTS * HIGH * LOW);
@@ -114,11 +114,11 @@ class Tables {
   }
 
   end(): void {
-    check(this.state === 65536 && this.at === this.words.length, "signals: a lane does not end where it should");
+    check(this.state === 65536 && this.at === this.words.length, "signals: a lane has a wrong end");
   }
 }
 
-/** The residuals of a lane at this place, integers. */
+/** Reads the residuals of a lane, integers. */
 export function readLane(part: Bytes, count: number): Float64Array {
   const start = part.byte();
   check(start < START_CODES, "signals: a lane of another start");

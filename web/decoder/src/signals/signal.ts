@@ -1,4 +1,4 @@
-/** Signals of the extras: analog channels, residuals, angles. Their samples are read when they are asked for. */
+/** Signals of the extras: analog channels, residuals, angles. Samples are read on demand. */
 
 import { Bytes, crc32 } from "../bytes.js";
 import { toNumbers } from "../container/arrays.js";
@@ -15,7 +15,7 @@ const CHECKSUM_BYTES = 4;
 
 /** A signal beside the points. */
 export interface Signal {
-  /** Where it stands in the tree of extras: keys, joined by dots. */
+  /** Path in the tree of extras: keys, joined by dots. */
   path: string;
   /** Samples a second. */
   rate: number;
@@ -29,14 +29,14 @@ export interface Signal {
   read(a?: number, b?: number): Promise<Float64Array>;
 }
 
-/** How a coded signal is stored. */
+/** Layout of a coded signal. */
 interface Head {
   chunkSamples: number;
   forms: Form[];
   sizes: number[];
 }
 
-/** Coded signals with the place of their chunks in the file. */
+/** A coded signal's head, and the place of its chunks in the file. */
 export interface CodedPlace {
   head: Head;
   offset: number;
@@ -48,7 +48,7 @@ export function itemType(dtype: string): ItemType {
   return { kind: dtype[1]!, width: itemSize(dtype), little: dtype[0] !== ">" };
 }
 
-/** Reads the head of a coded signal at this place of the extras section. Returns the bytes of its chunks, too. */
+/** Reads the head of a coded signal from the extras section. bytes: size of its chunks. */
 export function readHead(part: Bytes, signal: CodedSignal): { head: Head; bytes: number; type: ItemType } {
   const type = itemType(signal.dtype);
   const channels = signal.shape.slice(1).reduce((product, extent) => product * extent, 1);
@@ -66,7 +66,7 @@ export function readHead(part: Bytes, signal: CodedSignal): { head: Head; bytes:
   return { head: { chunkSamples, forms, sizes }, bytes: sizes.reduce((sum, size) => sum + size + CHECKSUM_BYTES, 0), type };
 }
 
-/** All signals of a tree. placeOf: where the chunks of coded ones are. */
+/** All signals of a tree. placeOf: heads and chunks of coded signals. */
 export function signalsOf(tree: Tree, source: ByteSource, placeOf: Map<CodedSignal, CodedPlace>): Signal[] {
   const found: Signal[] = [];
   const visit = (value: Value, path: string): void => {

@@ -1,8 +1,8 @@
-/** The arithmetic decoder of H.265, with the initial contexts of slices (ITU-T H.265, 9.3). */
+/** CABAC, the arithmetic decoder of H.265, with the initial contexts of slices (ITU-T H.265, 9.3). */
 
 import { check } from "../errors.js";
 
-/** Initial values of the contexts, by syntax element (tables 9-5 to 9-37): of slices that stand alone, and of predicted ones. */
+/** Initial values of the contexts, by syntax element (tables 9-5 to 9-37): for intra slices, and for predicted slices. */
 const INITIAL = {
   saoMerge: [[153], [153]],
   saoType: [[200], [185]],
@@ -87,7 +87,7 @@ const AFTER_LESS_PROBABLE = [
   24, 25, 26, 26, 27, 27, 28, 29, 29, 30, 30, 30, 31, 32, 32, 33, 33, 33, 34, 34, 35, 35, 35, 36, 36, 36, 37, 37, 37, 38, 38, 63,
 ];
 
-/** A slice ends at most this many bytes before the decoder's window does. */
+/** Most bytes that the decoder's window extends past the end of a slice. */
 const MOST_BYTES_BEYOND = 4;
 
 export class Cabac {
@@ -116,13 +116,13 @@ export class Cabac {
 
   private next(): number {
     const byte = this.at >> 3;
-    check(byte < this.data.length + MOST_BYTES_BEYOND, "picture: its slice is cut off");
+    check(byte < this.data.length + MOST_BYTES_BEYOND, "picture: the slice is cut off");
     const bit = byte < this.data.length ? (this.data[byte]! >> (7 - (this.at & 7))) & 1 : 0;
     this.at++;
     return bit;
   }
 
-  /** A bit in a context. */
+  /** Reads a bit in a context. */
   bit(context: number): number {
     const state = this.states[context]!;
     const less = LESS_PROBABLE[4 * state + ((this.range >> 6) & 3)]!;
@@ -142,7 +142,7 @@ export class Cabac {
     return bit;
   }
 
-  /** A bit of probability one half. */
+  /** Reads a bypass bit, of probability 1/2. */
   plain(): number {
     this.offset = (this.offset << 1) | this.next();
     if (this.offset < this.range) return 0;
@@ -150,21 +150,21 @@ export class Cabac {
     return 1;
   }
 
-  /** A number of `count` plain bits, from the highest. */
+  /** Reads a number of `count` bypass bits, highest first. */
   number(count: number): number {
     let value = 0;
     for (let i = 0; i < count; i++) value = 2 * value + this.plain();
     return value;
   }
 
-  /** Ones before the first zero, at most `most`, in plain bits. */
+  /** Counts bypass ones before the first zero, up to `most`. */
   ones(most: number): number {
     let count = 0;
     while (count < most && this.plain()) count++;
     return count;
   }
 
-  /** A number as an exponential Golomb code of order 1, in plain bits. */
+  /** Reads an exponential Golomb code of order 1, in bypass bits. */
   golomb(): number {
     let order = 1;
     let base = 0;
@@ -175,7 +175,7 @@ export class Cabac {
     return base + this.number(order);
   }
 
-  /** The bit that ends a slice. */
+  /** Reads the bit that ends a slice. */
   ends(): boolean {
     this.range -= 2;
     if (this.offset >= this.range) return true;

@@ -10,18 +10,18 @@ const BETA = [...new Array<number>(16).fill(0), 6, 7, 8, 9, 10, 11, 12, 13, 14, 
 const TC = [
   ...new Array<number>(18).fill(0), ...new Array<number>(9).fill(1), 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 5, 5, 6, 6, 7, 8, 9, 10, 11, 13, 14, 16, 18, 20, 22, 24,
 ];
-/** Added to the step where a block is predicted from samples beside it. */
+/** Added to the quantisation parameter at intra blocks. */
 const INTRA_OFFSET = 2;
-/** Strengths of edges: of blocks predicted from other pictures, and with one predicted from samples beside it. */
+/** Strengths of edges: between inter blocks, and at an intra block. */
 const WEAK = 1;
 const STRONG = 2;
 
-/** Edges of a block: of transforms at its left and its top; and, shifted, of parts that move apart. */
+/** Edges of a block at its left and its top: of transforms and, shifted by PART_SHIFT, of prediction parts. */
 export const LEFT = 1;
 export const TOP = 2;
 export const PART_SHIFT = 2;
 
-/** Of each block of 4 × 4: edges, whether its luma has coefficients, and motion. */
+/** Facts of each 4 × 4 block: edges, whether its luma has coefficients, and motion. */
 export interface Blocks {
   edges: Uint8Array;
   isCoded: Uint8Array;
@@ -52,14 +52,14 @@ export function deblock(planes: Plane[], blocks: Blocks, parameters: Parameters)
   }
 }
 
-/** 8.7.2.4. */
+/** Boundary strength (8.7.2.4). */
 function strengthOf({ edges, isCoded, motion }: Blocks, block: number, before: number, side: number): number {
   if (motion.references[block]! < 0 || motion.references[before]! < 0) return STRONG;
   if (edges[block]! & side && (isCoded[block] || isCoded[before])) return WEAK;
   return motion.isNear(block, before) ? 0 : WEAK;
 }
 
-/** Four lines of samples across an edge; s[at] is the first sample behind it. */
+/** Filters four lines of samples across an edge; s[at] is the first sample after it. */
 function luma(s: Uint8Array, at: number, step: number, along: number, beta: number, tc: number): void {
   const bend = (i: number, far: number) => Math.abs(s[i + far * 2]! - 2 * s[i + far]! + s[i]!);
   const last = at + 3 * along;

@@ -1,21 +1,21 @@
-/** Prediction of a part from another picture (ITU-T H.265, 8.5.3.3), for samples of 8 bits in 4:4:4. */
+/** Inter prediction of a part (ITU-T H.265, 8.5.3.3), for samples of 8 bits in 4:4:4. */
 
 import type { Motion, Part } from "./motion.js";
 import type { Weight } from "./slice.js";
 
-/** Tables 8-11 and 8-12: filters of quarters of a sample, of luma and of chroma; and samples before the first tap's. */
+/** Interpolation filters at quarter samples (tables 8-11 and 8-12), for luma and chroma. */
 const LUMA = [[0, 0, 0, 64, 0, 0, 0, 0], [-1, 4, -10, 58, 17, -5, 1, 0], [-1, 4, -11, 40, 40, -11, 4, -1], [0, 1, -5, 17, 58, -10, 4, -1]];
 const CHROMA = [[0, 64, 0, 0], [-4, 54, 16, -2], [-4, 36, 36, -4], [-2, 16, 54, -4]];
 const LARGEST = 64;
 const MOST_TAPS = 8;
-/** Bits that filtered samples have more than samples. */
+/** Extra bits of filtered samples. */
 const FINER = 6;
 
-/** Lines that are filtered along x, and the samples that they come from. */
+/** Buffers: lines filtered along x, and their source samples. */
 const lines = new Int32Array(LARGEST * (LARGEST + MOST_TAPS));
 const sources = new Uint8Array((LARGEST + MOST_TAPS) * (LARGEST + MOST_TAPS));
 
-/** Writes the samples of a part; plane 0 is luma. */
+/** Writes the predicted samples of a part. plane: 0 is luma. */
 export function predictFrom(source: Uint8Array, target: Uint8Array, plane: number, size: { width: number; height: number }, part: Part, motion: Motion, weight: Weight | null): void {
   const { x, y, width, height } = part;
   const filters = plane ? CHROMA : LUMA;
@@ -52,7 +52,7 @@ export function predictFrom(source: Uint8Array, target: Uint8Array, plane: numbe
   }
 }
 
-/** Copies samples to `sources`; those beyond the edges are those at the edges. */
+/** Copies samples to `sources`; beyond the edges it repeats the samples at the edges. */
 function fetch(source: Uint8Array, width: number, height: number, left: number, top: number, columns: number, rows: number): void {
   for (let row = 0; row < rows; row++) {
     const from = width * Math.min(Math.max(top + row, 0), height - 1);

@@ -1,4 +1,4 @@
-/** Prediction of a block from the samples beside it (ITU-T H.265, 8.4.4.2). */
+/** Intra prediction of a block (ITU-T H.265, 8.4.4.2). */
 
 import { clip8 } from "../numbers.js";
 
@@ -6,19 +6,19 @@ export const PLANAR = 0;
 export const MEAN = 1;
 export const ACROSS = 10;
 export const DOWN = 26;
-/** Modes from this one on go down rather than across. */
+/** First mode that predicts downwards; earlier angular modes predict across. */
 const FIRST_DOWN = 18;
 
 /** Table 8-5, from mode 2 on. */
 const ANGLES = [32, 26, 21, 17, 13, 9, 5, 2, 0, -2, -5, -9, -13, -17, -21, -26, -32, -26, -21, -17, -13, -9, -5, -2, 0, 2, 5, 9, 13, 17, 21, 26, 32];
 /** Table 8-6, from mode 11 on. */
 const INVERSE_ANGLES = [-4096, -1638, -910, -630, -482, -390, -315, -256, -315, -390, -482, -630, -910, -1638, -4096];
-/** How far a mode must be from across and down for its neighbours to be smoothed, by the logarithm of the size. */
+/** Neighbours are smoothed if a mode is farther than this from across and down, by log₂ of the block size. */
 const SMOOTHED_FROM = [Infinity, Infinity, Infinity, 7, 1, 0];
 const FLAT = 8;
 const LARGE = 32;
 
-/** One plane of samples, and which blocks of 4 × 4 are decoded. */
+/** One plane of samples, and a mask of its decoded 4 × 4 blocks. */
 export interface Plane {
   width: number;
   height: number;
@@ -38,7 +38,7 @@ export function predict(plane: Plane, x: number, y: number, log2: number, mode: 
   else angular(samples, width, at, beside, size, mode, isEdged);
 }
 
-/** Samples from the lowest at the left, upwards to the corner (at 2 · size), and to the right. */
+/** Neighbour samples: from the lowest at the left up to the corner (index 2 · size), then to the right. */
 function neighbours({ width, height, samples, isDecoded }: Plane, x: number, y: number, size: number): Int32Array {
   const corner = 2 * size;
   const values = new Int32Array(4 * size + 1).fill(-1);
@@ -106,7 +106,7 @@ function angular(samples: Uint8Array, width: number, at: number, beside: Int32Ar
   const isDown = mode >= FIRST_DOWN;
   const way = isDown ? 1 : -1;
   const angle = ANGLES[mode - 2]!;
-  // reference[size + i]: the neighbour i − 1 steps along the side that the mode comes from
+  // reference[size + i]: the neighbour i − 1 steps along the mode's main side
   const reference = new Int32Array(3 * size + 1);
   for (let i = 0; i <= 2 * size; i++) reference[size + i] = beside[corner + way * i]!;
   const least = (size * angle) >> 5;

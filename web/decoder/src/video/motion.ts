@@ -1,14 +1,14 @@
-/** Motion of blocks, and how it follows from that of others (ITU-T H.265, 8.5.3.2). Vectors are in quarters of a sample. */
+/** Motion of blocks, and its prediction from other blocks (ITU-T H.265, 8.5.3.2). Vectors are in quarters of a sample. */
 
 import type { Prediction } from "./slice.js";
 
 const NONE = -1;
 const MOST_SCALE = 4096;
 
-/** Motion of each block of 4 × 4 of a picture. */
+/** Motion of each 4 × 4 block of a picture. */
 export class MotionField {
   readonly across: number;
-  /** Number of its reference in the list; −1 where a block is predicted from samples beside it, or is not decoded. */
+  /** Index of each block's reference in the list; −1: intra block, or not decoded. */
   readonly references: Int8Array;
   readonly x: Int16Array;
   readonly y: Int16Array;
@@ -16,7 +16,7 @@ export class MotionField {
   constructor(
     readonly width: number,
     readonly height: number,
-    /** The picture's order, and those of the references in the list. */
+    /** Order of the picture; `listed`: orders of the references in the list. */
     readonly order: number,
     readonly listed: number[],
   ) {
@@ -27,7 +27,7 @@ export class MotionField {
     this.y = new Int16Array(blocks);
   }
 
-  /** The block at these samples if it has motion; else −1. */
+  /** The block that contains this sample, if it has motion; else −1. */
   at(x: number, y: number): number {
     if (x < 0 || y < 0 || x >= this.width || y >= this.height) return NONE;
     const block = (y >> 2) * this.across + (x >> 2);
@@ -48,7 +48,7 @@ export class MotionField {
     return { reference: this.references[block]!, x: this.x[block]!, y: this.y[block]! };
   }
 
-  /** Whether two blocks with motion move alike, to less than a sample. */
+  /** Whether two blocks have the same reference, and vectors closer than one sample. */
   isNear(a: number, b: number): boolean {
     const [first, second] = [this.listed[this.references[a]!], this.listed[this.references[b]!]];
     return first === second && Math.abs(this.x[a]! - this.x[b]!) < 4 && Math.abs(this.y[a]! - this.y[b]!) < 4;
@@ -59,27 +59,27 @@ export class MotionField {
   }
 }
 
-/** The number of a reference and a vector. */
+/** Index of a reference, and a vector. */
 export interface Motion {
   reference: number;
   x: number;
   y: number;
 }
 
-/** A part of a coding unit that moves as one. */
+/** A prediction part of a coding unit, which has one motion. */
 export interface Part {
   x: number;
   y: number;
   width: number;
   height: number;
-  /** Its number in the unit, and how the unit is cut: "" whole, "columns", "rows" or "quarters". */
+  /** Index in the unit, and the unit's partition: "" whole, "columns", "rows" or "quarters". */
   number: number;
   cut: Cut;
 }
 
 export type Cut = "" | "columns" | "rows" | "quarters";
 
-/** The motions of earlier blocks and pictures that parts of a picture may take over. */
+/** Candidates for the motion of a part, from earlier blocks and pictures. */
 export class Candidates {
   constructor(
     private readonly field: MotionField,
@@ -88,7 +88,7 @@ export class Candidates {
     private readonly prediction: Prediction,
   ) {}
 
-  /** The motion that a merged part takes over: candidate `index` (8.5.3.2.2). */
+  /** The motion of a merged part: candidate `index` (8.5.3.2.2). */
   merged(part: Part, index: number): Motion {
     const { field } = this;
     const { x, y, width, height, number, cut } = part;
@@ -113,7 +113,7 @@ export class Candidates {
     return { reference: zero < this.prediction.listed ? zero : 0, x: 0, y: 0 };
   }
 
-  /** The vector that the coded difference is added to: candidate 0 or 1 (8.5.3.2.6). */
+  /** The predicted vector, to which the coded difference is added: candidate 0 or 1 (8.5.3.2.6). */
   predicted(part: Part, reference: number, index: number): { x: number; y: number } {
     const { field } = this;
     const { x, y, width, height } = part;
@@ -137,7 +137,7 @@ export class Candidates {
     return found[index] ?? { x: 0, y: 0 };
   }
 
-  /** The motion of an earlier picture below and right of the part, or at its middle (8.5.3.2.8). */
+  /** The motion of the collocated picture below right of the part, or at its middle (8.5.3.2.8). */
   private temporal({ x, y, width, height }: Part, reference: number): Vector | null {
     const { collocated, codingTreeLog2 } = this;
     if (!collocated) return null;
@@ -150,7 +150,7 @@ export class Candidates {
     return block < 0 ? null : this.scaled(collocated, block, reference);
   }
 
-  /** The vector of a block, as long as the distance of this picture to its reference asks for. */
+  /** The vector of a block, scaled to this picture's distance from its reference. */
   private scaled(from: MotionField, block: number, reference: number): Vector {
     const clip8 = (value: number) => Math.min(Math.max(value, -128), 127);
     const theirs = clip8(from.order - from.listed[from.references[block]!]!);

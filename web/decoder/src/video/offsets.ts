@@ -7,7 +7,7 @@ const NONE = 0;
 const BAND = 1;
 const EDGE = 2;
 const MOST_OFFSET = 7;
-/** How far right and down a neighbour is, for each direction of edges; the other one is opposite. */
+/** Step right and down to one neighbour, for each direction of edges; the other neighbour is opposite. */
 const DIRECTIONS = [[-1, 0], [0, -1], [-1, -1], [1, -1]] as const;
 
 interface PlaneOffsets {
@@ -17,10 +17,10 @@ interface PlaneOffsets {
   place: number;
 }
 
-/** Of the three planes. */
+/** Offsets of the three planes. */
 export type Offsets = PlaneOffsets[];
 
-/** The offsets of unit i; before: those of the units before it. */
+/** Reads the offsets of unit i. before: offsets of the units before it. */
 export function readOffsets(cabac: Cabac, { saoLuma, saoChroma }: { saoLuma: boolean; saoChroma: boolean }, before: Offsets[], i: number, columns: number): Offsets {
   if (i % columns > 0 && cabac.bit(FIRST.saoMerge)) return before[i - 1]!;
   if (i >= columns && cabac.bit(FIRST.saoMerge)) return before[i - columns]!;

@@ -1,24 +1,24 @@
-/** Units of a byte stream of H.265, and its parameter sets (ITU-T H.265, 7.3.2). */
+/** NAL units of an H.265 byte stream, and its parameter sets (ITU-T H.265, 7.3.2). */
 
 import { Bits } from "../bytes.js";
 import { Unsupported, check } from "../errors.js";
 
-/** Samples of a side: an atlas is never larger. */
+/** Most samples of a side: no atlas is larger. */
 const MOST_SIZE = 4096;
 
-/** What a sequence parameter set says of every picture (names as in the standard, without prefixes). */
+/** A sequence parameter set (names as in the standard, without prefixes). */
 export interface Sequence {
   width: number;
   height: number;
-  /** Samples of the conformance window: left, right, top, bottom are cut. */
+  /** Conformance window: samples cut at left, right, top, bottom. */
   window: readonly [number, number, number, number];
-  /** Bits of the order of a picture in its slice header. */
+  /** Bits of a picture's order in its slice header. */
   orderBits: number;
   minCodingLog2: number;
   codingTreeLog2: number;
   minTransformLog2: number;
   maxTransformLog2: number;
-  /** How often transform trees may split, of blocks predicted from other pictures and from samples beside them. */
+  /** Greatest depth of transform trees, in inter and in intra blocks. */
   maxInterDepth: number;
   maxIntraDepth: number;
   hasUnevenParts: boolean;
@@ -28,10 +28,10 @@ export interface Sequence {
   hasStrongSmoothing: boolean;
 }
 
-/** Earlier pictures that are kept, nearest first: how far before the picture each is, and whether the picture may use it. */
+/** Earlier pictures to keep, nearest first: distance before the picture, and whether the picture may use them. */
 export type ReferenceSet = { back: number; isUsed: boolean }[];
 
-/** What a picture parameter set says. */
+/** A picture parameter set. */
 export interface PictureSet {
   hasOutputFlag: boolean;
   extraBits: number;
@@ -54,7 +54,7 @@ export function unless(isUsed: boolean, tool: string): void {
   if (isUsed) throw new Unsupported(`a picture uses ${tool}`);
 }
 
-/** Units of a byte stream, between start codes. */
+/** NAL units of a byte stream, between start codes. */
 export function* units(data: Uint8Array): Generator<Uint8Array> {
   let start = -1;
   for (let i = 0; i <= data.length; i++) {
@@ -146,7 +146,7 @@ export function readSequence(bits: Fields): Sequence {
   return { width, height, window, orderBits, ...blocks, hasUnevenParts, hasSao, references, hasTemporalMotion, hasStrongSmoothing };
 }
 
-/** Set `number` of the sequence, or that of a slice behind them (7.3.7). */
+/** Reads reference set `number` of the sequence, or the set of a slice, which has the next number (7.3.7). */
 export function readReferenceSet(bits: Fields, number: number): ReferenceSet {
   unless(number > 0 && bits.flag(), "references that follow from others");
   const [before, after] = [bits.unsigned(MOST_REFERENCES), bits.unsigned(MOST_REFERENCES)];
@@ -158,7 +158,7 @@ export function readReferenceSet(bits: Fields, number: number): ReferenceSet {
   });
 }
 
-/** Video usability information (E.2.1): shape of samples, ranges and timing, none of which changes the decoded samples. */
+/** Skips the video usability information (E.2.1), which does not change the decoded samples. */
 function skipUsability(bits: Fields): void {
   if (bits.flag() && bits.number(8) === 255) bits.number(32);
   if (bits.flag()) bits.flag();

@@ -1,7 +1,7 @@
 /**
  * Pictures of H.265: 4:4:4, 8 bits, one slice, with the tools that mocodec's encoder uses (ITU-T H.265).
  *
- *     packet ─► parameters · slice ─► blocks: prediction from samples beside, or from earlier pictures, + residual
+ *     packet ─► parameters · slice ─► blocks: intra or inter prediction, + residual
  *            ─► deblocking ─► sample offsets
  */
 
@@ -27,14 +27,14 @@ const MOST_QP = 51;
 const CHROMA_AS_LUMA = 4;
 const CHROMA_MODES = [PLANAR, DOWN, ACROSS, MEAN];
 const CHROMA_OTHER = 34;
-/** The mode of blocks that are predicted from other pictures. */
+/** The mode of inter blocks. */
 const NO_MODE = -1;
 
 export class PictureDecoder {
   private readonly planes: Plane[];
   private readonly cabac: Cabac;
   private readonly qps: number[];
-  /** Of each block of 4 × 4: depth of its coding unit, −1 before; mode of its luma; and as in `Blocks`. */
+  /** Facts of each 4 × 4 block: depth of its coding unit (−1: not decoded), luma mode, and the fields of `Blocks`. */
   private readonly depths: Int8Array;
   private readonly modes: Uint8Array;
   readonly edges: Uint8Array;
@@ -44,7 +44,7 @@ export class PictureDecoder {
   private readonly candidates: Candidates | null;
   private readonly across: number;
 
-  /** order: of the picture; references: pictures in the slice's list. */
+  /** order: number of the picture; references: pictures in the slice's list. */
   constructor(
     private readonly parameters: Parameters,
     slice: Uint8Array,
@@ -77,7 +77,7 @@ export class PictureDecoder {
     for (let i = 0; i < units; i++) {
       if (saoLuma || saoChroma) offsets.push(readOffsets(cabac, parameters, offsets, i, columns));
       this.quadtree((i % columns) * size, Math.floor(i / columns) * size, codingTreeLog2, 0);
-      check(cabac.ends() === (i === units - 1), "picture: its slice has another end");
+      check(cabac.ends() === (i === units - 1), "picture: the slice has a wrong end");
     }
     if (parameters.deblocks) deblock(planes, this, parameters);
     if (offsets.length) addOffsets(planes, offsets, size);
@@ -145,7 +145,7 @@ export class PictureDecoder {
     this.transformTree({ isMoved: false, splitsFirst: isQuartered, isQuartered, maxDepth, luma, chroma }, x, y, log2, 0, 0, true, true);
   }
 
-  /** A unit that is predicted from earlier pictures, with vectors or a residual of its own. */
+  /** Decodes an inter unit that has vectors or a residual (not skipped). */
   private movedUnit(x: number, y: number, log2: number, prediction: Prediction): void {
     const { cabac, parameters } = this;
     const parts = partsOf(x, y, 1 << log2, this.readCut(log2));
@@ -162,7 +162,7 @@ export class PictureDecoder {
     this.finish(x, y, 1 << log2);
   }
 
-  /** part_mode of 7.3.8.5: how a unit is cut, and where, in quarters of it. */
+  /** part_mode (7.3.8.5): the partition of a unit, and its first part's size in quarters of the unit. */
   private readCut(log2: number): { cut: Cut; quarters: number } {
     const { cabac, parameters } = this;
     if (cabac.bit(FIRST.parts)) return { cut: "", quarters: 4 };
@@ -177,7 +177,7 @@ export class PictureDecoder {
     return { cut, quarters: cabac.plain() ? 3 : 1 };
   }
 
-  /** Reads the motion of a part and predicts its samples; whether it took over the motion of another. */
+  /** Reads the motion of a part and predicts its samples. Returns whether the part is merged. */
   private movePart(part: Part, prediction: Prediction, isSkipped: boolean): boolean {
     const { cabac, motion, candidates, references } = this;
     const isMerged = isSkipped || cabac.bit(FIRST.isMerged) === 1;
@@ -212,7 +212,7 @@ export class PictureDecoder {
     return { reference, x: ((x + dx) << 16) >> 16, y: ((y + dy) << 16) >> 16 };
   }
 
-  /** The samples of a unit can be used. */
+  /** Marks the samples of a unit as decoded. */
   private finish(x: number, y: number, size: number): void {
     for (const { isDecoded } of this.planes) this.fill(isDecoded, x, y, size, 1);
   }
@@ -222,7 +222,7 @@ export class PictureDecoder {
     for (let column = x; column < x + width; column += 4) this.edges[this.block(column, y)]! |= TOP << shift;
   }
 
-  /** 8.4.2: one of the three most probable modes, or one of the others. */
+  /** Reads the luma mode: one of the three most probable modes, or another (8.4.2). */
   private lumaMode(x: number, y: number, isProbable: boolean): number {
     const left = x > 0 ? this.modes[this.block(x - 1, y)]! : MEAN;
     const above = y % (1 << this.parameters.codingTreeLog2) > 0 ? this.modes[this.block(x, y - 1)]! : MEAN;
@@ -285,17 +285,17 @@ export class PictureDecoder {
 }
 
 interface CodingUnit {
-  /** Whether it is predicted from other pictures. */
+  /** Whether it is an inter unit. */
   isMoved: boolean;
   splitsFirst: boolean;
   isQuartered: boolean;
   maxDepth: number;
-  /** Modes of one part, or of four. */
+  /** Intra modes of one part, or of four. */
   luma: number[];
   chroma: number[];
 }
 
-/** The parts of a unit. quarters: of its size, that the first part is high or wide. */
+/** The parts of a unit. quarters: height or width of the first part, in quarters of the unit. */
 function partsOf(x: number, y: number, size: number, { cut, quarters }: { cut: Cut; quarters: number }): Part[] {
   const first = (size * quarters) >> 2;
   const part = (dx: number, dy: number, width: number, height: number, number: number): Part => ({ x: x + dx, y: y + dy, width, height, number, cut });

@@ -11,12 +11,12 @@ export type Scan = 0 | 1 | 2;
 
 const MOST_PREFIX = 32;
 const MOST_LEVEL = 32768;
-/** Flags "above one" of a block of 4 × 4. */
+/** Most flags "above one" in a 4 × 4 block. */
 const FLAGS_ABOVE_ONE = 8;
-/** Contexts of "significant" in transform blocks of 4 × 4, by place. */
+/** Contexts of "significant" in 4 × 4 transform blocks, by position. */
 const SMALL_CONTEXTS = [0, 1, 4, 5, 2, 3, 4, 5, 6, 6, 8, 8, 7, 7, 8];
 
-/** Places (x, y) of a square in the order of a scan (6.5.3 to 6.5.5). */
+/** Positions (x, y) in a square, in the order of a scan (6.5.3 to 6.5.5). */
 function scanOrder(size: number, scan: Scan): Uint8Array {
   const places: [number, number][] = [];
   for (let y = 0; y < size; y++) for (let x = 0; x < size; x++) places.push([x, y]);
@@ -28,14 +28,14 @@ function scanOrder(size: number, scan: Scan): Uint8Array {
 const ORDERS = [0, 1, 2, 3].map((log2) => ([DIAGONAL, ROWS, COLUMNS] as const).map((scan) => scanOrder(1 << log2, scan)));
 
 export interface Residual {
-  /** Whether the values are differences of samples instead of coefficients. */
+  /** Whether the values are sample differences (transform skip), not coefficients. */
   isSkipped: boolean;
-  /** The highest column and row with a value. */
+  /** Highest column with a value; `rows`: highest row. */
   columns: number;
   rows: number;
 }
 
-/** Reads a block of 2^log2 × 2^log2 into `out`, row by row, which is 0 before. */
+/** Reads a block of 2^log2 × 2^log2 into `out`, row by row. The caller fills `out` with 0. */
 export function readResidual(cabac: Cabac, log2: number, plane: number, scan: Scan, options: { hidesSigns: boolean; skipsTransforms: boolean }, out: Int32Array): Residual {
   const isSkipped = options.skipsTransforms && log2 === 2 && cabac.bit(FIRST.skip + Number(plane > 0)) === 1;
   const [lastX, lastY] = readLast(cabac, log2, plane, scan);
@@ -117,7 +117,7 @@ function significantContext(log2: number, plane: number, scan: Scan, bx: number,
   return plane ? 27 + context : context;
 }
 
-/** Levels of a block of 4 × 4 at its `count` places `found`; returns the last context of "above one". */
+/** Reads the levels at the `count` significant positions `found` of a 4 × 4 block; returns the last context of "above one". */
 function readLevels(cabac: Cabac, plane: number, set: number, found: Uint8Array, count: number, hidesSigns: boolean, put: (n: number, level: number) => void): number {
   const levels = new Array<number>(count).fill(1);
   let context = 1;

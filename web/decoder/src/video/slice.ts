@@ -8,23 +8,23 @@ const SPS_UNIT = 33;
 const PPS_UNIT = 34;
 const FIRST_IDR_UNIT = 19;
 const LAST_IDR_UNIT = 20;
-/** Units of pictures that follow others. */
+/** Last type of trailing-picture units. */
 const LAST_TRAILING_UNIT = 1;
 const PREDICTED_SLICE = 1;
 const INTRA_SLICE = 2;
 
-/** Parameter sets that hold until others come. */
+/** Active parameter sets, until new ones replace them. */
 export interface ParameterSets {
   sequence?: Sequence;
   picture?: PictureSet;
 }
 
-/** What the syntax of a picture needs. */
+/** Parameters for decoding a picture. */
 export interface Parameters extends Sequence {
   hidesSigns: boolean;
   skipsTransforms: boolean;
   qp: number;
-  /** Of Cb and Cr in the picture, and with the slice's added. */
+  /** Offsets of the picture for Cb and Cr; `qpOffsets` adds those of the slice. */
   pictureQpOffsets: readonly [number, number];
   qpOffsets: readonly [number, number];
   saoLuma: boolean;
@@ -32,21 +32,21 @@ export interface Parameters extends Sequence {
   deblocks: boolean;
   betaOffset: number;
   tcOffset: number;
-  /** Lower bits of the picture's order, and earlier pictures that are kept. */
+  /** Low bits of the picture's order; `kept`: earlier pictures to keep. */
   order: number;
   kept: ReferenceSet;
-  /** Of a picture that is predicted from others. */
+  /** Inter prediction; null in intra pictures. */
   prediction: Prediction | null;
 }
 
-/** How a picture is predicted from others. */
+/** Parameters of inter prediction. */
 export interface Prediction {
-  /** References in the list, which may repeat those of `kept`. */
+  /** Length of the reference list, which may repeat pictures of `kept`. */
   listed: number;
-  /** Number of the reference whose motion predicts that of this picture, −1 without. */
+  /** Index of the reference whose motion predicts this picture's motion, −1: none. */
   collocated: number;
   mostMerged: number;
-  /** Of each reference and plane; null: samples count as they are. */
+  /** Weights of each reference and plane; null: unweighted. */
   weights: Weight[][] | null;
 }
 
@@ -57,7 +57,7 @@ export interface Weight {
   offset: number;
 }
 
-/** The slice of a packet of one picture. Parameter sets of the packet replace those of `sets`. Throws Corrupt, Unsupported. */
+/** Reads the slice of a packet, which is one picture. Its parameter sets replace those of `sets`. Throws Corrupt, Unsupported. */
 export function readSlice(packet: Uint8Array, sets: ParameterSets): { parameters: Parameters; slice: Uint8Array } {
   let found: { parameters: Parameters; slice: Uint8Array } | undefined;
   for (const unit of units(packet)) {
@@ -92,7 +92,7 @@ function readHeader(bits: Fields, sequence: Sequence, picture: PictureSet, isSta
   const [saoLuma, saoChroma] = sequence.hasSao ? [bits.flag(), bits.flag()] : [false, false];
   const prediction = isPredicted ? readPrediction(bits, picture, hasTemporal) : null;
   const qp = picture.qp + bits.signed(77);
-  check(qp >= 0 && qp <= 51, "picture: its quantisation step");
+  check(qp >= 0 && qp <= 51, "picture: the quantisation step is out of range");
   const offset = () => (picture.hasSliceQpOffsets ? bits.signed(12) : 0);
   const [cb, cr] = picture.qpOffsets;
   const qpOffsets = [cb + offset(), cr + offset()] as const;
@@ -124,7 +124,7 @@ function readPrediction(bits: Fields, picture: PictureSet, hasTemporal: boolean)
   return { listed, collocated, mostMerged: 5 - bits.unsigned(4), weights };
 }
 
-/** 7.3.6.3. */
+/** Reads the weights (7.3.6.3). */
 function readWeights(bits: Fields, listed: number): Weight[][] {
   const luma = bits.unsigned(7);
   const chroma = luma + bits.signed(7);

@@ -5,10 +5,10 @@ import type { Residual } from "./residual.js";
 const LEVEL_SCALE = [40, 45, 51, 57, 64, 72];
 const FIRST_SHIFT = 7;
 const SECOND_SHIFT = 12;
-/** Differences of samples of a block without transform are stored this much finer. */
+/** Left shift of sample differences in blocks without a transform. */
 const SKIP_SHIFT = 7;
 
-/** 64 √2 cos(π i / 64) as the standard rounds it; 64 for i = 0. */
+/** 64 √2 cos(π i / 64), rounded as in the standard; 64 for i = 0. */
 const COSINES = [64, 90, 90, 90, 89, 88, 87, 85, 83, 82, 80, 78, 75, 73, 70, 67, 64, 61, 57, 54, 50, 46, 43, 38, 36, 31, 25, 22, 18, 13, 9, 4, 0];
 const SINES = Int32Array.of(29, 55, 74, 84, 74, 74, 0, -74, 84, -29, -74, 55, 55, -84, 74, -29);
 
@@ -24,7 +24,7 @@ function clip16(value: number): number {
   return value < -32768 ? -32768 : value > 32767 ? 32767 : value;
 }
 
-/** From quantised coefficients to differences of samples, in place. */
+/** Turns quantised coefficients into sample differences, in place. */
 export function inverse(values: Int32Array, log2: number, qp: number, isSine: boolean, { isSkipped, columns, rows }: Residual): void {
   const scale = 16 * LEVEL_SCALE[qp % 6]! * 2 ** Math.floor(qp / 6);
   const unit = 2 ** (log2 + 3);

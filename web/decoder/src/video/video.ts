@@ -1,4 +1,4 @@
-/** Packets of H.265 to pictures, one after the other. */
+/** Decodes packets of H.265 to pictures, one after the other. */
 
 import { check } from "../errors.js";
 import { type CodedPicture, PictureDecoder } from "./picture.js";
@@ -16,7 +16,7 @@ export class VideoDecoder {
   private sets: ParameterSets = {};
   private pictures: CodedPicture[] = [];
 
-  /** A decoder that goes on from here. */
+  /** A copy of the decoder in its current state. */
   copy(): VideoDecoder {
     const other = new VideoDecoder();
     other.sets = { ...this.sets };
@@ -31,7 +31,7 @@ export class VideoDecoder {
     const order = this.orderOf(parameters);
     const kept = parameters.kept.map(({ back, isUsed }) => {
       const picture = this.pictures.find((one) => one.order === order - back);
-      check(picture !== undefined || !isUsed, "picture: it needs one that is not there");
+      check(picture !== undefined || !isUsed, "picture: a reference is missing");
       return { picture, isUsed };
     });
     const used = kept.filter(({ isUsed }) => isUsed).map(({ picture }) => picture!);
@@ -43,7 +43,7 @@ export class VideoDecoder {
     return cut(decoded, width, height, parameters.window);
   }
 
-  /** The order of a picture, which is the nearest to that before with these lower bits (8.3.1). */
+  /** The order of a picture: the value with these low bits that is nearest to the previous order (8.3.1). */
   private orderOf({ order, orderBits, kept }: Parameters): number {
     const before = kept.length ? (this.pictures[0]?.order ?? 0) : 0;
     const size = 2 ** orderBits;
@@ -52,7 +52,7 @@ export class VideoDecoder {
   }
 }
 
-/** The part of a picture that is shown. */
+/** The part of a picture within the conformance window. */
 function cut({ planes }: CodedPicture, width: number, height: number, [left, right, top, bottom]: readonly [number, number, number, number]): Picture {
   const [w, h] = [width - left - right, height - top - bottom];
   const shown = (samples: Uint8Array) => {

@@ -27,7 +27,7 @@ LARGEST_THRESHOLD = 4096
 LIST_TABLES = (contexts.SHAPES - 1) * contexts.CLASSES
 """Lists use the tables of the last shape."""
 SIGNED_FIELDS = 3
-"""So many of a list's fields may be negative: the first ones."""
+"""Number of fields of a list that may be negative: the first ones."""
 SYMBOLS_PER_LANE = 96
 """A lane carries at least this many symbols, or it would cost more than the time that it saves is worth."""
 LISTED_PER_BYTE = 64

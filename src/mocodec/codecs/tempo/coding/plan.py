@@ -60,7 +60,7 @@ class ChunkPlan:
 
     @cached_property
     def order(self) -> tuple[Integers, Integers, Integers, Integers, Integers]:
-        """Of each coded coefficient: frequency, row, group, step within the group, and lane."""
+        """For each coded coefficient: frequency, row, group, step within the group, and lane."""
         frequency, row = np.nonzero(self.inside)
         group = contexts.groups(self.frequencies)[1][frequency]
         first = np.searchsorted(group, np.arange(group.max(initial=-1) + 1))

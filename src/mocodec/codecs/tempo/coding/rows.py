@@ -26,7 +26,7 @@ def heading_step(frames: int) -> int:
 
 
 def step_size(log: int | Integers) -> Floats:
-    """Of log₂ in 1/32 octave."""
+    """Step, metres, of its log₂ in 1/32 octave."""
     return 2.0 ** (np.asarray(log) / contexts.OCTAVE)
 
 

@@ -182,7 +182,7 @@ def _explanation(moved: Floats, angle: float, guess: Guess, bones: BoneMotion) -
 
 
 def _negative_log_likelihood(a: Floats, flat: Floats, noise: float) -> float:
-    """Of movement (3 points, frames) under the Gaussian with covariance a aᵀ + noise, a frame, up to a constant."""
+    """Per frame, up to a constant, of movement (3 points, frames) under the Gaussian of covariance a aᵀ + noise."""
     inner = np.eye(a.shape[1]) + a.T @ a / noise
     factor = np.linalg.cholesky(inner)
     along = np.linalg.solve(factor, a.T @ flat) / noise

@@ -22,14 +22,14 @@ from ..pose import heading
 from .coordinates import Coordinates, PointCoordinates
 
 MANY_ROWS, SPARSE_ROWS = 256, 0.5
-"""Of many rows of which fewer than this share have coefficients, only the components of these are multiplied."""
+"""Of more rows than MANY_ROWS, only those with coefficients are multiplied where they are less than this share."""
 BAND_EDGES_MHZ = (700, 2000, 5000)
 """Each band of frequencies between these has a basis of its own."""
 BANDS = len(BAND_EDGES_MHZ) + 1
 SLOWEST_HEADING = 3
-"""So many coefficients of the heading are kept in any chunk,"""
+"""Number of coefficients of the heading that every chunk keeps, at least."""
 HEADING_HZ = 1.2
-"""and those up to this frequency."""
+"""Coefficients of the heading up to this frequency are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Model:
     neighbours: Neighbours | None = None
     _expected: dict[int, Integers] = field(default_factory=dict)
     compiled: dict[int, Any] = field(default_factory=dict, init=False)
-    """Of `compiled_chunks`, by length of chunk."""
+    """State of `compiled_chunks`, by length of chunk."""
 
     @classmethod
     def without_rows(cls, names: tuple[str, ...], rate: float) -> Model:

@@ -45,7 +45,7 @@ def sum_first_axis(a: Floats) -> Floats:
 
 
 def length(v: Floats) -> Floats:
-    """Of a vector (3,)."""
+    """Length of a vector (3,)."""
     return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
 
 
@@ -54,7 +54,7 @@ def unit(v: Floats) -> Floats:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """Of vectors (…, 3)."""
+    """Cross product of vectors (…, 3)."""
     return np.stack([a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=-1)
 
 

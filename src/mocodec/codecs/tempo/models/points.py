@@ -31,7 +31,7 @@ POSE_COARSER = 64
 FINER_STEPS = (0, 32)
 """A stored basis is rounded for the step, or for one finer by this (1/32 octave)."""
 MANY_POINTS = 400
-"""Of more points the finer basis is fitted first, and none are placed on the prior's bones: no marker set has more."""
+"""With more points the finer basis is fitted first. None are placed on the prior's bones: no marker set has more."""
 
 NEAREST_BLOCK = 64
 """Points worked on at a time."""

@@ -1,4 +1,4 @@
-"""What is learned from other people's motion and ships with the package: bases, spreads and the coder's tables.
+"""The prior, learned from other people's motion and shipped with the package: bases, spreads and the coder's tables.
 
 A prior is one .npz beside this package, identified in every file that uses it by its BLAKE2b digest of four bytes.
 `scripts/train_prior` makes it. Bases are float32, so that every machine multiplies by the same numbers; all that the
@@ -53,7 +53,7 @@ class JointSet:
 
     @property
     def tree(self) -> BoneTree:
-        """Of a set whose coordinates are directions."""
+        """The bone tree of a set whose coordinates are directions."""
         assert isinstance(self.coordinates, DirectionCoordinates)
         return self.coordinates.tree
 

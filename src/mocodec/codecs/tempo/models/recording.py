@@ -38,14 +38,14 @@ class Recording:
 
     @cached_property
     def mean_pose(self) -> Floats:
-        """Of at most about `POSE_FRAMES` frames, (points, 3), metres, centred, each frame turned to it."""
+        """Mean pose (points, 3), metres, centred, of at most about `POSE_FRAMES` frames, each turned to it."""
         every, starts = max(1, self.frames // POSE_FRAMES), np.cumsum([0, *map(len, self.chunks)])
         some = [chunk[-start % every :: every] for chunk, start in zip(self.chunks, starts[:-1], strict=True)]
         return heading.mean_pose(heading.centred(some))
 
     @cached_property
     def components(self) -> Components:
-        """Of its positions about the mean pose."""
+        """The components of the positions about the mean pose."""
         return Components.of_positions(self.chunks, PointCoordinates(self.mean_pose), self.like.rate)
 
     def spectrum(self, model: Model, number: int) -> Floats | None:
@@ -66,7 +66,7 @@ class Recording:
         return out
 
     def with_step(self, step: int) -> Recording:
-        """The recording for another step, with what is known of it already."""
+        """The recording for another step, which keeps the results that do not depend on the step."""
         other = replace(self, step=step)
         other.__dict__.update({name: value for name, value in self.__dict__.items() if name != "step"})
         return other

@@ -55,8 +55,8 @@ CORRESPONDENCE = Record(
     signed("digits", most=FINEST_DIGITS, meaning="vectors are in steps of 2^(−digits) m"),
     *(signed(name, most=LARGEST_LEVEL, meaning="eighths of an octave, less the usual") for name in ALL_LEVELS),
     flag("has_tree", meaning="the tree and its proportions are stored, else they are the skeleton's"),
-    *sized(array("joints", ("points", 3), meaning="the prior's joint, marks and parent, less what is expected")),
-    raw("vectors", meaning="coded integers: for each bone what is not known of its vector"),
+    *sized(array("joints", ("points", 3), meaning="the prior's joint, marks and parent, less their predictions")),
+    raw("vectors", meaning="coded integers: for each bone the unknown part of its vector"),
 )
 
 

@@ -37,7 +37,7 @@ from .skeleton_correspondence import (
 from .tree_matching import Match, TreeMatcher
 
 MOST_ROOTS = 4
-"""At most so many joints, those nearest to the middle of the body, are tried as root."""
+"""Number of joints that are tried as root, at most: those nearest to the middle of the body."""
 FEWEST_MATCHED = 4
 LEVEL_CHUNKS = 8
 """Levels are fitted to about this many of the chunks."""

@@ -40,7 +40,7 @@ COARSER = 36
 FITTED_HZ = (0.3, 2.0)
 """Gains are measured between these frequencies."""
 LEAST_REST = 1e-6
-"""Of sums of squares: a smaller difference between two of them is rounding for the most part."""
+"""Share of a sum of squares: a smaller difference between two of them is mostly rounding."""
 MOST_MOMENTS = 1 << 22
 """Numbers of matrices that are computed side by side before they are summed."""
 GAIN_FREQUENCY = 5
@@ -134,7 +134,7 @@ class Components(NamedTuple):
 
     @classmethod
     def of_positions(cls, positions: Sequence[Floats], coordinates: Coordinates, rate: float) -> Components:
-        """Of chunks (frames, points, 3), y up."""
+        """The components of chunks (frames, points, 3), y up."""
         moves = [np.empty((len(p), POSE)) for p in positions]
 
         def spectrum(number: int) -> Floats:

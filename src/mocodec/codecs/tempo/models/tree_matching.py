@@ -27,7 +27,7 @@ LENGTH_LOG = 0.2
 EXTRA_COST, SKIP_COST = 3.0, 1.0
 """Cost of a bone without correspondence, and of a bone of the prior that is passed over."""
 MOST_SKIPPED = 3
-"""A bone corresponds to at most this many of the prior's in a row, and at most so many extra bones stand in a row."""
+"""A bone corresponds to a run of at most MOST_SKIPPED bones of the prior; runs of extra bones are as short."""
 
 
 @dataclass(frozen=True, eq=False)

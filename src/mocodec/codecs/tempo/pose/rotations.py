@@ -31,7 +31,10 @@ class SinCos(NamedTuple):
 
     @classmethod
     def of(cls, squared: Floats) -> SinCos:
-        """Of squared angles. Small angles use series of a quarter of the angle: twice as fast as NumPy's sine."""
+        """Sine and cosine of angles, from their squares.
+
+        Small angles use series of a quarter of the angle: twice as fast as NumPy's sine.
+        """
         if squared.max(initial=0.0) <= LARGEST_SERIES_ANGLE_2:
             quarter = squared * (-1 / 16)
             share, cosine = _series(quarter, _SINE_TERMS), _series(quarter, _COSINE_TERMS)
@@ -62,7 +65,7 @@ def _series(x: Floats, terms: Sequence[float]) -> Floats:
 
 
 def squared_length(vectors: Floats) -> Floats:
-    """Of vectors (n, …)."""
+    """Squared length of vectors (n, …)."""
     return np.einsum("n...,n...->...", vectors, vectors)
 
 

@@ -227,7 +227,7 @@ class _Offsets(NamedTuple):
 
     @classmethod
     def of(cls, tree: BoneTree, pose: Floats) -> _Offsets:
-        """Of poses (frames, points, 3)."""
+        """The offsets in poses (frames, points, 3)."""
         coordinates = tree.schedule.split(np.empty((tree.dimensions, len(pose))))
         frames = bone_directions.frames_and_coordinates(tree, pose, *coordinates)
         return cls(bone_directions.offsets_from_parents(pose, tree.parents), frames)

@@ -1,6 +1,6 @@
 """Rotations of a skeleton's joints, kept beside positions.
 
-rules       how each joint's rotation follows from positions, and what is coded beside them
+rules       how each joint's rotation follows from positions, and which angles are coded beside them
 choose      rules and side values of a recording
 solve       rotations from positions and side values
 shell       shell points, and errors at them

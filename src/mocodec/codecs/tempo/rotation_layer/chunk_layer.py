@@ -22,11 +22,11 @@ from .payload import Layer
 
 ALL = slice(None)
 TIGHTER = (0, 16, 40, 72, 112)
-"""A chunk beyond a bound is tried with steps that are so much finer, 1/32 octave, and corrections."""
+"""How much finer the steps are that a chunk beyond a bound is tried with, 1/32 octave, before corrections."""
 LEAST_SHARE = 1e-3
 """A chunk that is coded directly keeps its mean error as a bound, or this share of the promise if that is more."""
 GRIDS = 60
-"""Direct coding is on a grid that is halved at most so often."""
+"""Number of times that the grid of direct coding is halved, at most."""
 CORRECTIONS = ((0.6, 1), (0.4, 2), (0.4, 2), (0.2, 3), (0.2, 4), (0.05, 5), (0.05, 6), (0.0125, 8))
 """Round after round: corrections bring targets within this share of the bound, and correct what moves the joint itself
 and so many joints in all up its chain. Angles that targets show badly need these more exactly; a joint whose angles are

@@ -1,4 +1,4 @@
-"""Coding a motion with rotations to a target: how exact positions and side values are, and what is mended.
+"""Coding a motion with rotations to a target: steps of positions and side values, and corrections.
 
 mean_error      positions at a share of it, then the coarsest side values that keep the mean of joints and shell points;
                 corrections where one of them is farther off than WORST times the mean
@@ -29,12 +29,12 @@ from .chunk_layer import GRIDS, ChunkLayer, Draft, Original, Promise
 from .payload import Layer
 
 MEAN_SHARE, BOUND_SHARE, SIZE_SHARE = 0.94, 0.66, 0.9
-"""Of the mean error, of the bound and of the bytes that the target allows: what the inner stream gets at first."""
+"""Shares of the allowed mean error, bound and bytes that the inner stream gets at first."""
 FLOOR = 0.985
 """With exact side values, at most this share of the mean error may be used up by positions."""
 INNER_TRIES = 5
 WORTH_SHARING, LESS = 0.2, 0.85
-"""Where rotations take more than this part of the positions' bytes, positions get so much less of the error as well."""
+"""Where rotations take a larger part of positions' bytes than WORTH_SHARING, positions get LESS of the error too."""
 SEARCHED_FRAMES, FULL_TRIES = 1000, 4
 """The search for a step measures about 1,000 frames, and again where all frames have another mean."""
 NEAR, ALIKE = 0.99, 0.003
@@ -43,7 +43,7 @@ MEAN_STEP, BOUND_STEP, RATIO_STEP = 6.0, 2.0, 2e-4
 """The first step of side values: times the mean error, times the bound, and times the ratio in metres."""
 COARSEST, FINEST = 8 * OCTAVE, -40 * OCTAVE
 WORST = 12.0
-"""Under a mean error, no joint or shell point of any frame is farther off than so many times the mean."""
+"""Under a mean error, largest ratio of the error of a joint or shell point to the mean."""
 
 
 class Encoder:
@@ -171,8 +171,8 @@ class Encoder:
         return Layer(self.rules, self.reach_m, side.SideModel.of(stored, known, self.rules, self.factor, rate)), shared
 
     def _mean(self, coded: Coded, drafts: Sequence[Draft], every: int = 1) -> float:
-        """Mean distance of joints and shell points, or of joints alone if that is larger, metres, of every so many
-        frames."""
+        """Mean distance of joints and shell points, or of joints alone if that is larger, metres, over every
+        `every`-th frame."""
         sampled = [c.sampled_errors(d, every) for c, d in zip(coded.chunks, drafts, strict=True)]
         joints, count = sum(float(e.joints.sum()) for e in sampled), sum(e.joints.size for e in sampled)
         return max(sum(e.total for e in sampled) / 4, joints) / count

@@ -29,7 +29,7 @@ from .side import SideModel
 TRANSFORM, DIRECT, CORRECTED = 0, 1, 2
 """Kinds, and the flag of a chunk with corrections. Never change them."""
 SIDE_SCALE = 3
-"""Corrections of side values are in metres at so many times the distance of shell points: errors of twists add up."""
+"""Corrections of side values are metres at SIDE_SCALE times the distance of shell points, since twist errors add up."""
 
 
 @dataclass(frozen=True, eq=False)

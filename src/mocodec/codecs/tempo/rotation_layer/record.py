@@ -19,7 +19,7 @@ from .choose import USUAL_MOST, rounded_usual, stored_usual
 from .rules import Form, JointRule, Rules, angle_steps, angles_of_steps, limits_form
 
 RULE, FLAGS, FORM, LOCKED, PAIR, COLUMNS = 0, 1, 2, 3, 4, 5
-"""What is stored of a joint, in this order."""
+"""The stored fields of a joint, in this order."""
 PLACED, SECOND_BRANCH = 1, 2
 LIMITS_FORM = 1 + len(r.ORDERS)
 """0: no form, or no rotation of a FIXED joint. 1 to 6: an order of Euler angles. 7: the form that joint limits say."""
@@ -31,7 +31,7 @@ LARGEST = 1 << 20
 STEP_M, LARGEST_ROUNDED_M = 1e-5, 21474.83648
 """Offsets are rounded to this step, up to this length: the container's (`container.skeletons`)."""
 FREE_ANGLE, ZERO, CONSTANT = 0, 1, 2
-"""Of each of three angles, in base 3, the first highest."""
+"""States of an angle; those of three angles are digits in base 3, the first highest."""
 
 LAYER = Record(
     "tempo: rotations",

@@ -41,7 +41,7 @@ REFERENCES: tuple[Reference, ...] = (Reference(np.array(CMU_JOINTS), np.array(CM
 
 
 def numbers(joints: int) -> list[int]:
-    """The references that suit a skeleton of so many joints, and 0 for none."""
+    """The references with this number of joints, and 0 for none."""
     return [0, *(n for n, known in enumerate(REFERENCES, 1) if len(known.joints) == joints)]
 
 

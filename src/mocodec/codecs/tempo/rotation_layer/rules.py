@@ -87,7 +87,7 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class JointRule:
-    """What is stored about a joint.
+    """The stored rule of a joint.
 
     placed: it is put at its coded position instead of its offset's end. usual (4,): a usual local rotation; of FIXED,
     the rotation. form: of joints with restricted freedom. branch: which of two solutions, ±1, of UNIVERSAL. pair: the
@@ -116,7 +116,7 @@ class Carried:
 
     @cached_property
     def weights(self) -> Floats:
-        """Of each vector in the one that is aimed, (n,): its component along the longest."""
+        """Weight of each vector in the one that is aimed, (n,): its component along the longest."""
         longest = self.vectors[int(np.argmax((self.vectors**2).sum(axis=1)))]
         return self.vectors @ (longest / np.sqrt(longest @ longest))
 
@@ -178,7 +178,7 @@ class Rules:
 
     @cached_property
     def hinges(self) -> list[list[Hinge]]:
-        """Of each SWING joint: the hinges among its children that its twist turns."""
+        """For each SWING joint the hinges among its children that its twist turns."""
         found: list[list[Hinge]] = [[] for _ in self.joints]
         for joint, (rule, parent) in enumerate(zip(self.joints, self.skeleton.parents, strict=True)):
             if rule.rule != HINGE or parent < 0 or self.joints[parent].rule != SWING or rule.form is None:

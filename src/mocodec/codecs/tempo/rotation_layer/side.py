@@ -54,7 +54,7 @@ def coordinates(rules: Rules, reach_m: float) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class SideModel:
-    """What is expected of the coefficients of side values, and how to get from one to the other.
+    """The expected magnitudes of the coefficients of side values, and how to get from one to the other.
 
     points: how many the lists of corrections may name. factor: L. Coefficients (frames, rows) begin with rows that are
     not used, so that the coder of positions codes them.

@@ -1,4 +1,4 @@
-/** Adaptive bits (docs/payloads/bodycast.md): masks and octrees. */
+/** Adaptive bits, which code masks and octrees (docs/payloads/bodycast.md). */
 
 import { check } from "../../errors.js";
 
@@ -7,7 +7,7 @@ const FULL = 2 ** SCALE_BITS;
 const CHECK_FREQUENCY = 64;
 const MOST_COUNT = 4096;
 
-/** Counts of zeros and ones of contexts, which the bits of one kind share. */
+/** Counts of zeros and ones in each context of one kind of bits. */
 export class Counts {
   readonly zeros: Int32Array;
   readonly ones: Int32Array;
@@ -20,7 +20,7 @@ export class Counts {
     this.touched = new Int32Array(contexts);
   }
 
-  /** The frequency of a zero, of 2^14. */
+  /** The frequency of a zero, out of 2^14. */
   zero(context: number): number {
     const [zeros, ones] = [this.zeros[context]!, this.ones[context]!];
     return 1 + (((FULL - 2) * (255 - 2 * Math.floor((128 * ones) / (zeros + ones)))) >> 8);
@@ -49,7 +49,7 @@ export class AdaptiveBits {
     const size = data.length;
     this.at = size <= 4 ? size : size % 2 ? 3 : 4;
     for (let i = this.at - 1; i >= 0; i--) this.x = this.x * 256 + data[i]!;
-    check(this.x % FULL >= CHECK_FREQUENCY, "bodycast: adaptive bits do not begin as they should");
+    check(this.x % FULL >= CHECK_FREQUENCY, "bodycast: adaptive bits have a wrong beginning");
     this.take(CHECK_FREQUENCY, FULL - CHECK_FREQUENCY);
   }
 
@@ -64,7 +64,7 @@ export class AdaptiveBits {
     this.at += 2;
   }
 
-  /** A group of bits, one for each context. */
+  /** Reads a group of bits, one for each context. */
   group(counts: Counts, contexts: Int32Array): Uint8Array {
     const bits = new Uint8Array(contexts.length);
     contexts.forEach((context, i) => {
@@ -79,7 +79,7 @@ export class AdaptiveBits {
     return bits;
   }
 
-  /** The raw bits at the end: `total` of them. */
+  /** Reads the `total` raw bits at the end. */
   raw(total: number): Uint8Array {
     check(total <= 8 * this.data.length + 32, "bodycast: adaptive bits are cut off");
     const bits = new Uint8Array(total);
@@ -92,7 +92,7 @@ export class AdaptiveBits {
       this.refill();
       end -= count;
     }
-    check(this.x === 1 && this.at >= this.data.length, "bodycast: adaptive bits have another end");
+    check(this.x === 1 && this.at >= this.data.length, "bodycast: adaptive bits have a wrong end");
     return bits;
   }
 }

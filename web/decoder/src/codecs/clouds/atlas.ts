@@ -1,4 +1,4 @@
-/** The atlas of a body: tiles, the cells that are surface, and the key picture (docs/payloads/bodycast.md). */
+/** The atlas of a body: tiles, the mask of surface cells, and the key picture (docs/payloads/bodycast.md). */
 
 import type { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -15,13 +15,13 @@ const ALIGNMENT = 8;
 const LEAST_HEIGHT = 32;
 const LEAST_WIDTH = 64;
 const MASK_CONTEXTS = 512;
-/** Cells above a cell that its context depends on: rows up, columns to the right. */
+/** Cells in the context of a cell: rows up, columns to the right. */
 const ABOVE = [[1, -2], [1, -1], [1, 0], [1, 1], [2, 0], [1, 2]] as const;
 const MOST_POINTS = 2 ** 20;
 const MOST_INTERVAL = 2 ** 16 - 1;
 
 export interface Tile extends Item {
-  /** Millimetres along the axis, and from it. */
+  /** Ends along the axis (`low`, `high`) and largest distance from it (`reach`), millimetres. */
   low: number;
   high: number;
   reach: number;
@@ -30,18 +30,18 @@ export interface Tile extends Item {
 export interface Atlas {
   height: number;
   width: number;
-  /** In the order of their links. */
+  /** Sorted by link. */
   tiles: Tile[];
   /** Points of the body in a frame. */
   points: number;
-  /** Frames that a picture of the changing surface lasts. */
+  /** Number of frames that use one picture of the changing surface. */
   interval: number;
   /** (height, width): whether a cell is surface. */
   mask: Uint8Array;
   keyPicture: Uint8Array;
 }
 
-/** The rest of a shared blob, after the levers. */
+/** Reads the rest of a shared blob, after the levers. */
 export function readAtlas(part: Bytes, links: number): Atlas {
   const count = part.varintWithin(0, links, "the number of tiles");
   const table = readIntegers(part.take(part.varint()), count, 6);
@@ -67,7 +67,7 @@ export function readAtlas(part: Bytes, links: number): Atlas {
   return { height, width, tiles, points, interval, mask: mask.map((bit, i) => bit & inside[i]!), keyPicture };
 }
 
-/** Places tiles on shelves, the tallest first, and sorts them by link. */
+/** Places tiles on shelves, the tallest first; then sorts them by link. */
 function arrange(tiles: Tile[]): { height: number; width: number } {
   const aligned = (value: number) => Math.ceil(value / ALIGNMENT) * ALIGNMENT;
   const cells = tiles.reduce((sum, { height, width }) => sum + height * width, 0);

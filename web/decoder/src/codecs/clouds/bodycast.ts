@@ -1,4 +1,4 @@
-/** Points of `bodycast` (docs/payloads/bodycast.md): surfaces of bodies with outliers, exact points, points on a lattice, frames without bodies. */
+/** Points of `bodycast` (docs/payloads/bodycast.md): body surfaces with outliers, exact points, points on a lattice, frames without bodies. */
 
 import { Bytes } from "../../bytes.js";
 import { type ChunkParts, type PosedBody, readPlacements, readPosedBody, splitChunk } from "../bodies.js";
@@ -15,7 +15,7 @@ import { type Surface, type Texture, surfaceOf, textureOf } from "./surface.js";
 
 interface Model extends PosedBody {
   atlas: Atlas;
-  /** The samples, once they are needed; and rounded with the last shift. */
+  /** Samples of the surface, made when first needed; and rounded with the last shift. */
   texture?: Texture;
   surface?: { shift: number; surface: Surface };
   moving?: MovingSurface;
@@ -65,7 +65,7 @@ export class BodycastPoints implements PointDecoder {
     return model.surface.surface;
   }
 
-  /** Surfaces of the bodies in each frame and its outliers; or the points of a frame that no body is in. */
+  /** Body surfaces and outliers of each frame; or the raw points of a frame without bodies. */
   private *surfaces({ absent, rawFrames, outliers, poses, pictures }: ChunkParts, frames: number): Generator<Cloud> {
     const { models, coloured } = this;
     const bodies = [...models.keys()];

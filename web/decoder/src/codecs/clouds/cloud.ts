@@ -21,13 +21,13 @@ export interface PointDecoder {
 const MOST_POINTS = 2 ** 24;
 const MOST_POINTS_IN_BYTE = 131_072;
 
-/** Throws Corrupt if a part of `bytes` bytes cannot hold these points. */
+/** Throws Corrupt if `bytes` bytes cannot code these numbers of points. */
 export function checkCounts(counts: number[], bytes: number): void {
   const total = counts.reduce((sum, count) => sum + count, 0);
   check(total <= MOST_POINTS && total <= MOST_POINTS_IN_BYTE * (bytes + 1), `bodycast: ${total} points in ${bytes} bytes`);
 }
 
-/** Red, green, blue of colours Y, Co, Cg (YCoCg-R), clipped. */
+/** Converts colours from YCoCg-R to red, green, blue, clipped. */
 export function rgbOf(colours: ArrayLike<number>): Uint8Array {
   const out = new Uint8Array(colours.length);
   for (let i = 0; i < out.length; i += 3) {
@@ -40,7 +40,7 @@ export function rgbOf(colours: ArrayLike<number>): Uint8Array {
   return out;
 }
 
-/** The points of several clouds as one; coloured: whether it has colours. */
+/** Concatenates clouds. coloured: whether the result has colours. */
 export function joined(clouds: Cloud[], coloured: boolean): Cloud {
   const size = clouds.reduce((sum, { positions }) => sum + positions.length, 0);
   const all: Cloud = { positions: new Float64Array(size) };
@@ -54,7 +54,7 @@ export function joined(clouds: Cloud[], coloured: boolean): Cloud {
   return all;
 }
 
-/** Y, Co, Cg of a colour. */
+/** Converts a colour to YCoCg-R. */
 export function ycocgOf(red: number, green: number, blue: number): [number, number, number] {
   const co = red - blue;
   const h = blue + (co >> 1);

@@ -23,14 +23,14 @@ function atMost(edges: readonly number[], value: number): number {
   return count;
 }
 
-/** Points of a pass, of `count` in all. */
+/** Numbers of the points of a pass, out of `count`. */
 function pass(count: number, stride: number): number[] {
   const rows: number[] = [];
   for (let i = stride; i < count; i += stride ? 2 * stride : FIRST_STRIDE) rows.push(i);
   return rows;
 }
 
-/** Values of rows, from groups of bits; bit(i, kind) reads one. */
+/** Reads a value for each row, bit by bit across rows; bit(i, kind) reads one bit for row i. */
 export function readValues(rows: number[], bit: (i: number, kind: number) => number): Int32Array {
   const values = new Int32Array(rows.length);
   let some = rows.flatMap((row, k) => {
@@ -53,20 +53,20 @@ export class Colours {
   private readonly first = [0, 0, 0];
   private readonly second = [0, 0, 0];
 
-  /** steps: of Y, Co, Cg. */
+  /** steps: quantisation steps of Y, Co, Cg. */
   constructor(
     private readonly bits: MixedBits,
     private readonly steps: readonly [number, number, number],
   ) {}
 
-  /** Y, Co, Cg (points, 3) of points at cells (points, 3). expected (points, 3): of those whose row is not negative. */
+  /** Y, Co, Cg (points, 3) of points at cells (points, 3). rows: not negative where a point has an expected colour. */
   frame(cells: Int32Array, rows: Int32Array, expected: Int32Array): Int32Array {
     const count = rows.length;
     const colours = new Int32Array(3 * count);
     const bases = new Int32Array(3 * count);
     STRIDES.forEach((stride, number) => {
       const own = pass(count, stride);
-      // (points of the pass, 3) each
+      // each (points of the pass, 3)
       const [corrections, activities, spreads] = [0, 1, 2].map(() => new Int32Array(3 * own.length)) as [Int32Array, Int32Array, Int32Array];
       own.forEach((i, k) => {
         const base = rows[i]! >= 0 ? expected.subarray(3 * i, 3 * i + 3) : GREY;
@@ -95,7 +95,8 @@ export class Colours {
     return colours;
   }
 
-  /** From the nearest known points around point i, the k-th of its pass: correction, activity, spread; base if it has no sample. */
+  /** Sets correction, activity and spread of point i, the k-th of its pass, from its nearest decoded points; without a sample also
+   * its base. */
   private around(
     i: number, k: number, stride: number, cells: Int32Array, hasSample: boolean,
     colours: Int32Array, bases: Int32Array, corrections: Int32Array, activities: Int32Array, spreads: Int32Array,
@@ -128,7 +129,7 @@ export class Colours {
     }
   }
 
-  /** Values of a channel in a pass. coded: classes of the magnitudes of the channels before. */
+  /** Reads the values of a channel in a pass. coded: classes of the magnitudes in earlier channels. */
   private channel(own: number[], c: number, number: number, coded: Int32Array, activities: Int32Array, spreads: Int32Array): Int32Array {
     const step = this.steps[c]!;
     const a = own.map((_, k) => atMost(EDGES, Math.floor((2 * activities[3 * k + c]!) / step)));
@@ -149,7 +150,7 @@ export class Colours {
   }
 }
 
-/** Colours of a frame of kind 3: predicted by the atlas (points, 3), or grey for negative rows. */
+/** Colours of a frame of kind 3, predicted by the atlas (points, 3); grey for negative rows. */
 export function readTexturedColours(bits: MixedBits, rows: Int32Array, atlas: Int32Array, step: number): Int32Array {
   const count = rows.length;
   const values = new Int32Array(3 * count);

@@ -75,7 +75,7 @@ function readLevel(bits: MixedBits, cubes: Int32Array, height: number, passage: 
   return children;
 }
 
-/** The class of the odds of an octant, from the points expected in it and in those after it. */
+/** Class of the odds that an octant is occupied, from the points expected in it and in the octants after it. */
 function oddsClass(expected: Float64Array, octant: number, step: number, few: number): number {
   const own = expected[octant]!;
   let others = 0;
@@ -88,9 +88,9 @@ function oddsClass(expected: Float64Array, octant: number, step: number, few: nu
   return Math.min(4 * order + ((odds >> 14) & 3), NO_HINT - 1);
 }
 
-/** Where the surface passes the cubes of a level. Lengths are in subunits. */
+/** Estimates the surface within the cubes of a level. Lengths are in subunits. */
 class Passage {
-  /** Points that are expected in the children of the last cube, 2^-16, for two standard deviations. */
+  /** Expected points in the children of the last cube, in 2^-16, for a small and a large standard deviation. */
   readonly narrow = new Float64Array(8);
   readonly wide = new Float64Array(8);
   readonly held: (cube: number, octant: number) => number;
@@ -135,7 +135,7 @@ class Passage {
     this.held = surface.held(cubes, side);
   }
 
-  /** Sets what is expected of the children of a cube, which has a sample. */
+  /** Sets the expected occupancy of the children of a cube, which has a sample. */
   expect(i: number): void {
     const { side, surface, distances } = this;
     const own = this.samples[i]!;
@@ -157,7 +157,7 @@ class Passage {
     });
   }
 
-  /** The distance of the surface from that of the sample of a cube, and its variance. */
+  /** Distance from the plane of a cube's sample to the estimated surface, and its variance. */
   private find(i: number): [number, number] {
     const { surface, places, centres, spacing } = this;
     const { normals, neighbours } = surface;
@@ -189,7 +189,7 @@ class Passage {
     return [offset, Math.max(Math.floor((166 * deviation * deviation) / 256) - Math.floor((4 * this.side * this.side) / 20), LEAST_VARIANCE)];
   }
 
-  /** The occupied children of a cube are known. */
+  /** Updates the estimate with the occupied children of a cube. */
   learn(i: number, children: number): void {
     const count = bitsIn(children);
     [0xaa, 0xcc, 0xf0].forEach((upper, axis) => {

@@ -1,6 +1,6 @@
-/** Cubes of a level of an octree, in the order of their Morton codes, and where each is. */
+/** Cubes of a level of an octree, in the order of their Morton codes, and a search by place. */
 
-/** Numbers of places with whole coordinates. */
+/** Hash table from places with integer coordinates to their numbers. */
 export class CubeIndex {
   private readonly table: Int32Array;
 
@@ -27,7 +27,7 @@ export class CubeIndex {
   }
 }
 
-/** Numbers of the neighbours of cubes (n, 3): before and behind along x, y, z, (n, 6); −1 where there is none. */
+/** Numbers (n, 6) of the neighbours of cubes (n, 3), before and behind along x, y, z; −1: none. */
 export function neighbourCubes(cubes: Int32Array): Int32Array {
   const index = new CubeIndex(cubes);
   const found = new Int32Array(2 * cubes.length);
@@ -39,7 +39,7 @@ export function neighbourCubes(cubes: Int32Array): Int32Array {
   return found;
 }
 
-/** The occupied children of cubes, in order; children: bits of eight octants. */
+/** The occupied children of cubes, in order. children: bit mask of octants for each cube. */
 export function descend(cubes: Int32Array, children: Uint8Array): { cubes: Int32Array; parents: Int32Array } {
   const parents: number[] = [];
   const places: number[] = [];

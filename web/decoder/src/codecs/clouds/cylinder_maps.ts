@@ -13,7 +13,7 @@ const GREY = 128;
 const MOST_ROUNDS = 200;
 const SHEET_SHARE = 1.1;
 
-/** The points of the model: those of one link after those of another. */
+/** The points of the model, link by link. */
 export interface Template {
   body: Body;
   points: Vector[];
@@ -27,7 +27,7 @@ export interface CylinderMap extends Item {
   cylinder: Cylinder;
   low: number;
   high: number;
-  /** Of each point of the link. */
+  /** Cell of each point of the link. */
   cells: Int32Array;
   /** (height, width): metres from the axis; and colours (height, width, 3). */
   distances: Float64Array;
@@ -40,7 +40,7 @@ export interface Sheet {
   maps: CylinderMap[];
 }
 
-/** share: of the cells of full maps. */
+/** Lays out the maps of all links on one sheet. share: their size relative to full maps. */
 export function layOut(template: Template, share: number): Sheet {
   const maps = template.body.parents.flatMap((_, link) => mapOf(template, link, share) ?? []);
   const cells = maps.reduce((sum, { height, width }) => sum + height * width, 0);
@@ -97,7 +97,7 @@ function placeOf({ cylinder, low, high, height, width }: CylinderMap, point: Vec
   return { cell: Math.floor(Math.min(Math.max(row, 0), height - 1)) * width + column, distance: Math.hypot(u, v) };
 }
 
-/** Fills empty cells round by round with the mean of their known neighbours; columns close a ring. */
+/** Fills empty cells, round by round, with the mean of their known neighbours. Columns are cyclic. */
 function fillIn({ height, width, distances, colours }: CylinderMap, known: Int32Array): void {
   for (let round = 0; round < MOST_ROUNDS && known.includes(0); round++) {
     const filled: [number, number[]][] = [];

@@ -45,7 +45,7 @@ export function readExact(data: Uint8Array, frames: number, coloured: boolean): 
   });
 }
 
-/** How coordinates become cells: floats, or steps of 2^exponent metres or of nanometres; all cells lie `spacing` apart. */
+/** Coordinates of cells: floats, or multiples of 2^exponent metres or of nanometres. Cells are multiples of `spacing`. */
 export interface Grid {
   kind: number;
   nanometres: number;
@@ -61,14 +61,14 @@ export function readGrid(part: Bytes): Grid {
   return { kind, nanometres, exponent, spacing: part.varintWithin(1, MOST_CELL - 1, "the spacing") };
 }
 
-/** Metres of cells; floatBits: the bits of floats within them. */
+/** Positions of cells, metres. floatBits: low bits of floats. */
 export function positionsOf({ kind, nanometres, exponent }: Grid, cells: Float64Array, floatBits: Uint8Array): Float64Array {
   if (kind === FLOATS) return floatsOf(cells, floatBits);
   const step = kind === BINARY_STEP ? 2 ** exponent : nanometres * NANOMETRE_M;
   return cells.map((cell) => cell * step);
 }
 
-/** Coordinates (points, 3) of all frames, below 2^depth. */
+/** Octree coordinates (points, 3) of all frames, below 2^depth. */
 function readCells(data: Uint8Array, filled: number[], stops: number[], depth: number): Float64Array {
   const total = filled.reduce((sum, count) => sum + count, 0);
   const cells = new Float64Array(3 * total);

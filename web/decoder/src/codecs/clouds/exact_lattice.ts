@@ -32,7 +32,7 @@ export function* readExactLattice(data: Uint8Array, frames: number, coloured: bo
   };
   const found = [...layer.frames(coloured ? new Colours(colourBits, [1, 1, 1]) : undefined, repeats)];
   repeatBits.end();
-  new MixedBits(layer.rest).end(); // colours of the places: none
+  new MixedBits(layer.rest).end(); // places have no colours
   const cells = new Float64Array(found.reduce((sum, frame) => sum + frame.cells.length, 0));
   let at = 0;
   for (const frame of found) frame.cells.forEach((value, i) => (cells[at++] = corner[i % 3]! + grid.spacing * (value >> 1)));

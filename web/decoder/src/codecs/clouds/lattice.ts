@@ -14,8 +14,8 @@ import { FINE, readShifts } from "./smoothing.js";
 import type { Surface } from "./surface.js";
 import { SurfaceHints, samplesOfBodies } from "./surface_hints.js";
 
-/** Kinds of a part: without and with learning from earlier frames, with smoothing too, references before one of these, and octrees
- * cube by cube with smoothing. */
+/** Kinds of a part: without learning from earlier frames, with it, with smoothing too, with references before one of these kinds,
+ * and octrees cube by cube with smoothing. */
 const UNLEARNED = 3;
 const LEARNED = 4;
 const SMOOTHED = 5;
@@ -30,12 +30,12 @@ const LEAST_STEP_M = 1e-7;
 const MOST_STEP_M = 10;
 const MOST_SHIFT = 63;
 
-/** What a chunk says about its bodies. */
+/** The bodies of a chunk. */
 export interface Bodies {
   count: number;
-  /** Bodies in a frame. */
+  /** Numbers of the bodies in a frame. */
   present(frame: number): number[];
-  /** Where the links of a body stand in a frame. */
+  /** Poses of a body's links in a frame. */
   placements(body: number, frame: number): Placement[];
   /** The surface of a body, rounded with this shift. */
   surface(body: number, shift: number): Surface;
@@ -56,7 +56,7 @@ export function* readLattice(data: Uint8Array, frames: number, coloured: boolean
   colourBits.end();
 }
 
-/** The points of a frame: coordinates (points, 3), samples of bodies, colours as Y, Co, Cg, and shifts of 1/FINE units. */
+/** The points of a frame: coordinates (points, 3), samples of bodies, colours (Y, Co, Cg), and shifts in 1/FINE units. */
 export interface LatticeFrame {
   cells: Int32Array;
   rows: Int32Array;
@@ -66,14 +66,14 @@ export interface LatticeFrame {
 
 const NOTHING: LatticeFrame = { cells: new Int32Array(0), rows: new Int32Array(0) };
 
-/** Points of a chunk on a lattice: what stands before them, and their places. */
+/** Reads the header and the places of a chunk's lattice points. */
 export class Lattice {
   readonly kind: number;
   private readonly smooths: boolean;
   readonly steps: [number, number, number];
   readonly corner: number[];
   readonly step: number;
-  /** What follows the octrees. */
+  /** The bytes after the octrees. */
   readonly rest: Uint8Array;
   readonly scene: Scene;
   private readonly references: Reference[];
@@ -113,7 +113,7 @@ export class Lattice {
     this.scene = new Scene(surfaceShifts.map((own, b) => bodies.surface(b, own)), this.kind !== UNLEARNED);
   }
 
-  /** Frame after frame. repeats(count): how many more points each of the points stands for. Throws Corrupt. */
+  /** Yields frame after frame. repeats(count): number of extra copies of each point. Throws Corrupt. */
   *frames(colours: Colours | undefined, repeats?: (count: number) => Int32Array): Generator<LatticeFrame> {
     const earlier = new EarlierFrames();
     for (const [k, count] of this.counts.entries()) yield count ? this.frame(k, count, earlier, colours, repeats) : NOTHING;
@@ -156,7 +156,7 @@ export class Lattice {
   }
 }
 
-/** Numbers of points, each as often as it stands for points. */
+/** Index of each point, repeated 1 + more times. */
 function repeated(more: Int32Array): Int32Array {
   const every: number[] = [];
   more.forEach((extra, i) => {
@@ -165,7 +165,7 @@ function repeated(more: Int32Array): Int32Array {
   return Int32Array.from(every);
 }
 
-/** The colours (count, 3) of the first point of each number. */
+/** The colours (count, 3) of the first copy of each point. */
 function firsts(colours: Int32Array, every: Int32Array, count: number): Int32Array {
   const out = new Int32Array(3 * count);
   for (let n = every.length - 1; n >= 0; n--) out.set(colours.subarray(3 * n, 3 * n + 3), 3 * every[n]!);

@@ -25,12 +25,12 @@ const DEPTH_STEP_M = 0.016;
 const OLD_DEPTH_STEP_M = 0.008;
 const MOST_ROWS = 60_000;
 const MOST_PIXELS = 40_000_000;
-/** No difference. */
+/** Depth residual 0. */
 const MIDDLE = 128;
 const RESIDUAL_COLOUR_STEP = 2;
 const SHORTEST_M = 1e-6;
 
-/** Differences of a frame from the model on the sheet: depth (height, width) and colour (height, width, 3). */
+/** Residual of a frame against the model on the sheet: depth (height, width) and colour (height, width, 3). */
 interface Residual {
   depth: Uint8Array;
   colour: Uint8Array | null;
@@ -63,7 +63,7 @@ export class LienPoints {
     const { placed, rawFrames, images } = readLienChunk(chunk, this.template.body);
     const shown = placed.filter((own) => own !== null).length;
     const raw = readRawFrames(rawFrames, placed.length - shown, this.template.colours !== null);
-    check(images.length === 0 || this.sheet !== null, "lien2006: residual maps though there are none");
+    check(images.length === 0 || this.sheet !== null, "lien2006: residual maps without a sheet");
     const residuals = images.length ? this.residuals(images, shown, this.sheet!) : null;
     let [nextRaw, next] = [0, 0];
     for (const own of placed) {
@@ -73,7 +73,7 @@ export class LienPoints {
     }
   }
 
-  /** The points of the model. */
+  /** The posed points of the model. */
   private posed(placed: Placement[]): Cloud {
     const { points, colours, starts } = this.template;
     const pose = poseOf(placed);
@@ -112,7 +112,7 @@ export class LienPoints {
     return out;
   }
 
-  /** The points of a frame: those of the model in occupied cells, moved, and one in every other occupied cell. */
+  /** The points of a frame: in each occupied cell the model's points, moved by the residual, or one new point. */
   private moved(placed: Placement[], residual: Residual, sheet: Sheet): Cloud {
     const isColoured = this.template.colours !== null;
     const positions: number[] = [];
@@ -163,7 +163,7 @@ function readPoints(data: Uint8Array, count: number, isColoured: boolean): Pick<
   return { points, colours };
 }
 
-/** Writes where a canonical point of a link stands. */
+/** A function that writes the posed position of a canonical point of a link. */
 function poseOf(placed: Placement[]): (link: number, point: Vector, out: Float64Array, at: number) => void {
   const turns = placed.map(({ turn }) => matrixOf(turn));
   return (link, [x, y, z], out, at) => {
@@ -173,7 +173,7 @@ function poseOf(placed: Placement[]): (link: number, point: Vector, out: Float64
   };
 }
 
-/** A point farther from the axis of its link. */
+/** Moves a point away from the axis of its link by `distance`. */
 function movedOut({ cylinder: { origin, axis } }: CylinderMap, point: Vector, distance: number): Vector {
   const offset = minus(point, origin);
   const out = minus(offset, times(dot(offset, axis), axis));

@@ -38,7 +38,7 @@ export class MixedBits {
     return this.data[this.at++] ?? 0;
   }
 
-  /** A bit with five contexts. */
+  /** Reads a bit with five contexts. */
   bit(c0: number, c1: number, c2: number, c3: number, c4: number, set: number): number {
     const { probabilities, seen, weights, counters, stretched } = this;
     counters[0] = Math.imul(Math.imul(257, c0), 2654435761) >>> 17;

@@ -10,7 +10,7 @@ import { type Sample, sampleSurface } from "./sampling.js";
 import { Skin } from "./skin.js";
 
 export class MovingSurface {
-  /** The video after the key picture. */
+  /** State of the video decoder after the key picture. */
   private readonly video = new VideoDecoder();
   private readonly samples: Sample[];
   private readonly skin: Skin;
@@ -27,8 +27,8 @@ export class MovingSurface {
     this.key = this.canonical(planes);
   }
 
-  /** One frame after the other, null where isShown says no. placements: where the links are in each; pictures: packets of the
-   * changing surface. */
+  /** Yields frame after frame, null where isShown is false. placements: poses of the links in each frame; pictures: packets of
+   * the changing surface. */
   *frames(placements: Placement[][], pictures: Uint8Array[], isShown: (frame: number) => boolean): Generator<Cloud | null> {
     const { interval } = this.atlas;
     const frames = placements.length;
@@ -51,7 +51,7 @@ export class MovingSurface {
     }
   }
 
-  /** The surface that a picture shows, in the canonical pose. */
+  /** The surface of a picture, in the canonical pose. */
   private canonical([luma, cb, cr]: Planes): Cloud {
     const { samples } = this;
     const below = this.atlas.height * this.atlas.width;

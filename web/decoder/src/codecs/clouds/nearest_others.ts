@@ -1,18 +1,18 @@
-/** The points nearest to each point of a set: a k-d tree, exact for integers, equal distances by number. */
+/** Nearest neighbours of each point within a set: a k-d tree, exact for integers; equal distances are sorted by number. */
 
 const LEAF = 8;
 
 interface Node {
   first: number;
   last: number;
-  /** Axis of the split, −1 for a leaf; greatest coordinate of the first child, least of the second; the second child. */
+  /** Axis of the split, −1: leaf. Then the greatest coordinate of the first child, the least of the second, the second child. */
   axis: number;
   low: number;
   high: number;
   second: number;
 }
 
-/** The `count` others (points, count) nearest to each of the points (n, 3), nearest first; n is above `count`. */
+/** Numbers (n, count) of the `count` nearest other points of each point (n, 3), nearest first; n > count. */
 export function nearestOthers(points: Float64Array, count: number): Int32Array {
   const size = points.length / 3;
   const order = Int32Array.from({ length: size }, (_, i) => i);

@@ -7,13 +7,13 @@ import { bitsIn, descend, neighbourCubes } from "./cubes.js";
 const OCTANT_CONTEXTS = 10_752;
 const MULTIPLICITY_CONTEXTS = 4;
 
-/** Counts that the octrees of one stream share. */
+/** Adaptive counts, shared by the octrees of one stream. */
 export class OctreeCounts {
   readonly octants = new Counts(OCTANT_CONTEXTS);
   readonly multiplicity = new Counts(MULTIPLICITY_CONTEXTS);
 }
 
-/** The cubes (points, 3) of level `stop` that hold the points of a frame, as often as they hold one. Throws Corrupt. */
+/** The cube (points, 3) of level `stop` around each point of a frame. Throws Corrupt. */
 export function readOctree(bits: AdaptiveBits, counts: OctreeCounts, points: number, stop: number): Int32Array {
   let cubes = new Int32Array(3);
   for (let level = 0; level < stop; level++) {

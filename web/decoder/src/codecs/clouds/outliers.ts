@@ -1,4 +1,4 @@
-/** Points that no body explains, in cells of a centimetre (docs/payloads/bodycast.md, "Outliers"). */
+/** Points outside all bodies, in cells of a centimetre (docs/payloads/bodycast.md, "Outliers"). */
 
 import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";

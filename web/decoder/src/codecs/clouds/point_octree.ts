@@ -9,13 +9,13 @@ export const WEIGHT_SETS = 2048;
 const ALL_OCTANTS = [0, 1, 2, 3, 4, 5, 6, 7];
 const LATTICE_OCTANTS = [0, 7];
 
-/** Lattice coordinates (points, 3) of a frame's points, from its corner; and the sample near each, −1 without one. */
+/** Lattice coordinates (points, 3) of a frame's points, from the octree's corner; and the sample near each point, −1: none. */
 export interface LatticePoints {
   cells: Int32Array;
   samples: Int32Array;
 }
 
-/** Reads which children of the cubes of a level are occupied. height: levels from the cubes to the points; side: of a child. */
+/** Reads the occupied children of a level's cubes. height: levels from the cubes to the points; side: length of a child. */
 export type ReadLevel = (cubes: Int32Array, samples: Int32Array, height: number, side: number) => Uint8Array;
 
 /** The points of an octree whose bits are coded octant by octant. */

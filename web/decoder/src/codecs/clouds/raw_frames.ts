@@ -1,4 +1,4 @@
-/** Frames that are stored point by point (docs/payloads/lien2006.md, "Raw frames"). */
+/** Frames stored point by point (docs/payloads/lien2006.md, "Raw frames"). */
 
 import { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";

@@ -16,7 +16,7 @@ const AVERAGED = 4;
 const SOFTENING = 128;
 const WEIGHT_UNIT = 2 ** 40;
 
-/** What a frame refers to: how many frames before it, how far their points moved, and whether it hides its bodies. */
+/** Reference of a frame: number of earlier frames, motion of their points, and whether the frame ignores its bodies. */
 export interface Reference {
   frames: number;
   motion: number[];
@@ -25,7 +25,7 @@ export interface Reference {
 
 export const NO_REFERENCE: Reference = { frames: 0, motion: [0, 0, 0], hides: false };
 
-/** Samples of a surface: places (n, 3) in subunits from the corner of the octree, normals, (n, 12) neighbours. */
+/** Samples of a surface: places (n, 3) in subunits from the corner of the octree, normals (n, 3), neighbours (n, 12). */
 export interface Samples {
   points: Float64Array;
   normals: Float64Array;
@@ -52,7 +52,7 @@ export function readReferences(part: Bytes, frames: number): Reference[] {
 export class EarlierFrames {
   private kept: Kept[] = [];
 
-  /** Moves all points; then the samples that a frame refers to. hasBodies: whether a body is shown in the frame. */
+  /** Moves all kept points, and returns the samples that a frame refers to. hasBodies: whether the frame uses bodies. */
   refer({ frames, motion }: Reference, depth: number, hasBodies: boolean): EarlierPoints | undefined {
     for (const { cells } of this.kept) cells.forEach((v, i) => (cells[i] = v + motion[i % 3]!));
     const rows: [frame: number, point: number][] = [];
@@ -75,7 +75,7 @@ export class EarlierFrames {
   }
 }
 
-/** Halves of a Morton code of coordinates below 2²⁰. */
+/** High and low half of the Morton code of coordinates below 2²⁰. */
 function mortonParts(cell: Float64Array): [number, number] {
   const parts: [number, number] = [0, 0];
   for (let digit = 0; digit < 20; digit++) {
@@ -113,7 +113,7 @@ export class EarlierPoints implements Samples {
     return [0, 1, 2].reduce((sum, c) => sum + this.normals[3 * a + c]! * this.normals[3 * b + c]!, 0);
   }
 
-  /** The plane of point i and its neighbours, and the point's place on it. */
+  /** Fits a plane to point i and its neighbours, and projects the point onto it. */
   private fit(i: number, places: Float64Array, centre: number[], around: Int32Array): void {
     const apart: number[][] = [];
     for (let k = 0; k < NEIGHBOURS; k++) {
@@ -130,7 +130,7 @@ export class EarlierPoints implements Samples {
     }
   }
 
-  /** Writes the expected colour of a point with coordinates `cell`, near sample s, to out[at …]. */
+  /** Writes the expected colour of a point at `cell`, near sample s, to out[at …]. */
   expect(s: number, cell: Int32Array, out: Int32Array, at: number): void {
     const candidates = [s, ...this.neighbours.subarray(NEIGHBOURS * s, NEIGHBOURS * s + CANDIDATES - 1)];
     const square = (n: number) => [0, 1, 2].reduce((sum, c) => sum + (this.points[3 * n + c]! - SUBUNITS * cell[c]!) ** 2, 0);
@@ -151,7 +151,7 @@ function binaryDigits(value: number): number {
   return value < 1 ? 0 : Math.floor(Math.log2(value)) + 1;
 }
 
-/** The normal of the plane through points `apart` and the origin. All numbers stay below 2⁵³. */
+/** The normal of the plane through the origin that fits points `apart`. All numbers stay below 2⁵³. */
 function planeNormal(apart: number[][]): number[] {
   const down = 2 ** Math.max(binaryDigits(Math.max(...apart.flat().map(Math.abs))) - SPREAD_BITS, 0);
   const small = apart.map((d) => d.map((v) => Math.floor(v / down)));

@@ -1,7 +1,7 @@
 /**
  * Points evenly spread over the surface of the key picture (docs/payloads/bodycast.md, "Surface of a frame").
  *
- * What decides where a point lies follows the operations of the page one by one: every machine finds the same subcells.
+ * The choice of subcells follows the operations of the page one by one, so that all machines agree.
  */
 
 import { check } from "../../errors.js";
@@ -21,11 +21,11 @@ export interface Sample {
   link: number;
   place: Vector;
   normal: Vector;
-  /** Its foot on the link's axis, and the direction away from it; the distance at level 255, metres. */
+  /** Foot of the point on the link's axis, direction from foot to point, and distance at level 255 (`reach`), metres. */
   foot: Vector;
   out: Vector;
   reach: number;
-  /** The four cells of the atlas around it, and their bilinear weights. */
+  /** The four atlas cells around the point, and their bilinear weights. */
   cells: number[];
   weights: number[];
 }
@@ -65,11 +65,11 @@ export function around(cosine: number, sine: number, a: Vector, b: Vector): Vect
   return plus(times(cosine, a), times(sine, b));
 }
 
-/** Subcells of a tile. */
+/** The subcells of a tile. */
 interface Fine {
   rows: number;
   columns: number;
-  /** (rows, columns), units of 10⁻¹² m². */
+  /** Area of each subcell (rows, columns), in 10⁻¹² m². */
   areas: Float64Array;
   total: number;
   normal(row: number, column: number): Vector;
@@ -139,12 +139,12 @@ function subcells(body: Body, atlas: Atlas, tile: Tile, luma: Uint8Array): Fine 
   return { rows, columns, areas, total, normal };
 }
 
-/** The level of a cell of a tile in the lower half of the picture. */
+/** Displacement level of a tile's cell, from the lower half of the picture. */
 function displacement(atlas: Atlas, tile: Tile, luma: Uint8Array, cell: number): number {
   return luma[(atlas.height + tile.top + Math.floor(cell / tile.width)) * atlas.width + tile.left + (cell % tile.width)]!;
 }
 
-/** targets: areas along the path of the tile, ascending; first: the number of the first point. */
+/** Samples of a tile. targets: their cumulative areas along the tile's path; first: number of the first sample. */
 function samplesOfTile(body: Body, atlas: Atlas, tile: Tile, fine: Fine, luma: Uint8Array, spacing: number, targets: number[], first: number): Sample[] {
   const { rows, columns, areas } = fine;
   const rowLength = (tile.high - tile.low) / (1000 * rows);

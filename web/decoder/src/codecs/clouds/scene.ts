@@ -1,4 +1,4 @@
-/** The samples of all bodies while the frames of a chunk are decoded: where they stand, and what earlier frames showed of them. */
+/** The samples of all bodies while decoding a chunk: their places, and the surface learned from earlier frames. */
 
 import { clip } from "../../numbers.js";
 import type { Placement } from "../bodies.js";
@@ -23,37 +23,37 @@ const SOFTENING = 2000;
 /** The samples of the bodies in a frame. */
 export interface Standing {
   count: number;
-  /** (count, 3): places, moved along their normals by what earlier frames showed; and normals. */
+  /** Places (count, 3), moved along the normals by the offsets learned from earlier frames. */
   moved: Float64Array;
   normals: Float64Array;
-  /** (count, 12), among the samples of the frame. */
+  /** (count, 12): numbers of samples of the frame. */
   neighbours: Int32Array;
-  /** Of each: its number among the samples of all bodies. */
+  /** Number of each sample among the samples of all bodies. */
   rows: Int32Array;
   parts: { start: number; surface: Surface; first: number; posed: Posed }[];
 }
 
-/** A point of a frame that has a sample: the sample, and where the point is in the canonical pose. */
+/** Points of a frame: their samples, and their places in the canonical pose. */
 export interface Located {
-  /** Of each point: number among the samples of all bodies, −1 without one. */
+  /** Sample of each point, among those of all bodies; −1: none. */
   rows: Int32Array;
-  /** (points, 3), 2⁻¹⁶ m. */
+  /** Canonical places (points, 3), 2⁻¹⁶ m. */
   places: Float64Array;
-  /** Of each point: whether a body explains it. */
+  /** Whether a body explains each point. */
   explained: Uint8Array;
 }
 
 export class Scene {
   private readonly firsts: number[] = [];
   private readonly total: number;
-  /** (samples, 6): neighbours; of the samples of all bodies. */
+  /** Neighbours (samples, 6) of the samples of all bodies. */
   private readonly around: Int32Array;
   private readonly distances: Float64Array;
   private readonly counts: Float64Array;
   private readonly slotPlaces: Float64Array;
   private readonly slotColours: Int32Array;
   private readonly seen: Float64Array;
-  /** (samples, 3): colours of the atlas. */
+  /** Colours of the atlas (samples, 3). */
   readonly colours: Int32Array;
 
   /** learns: whether earlier frames move the samples of later ones. */
@@ -85,7 +85,7 @@ export class Scene {
     });
   }
 
-  /** The samples of the bodies in a frame. bodies: their numbers; transforms, shifts: of each of them. */
+  /** Poses the samples of a frame. bodies: numbers of its bodies; transforms, shifts: one for each of them. */
   stand(bodies: number[], transforms: Placement[][], shifts: number[]): Standing {
     const count = bodies.reduce((sum, b) => sum + this.surfaces[b]!.count, 0);
     const standing: Standing = {
@@ -127,7 +127,7 @@ export class Scene {
     return Math.floor((COUNT_UNIT * distance) / count);
   }
 
-  /** Learns where the points of a frame are. lattice (points, 3); samples: of the frame, −1 without one; step in metres. */
+  /** Learns offsets from the points of a frame, lattice (points, 3). samples: near each point, −1: none; step: metres. */
   learn(standing: Standing, lattice: Float64Array, samples: Int32Array, step: number): Located {
     const rows = new Int32Array(samples.length).fill(-1);
     const places = new Float64Array(3 * samples.length);
@@ -164,7 +164,7 @@ export class Scene {
     return { rows, places, explained };
   }
 
-  /** Expected colours (points, 3) of points that have a sample. */
+  /** Expected colours (points, 3) of the points with a sample. */
   expected({ rows, places }: Located): Int32Array {
     const out = new Int32Array(3 * rows.length);
     const squares = new Float64Array(AVERAGED);
@@ -204,7 +204,7 @@ export class Scene {
     near[at] = slot;
   }
 
-  /** Keeps the colours (points, 3) of a frame. */
+  /** Learns the colours (points, 3) of a frame. */
   see({ rows, places }: Located, colours: Int32Array): void {
     rows.forEach((row, i) => {
       if (row < 0) return;

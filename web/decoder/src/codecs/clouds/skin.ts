@@ -5,13 +5,13 @@ import type { Body, Placement } from "../bodies.js";
 import { CubeIndex } from "./cubes.js";
 import type { Sample } from "./sampling.js";
 
-/** Of the body's size. */
+/** Radius of influence, share of the body's size. */
 const RADIUS = 0.0375;
-/** A side of a cube is at least this. */
+/** Least side of a cube. */
 const SMALLEST_M = 1e-6;
 
 export class Skin {
-  /** (points, 2): links; and the share of the first. */
+  /** Two links of each point (points, 2), and the share of the first. */
   private readonly links: Uint8Array;
   private readonly shares: Float64Array;
 
@@ -42,7 +42,7 @@ export class Skin {
     this.shares[i] = weights[first]! / (weights[first]! + rest);
   }
 
-  /** Points (n, 3), canonical, where the links stand. */
+  /** Poses canonical points (n, 3). */
   posed(points: Float64Array, placements: Placement[]): Float64Array {
     const turns = Float64Array.from(placements.flatMap(({ turn }) => matrixOf(turn)));
     const shifts = Float64Array.from(placements.flatMap(({ shift }) => shift));
@@ -70,23 +70,23 @@ function extentOf({ origins, tips }: Body): number {
   return Math.max(...[0, 1, 2].map((c) => Math.max(...ends.map((end) => end[c]!)) - Math.min(...ends.map((end) => end[c]!))));
 }
 
-/** The number of the largest value but the one `without`, the first of several; −1 if there is no other. */
+/** Index of the first largest value, except index `without`; −1 if there is no other. */
 export function largest(values: ArrayLike<number>, without: number): number {
   let best = -1;
   for (let i = 0; i < values.length; i++) if (i !== without && (best < 0 || values[i]! > values[best]!)) best = i;
   return best;
 }
 
-/** Samples by the cube of a grid that they are in: slots of one cube follow one another. */
+/** Samples sorted by the cube of a grid. The samples of a cube have consecutive slots. */
 class Grid {
   /** The first slot of each cube, and the end. */
   readonly starts: Int32Array;
-  /** The sample in each slot; its link, place in units of the radius, and normal. */
+  /** The sample in each slot; then its link, place (unit: the radius) and normal. */
   readonly samples: Int32Array;
   private readonly links: Uint8Array;
   private readonly places: Float64Array;
   private readonly normals: Float64Array;
-  /** (cubes, 3). */
+  /** Coordinates (cubes, 3). */
   private readonly cubes: Int32Array;
   private readonly index: CubeIndex;
 
@@ -140,7 +140,7 @@ class Grid {
     return found;
   }
 
-  /** The link of all samples of these cubes, −1 if they have several. */
+  /** The common link of all samples in these cubes, −1 if they have several. */
   onlyLink(cubes: number[]): number {
     const link = this.links[this.starts[cubes[0]!]!]!;
     for (const cube of cubes) {
@@ -149,7 +149,7 @@ class Grid {
     return link;
   }
 
-  /** Adds the weights of the samples in these cubes for the sample in a slot to those of their links. */
+  /** Adds the weights of the samples in these cubes, seen from the sample in slot `own`, to the weights of their links. */
   weigh(own: number, cubes: number[], weights: Float64Array): void {
     const { places, normals, links, starts } = this;
     const [x, y, z] = [places[3 * own]!, places[3 * own + 1]!, places[3 * own + 2]!];

@@ -1,4 +1,4 @@
-/** Moves points of a lattice towards the surface around them (docs/payloads/bodycast-points.md, "Smoothing"). */
+/** Moves lattice points towards the surface around them (docs/payloads/bodycast-points.md, "Smoothing"). */
 
 import { clip } from "../../numbers.js";
 import type { MixedBits } from "./mixed.js";
@@ -24,7 +24,7 @@ export interface Samples {
   spacing: number;
 }
 
-/** Shifts (points, 3) of a frame. cells (points, 3): lattice coordinates. near: the sample near each, −1 without one. */
+/** Shifts (points, 3) of a frame. cells (points, 3): lattice coordinates; near: the sample near each point, −1: none. */
 export function readShifts(bits: MixedBits, cells: Int32Array, near: Int32Array, samples: Samples): Float64Array {
   const references = referencesOf(near, samples.normals.length / 3);
   const shifts = new Float64Array(cells.length);
@@ -40,7 +40,7 @@ export function readShifts(bits: MixedBits, cells: Int32Array, near: Int32Array,
   return shifts;
 }
 
-/** Points of each sample that others are compared with. */
+/** Points of each sample, at most PER_SAMPLE, which show the surface to other points. */
 function referencesOf(near: Int32Array, samples: number): number[][] {
   const own: number[][] = Array.from({ length: samples }, () => []);
   near.forEach((sample, i) => sample >= 0 && own[sample]!.push(i));

@@ -18,22 +18,22 @@ const SMOOTHING_ROUNDS = 3;
 const FARTHEST_M = 2 ** 14;
 const SHIFTS = 64;
 
-/** Samples of one body. Numbers of samples count from its first. */
+/** Samples of one body, numbered from 0. */
 export interface Surface {
   count: number;
-  /** (count, 3): 2⁻¹⁶ m, and of length 2¹⁰. */
+  /** Places (count, 3) in 2⁻¹⁶ m, and normals (count, 3) of length 2¹⁰. */
   places: Float64Array;
   normals: Float64Array;
-  /** (count, 12). */
+  /** Numbers of neighbours (count, 12). */
   neighbours: Int32Array;
-  /** (count, 2): links; and the share of the first, 2⁻¹². */
+  /** Two links of each sample (count, 2), and the share of the first, in 2⁻¹². */
   links: Uint8Array;
   shares: Int32Array;
-  /** (count, 3): Y, Co, Cg of the atlas. */
+  /** Y, Co, Cg of the atlas (count, 3). */
   colours: Int32Array;
 }
 
-/** The samples of a body before rounding. */
+/** The samples of a body, not rounded. */
 export interface Texture {
   samples: Sample[];
   colours: Int32Array;
@@ -69,7 +69,7 @@ export function surfaceOf({ samples, colours, links }: Texture, shift: number): 
   return { count, places, normals, neighbours, colours, ...blendedLinks(samples, neighbours, links) };
 }
 
-/** Searched from each sample to both sides along x, until no sample can be nearer. */
+/** Nearest samples of each sample: searches in both directions along x until no sample can be nearer. */
 function nearestSamples(places: Float64Array, normals: Float64Array): Int32Array {
   const count = places.length / 3;
   const out = new Int32Array(NEIGHBOURS * count);
@@ -101,7 +101,7 @@ function nearestSamples(places: Float64Array, normals: Float64Array): Int32Array
   return out;
 }
 
-/** Keeps the nearest: sorted by square, then by number. */
+/** Inserts sample j into the list of nearest samples, sorted by squared distance, then by number. */
 function insert(near: Int32Array, squares: Float64Array, j: number, square: number): void {
   let at = NEIGHBOURS - 1;
   if (square > squares[at]! || (square === squares[at]! && j > near[at]!)) return;
@@ -142,15 +142,15 @@ function blendedLinks(samples: Sample[], neighbours: Int32Array, links: number):
   return { links: pairs, shares: firsts };
 }
 
-/** Samples of a body in a frame: (count, 3) each. */
+/** Posed samples of a body in a frame: places and normals, each (count, 3). */
 export interface Posed {
   places: Float64Array;
   normals: Float64Array;
-  /** (links, 9): A of each link, 2⁻²⁰. */
+  /** Rotation A of each link (links, 9), in 2⁻²⁰. */
   turns: Float64Array;
 }
 
-/** The samples under the transforms of a frame, rounded with this shift. */
+/** Poses the samples with the transforms of a frame, rounded with this shift. */
 export function posed(surface: Surface, transforms: Placement[], shift: number): Posed {
   const rounded = (value: number) => Math.floor(value + shift / SHIFTS);
   const turns = Float64Array.from(transforms.flatMap(({ turn }) => matrixOf(turn).map((v) => rounded(v * TURN))));

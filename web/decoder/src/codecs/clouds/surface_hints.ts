@@ -1,4 +1,4 @@
-/** What the samples of a frame say about the cubes of an octree (docs/payloads/bodycast-points.md, "Octree of a frame"). */
+/** Contexts for the cubes of an octree, from the samples of a frame (docs/payloads/bodycast-points.md, "Octree of a frame"). */
 
 import { check } from "../../errors.js";
 import { CubeIndex } from "./cubes.js";
@@ -6,7 +6,7 @@ import type { Samples } from "./references.js";
 import type { Standing } from "./scene.js";
 import { NEIGHBOURS } from "./surface.js";
 
-/** Classes where nothing is known: of the probability of an octant, and of its distance. */
+/** Classes without a sample: of the probability of an octant, and of its distance. */
 export const NO_HINT = 64;
 export const NO_DISTANCE = 21;
 
@@ -18,20 +18,20 @@ const MOST_IN_CUBE = 3;
 const MOST_COORDINATE = 2 ** 40;
 export const DISTANCE_STEPS = [1, 2, 3, 4, 5, 7, 9, 12, 16, 24];
 export const BELL = Int32Array.from({ length: 65 }, (_, k) => 1 + Math.floor(4096 * Math.exp(-((k / 16) ** 2) / 2) + 0.5));
-/** Order of the cubes around a cube, along each axis. */
+/** Steps to the cubes around a cube, along each axis, in the order of the search. */
 const STEPS = [0, -1, 1];
 
-/** What is known about the children of the cubes of a level. */
+/** Contexts for the children of the cubes of a level, from the surface. */
 export interface Hints {
   has(cube: number): boolean;
-  /** Class of the probability of the first of these octants, if one of them is occupied. */
+  /** Class of the probability that the first of these octants is occupied, given that one of them is. */
   posterior(cube: number, octants: number[], isWide: boolean): number;
   distanceClass(cube: number, octant: number): number;
   /** Class of the number of samples in a child. */
   held(cube: number, octant: number): number;
 }
 
-/** The samples of the bodies in subunits from the corner of the octree; none without a body. step: metres of a lattice unit; corner
+/** The samples of the bodies, in subunits from the corner of the octree; none without a body. step: metres of a lattice unit; corner
  * (3) in lattice units. Throws Corrupt for poses that are out of range. */
 export function samplesOfBodies({ count, moved, normals, neighbours }: Standing, step: number, corner: number[]): Samples | undefined {
   if (!count) return undefined;
@@ -43,7 +43,7 @@ export function samplesOfBodies({ count, moved, normals, neighbours }: Standing,
   return { points, normals, neighbours };
 }
 
-/** The cubes of a side that samples are in, and the numbers of the samples in each. */
+/** The cubes of one side length that contain samples, and the numbers of the samples in each. */
 interface Inside {
   side: number;
   index: CubeIndex;
@@ -51,12 +51,12 @@ interface Inside {
 }
 
 export class SurfaceHints {
-  /** (samples, 3), subunits from the corner of the octree. */
+  /** Places (samples, 3), in subunits from the corner of the octree. */
   readonly points: Float64Array;
   readonly normals: Float64Array;
   readonly neighbours: Int32Array;
   readonly spacing: number;
-  /** What `inside` found last: the children of a level are the cubes of the next. */
+  /** Last result of `inside`: the children of a level are the cubes of the next level. */
   private last?: Inside;
 
   /** largeCubesCorrect: whether cubes larger than the spacing have offsets. */
@@ -78,14 +78,14 @@ export class SurfaceHints {
     return dx * dx + dy * dy + dz * dz;
   }
 
-  /** The distance of a place from a sample. */
+  /** Signed distance of a place from the plane of a sample. */
   distance(sample: number, x: number, y: number, z: number): number {
     const at = 3 * sample;
     const sum = (x - this.points[at]!) * this.normals[at]! + (y - this.points[at + 1]!) * this.normals[at + 1]! + (z - this.points[at + 2]!) * this.normals[at + 2]!;
     return Math.floor(sum / NORMAL);
   }
 
-  /** The samples in each cube of this side. */
+  /** The samples in each cube of this side length. */
   private inside(side: number): Inside {
     if (this.last?.side === side) return this.last;
     const count = this.points.length / 3;
@@ -106,7 +106,7 @@ export class SurfaceHints {
     return (this.last = { side, index: new CubeIndex(places), samples });
   }
 
-  /** A sample near each cube (n, 3), −1 without one. parents: those of the cubes above; side: of a child, subunits. */
+  /** A sample near each cube (n, 3), −1: none. parents: samples near their parents; side: length of a child, subunits. */
   nearest(cubes: Int32Array, parents: Int32Array, side: number, depth: number): Int32Array {
     const out = new Int32Array(parents.length).fill(-1);
     if (2 * side > 4 * this.spacing) return out;
@@ -143,7 +143,7 @@ export class SurfaceHints {
     return out;
   }
 
-  /** Hints for the children, of this side, of cubes (n, 3) with the samples near them. */
+  /** Hints for the children of cubes (n, 3). samples: near each cube; side: length of a child. */
   level(cubes: Int32Array, samples: Int32Array, side: number): Hints {
     const { offsets, spreads } = this.corrections(cubes, samples, side);
     const distances = new Float64Array(8 * samples.length);
@@ -179,7 +179,7 @@ export class SurfaceHints {
     };
   }
 
-  /** A function that gives the class of the number of samples in a child, of this side, of cubes (n, 3). */
+  /** A function that returns the class of the number of samples in a child of cubes (n, 3). side: length of a child. */
   held(cubes: Int32Array, side: number): (cube: number, octant: number) => number {
     if (2 * side <= this.spacing) return () => 0;
     const { index, samples } = this.inside(side);
@@ -191,7 +191,7 @@ export class SurfaceHints {
     };
   }
 
-  /** Offset and spread of each cube. */
+  /** Offset of the surface in each cube, and its spread. */
   private corrections(cubes: Int32Array, samples: Int32Array, side: number): { offsets: Float64Array; spreads: Float64Array } {
     const far = new Float64Array(samples.length);
     const at = (i: number, axis: number) => 2 * side * cubes[3 * i + axis]! + side - HALF;
@@ -214,7 +214,7 @@ export class SurfaceHints {
     return { offsets, spreads };
   }
 
-  /** Of each cube: the mean of the values of the cubes of its sample and of the neighbours of that. */
+  /** For each cube, the mean of `values` over the cubes of its sample and of that sample's neighbours. */
   private means(samples: Int32Array, values: Float64Array, extra: number): Float64Array {
     const sums = new Float64Array(this.points.length / 3);
     const counts = new Float64Array(this.points.length / 3);

@@ -6,7 +6,7 @@ import { BAND_LOGS, SPREADS, exp2, log2, log2OfInteger } from "./logarithms.js";
 import type { Prior } from "./prior.js";
 import { Lanes, type Table } from "./rans.js";
 
-/** What chooses the tables of the coefficients: log₂ of magnitudes, metres, 1/32 octave. */
+/** Statistics that choose the tables of coefficients: log₂ of magnitudes in metres, 1/32 octave. */
 export interface Statistics {
   rows: number;
   /** (rows, 18) */
@@ -21,7 +21,7 @@ export interface Coefficients {
   frequencies: number;
   /** (frequencies, rows), integers. */
   values: Float64Array;
-  /** log₂ of the quantisation step, metres, 1/32 octave. */
+  /** log₂ of the quantisation step in metres, 1/32 octave. */
   step: number;
   /** Five lists of `corrections` numbers each. */
   corrections: number;
@@ -38,12 +38,12 @@ const LIST_TABLES = 112;
 const CAP = 300;
 const EXPECTED_CAP = 4800;
 
-/** log₂ of the step of the heading, radians, 1/32 octave. */
+/** log₂ of the heading's quantisation step in radians, 1/32 octave. */
 export function headingStep(frames: number): number {
   return -213 + Math.floor(log2(frames) / 2);
 }
 
-/** Reads the rest of a payload. millihertz: the frame rate; headingHasOwnStep: row 0 does not follow the step. */
+/** Reads the rest of a payload. millihertz: the frame rate; headingHasOwnStep: row 0 does not use `step`. */
 export function readCoefficients(
   part: Bytes,
   frames: number,
@@ -85,13 +85,13 @@ export function readCoefficients(
   return { frequencies, values, step, corrections, lists };
 }
 
-/** Expected magnitudes, and which coefficients are coded. */
+/** Expected magnitudes, and the zone of coded coefficients. */
 class Zone {
   readonly rows: number;
   readonly frequencies: number;
-  /** (frequencies, rows): log₂ of the expected magnitude in steps. */
+  /** (frequencies, rows): log₂ of the expected magnitude in steps, 1/32 octave. */
   readonly expected: Int32Array;
-  /** Coded coefficients of each row. */
+  /** Number of coded coefficients in each row. */
   readonly coded: Int32Array;
 
   constructor(statistics: Statistics, frames: number, millihertz: number, step: number, firstStep: number, least: number) {
@@ -114,10 +114,10 @@ class Zone {
   }
 }
 
-/** The last magnitudes of each model: chunks have mostly the same number of frames. */
+/** Cache of the last magnitudes of each model, since most chunks have the same number of frames. */
 const lastMagnitudes = new WeakMap<Statistics, { frames: number; magnitudes: Int32Array }>();
 
-/** log₂ of the expected magnitudes (frames, rows), metres, 1/32 octave. */
+/** log₂ of the expected magnitudes (frames, rows) in metres, 1/32 octave. */
 function expectedMagnitudes(statistics: Statistics, frames: number, millihertz: number): Int32Array {
   const last = lastMagnitudes.get(statistics);
   if (last?.frames === frames) return last.magnitudes;
@@ -139,7 +139,7 @@ function expectedMagnitudes(statistics: Statistics, frames: number, millihertz: 
   return magnitudes;
 }
 
-/** For each frequency of the DCT: the spread below it, and how far it is above that, in 1/32 octave. */
+/** For each frequency of the DCT, the spread below it, and the distance above that spread, in 1/32 octave. */
 function bandPlaces(frames: number, millihertz: number): { bands: Uint8Array; shares: Int32Array } {
   const bands = new Uint8Array(frames);
   const shares = new Int32Array(frames);
@@ -152,12 +152,12 @@ function bandPlaces(frames: number, millihertz: number): { bands: Uint8Array; sh
   return { bands, shares };
 }
 
-/** Frequencies that share their neighbours. */
+/** Number of frequencies that share one context of neighbours. */
 function groupSize(k: number): number {
   return k < 16 ? 1 : k < 64 ? 2 : k < 128 ? 4 : 8;
 }
 
-/** Symbols (frequencies, rows); 0 where nothing is coded. */
+/** Symbols (frequencies, rows); 0 outside the zone. */
 function readSymbols(stream: Lanes, zone: Zone, prior: Prior): Uint8Array {
   const { frequencies, rows, expected, coded } = zone;
   const symbols = new Uint8Array(frequencies * rows);
@@ -189,7 +189,7 @@ function readSymbols(stream: Lanes, zone: Zone, prior: Prior): Uint8Array {
   return symbols;
 }
 
-/** Magnitudes with zeros around them, and weighted sums over their neighbours at lower frequencies. */
+/** Magnitudes, padded with zeros, and weighted sums over their neighbours at lower frequencies. */
 class Neighbours {
   private readonly width: number;
   private readonly magnitudes: Int32Array;
@@ -203,7 +203,7 @@ class Neighbours {
     this.magnitudes[(k + 7) * this.width + r + 4] = magnitude;
   }
 
-  /** N of row r, for a group that begins at frequency k. */
+  /** The weighted sum N of row r, for the group that begins at frequency k. */
   sum(k: number, r: number): number {
     const m = this.magnitudes;
     const w = this.width;

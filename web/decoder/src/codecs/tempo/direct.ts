@@ -7,7 +7,7 @@ interface Order {
   /** Frames in the order of coding. */
   frames: Int32Array;
   levels: Int32Array;
-  /** Distance to the frames that predict; 0 for levels 0 and 1. */
+  /** Distance to the frames of the prediction; 0 for levels 0 and 1. */
   distances: Int32Array;
 }
 
@@ -30,7 +30,7 @@ function orderOf(frames: number): Order {
   return order;
 }
 
-/** Integers (frames, columns) from coded integers. */
+/** Decodes integers (frames, columns). */
 export function readDirect(data: Uint8Array, frames: number, columns: number): Float64Array {
   const order = orderOf(frames);
   const residuals = readIntegers(data, frames, columns, order.levels);

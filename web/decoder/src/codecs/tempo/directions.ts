@@ -1,4 +1,4 @@
-/** Models 2 and 3 of tempo: directions of bones, for joints that the prior knows by name, or with a stored basis. */
+/** Models 2 and 3 of tempo: bone directions, for joints with names of the prior, or with a stored basis. */
 
 import type { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -11,7 +11,7 @@ import { Tree, breadthFirst, metricOf, parentsInOrder, priorTree, roundedOffsets
 
 const MOST = 2 ** 40;
 
-/** The offsets of the file's skeleton in the order of a tree. Throws Corrupt without a skeleton. */
+/** Offsets of the file's skeleton, in the order of a tree. Throws Corrupt without a skeleton. */
 export function offsetsInOrder(facts: Facts, order: number[]): Float64Array {
   check(facts.skeleton !== undefined, "tempo: the model needs a skeleton");
   const offsets = roundedOffsets(facts.skeleton.offsets);
@@ -24,7 +24,7 @@ export function skeletonParents(facts: Facts): number[] {
   return facts.skeleton.parents;
 }
 
-/** L of a prior of directions. */
+/** The matrix L of a prior of directions. */
 export function metricRoot(prior: Prior): Matrix {
   const { shape, data } = prior.arrays.numbers("metric_root");
   return matrix(shape[0]!, shape[1]!, data);
@@ -47,7 +47,7 @@ export function namedDirections(kind: number, part: Bytes, prior: Prior, facts: 
   };
 }
 
-/** The prior's tree with stored differences of its bones. */
+/** The prior's tree, plus the stored differences of its bones. */
 function measured(part: Bytes, rest: Tree): Tree {
   const step = 2 ** (part.foldedWithin(-6000, 6000, "the step of bones") / 32);
   const count = rest.moves.reduce((total, j) => total + (rest.hub[j] ? 3 : 1), 0);
@@ -70,7 +70,7 @@ function measured(part: Bytes, rest: Tree): Tree {
 /** Model 3: directions with a stored basis. */
 export function storedDirections(part: Bytes, prior: Prior, facts: Facts): Model {
   const { points } = facts;
-  check(prior.isOfDirections, "tempo: a prior of points where one of directions is needed");
+  check(prior.isOfDirections, "tempo: the model needs a prior of directions");
   const step = 2 ** (part.foldedWithin(-2000, 2000, "the step of vectors") / 32);
   const hasTree = part.byte();
   check(hasTree <= 1, "tempo: a tree of another form");

@@ -1,4 +1,4 @@
-/** The rotation that brings vectors nearest to others (Kabsch's problem), by Horn's quaternion. */
+/** The least-squares rotation between two sets of vectors (Kabsch's problem), by Horn's quaternion. */
 
 import { matrixOf } from "../../geometry.js";
 

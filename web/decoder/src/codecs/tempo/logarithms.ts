@@ -34,7 +34,7 @@ export function log2OfInteger(value: number): number {
   return 32 * exponent + LOG[(exponent >= 8 ? value >> (exponent - 8) : value << (8 - exponent)) & 255]!;
 }
 
-/** Sixteen times 2^(x / 32). */
+/** 16 · 2^(x / 32). */
 export function exp2(x: number): number {
   return EXP[(x < LOWEST ? LOWEST : x > HIGHEST ? HIGHEST : x) - LOWEST]!;
 }
@@ -43,7 +43,7 @@ export const BAND_LOGS = Int32Array.from(BAND, (frequency) => (frequency ? log2(
 
 const FRACTION = Array.from({ length: 32 }, (_, i) => Math.round(2 ** (i / 32) * 2 ** 20) / 2 ** 20);
 
-/** 4^(x / 32) of an integer, by a table: the same on every machine. */
+/** 4^(x / 32) of an integer x, from a table: equal on all machines. */
 export function square(x: number): number {
   return FRACTION[(((2 * x) % 32) + 32) % 32]! * 2 ** Math.floor((2 * x) / 32);
 }

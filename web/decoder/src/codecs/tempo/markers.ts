@@ -1,4 +1,4 @@
-/** Model 0, kind 1 of tempo: markers on bones that the prior knows. What spreads depend on is ordered. */
+/** Model 0, kind 1 of tempo: markers on bones of the prior. Spreads are computed in ordered arithmetic. */
 
 import type { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -26,9 +26,9 @@ export function readLevels(part: Bytes, usual = { rest: 0, white: 0 }): Levels {
   };
 }
 
-/** How markers follow the four points of their bones. */
+/** Markers as weighted sums of the four points of their bones. */
 class Markers {
-  /** (points, 4). */
+  /** Weights (points, 4). */
   private readonly weights: Float64Array;
   private readonly buffer: Float64Array;
 
@@ -47,7 +47,7 @@ class Markers {
     }
   }
 
-  /** The points (3 · points) of one pose or component of the prior's points, less their mean. */
+  /** Maps a pose or component of the prior to the markers (3 · points), minus their mean. */
   moved(of: Float64Array, out: Float64Array): void {
     const { bones, weights, buffer } = this;
     const points = bones.length;
@@ -99,7 +99,7 @@ function meanPose(pose: Float64Array, digits: number, onBody: boolean, markers: 
   return mean.map((v, i) => v + body[i]!);
 }
 
-/** For each band the basis and the variances (components, 18) of its components. */
+/** For each band, the basis and the variances of its components (components, 18). */
 function predictedBases(markers: Markers, points: number, prior: Prior): { bases: Basis[]; variances: Matrix[] } {
   const { shape, data } = prior.arrays.numbers("bones.bases");
   const [, rows, columns] = shape as [number, number, number];
@@ -133,7 +133,7 @@ export function weighted(a: Matrix, y: Matrix, first: number, end: number): Matr
   return out;
 }
 
-/** V = ((D · Aᵀ)², each entry squared) · Y, then rows of zeros up to `most`. */
+/** V = (D · Aᵀ, each entry squared) · Y, then rows of zeros up to `most`. */
 export function variancesOf(d: Matrix, a: Matrix, y: Matrix, most: number): Matrix {
   const shares = product(d, transposed(a));
   for (let i = 0; i < shares.data.length; i++) shares.data[i] = shares.data[i]! * shares.data[i]!;

@@ -1,4 +1,4 @@
-/** Model 2, kind 2 of tempo: skeletons whose joints correspond to the prior's under other names. Ordered, but for completions. */
+/** Model 2, kind 2 of tempo: skeletons with other joint names, matched to the prior's. Ordered arithmetic, except completions. */
 
 import type { Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -15,7 +15,7 @@ import { Tree, breadthFirst, metricOf, parentsInOrder, priorTree, rotationsOf } 
 const MOST = 2 ** 40;
 const BODY = -1;
 
-/** What the file stores of each point, in the order of the tree. */
+/** Stored data of each point, in the order of the tree. */
 interface Stored {
   hasTree: boolean;
   order: number[];
@@ -23,7 +23,7 @@ interface Stored {
   /** The prior's joint of each point, −1 for none. */
   joints: number[];
   marks: number[];
-  /** (points, 3), metres. */
+  /** Bone vectors (points, 3), metres. */
   vectors: Float64Array;
 }
 
@@ -73,7 +73,7 @@ function readStored(part: Bytes, digits: number, theirs: Tree, facts: Facts): St
   }
   const marks = joints.map((joint, p) => numbers[3 * p + 1]! + (joint >= 0 ? (theirs.hub[joint] ? 1 : 0) + (theirs.relative[joint] ? 2 : 0) : 0));
   check(marks.every((mark) => mark >= 0 && mark <= 3), "tempo: a mark that is out of range");
-  if (!hasTree) check(joints.every((_, p) => numbers[3 * p + 2] === 0), "tempo: a parent where there is no tree");
+  if (!hasTree) check(joints.every((_, p) => numbers[3 * p + 2] === 0), "tempo: a parent without a tree");
   const parents = hasTree ? expectedParents(joints, theirs).map((parent, p) => parent + numbers[3 * p + 2]!) : skeletonParents(facts);
   const counts: number[] = joints.map((joint, p) => (joint < 0 ? 3 : hasTree ? (marks[p]! & 1 ? 3 : 1) : 0));
   const total = counts.reduce((sum, count) => sum + count, 0);
@@ -107,7 +107,7 @@ function expectedParents(joints: number[], theirs: Tree): number[] {
   });
 }
 
-/** For each point, the prior's bones that its bone corresponds to, the last first. */
+/** For each point, the path of prior bones that its bone corresponds to, from the end upwards. */
 function bonePaths({ joints, parents }: Stored, theirs: Tree): number[][] {
   const paths: number[][] = [];
   joints.forEach((joint, j) => {
@@ -138,7 +138,7 @@ function treeAtRest({ joints, parents, marks, vectors }: Stored, paths: number[]
   return new Tree(parents, rest, marks.map((mark) => (mark & 1) !== 0), marks.map((mark) => (mark & 2) !== 0));
 }
 
-/** The tree that makes the positions. */
+/** The tree of the decoded positions. */
 function bodyTree({ hasTree, order, joints, vectors }: Stored, rest: Tree, facts: Facts): Tree {
   let body: Tree;
   if (!hasTree) body = rest.resized(offsetsInOrder(facts, order));
@@ -153,11 +153,11 @@ function bodyTree({ hasTree, order, joints, vectors }: Stored, rest: Tree, facts
     body = new Tree(rest.parents, own, rest.hub, rest.relative);
   }
   body.check();
-  check(body.moves.length === rest.moves.length && body.moves.every((j, i) => j === rest.moves[i]), "tempo: other bones have a direction than at rest");
+  check(body.moves.length === rest.moves.length && body.moves.every((j, i) => j === rest.moves[i]), "tempo: the bones with a direction differ from those at rest");
   return body;
 }
 
-/** The prior's means in column 0 and its spreads 1 to 17 in the others, of component i. */
+/** Statistic f of component i of the prior: its mean for f = 0, otherwise spread f. */
 function statisticOf(prior: Prior, i: number, f: number): number {
   const row = FIRST_ROWS + i;
   return f === 0 ? prior.arrays.numbers("means").data[row]! : prior.arrays.numbers("spreads").data[row * SPREADS + f]!;
@@ -180,7 +180,7 @@ function medians(prior: Prior): number[] {
   });
 }
 
-/** For each band the basis, before completion, and the variances (dimensions, 18) of its components. */
+/** For each band, the basis before completion, and the variances of its components (dimensions, 18). */
 function predictedBases(rest: Tree, paths: number[][], root: Matrix, y: Matrix, prior: Prior, theirs: Tree): { bases: Matrix[]; variances: Matrix[] } {
   const n = rest.dimensions;
   const map = coordinateMap(rest, paths, theirs);
@@ -199,7 +199,7 @@ function predictedBases(rest: Tree, paths: number[][], root: Matrix, y: Matrix, 
   return { bases, variances };
 }
 
-/** The rows of A, each divided by its length, without their parts along D. */
+/** The rows of A, scaled to unit length, then projected onto the complement of D. */
 function outside(a: Matrix, d: Matrix): Matrix {
   let e = matrix(a.rows, a.columns, a.data.slice());
   sizes(a).forEach((size, r) => {
@@ -221,7 +221,7 @@ function joined(a: Matrix, b: Matrix): Matrix {
   return out;
 }
 
-/** M: the map (their dimensions, those of the file). */
+/** The map M (dimensions of the prior, dimensions of the file). */
 function coordinateMap(rest: Tree, paths: number[][], theirs: Tree): Matrix {
   const out = matrix(theirs.dimensions, rest.dimensions);
   const rotated = new Map<number, (readonly [number, number, number] | undefined)[]>();

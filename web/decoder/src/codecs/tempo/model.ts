@@ -1,4 +1,4 @@
-/** Models of tempo: bases, statistics and the way to positions (docs/payloads/tempo-models.md). */
+/** Models of tempo: bases, statistics and reconstruction of positions (docs/payloads/tempo-models.md). */
 
 import { Bytes } from "../../bytes.js";
 import { check, Unsupported } from "../../errors.js";
@@ -11,19 +11,19 @@ import { type Matrix, complete, matrix, transposed } from "./ordered.js";
 import type { PoseMap } from "./pose.js";
 import { type Prior, jointsByName } from "./prior.js";
 
-/** Rows of coefficients before the components: heading and place. */
+/** Rows of coefficients before the components: heading (1) and place (3). */
 export const FIRST_ROWS = 4;
 const MOST_BASIS_VALUES = 2 ** 26;
 
 export interface Model {
   statistics: Statistics;
-  /** The basis of each of four bands: (components, dimensions), L⁻¹ included. */
+  /** The basis (components, dimensions) of each of four bands, L⁻¹ included. */
   bases: Basis[];
   dimensions: number;
   pose: PoseMap;
 }
 
-/** A basis whose first rows are at hand; all others are made when a coefficient needs them. */
+/** A basis with known first rows; the others are computed when a coefficient needs them. */
 export class Basis {
   private all: Matrix | undefined;
 
@@ -36,21 +36,21 @@ export class Basis {
     return new Basis(rows, () => rows);
   }
 
-  /** Rows, of which at least `count` are there. */
+  /** The basis with at least `count` rows. */
   rows(count: number): Matrix {
     if (count <= this.known.rows) return this.known;
     return (this.all ??= this.completed());
   }
 }
 
-/** How a model's bases, spreads and means come from a basis in the file. */
+/** A basis stored in the file, with its spreads and means. */
 export interface StoredBasis {
-  /** (k, dimensions). */
+  /** The stored rows (k, dimensions). */
   known: Matrix;
   statistics: Statistics;
 }
 
-/** A stored basis of `dimensions` dimensions, at the end of a model. */
+/** Reads the stored basis at the end of a model. */
 export function readStoredBasis(part: Bytes, dimensions: number, alike: Int32Array | null, prior: Prior): StoredBasis {
   const count = part.varintWithin(2, dimensions + 1, "the number of gains") - 1;
   const gainBytes = part.varint();
@@ -79,13 +79,13 @@ function cumulative(values: Float64Array, least: number, most: number): Float64A
   });
 }
 
-/** The basis completed to as many rows as dimensions. Throws Unsupported for one that needs too much memory. */
+/** Completes a basis to a square matrix. Throws Unsupported if it needs too much memory. */
 export function completedBasis(known: Matrix, excluded?: Matrix): Matrix {
   if (known.columns * known.columns > MOST_BASIS_VALUES) throw new Unsupported(`tempo: a basis of ${known.columns} dimensions`);
   return complete(known, excluded);
 }
 
-/** Statistics with the heading and place of the prior, for `components` components that the caller fills. */
+/** Statistics with the prior's heading and place, and `components` rows for the caller to fill. */
 export function statisticsOf(prior: Prior, prefix: string, components: number): Statistics {
   const rows = FIRST_ROWS + components;
   const spreads = new Int32Array(rows * SPREADS);
@@ -95,7 +95,7 @@ export function statisticsOf(prior: Prior, prefix: string, components: number): 
   return { rows, spreads, means, prior };
 }
 
-/** The prior's own bases, with and its statistics. */
+/** The prior's bases and statistics. */
 export function priorBases(prior: Prior): { bases: Matrix[]; statistics: Statistics } {
   const { shape, data } = prior.arrays.numbers("bases");
   const [bands, rows, columns] = shape as [number, number, number];
@@ -116,7 +116,7 @@ export interface Levels {
   white: number;
 }
 
-/** "Predicted spreads" of components, from their variances (components, 18) in each band; ordered. */
+/** "Predicted spreads" of components, from their variances (components, 18) in each band, in ordered arithmetic. */
 export function predictSpreads(statistics: Statistics, variances: Matrix[], median: ArrayLike<number>, levels: Levels): void {
   for (let f = 0; f < SPREADS; f++) {
     const octave = BAND_LOGS[Math.max(f, 1)]! - log2(1000);
@@ -131,12 +131,12 @@ export function predictSpreads(statistics: Statistics, variances: Matrix[], medi
   }
 }
 
-/** The band that a spread belongs to. */
+/** The band of a spread. */
 export function bandOf(spread: number): number {
   return spread < BAND_STARTS[1] ? 0 : spread < BAND_STARTS[2] ? 1 : spread < BAND_STARTS[3] ? 2 : 3;
 }
 
-/** Place is less by half the logarithm of how many points the prior has for each of the file's. */
+/** Lowers the statistics of the place by log₂(priorPoints / points) / 2. */
 export function scalePlace(statistics: Statistics, priorPoints: number, points: number): void {
   const less = Math.floor((log2(priorPoints) - log2(points)) / 2);
   for (let r = 1; r < FIRST_ROWS; r++) {
@@ -153,10 +153,10 @@ export function bandEdges(frames: number, millihertz: number): number[] {
   return [0, ...EDGES.map((edge) => Math.min(frames, Math.ceil((2 * frames * edge) / millihertz))), frames];
 }
 
-/** Model 0, kind 0, and the way from dimensions to points: joints of the prior by name, positions. */
+/** Model 0, kind 0: positions of joints with names of the prior. */
 export function namedPoints(part: Bytes, prior: Prior, facts: Facts): Model {
   part.end();
-  check(!prior.isOfDirections, "tempo: a prior of directions where one of points is needed");
+  check(!prior.isOfDirections, "tempo: the model needs a prior of points");
   const joints = jointsByName(prior, facts.names);
   const { bases, statistics } = priorBases(prior);
   const pose = prior.arrays.numbers("pose").data;
@@ -173,7 +173,7 @@ export function namedPoints(part: Bytes, prior: Prior, facts: Facts): Model {
   return { statistics, bases: arranged, dimensions: 3 * joints.length, pose: { kind: "points", mean } };
 }
 
-/** Model 1: positions, basis and spreads stored. */
+/** Model 1: positions, with stored basis and spreads. */
 export function storedPoints(part: Bytes, prior: Prior, facts: Facts): Model {
   const { points } = facts;
   const noise = part.foldedWithin(-3000, 3000, "the step of the pose");
@@ -188,7 +188,7 @@ export function storedPoints(part: Bytes, prior: Prior, facts: Facts): Model {
   return { statistics: basis.statistics, bases: [one, one, one, one], dimensions: 3 * points, pose: { kind: "points", mean: pose.map((v) => v * step) } };
 }
 
-/** For each dimension: the same coordinate of the earlier point that is nearest in the pose, or −1. */
+/** For each dimension, the same coordinate of the nearest earlier point in the pose, or −1. */
 function nearestBefore(pose: Float64Array, points: number): Int32Array {
   const alike = new Int32Array(3 * points).fill(-1);
   for (let p = 1; p < points; p++) {

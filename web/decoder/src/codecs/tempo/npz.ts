@@ -1,4 +1,4 @@
-/** Reads .npz files: ZIP files of NumPy arrays. Arrays are unpacked when they are first asked for. */
+/** Reads .npz files: ZIP files of NumPy arrays. Arrays are unpacked at their first use. */
 
 import { Bytes, half, text } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -54,11 +54,11 @@ export class Npz {
     return found;
   }
 
-  /** An array of texts. */
+  /** An array of strings. */
   texts(name: string): string[] {
     const { descr, shape, data } = this.array(name);
     const width = Number(/^<U(\d+)$/.exec(descr)?.[1] ?? 0);
-    check(width > 0, "a prior: an array that is no text");
+    check(width > 0, "a prior: an array that is not text");
     const part = new Bytes(data, "a prior");
     return Array.from({ length: shape[0] ?? 1 }, () => {
       const codes = Array.from({ length: width }, () => part.uint32());

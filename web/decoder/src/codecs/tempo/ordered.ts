@@ -1,6 +1,6 @@
 /**
- * Ordered arithmetic (docs/payloads/tempo-models.md): every operation of float64 in exactly the order of the page, because spreads,
- * which choose tables, depend on the results. JavaScript has no fused multiply-add, so plain arithmetic does it.
+ * Ordered arithmetic (docs/payloads/tempo-models.md): float64 operations in exactly the order of the page, because spreads, which
+ * choose tables, depend on the results. Plain arithmetic suffices, since JavaScript has no fused multiply-add.
  */
 
 /** A matrix, row by row. */
@@ -63,7 +63,7 @@ export function cross(a: ArrayLike<number>, b: ArrayLike<number>): [number, numb
   return [a[1]! * b[2]! - a[2]! * b[1]!, a[2]! * b[0]! - a[0]! * b[2]!, a[0]! * b[1]! - a[1]! * b[0]!];
 }
 
-/** Squared length of each row. */
+/** Squared lengths of rows. */
 export function sizes(m: Matrix): Float64Array {
   const buffer = new Float64Array(m.columns);
   return Float64Array.from({ length: m.rows }, (_, i) => {
@@ -73,7 +73,7 @@ export function sizes(m: Matrix): Float64Array {
   });
 }
 
-/** ORTHONORMAL: orthonormal vectors among rows, the longest first. */
+/** ORTHONORMAL: Gram–Schmidt on rows, the longest row first. */
 export function orthonormal(from: Matrix, most: number, shortest: number): Matrix {
   const rows = matrix(from.rows, from.columns, from.data.slice());
   const size = sizes(rows);
@@ -87,7 +87,7 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
     found.push(u);
     size[i] = 0;
     for (let r = 0; r < rows.rows; r++) {
-      if (size[r]! < 0.5 * floor) continue; // too short for ever: rows only lose length
+      if (size[r]! < 0.5 * floor) continue; // stays too short: rows only get shorter
       const row = rowOf(rows, r);
       const part = dot(row, u, buffer);
       for (let c = 0; c < row.length; c++) {
@@ -102,7 +102,7 @@ export function orthonormal(from: Matrix, most: number, shortest: number): Matri
   return out;
 }
 
-/** The row divided by its length, without its parts along `found`, of unit length. */
+/** The unit vector of a row without its components along `found`. */
 function againstFound(row: Float64Array, size: number, found: Float64Array[], buffer: Float64Array): Float64Array {
   const v = row.map((x) => x / size);
   const parts = found.map((other) => dot(other, v, buffer));
@@ -129,7 +129,7 @@ function indexOfLargest(values: Float64Array): number {
   return found;
 }
 
-/** PRINCIPAL: the orthonormal vectors of rows, refined once. */
+/** PRINCIPAL: ORTHONORMAL vectors of rows, refined once. */
 export function principal(rows: Matrix, most: number): Matrix {
   const found = orthonormal(rows, most, 1e-30);
   if (found.rows === 0) return found;
@@ -165,10 +165,10 @@ export function divide(rows: Matrix, lower: Matrix): Matrix {
   return out;
 }
 
-/** Entries of orthonormal rows that are smaller may be zeros with rounding errors, of either sign. */
+/** Smaller entries of orthonormal rows may be zeros with rounding errors, of either sign. */
 const ZERO = 1e-9;
 
-/** COMPLETE: orthonormal rows, completed to as many as there are columns, without the directions of `excluded`. Not ordered. */
+/** COMPLETE: completes orthonormal rows to a basis of the complement of `excluded`. Not in ordered arithmetic. */
 export function complete(rows: Matrix, excluded: Matrix = matrix(0, rows.columns)): Matrix {
   const n = rows.columns;
   const count = rows.rows + excluded.rows;

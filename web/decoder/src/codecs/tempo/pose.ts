@@ -5,7 +5,7 @@ import type { Tree } from "./trees.js";
 /** Positions are dimensions plus a mean pose, or follow from the directions of bones. */
 export type PoseMap =
   | { kind: "points"; /** (points, 3), metres. */ mean: Float64Array }
-  | { kind: "tree"; tree: Tree; /** The point of each place in the tree. */ order: number[] };
+  | { kind: "tree"; tree: Tree; /** Point of each index in the tree. */ order: number[] };
 
 /** Numbers of a frame before its dimensions: heading, place x, y, z. */
 export const HEAD = 4;
@@ -35,10 +35,10 @@ export function positionsOf(curves: Float64Array, frames: number, points: number
   return positions;
 }
 
-/** Positions of a tree from its dimensions: rotations as quaternions, one after the other. */
+/** Forward kinematics: positions of a tree from its dimensions, with quaternions. */
 class Kinematics {
   private readonly points: number;
-  /** Quaternion of each joint of the tree. */
+  /** World rotation of each joint of the tree, a quaternion. */
   private readonly turns: Float64Array;
   /** Positions in the order of the tree. */
   private readonly placed: Float64Array;
@@ -46,11 +46,11 @@ class Kinematics {
   private readonly jointOf: Int32Array;
   private readonly vectors: Float64Array;
   private readonly order: Int32Array;
-  /** For each joint: dimension, reference, hub. */
+  /** For each joint, its dimension, its reference, and whether it is a hub. */
   private readonly dimension: Int32Array;
   private readonly reference: Int32Array;
   private readonly isHub: Uint8Array;
-  /** For each joint: first and second axis. */
+  /** First and second axis of each joint. */
   private readonly axes: Float64Array;
 
   constructor(tree: Tree, order: number[]) {
@@ -67,7 +67,7 @@ class Kinematics {
     this.axes = Float64Array.from(tree.joints.flatMap((joint) => [...joint.first, ...joint.second]));
   }
 
-  /** Writes positions (points, 3) about their mean, in the order of the file. y: dimensions from index `at` on. */
+  /** Writes positions (points, 3), minus their mean, in the order of the file. y: dimensions from index `at` on. */
   pose(y: Float64Array, at: number, out: Float64Array): void {
     for (let joint = 0; joint < this.dimension.length; joint++) this.turn(joint, y, at + this.dimension[joint]!);
     const { placed, vectors, turns, points } = this;
@@ -115,7 +115,7 @@ class Kinematics {
     }
   }
 
-  /** The rotation of a joint: that of its reference times the rotation about its own vector. */
+  /** Sets the rotation of a joint: its reference's rotation times its own rotation vector's. */
   private turn(joint: number, y: Float64Array, at: number): void {
     let x: number;
     let y0: number;
@@ -160,7 +160,7 @@ class Kinematics {
   }
 }
 
-/** Step 8: from y up to the vertical axis of the recording (0 x, 1 y, 2 z), in place. */
+/** Step 8: turns positions in place from y up to the vertical axis `up` (0 x, 1 y, 2 z). */
 export function toAxes(positions: Float64Array, up: number): void {
   if (up === 1) return;
   for (let i = 0; i < positions.length; i += 3) {

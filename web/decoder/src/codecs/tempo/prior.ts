@@ -4,7 +4,7 @@ import { BadInput, UnknownCodec, check } from "../../errors.js";
 import { type Table, tableOfFrequencies } from "./rans.js";
 import { Npz } from "./npz.js";
 
-/** Gives the bytes of the .npz file of a prior, by its identifier: 8 hexadecimal digits. */
+/** Loads the .npz file of the prior with this identifier, 8 hexadecimal digits. */
 export type PriorLoader = (id: string) => Promise<Uint8Array>;
 
 const FILES: Record<string, () => URL> = {
@@ -12,7 +12,7 @@ const FILES: Record<string, () => URL> = {
   "1be90053": () => new URL("../priors/directions.npz", import.meta.url),
 };
 
-/** The priors that come with the package, beside it: by fetch, or from the file system in Node. */
+/** Loads priors from files of the package: with fetch, or from the file system in Node. */
 export const bundledPriors: PriorLoader = async (id) => {
   const url = FILES[id]?.();
   if (!url) throw new UnknownCodec(`the file needs the prior ${id}, which this decoder does not have`);
@@ -33,7 +33,7 @@ export class Prior {
 
   constructor(readonly arrays: Npz) {}
 
-  /** The table of symbols of this number. */
+  /** The table of symbols with this number. */
   table(number: number): Table {
     return (this.tables[number] ??= tableOfFrequencies(this.arrays.numbers("tables").data.subarray(SYMBOLS * number, SYMBOLS * (number + 1))));
   }
@@ -45,7 +45,7 @@ export class Prior {
 
 const known = new WeakMap<PriorLoader, Map<string, Promise<Prior>>>();
 
-/** The prior of this identifier; a loader is asked once for each. */
+/** The prior with this identifier, cached for each loader. */
 export function loadPrior(id: string, loader: PriorLoader): Promise<Prior> {
   let priors = known.get(loader);
   if (!priors) known.set(loader, (priors = new Map()));
@@ -62,12 +62,12 @@ export function loadPrior(id: string, loader: PriorLoader): Promise<Prior> {
   return prior;
 }
 
-/** What names of points are compared by: after the last `:` or `|`, in capitals, only 0–9 and A–Z. */
+/** Normalised name of a point: the part after the last `:` or `|`, upper case, only 0–9 and A–Z. */
 function label(name: string): string {
   return name.split(/[:|]/).at(-1)!.toUpperCase().replace(/[^0-9A-Z]/g, "");
 }
 
-/** The prior's joint of each point. */
+/** The prior's joint with the name of each point. */
 export function jointsByName(prior: Prior, names: string[]): number[] {
   const joints = new Map(prior.arrays.texts("names").map((name, joint) => [label(name), joint]));
   const found = names.map((name) => joints.get(label(name)) ?? -1);

@@ -1,4 +1,4 @@
-/** rANS with 12 bits of precision and states that share their words (docs/payloads/tempo.md, "Order of symbols"). */
+/** rANS with 12 bits of precision; all states share one word stream (docs/payloads/tempo.md, "Order of symbols"). */
 
 import { Bits, Bytes } from "../../bytes.js";
 import { check } from "../../errors.js";
@@ -24,14 +24,14 @@ export function tableOfFrequencies(frequencies: ArrayLike<number>): Table {
   return { start, frequency, symbolOf };
 }
 
-/** The states of a chunk. */
+/** The rANS states of a chunk. */
 export class Lanes {
   readonly count: number;
   private readonly states: Uint32Array;
   private readonly data: Uint8Array;
   private at: number;
 
-  /** Reads lengths and states; words follow them. */
+  /** Reads lengths and states, which stand before the words. */
   constructor(part: Bytes, count: number) {
     const data = part.rest();
     const heads = new Bits(data, "tempo");
@@ -56,12 +56,12 @@ export class Lanes {
     return symbol;
   }
 
-  /** The 16 raw bits of each final state, then those of `raw`. */
+  /** Raw bits: 16 from each final state, then those of `raw`. */
   rawBits(): Bits {
     const inStates = 2 * this.count;
     const bytes = new Uint8Array(inStates + this.data.length - this.at);
     this.states.forEach((x, i) => {
-      check(x >>> 16 === 1, "tempo: the symbols do not end where they should");
+      check(x >>> 16 === 1, "tempo: the symbols have a wrong end");
       bytes[2 * i] = (x >> 8) & 255;
       bytes[2 * i + 1] = x & 255;
     });
@@ -69,7 +69,7 @@ export class Lanes {
     return new Bits(bytes, "tempo");
   }
 
-  /** All bits that are left must be 0, and no whole byte of `raw` may be left. */
+  /** Checks that all unread bits are 0, and that less than a byte of `raw` is unread. */
   end(raw: Bits): void {
     check(8 * raw.data.length - Math.max(raw.at, 16 * this.count) < 8, "tempo: bytes are left over");
     while (raw.left) check(raw.number(Math.min(32, raw.left)) === 0, "tempo: a padding bit is not 0");

@@ -1,4 +1,4 @@
-/** From coefficients to positions: steps 1 to 6 of "Decoding" (docs/payloads/tempo.md). */
+/** Positions from coefficients: steps 1 to 6 of "Decoding" (docs/payloads/tempo.md). */
 
 import { check } from "../../errors.js";
 import { inverseDct } from "../../dct.js";
@@ -38,7 +38,7 @@ function addComponents({ values, frequencies }: Coefficients, model: Model, edge
   }
 }
 
-/** How many components, from the first on, have a coefficient in frequencies from … to − 1. */
+/** 1 + the last component with a coefficient in frequencies from … to − 1; 0: none. */
 function usedComponents(values: Float64Array, rows: number, from: number, to: number): number {
   let used = 0;
   for (let f = from; f < to; f++) {

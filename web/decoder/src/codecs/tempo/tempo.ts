@@ -81,12 +81,12 @@ interface Stream {
   millihertz: number;
   weights: Float64Array | undefined;
   model: Model | undefined;
-  /** Decodes the chunks, or the distinct frames of each. */
+  /** Decodes the chunks or, with repeats, their distinct frames. */
   fallback: ChunkDecoder | undefined;
   lattice: LatticeReader | undefined;
 }
 
-/** Positions (frames, points, 3) in half steps of the samples that are not apart. */
+/** Positions (frames, points, 3) in half steps, for the samples outside `apart`. */
 type LatticeReader = (data: Uint8Array, frames: number, apart: Uint8Array | null) => Float64Array;
 
 async function latticeOf(neighbours: Uint8Array, points: number): Promise<LatticeReader> {
@@ -139,7 +139,7 @@ class Tempo implements ChunkDecoder {
   }
 }
 
-/** Integers times the grid, divided by the weights of their points. */
+/** Multiplies integers by the grid, and divides them by the weights of their points. */
 function scale(positions: Float64Array, grid: number, weights: Float64Array | undefined, points: number): void {
   for (let i = 0; i < positions.length; i++) {
     const value = positions[i]! * grid;

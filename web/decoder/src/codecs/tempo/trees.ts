@@ -11,7 +11,7 @@ const BODY = -1;
 
 type Vector = [number, number, number];
 
-/** What turns by itself: a bone outside hubs, or a hub of bones that keep their angles. */
+/** A unit with its own rotation: a bone outside hubs, or a hub of bones at constant angles. */
 export interface Joint {
   isHub: boolean;
   /** The bone; for a hub its first bone. */
@@ -20,7 +20,7 @@ export interface Joint {
   reference: number;
   /** First of its 2 (bone) or 3 (hub) dimensions. */
   dimension: number;
-  /** A bone's axes at rest. */
+  /** Axes of a bone at rest. */
   first: Vector;
   second: Vector;
 }
@@ -30,13 +30,13 @@ export class Tree {
   readonly lengths: Float64Array;
   /** Bones with a direction, in order. */
   readonly moves: number[];
-  /** In the order in which they turn: a reference stands before what refers to it. */
+  /** Joints in the order of their rotation: references first. */
   readonly joints: Joint[] = [];
   /** Index in `joints` of each bone, −1 for one without direction. */
   readonly jointOf: Int32Array;
   readonly dimensions: number;
 
-  /** parents stand before their children; vectors (points, 3) in metres; marks of each point. */
+  /** parents: before their children; vectors (points, 3) in metres; hub, relative: marks of each point. */
   constructor(
     readonly parents: number[],
     readonly vectors: Float64Array,
@@ -55,7 +55,7 @@ export class Tree {
     this.dimensions = 2 * bones.length + 3 * hubs.length;
   }
 
-  /** References: go through the points in order; `at` is what the bones at a point are relative to. */
+  /** Finds joints and their references, point by point. at: the joint that bones at a point are relative to. */
   private findJoints(): void {
     const at: number[] = [];
     const hubAt = new Map<number, number>();
@@ -86,7 +86,7 @@ export class Tree {
     return this.moves.filter((j) => this.jointOf[j] === joint);
   }
 
-  /** Throws Corrupt unless a bone has a direction and each hub two, and no bone is too long. */
+  /** Throws Corrupt unless there is a bone with a direction, each hub has two, and no bone is too long. */
   check(): void {
     check(this.moves.length > 0, "tempo: a tree without bones");
     const bones = new Int32Array(this.joints.length);
@@ -95,7 +95,7 @@ export class Tree {
     check(this.lengths.every((size) => size < 1e9), "tempo: a bone that is too long");
   }
 
-  /** RESIZE: the tree with the bones of a skeleton, by its offsets (points, 3). */
+  /** RESIZE: the tree with the bone lengths of a skeleton. offsets: (points, 3). */
   resized(offsets: Float64Array): Tree {
     const vectors = new Float64Array(this.vectors.length);
     for (let j = 0; j < this.points; j++) {
@@ -115,12 +115,12 @@ export class Tree {
   }
 }
 
-/** Axes at rest of a bone; ordered. */
+/** Axes of a bone at rest, in ordered arithmetic. */
 function axesOf(vector: ArrayLike<number>): { first: Vector; second: Vector } {
   const d = unit(vector);
   let k = 0;
   for (let c = 1; c < 3; c++) if (Math.abs(d[c]!) < Math.abs(d[k]!)) k = c;
-  const along = d[k]!; // e · d, whose two other products are 0
+  const along = d[k]!; // e · d, where e is a unit vector of axis k
   const first = unit([(k === 0 ? 1 : 0) - d[0] * along, (k === 1 ? 1 : 0) - d[1] * along, (k === 2 ? 1 : 0) - d[2] * along]);
   return { first, second: cross(d, first) };
 }
@@ -130,7 +130,7 @@ export function roundedOffsets(offsets: Float64Array): Float64Array {
   return offsets.map((v) => halfToEven(v * 100_000) / 100_000);
 }
 
-/** Points in the order root, its children, their children …: the point of each place. Throws Corrupt. */
+/** Points in breadth-first order. Throws Corrupt. */
 export function breadthFirst(parents: number[]): number[] {
   const children = parents.map(() => [] as number[]);
   const order: number[] = [];
@@ -139,13 +139,13 @@ export function breadthFirst(parents: number[]): number[] {
     if (parent < 0) order.push(p);
     else children[parent]!.push(p);
   });
-  check(order.length === 1, "tempo: a tree of more or less than one root");
+  check(order.length === 1, "tempo: a tree must have one root");
   for (let i = 0; i < order.length; i++) order.push(...children[order[i]!]!);
   check(order.length === parents.length, "tempo: a tree with a cycle");
   return order;
 }
 
-/** Parents in the order of the tree. */
+/** Parents, renumbered to the order of the tree. */
 export function parentsInOrder(order: number[], parents: number[]): number[] {
   const place = new Int32Array(order.length);
   order.forEach((p, i) => (place[p] = i));
@@ -159,7 +159,7 @@ export function priorTree(prior: Prior): Tree {
   return new Tree(Array.from(arrays.numbers("parents").data), arrays.numbers("vectors").data, truths("hub"), truths("relative"));
 }
 
-/** The axis of each dimension, and the bones that it rotates, at rest; ordered. */
+/** The axis of each dimension at rest, and the bones that it rotates, in ordered arithmetic. */
 export function rotationsOf(tree: Tree): { axis: Vector; bones: number[] }[] {
   const rotated = tree.joints.map(() => [] as number[]);
   for (const j of tree.moves) {
@@ -179,7 +179,7 @@ export function rotationsOf(tree: Tree): { axis: Vector; bones: number[] }[] {
   return out;
 }
 
-/** A + 10⁻⁶ · its largest entry · identity, with A times `factor`; ordered. */
+/** factor · A + 10⁻⁶ · (largest entry of factor · A) · identity, in ordered arithmetic. */
 export function metricOf(tree: Tree, factor = 1): Matrix {
   const { points } = tree;
   const move = matrix(tree.dimensions, 3 * points);

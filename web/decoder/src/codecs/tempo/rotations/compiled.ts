@@ -1,4 +1,4 @@
-/** Rotations from targets by the kernel `joints` (wasm/kernels.cpp): the rules as arrays, and all frames of a chunk at once. */
+/** Rotations from targets by the kernel `joints` (wasm/kernels.cpp): rules as arrays, all frames of a chunk in one call. */
 
 import { NO_ROTATION, type Quaternion, dot, lengthOf, rotated } from "../../../geometry.js";
 import type { Kernels } from "../../../kernels.js";
@@ -7,18 +7,18 @@ import type { Rules } from "./solve.js";
 
 const JOINT_FLOATS = 29;
 
-/** Of all joints, of their carried vectors, and of the hinges that swung joints turn. */
+/** Tables of all joints, of their carried vectors, and of the hinges below joints with the rule SWING. */
 export interface Tables {
-  /** (joints, 13): rule, parent, held at its target, branch, first side value, anchor, carried vectors, pair, hinges, own frame. */
+  /** (joints, 13): rule, parent, is at its target, branch, first side value, anchor, carried vectors, pair, hinges, own frame. */
   integers: BigInt64Array;
   /** (joints, 29): offset, usual rotation, the three constants and two axes of its form, direction, lever. */
   floats: Float64Array;
   targets: BigInt64Array;
   /** (carried vectors, 4): vector, weight. */
   carried: Float64Array;
-  /** (hinges, 2): joint, placed at its target. */
+  /** (hinges, 2): joint, is at its target. */
   hinges: BigInt64Array;
-  /** (hinges, 5): axis, along the axis, scale. */
+  /** (hinges, 5): axis, component of the aimed vector along it, scale. */
   hingeFloats: Float64Array;
 }
 
@@ -65,7 +65,7 @@ export function tablesOf(rules: Rules): Tables {
   };
 }
 
-/** Local rotations (frames, joints, 4) and positions (frames, joints, 3) of targets (frames, joints, 3) and side values (frames, values). */
+/** Local rotations (frames, joints, 4) and positions (frames, joints, 3). points: targets (frames, joints, 3); side: (frames, values). */
 export function solveAll(
   kernels: Kernels,
   { integers, floats, targets, carried, hinges, hingeFloats }: Tables,

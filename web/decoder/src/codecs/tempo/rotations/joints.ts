@@ -1,4 +1,4 @@
-/** Rules by which rotations of joints follow from targets (docs/payloads/tempo-rotations.md). */
+/** Rules that give joint rotations from targets (docs/payloads/tempo-rotations.md). */
 
 import { check } from "../../../errors.js";
 import {
@@ -26,19 +26,19 @@ export const UNIVERSAL = 6;
 export const UNIVERSAL_REFINED = 7;
 export const UNIVERSAL_CODED = 8;
 
-/** Side values and free angles of each rule. */
+/** Numbers of side values and of free angles for each rule. */
 export const SIDE_VALUES = [0, 0, 1, 4, 0, 1, 0, 1, 2] as const;
 export const FREE_ANGLES = [0, 3, 3, 3, 1, 1, 2, 2, 2] as const;
 
 /** A rotation with one or two free angles: before · Rot(first) · (between · Rot(second) ·) after. */
 export class Form {
-  /** Constant rotations around the free axes, one more than these. */
+  /** Constant rotations before, between and after the free axes. */
   readonly constants: Quaternion[];
   readonly axes: Vector[] = [];
-  /** Which of the three angles are free. */
+  /** Indices of the free angles among the three. */
   readonly free: number[] = [];
 
-  /** locked: each angle in radians, or null where it is free. */
+  /** locked: the three angles in radians; null: free. */
   constructor(
     private readonly order: string,
     private readonly frame: Quaternion,
@@ -64,7 +64,7 @@ export class Form {
     return q;
   }
 
-  /** "Angles of a rotation": those of the free axes. */
+  /** "Angles of a rotation", for the free axes. */
   angles(q: Quaternion): number[] {
     const m = multiplied(multiplied(inverse(this.frame), q), this.frame);
     if (this.locked.some((angle) => angle !== null && angle !== 0)) {
@@ -80,7 +80,7 @@ export class Form {
   }
 }
 
-/** The angle, brought into −π … π by whole turns. */
+/** Wraps an angle into −π … π. */
 function withinHalfTurn(angle: number): number {
   const turn = 2 * Math.PI;
   return angle - turn * Math.floor((angle + Math.PI) / turn);
@@ -88,22 +88,22 @@ function withinHalfTurn(angle: number): number {
 
 export interface JointRule {
   rule: number;
-  /** The joint's position is its target. */
+  /** Whether the joint's position is its target. */
   placed: boolean;
   /** Sign of the second branch of UNIVERSAL. */
   branch: 1 | -1;
-  /** A usual rotation; of FIXED the constant one. */
+  /** A typical rotation; for FIXED the constant rotation. */
   usual: Quaternion;
   /** Numbers of the two carried vectors of a HUB. */
   pair: [number, number];
   form: Form | undefined;
-  /** First of its side values. */
+  /** Index of the joint's first side value. */
   first: number;
 }
 
-/** What a joint carries: targets, the vectors to them in its frame, and what follows from these. */
+/** Targets that a joint carries, the vectors to them in its frame, and values computed from these. */
 export interface Carried {
-  /** The joint from which the vectors begin. */
+  /** The joint at which the vectors begin. */
   anchor: number;
   targets: number[];
   vectors: Vector[];
@@ -116,7 +116,7 @@ export interface Carried {
 
 const SHORTEST_M = 1e-4;
 
-/** "Carried vectors" of all joints. children: of each joint, in order. */
+/** "Carried vectors" of all joints. children: children of each joint, in order. */
 export function carriedVectors(rules: JointRule[], parents: number[], offsets: Vector[], children: number[][], ownFrame: boolean): Carried[] {
   const lists: { targets: number[]; vectors: Vector[] }[] = rules.map(() => ({ targets: [], vectors: [] }));
   const anchors = rules.map((_, j) => j);
@@ -145,7 +145,7 @@ export function carriedVectors(rules: JointRule[], parents: number[], offsets: V
         list.vectors.push(plus(from, rotatedBy(usual, v)));
       });
     }
-    check(list.vectors.length <= 4 * rules.length, "tempo: a joint that carries too much");
+    check(list.vectors.length <= 4 * rules.length, "tempo: a joint that carries too many vectors");
   }
   return lists.map((list, j) => withWeights(anchors[j]!, list));
 }

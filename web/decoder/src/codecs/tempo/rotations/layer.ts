@@ -43,11 +43,11 @@ export interface Layer {
   /** Nominal side values. */
   nominal: Float64Array;
   statistics: Statistics;
-  /** From coefficients to side values less the nominal ones: (side values, side values). */
+  /** Maps coefficients to side values minus the nominal ones: (side values, side values). */
   toSide: Matrix;
 }
 
-/** Constants of joints, taken one after the other. */
+/** Constants of joints, read one after the other. */
 class Constants {
   constructor(
     private readonly floats: number[],
@@ -71,7 +71,7 @@ class Constants {
   }
 }
 
-/** Reads the layer; priors loads the prior that it names. */
+/** Reads the layer. priorOf: loads the prior with an identifier. */
 export async function readLayer(data: Uint8Array, skeleton: Skeleton | undefined, priorOf: (id: string) => Promise<Prior>): Promise<Layer> {
   check(skeleton !== undefined, "tempo: rotations without a skeleton");
   const joints = skeleton.parents.length;
@@ -115,7 +115,7 @@ function ruleOf(row: number[], turn: Vector, constants: Constants, skeleton: Ske
   if (rule === FIXED) return { ...common, usual: fixedRotation(form, constants, skeleton, j), pair: [0, 0], form: undefined };
   check(turn.every((v) => Math.abs(v) <= MOST_USUAL), "tempo: a usual rotation that is out of range");
   const found = form ? formOf(form, locked, constants, skeleton, j) : undefined;
-  check((found ? found.free.length : 3) === FREE_ANGLES[rule], "tempo: axes that do not suit their rule");
+  check((found ? found.free.length : 3) === FREE_ANGLES[rule], "tempo: the number of axes does not match the rule");
   return { ...common, usual: usualRotation(turn), pair: [Math.floor(pair / joints), pair % joints], form: found };
 }
 
@@ -133,7 +133,7 @@ function fixedRotation(form: number, constants: Constants, skeleton: Skeleton, j
   }
   check(form <= 1, "tempo: a constant rotation of another form");
   const q: Quaternion = form ? [constants.float(), constants.float(), constants.float(), constants.float()] : NO_ROTATION;
-  check(Math.abs(q.reduce((sum, v) => sum + v * v, 0) - 1) <= 1e-6, "tempo: a constant rotation that is no unit quaternion");
+  check(Math.abs(q.reduce((sum, v) => sum + v * v, 0) - 1) <= 1e-6, "tempo: a constant rotation that is not a unit quaternion");
   return q;
 }
 
@@ -165,7 +165,7 @@ function rulesOf(joints: JointRule[], skeleton: Skeleton, ownFrame: boolean): Ru
   joints.forEach(({ rule, pair }, j) => {
     const count = carried[j]!.vectors.length;
     if (rule === HUB) check(Math.max(...pair) < count && pair[0] !== pair[1], "tempo: a hub without two vectors");
-    if ([SWING, HINGE, UNIVERSAL, UNIVERSAL_REFINED].includes(rule)) check(count > 0, "tempo: a rotation that nothing shows");
+    if ([SWING, HINGE, UNIVERSAL, UNIVERSAL_REFINED].includes(rule)) check(count > 0, "tempo: a rotation without a carried vector");
   });
   return { parents, children, offsets, ownFrame, joints, carried };
 }
@@ -177,7 +177,7 @@ function nominalOf({ rule, form, usual }: JointRule): number[] {
   return rule === UNIVERSAL_REFINED ? form!.angles(usual).slice(1) : [];
 }
 
-/** Statistics of the side values, and the way from their coefficients. */
+/** Statistics of the side values, and the map from their coefficients. */
 function basisOf(part: Bytes, nominal: Float64Array, rules: Rules, reach: number, prior: Prior): { statistics: Statistics; toSide: Matrix } {
   const count = nominal.length;
   let statistics: Statistics;
@@ -195,7 +195,7 @@ function basisOf(part: Bytes, nominal: Float64Array, rules: Rules, reach: number
   return { statistics, toSide };
 }
 
-/** L: the Cholesky factor of what side values move, joints and shell points at the usual pose. */
+/** L: the Cholesky factor of JᵀJ + ridge, J the derivatives of joints and shell points by side values at the usual pose. */
 function factorOf(rules: Rules, nominal: Float64Array, reach: number): Matrix {
   const count = nominal.length;
   const targets = forward(rules, rules.joints.map((joint) => joint.usual), rules.offsets, true);
@@ -217,7 +217,7 @@ function factorOf(rules: Rules, nominal: Float64Array, reach: number): Matrix {
   return cholesky(g);
 }
 
-/** Joints and shell points of a frame, (joints, 4, 3). */
+/** Each joint and its three shell points in a frame, (joints, 4, 3). */
 function shellPoints(rules: Rules, targets: Vector[], side: Float64Array, reach: number): Float64Array {
   const { local, positions } = solve(rules, targets, side);
   const out = new Float64Array(12 * positions.length);

@@ -20,7 +20,7 @@ const SIDE_SCALE = 3;
 const SHRINK = 0.05;
 const FIRST_ROWS = 4;
 
-/** What rotations follow from: targets (frames, joints, 3), metres, and side values (frames, side values). */
+/** Inputs of the rotations: targets (frames, joints, 3), metres, and side values (frames, side values). */
 interface Aims {
   targets: Float64Array;
   side: Float64Array;
@@ -70,7 +70,7 @@ export class WithRotations implements ChunkDecoder {
     return { positions, rotations };
   }
 
-  /** The pose of each frame; but for direct payloads, the targets and the side values that it follows from. */
+  /** The pose of each frame. aims: targets and side values that give the poses; absent in direct payloads. */
   private poses(own: Bytes, targets: Float64Array, frames: number): { aims?: Aims; poseOf: (t: number) => Pose } {
     const { layer } = this;
     const count = layer.nominal.length;
@@ -84,7 +84,7 @@ export class WithRotations implements ChunkDecoder {
     const coefficients = readCoefficients(own, frames, joints + groups, this.millihertz, layer.statistics, false);
     const side = this.sideValues(coefficients.values, coefficients.frequencies, coefficients.step, frames);
     if (kind !== CORRECTED) return this.aimed({ targets, side });
-    // targets, then side values by threes times a length, so that corrections apply to both
+    // targets, then side values, three to a point and scaled to metres, so that corrections apply to both
     const lanes = 3 * (joints + groups);
     const both = new Float64Array(frames * lanes);
     const scale = SIDE_SCALE * layer.reach;
@@ -108,7 +108,7 @@ export class WithRotations implements ChunkDecoder {
     return { aims, poseOf };
   }
 
-  /** Side values (frames, side values) of coefficients (frequencies, rows). */
+  /** Side values (frames, side values) from coefficients (frequencies, rows). */
   private sideValues(values: Float64Array, frequencies: number, step: number, frames: number): Float64Array {
     const { nominal, toSide } = this.layer;
     const count = nominal.length;
@@ -128,7 +128,7 @@ export class WithRotations implements ChunkDecoder {
     return side;
   }
 
-  /** "Direct": angles, quaternions and positions of held joints, all on the grid. */
+  /** "Direct": angles, quaternions and positions of joints at targets, all on the grid. */
   private direct(data: Uint8Array, frames: number, grid: number): (t: number) => Pose {
     const { rules } = this.layer;
     const reaches = this.reaches();
@@ -151,7 +151,7 @@ export class WithRotations implements ChunkDecoder {
     };
   }
 
-  /** How far each joint's rotation moves what hangs on it, metres. */
+  /** Length of the chain below each joint, metres: the lever of its rotation. */
   private reaches(): number[] {
     const { rules, reach } = this.layer;
     const below = rules.parents.map(() => reach);

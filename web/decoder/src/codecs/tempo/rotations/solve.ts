@@ -1,4 +1,4 @@
-/** "Rotations from targets" (docs/payloads/tempo-rotations.md): one frame at a time, joints in their order. */
+/** "Rotations from targets" (docs/payloads/tempo-rotations.md): frame by frame, joint by joint. */
 
 import {
   NO_ROTATION,
@@ -36,7 +36,7 @@ const REFINEMENTS = 4;
 const CODED_WEIGHT = 0.0009;
 const HUB_STEPS = 3;
 
-/** A skeleton and how its rotations follow. */
+/** A skeleton and the rules of its rotations. */
 export interface Rules {
   parents: number[];
   children: number[][];
@@ -52,14 +52,14 @@ export interface Pose {
   positions: Vector[];
 }
 
-/** What is known of a frame while its joints are solved. */
+/** State of a frame while its joints are solved. */
 interface Frame {
   targets: Vector[];
   positions: Vector[];
   world: Quaternion[];
 }
 
-/** The pose of targets and side values. */
+/** Solves the pose for targets and side values. */
 export function solve(rules: Rules, targets: Vector[], side: ArrayLike<number>): Pose {
   const frame: Frame = { targets, positions: [], world: [] };
   const local: Quaternion[] = [];
@@ -78,7 +78,7 @@ export function solve(rules: Rules, targets: Vector[], side: ArrayLike<number>):
   return { local, positions: frame.positions };
 }
 
-/** Positions by forward kinematics; `held` are those of roots and, unless all follow, of placed joints. */
+/** Forward kinematics. held: positions of roots and, unless allFollow, of placed joints. */
 export function forward(rules: Rules, local: Quaternion[], held: Vector[], allFollow = false): Vector[] {
   const world = worldOf(rules, local);
   const positions: Vector[] = [];
@@ -89,7 +89,7 @@ export function forward(rules: Rules, local: Quaternion[], held: Vector[], allFo
   return positions;
 }
 
-/** World rotations of local ones. */
+/** World rotations from local rotations. */
 export function worldOf(rules: Rules, local: Quaternion[]): Quaternion[] {
   const world: Quaternion[] = [];
   rules.parents.forEach((parent, j) => world.push(parent < 0 ? local[j]! : multiplied(world[parent]!, local[j]!)));
@@ -153,7 +153,7 @@ function hub(joint: JointRule, carried: Carried, aims: Vector[]): Quaternion {
   const [a, b] = joint.pair;
   let q = multiplied(pairFrame(aims[a]!, aims[b]!), inverse(pairFrame(carried.vectors[a]!, carried.vectors[b]!)));
   for (let step = 0; step < HUB_STEPS; step++) {
-    // of the inertia, a symmetric matrix, six entries; the torque
+    // six entries of the inertia, a symmetric matrix; then the torque
     let [xx, yy, zz, xy, xz, yz] = [0, 0, 0, 0, 0, 0];
     let [tx, ty, tz] = [0, 0, 0];
     for (let i = 0; i < aims.length; i++) {
@@ -184,7 +184,7 @@ function pairFrame(a: Vector, b: Vector): Quaternion {
   return fromMatrix([x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]]);
 }
 
-/** The solution of a system of equations with these columns, zero for a singular one. */
+/** Solves the 3 × 3 system with columns a, b, c; zero for a singular system. */
 function solved(a: Vector, b: Vector, c: Vector, v: Vector): Vector {
   const determinant = dot(a, cross(b, c));
   if (!(Math.abs(determinant) > 1e-30)) return [0, 0, 0];
@@ -242,7 +242,7 @@ function swing(rules: Rules, j: number, frame: Frame, above: Quaternion, aims: V
   return multiplied(q, aboutAxis(direction, refined(0, hinges.map((child) => hingeTerm(rules, j, child, frame, world)))));
 }
 
-/** What a hinge below a swung joint shows of its twist. world: the joint's world rotation so far. */
+/** Term of a hinge below a SWING joint, which determines the joint's twist. world: the joint's world rotation so far. */
 function hingeTerm(rules: Rules, j: number, child: number, frame: Frame, world: Quaternion): Term {
   const { form, placed } = rules.joints[child]!;
   const carried = rules.carried[child]!;
