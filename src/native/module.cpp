@@ -8,10 +8,11 @@
 //   bone_coordinates.cpp  the inverse of bone_directions.cpp, for the same module; rotations4.h is for both directions
 //   bit_arrays.cpp  arrays of bits through the adaptive coder of adaptive_bits.h, for entropy/bit_arrays.py
 //   point_octree.cpp      octree of lattice points, for codecs/bodycast/point_octree.py; octree_surface.h is the bodies' surface
-//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h is what both share
-//   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py
+//   cube_octree.cpp       the same cube by cube, for codecs/bodycast/cube_octree.py; octree_coding.h is what both share,
+//                   near_cubes.h compares cubes
+//   point_smoothing.cpp    moves of lattice points to the surface, for codecs/bodycast/point_smoothing.py; point_moves.h finds them
 //   lattice_frames.cpp    points on a lattice, for codecs/bodycast/lattice_frames.py, lattice.py and octree.py
-//   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py
+//   point_choice.cpp      which lattice points stand for points, for codecs/bodycast/point_choice.py; key_order.h sorts their codes
 //   point_colours.cpp     colours of lattice points, for codecs/bodycast/surface_memory.py and colour_lifting.py
 //   surface_memory.cpp    the bodies' surface from frame to frame, for codecs/bodycast/integer_surface.py and surface_memory.py
 //   reference_surface.cpp the surface that points lie on, for codecs/bodycast/reference_surface.py; nearest_others.h

@@ -110,9 +110,12 @@ Output<int64_t> choose_candidates(Rows starts, Rows cell_of, Rows errors, Rows c
     for (size_t i = 0; good && i < k; ++i) good = cell_of.data()[i] >= 0 && size_t(cell_of.data()[i]) < costs.shape(0);
     if (!good) throw std::invalid_argument("choose_candidates: shapes differ, or a candidate is not there");
     Choice choice(starts, cell_of, errors, costs, chosen);
-    for (int round = 0; round < rounds; ++round) {
-        const bool moved = choice.change_points();
-        if (!choice.open_cells() && !moved) break;
+    {
+        nb::gil_scoped_release release;
+        for (int round = 0; round < rounds; ++round) {
+            const bool moved = choice.change_points();
+            if (!choice.open_cells() && !moved) break;
+        }
     }
     Fresh<int64_t> result(n);
     for (size_t i = 0; i < n; ++i) result.data[i] = choice.chosen()[i];
@@ -373,7 +376,10 @@ Output<int64_t> candidate_errors(Numbers points, Rows starts, Numbers cells, Row
     if (!good) throw std::invalid_argument("candidate_errors: shapes differ, or a row is not there");
     Fresh<int64_t> errors(k);
     std::fill_n(errors.data.get(), k, 0);
-    CandidateErrors(of, normals, neighbours, spacing, reach, stay_cost, errors.data.get()).find();
+    {
+        nb::gil_scoped_release release;
+        CandidateErrors(of, normals, neighbours, spacing, reach, stay_cost, errors.data.get()).find();
+    }
     return errors.give({k});
 }
 

@@ -374,7 +374,11 @@ Output<int64_t> near_samples(const Surface &surface, Input<uint64_t, 1> codes, I
     const size_t count = codes.shape(0), n = rows.shape(0);
     for (size_t i = 0; i < count; ++i)
         if (codes.data()[i] >> 3 * surface.depth()) throw std::invalid_argument("octree: a code is beyond the octree");
-    const std::vector<int32_t> nearest = samples_of_points(surface, codes.data(), count);
+    std::vector<int32_t> nearest;
+    {
+        nb::gil_scoped_release release;
+        nearest = samples_of_points(surface, codes.data(), count);
+    }
     std::vector<int64_t> near(count, NOWHERE);
     for (size_t i = 0; i < count; ++i) {
         if (nearest[i] < 0) continue;

@@ -16,26 +16,29 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
     std::fill_n(shifts.data.get(), 3 * n, 0);
     std::fill_n(moves.data.get(), n, 0);
     std::fill_n(deviations.data.get(), n, 0);
-    const PointsOfSamples of(samples.data(), n, m);
-    ShortNeighbourhood near(of, cells, normals, neighbours, spacing);
-    Neighbourhood around(cells, normals, neighbours, spacing);
-    for (size_t s = 0; s < m; ++s) {
-        if (!of.size(s)) continue;
-        bool is_near = near.is_usable;
-        if (is_near) near.gather(s);
-        if (!is_near) around.gather(of, s);
-        for (int32_t at = of.first[s]; at < of.first[s + 1]; ++at) {
-            const size_t i = size_t(of.points[size_t(at)]);
-            Move move;
-            if (is_near && !near.move(cells.data() + 3 * i, move)) {
-                is_near = false;
-                around.gather(of, s);
+    {
+        nb::gil_scoped_release release;
+        const PointsOfSamples of(samples.data(), n, m);
+        ShortNeighbourhood near(of, cells, normals, neighbours, spacing);
+        Neighbourhood around(cells, normals, neighbours, spacing);
+        for (size_t s = 0; s < m; ++s) {
+            if (!of.size(s)) continue;
+            bool is_near = near.is_usable;
+            if (is_near) near.gather(s);
+            if (!is_near) around.gather(of, s);
+            for (int32_t at = of.first[s]; at < of.first[s + 1]; ++at) {
+                const size_t i = size_t(of.points[size_t(at)]);
+                Move move;
+                if (is_near && !near.move(cells.data() + 3 * i, move)) {
+                    is_near = false;
+                    around.gather(of, s);
+                }
+                if (!is_near) move = around.move(i);
+                moves.data[i] = move.length;
+                deviations.data[i] = move.deviation;
+                for (size_t d = 0; d < 3; ++d)
+                    shifts.data[3 * i + d] = shift_of_move(move.length, normals.data()[3 * s + d]);
             }
-            if (!is_near) move = around.move(i);
-            moves.data[i] = move.length;
-            deviations.data[i] = move.deviation;
-            for (size_t d = 0; d < 3; ++d)
-                shifts.data[3 * i + d] = shift_of_move(move.length, normals.data()[3 * s + d]);
         }
     }
     return nb::make_tuple(shifts.give({n, 3}), moves.give({n}), deviations.give({n}));
