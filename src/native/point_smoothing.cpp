@@ -46,7 +46,8 @@ nb::tuple smooth_points(Numbers cells, Input<int64_t, 1> samples, Numbers normal
 
 constexpr uint32_t STAY_CONTEXTS = 1 << 20, STAY_WEIGHTS = 1024, DEVIATIONS = 16;
 
-// moves, deviations (n); stays (n): in the encoder. (n): whether points stay, 1 where nothing moves; None of bytes that are cut off.
+// Codes whether points stay (n); 1 without a move. moves, deviations (n); stays (n): in
+// the encoder. None if the bytes are cut off.
 template <class Coder>
 nb::object code_stays(Coder &coder, Input<int64_t, 1> moves, Input<int64_t, 1> deviations, Input<uint8_t, 1> stays) {
     const size_t n = moves.shape(0);

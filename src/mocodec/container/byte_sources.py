@@ -96,7 +96,8 @@ class LocalFile:
         except IsADirectoryError as error:
             raise BadInput(f"{os.fspath(path)}: this is a folder; mocodec.open_archive opens an archive") from error
         except OSError as error:
-            raise BadInput(f"{os.fspath(path)}: {error.strerror}") from error
+            missing = isinstance(error, FileNotFoundError)
+            raise BadInput(f"{os.fspath(path)}: {'no such file' if missing else error.strerror}") from error
 
     def read(self, start: int, count: int) -> bytes:
         try:
