@@ -30,8 +30,8 @@ struct BytesOfBits {
 
 constexpr BytesOfBits BYTES;
 
-// The cubes of a level. neighbours: indices before and behind along every axis; the number of cubes: none. known:
-// occupied octants, with one extra cube that stays empty.
+// The cubes of a level. neighbours: indices before and behind along every axis; size(): none. known: occupied octants,
+// with one extra cube that stays empty.
 struct Cubes {
     std::vector<uint64_t> codes{0};
     std::vector<std::array<int32_t, 3>> places{{0, 0, 0}};

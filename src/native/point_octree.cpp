@@ -36,7 +36,7 @@ struct Hints {
 struct Level {
     std::vector<uint64_t> codes;
     std::vector<std::array<int32_t, 3>> places;
-    // indices before and behind along every axis; the number of cubes: none
+    // indices before and behind along every axis; size(): none
     std::array<std::vector<int32_t>, 6> neighbours;
     std::vector<uint8_t> known;  // occupied octants, with extra cubes that stay empty
     std::vector<int32_t> nearest;
