@@ -51,6 +51,11 @@ def assert_one_line(result: Result, code: int) -> None:
         ["cut", "walk.trc", "--from", "99s", "-o", "x.trc"],
         ["cut", "walk.trc", "--from", "12", "-o", "x.trc"],
         ["cut", "walk.trc", "--chunks", "-o", "x.trc"],
+        ["cut", "walk.trc", "--to", "1s", "-o", "./walk.trc"],
+        ["convert", "walk.trc", "walk.trc", "--to-rate", "60"],
+        ["encode", "walk.trc", "-o", ""],
+        ["encode", "", "-o", "x.mocz"],
+        ["decode", "walk.mocz", "-o", "x.mocz"],
     ],
     ids=" ".join,
 )
@@ -156,6 +161,27 @@ def test_a_pipe_is_written_to_not_replaced(command: Command, walk_trc: Path) -> 
     assert command("encode", walk_trc, "-o", "pipe", "--codec", "lossless").code == 0
     assert mc.decode(reader.communicate(timeout=30)[0]).names == mc.read(walk_trc).names
     assert Path("pipe").is_fifo()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are POSIX's")
+def test_pipes_with_names_are_read_once_and_passed_over_in_folders(command: Command, walk_mocz: Path) -> None:
+    os.mkfifo("pipe")
+    with subprocess.Popen(["bash", "-c", f"cat {walk_mocz} > pipe"]):
+        assert command("decode", "pipe", "-o", "x.npz").code == 0
+    os.remove("x.npz")
+    os.mkfifo("later.trc")
+    found = command("encode", ".", "-o", "out", "--codec", "lossless", "--json")
+    assert [record["file"] for record in json.loads(found.out)["records"]] == ["walk.trc"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="lengths of names in POSIX")
+def test_an_output_with_too_long_a_name_costs_no_other_file(command: Command, walk_trc: Path) -> None:
+    for suffix in (".trc", ".TRC"):
+        Path("x" * 250 + suffix).write_bytes(walk_trc.read_bytes())
+    result = command("encode", ".", "-o", "out", "--codec", "lossless", "--quiet")
+    assert result.code == cli.BAD_INPUT
+    assert result.err.count("File name too long") == 2
+    assert [path.name for path in Path("out").glob("*.mocz")] == ["walk.mocz"]
 
 
 def test_an_existing_output_survives_a_failure(command: Command, walk_trc: Path) -> None:

@@ -55,6 +55,7 @@ def command(source: str, begin: Time, end: Time | None, output: str, chunks: boo
     From .mocz to .mocz, chunks are copied without loss if the cut is on chunk borders (--chunks widens it to these).
     Otherwise the range is encoded again with half the promised error, and OUT promises the sum of both errors.
     """
+    files.refuse_source(source, output)
     compressed = files.holds_compressed(source, options["format_"])
     if chunks and not (compressed and files.is_mocz(output)):
         raise click.UsageError("--chunks works only from a .mocz file to a .mocz file")

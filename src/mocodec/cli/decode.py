@@ -136,7 +136,11 @@ def suffix_of(source: str, format_: str | None) -> str:
 
 
 def refuse_other_formats(source: str, output: str) -> None:
-    """Raises a usage error for a source that is not a .mocz, which names the command that converts it."""
+    """Raises a usage error that names the command that is meant: for a source that is no .mocz, an output that is one."""
+    if files.is_mocz(output):
+        raise click.UsageError(
+            f"{output}: decode writes other formats; `mocodec cut {source} -o {output}` writes a .mocz"
+        )
     if Path(source).suffix.lower() in formats.FORMATS and not files.is_url(source):
         raise click.UsageError(
             f"{source} is not a .mocz file, so there is nothing to decode; to convert it to another format, run "
