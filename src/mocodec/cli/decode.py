@@ -136,7 +136,7 @@ def suffix_of(source: str, format_: str | None) -> str:
 
 
 def refuse_other_formats(source: str, output: str) -> None:
-    """Raises a usage error that names the command that is meant: for a source that is no .mocz, an output that is one."""
+    """Raises a usage error that names the command that is meant: a source is no .mocz, or an output is one."""
     if files.is_mocz(output):
         raise click.UsageError(
             f"{output}: decode writes other formats; `mocodec cut {source} -o {output}` writes a .mocz"
